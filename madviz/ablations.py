@@ -1,0 +1,151 @@
+"""What can happen to a camera: small frozen values with a pure ``apply``.
+
+Two things look alike and are not. A *dropped* stream leaves the sum: the policy's merged feature
+loses the term f(o_i). An *occluded* stream stays in the sum, but its camera sends black, noise or an
+old picture, so that the sum holds f(black), an input nobody trained it on. ``CameraInput`` decides
+the first, an ``Occlusion`` the second.
+
+Noise is drawn from (seed, step, stream), so a replayed session gives the same pixels.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import asdict, dataclass, field
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+
+from madviz.subsets import camera_of, modality_of
+from madviz.types import Array, UserError, unknown
+
+CameraInput = Literal["rgb", "depth", "both", "off"]
+OcclusionKind = Literal["none", "black", "noise", "freeze", "blur", "patch"]
+
+
+@dataclass(frozen=True)
+class Occlusion:
+    """How a camera fails. ``strength``, ``x``, ``y`` and ``size`` are fractions in [0, 1].
+
+    black   every pixel 0                     noise   blend with uniform noise by ``strength``
+    freeze  the picture of the moment         blur    Gaussian, sigma = 8 px x ``strength``
+    patch   a black square of side ``size`` with its centre at (``x``, ``y``), blended by ``strength``
+    """
+
+    kind: OcclusionKind = "none"
+    strength: float = 1.0
+    x: float = 0.5
+    y: float = 0.5
+    size: float = 0.4
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(OcclusionKind):
+            raise unknown("occlusion", str(self.kind), list(get_args(OcclusionKind)))
+        for name in ("strength", "x", "y", "size"):
+            value = getattr(self, name)
+            if not (isinstance(value, int | float) and 0 <= value <= 1):
+                raise UserError(f"{name} of an occlusion must be between 0 and 1, found {value!r}")
+
+    def apply(self, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
+        """The frame that arrives instead of ``frame`` (H, W, C) uint8; ``before`` is the one that
+        arrived last, None at the first step. Pure: neither input is written to."""
+        if self.kind == "none":
+            return frame
+        if self.kind == "black":
+            return np.zeros_like(frame)
+        if self.kind == "freeze":
+            return frame if before is None else before
+        if self.kind == "blur":
+            sigma = 8 * self.strength
+            blurred = frame if sigma < 0.1 else cv2.GaussianBlur(frame, (0, 0), sigma)
+            return np.asarray(blurred).reshape(frame.shape)
+        if self.kind == "noise":
+            noise = rng.integers(0, 256, frame.shape, np.uint8)
+            return cv2.addWeighted(frame, 1 - self.strength, noise, self.strength, 0).reshape(
+                frame.shape
+            )
+        return self._patched(frame)
+
+    def _patched(self, frame: Array) -> Array:
+        height, width = frame.shape[:2]
+        half = self.size / 2
+        rows = slice(
+            round(max(self.y - half, 0) * height), round(min(self.y + half, 1) * height)
+        )
+        columns = slice(
+            round(max(self.x - half, 0) * width), round(min(self.x + half, 1) * width)
+        )
+        patched = frame.copy()
+        patched[rows, columns] = frame[rows, columns] * (1 - self.strength)
+        return patched
+
+
+@dataclass(frozen=True)
+class CameraState:
+    """One camera's switch and its occlusion."""
+
+    input: CameraInput = "both"
+    """Which modalities count; a policy takes those of them that it knows. ``off`` is dropped."""
+    occlusion: Occlusion = Occlusion()
+
+    def __post_init__(self) -> None:
+        if self.input not in get_args(CameraInput):
+            raise unknown("camera input", str(self.input), list(get_args(CameraInput)))
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """The state of all cameras; cameras that are not named are intact."""
+
+    cameras: dict[str, CameraState] = field(default_factory=dict)
+
+    def camera(self, name: str) -> CameraState:
+        return self.cameras.get(name, CameraState())
+
+    def replace(self, name: str, state: CameraState) -> Ablation:
+        """The same ablation with another state of the camera ``name``."""
+        return Ablation({**self.cameras, name: state})
+
+    def mask(self, streams: tuple[str, ...]) -> Array:
+        """(V,) bool: the streams that are present."""
+        switches = [self.camera(camera_of(stream)).input for stream in streams]
+        return np.array(
+            [
+                switch == "both" or switch == modality_of(stream)
+                for switch, stream in zip(switches, streams, strict=True)
+            ],
+            bool,
+        )
+
+    def occlusions(self) -> dict[str, Occlusion]:
+        """The cameras that are occluded at all."""
+        return {n: s.occlusion for n, s in self.cameras.items() if s.occlusion.kind != "none"}
+
+    def key(self) -> str:
+        """A name for the occlusions alone (the mask is named by its subset); '' where there are none."""
+        parts = []
+        for name, occlusion in sorted(self.occlusions().items()):
+            values = asdict(occlusion)
+            kind = values.pop("kind")
+            parts.append(f"{name}:{kind}" + "".join(f",{k}={v:g}" for k, v in values.items()))
+        return ";".join(parts)
+
+    @staticmethod
+    def from_mask(mask: Array, streams: tuple[str, ...], occlusions: dict[str, Occlusion]) -> Ablation:
+        """The ablation under which exactly the streams of ``mask`` are present."""
+        cameras: dict[str, CameraState] = {}
+        for camera in dict.fromkeys(camera_of(stream) for stream in streams):
+            on = {
+                modality_of(s) for s, present in zip(streams, mask, strict=True)
+                if present and camera_of(s) == camera
+            }  # fmt: skip
+            switch: CameraInput = "both" if len(on) == 2 else "rgb" if "rgb" in on else "off"
+            switch = "depth" if on == {"depth"} else switch
+            cameras[camera] = CameraState(switch, occlusions.get(camera, Occlusion()))
+        return Ablation(cameras)
+
+
+def noise_generator(seed: int, step: int, stream: str) -> np.random.Generator:
+    """The generator of a stream's noise at one step of one episode."""
+    return np.random.default_rng([seed, step, zlib.crc32(stream.encode())])

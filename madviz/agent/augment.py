@@ -1,0 +1,59 @@
+"""DrQ's random shift: replicate-pad by 4 pixels, crop at a random integer offset.
+
+Bilinear sampling at integer offsets only copies pixels, so this copies them: on a CPU one slice per
+image, 2.5 ms for 192 images of 9x84x84 where ``grid_sample`` takes 34.
+
+The paper shifts all views of a sample alike; its code draws a shift for every (sample, view). The
+switch is ``same_for_views``; the default is the paper's words.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from madviz.types import Array
+
+PAD = 4
+
+
+def random_shift(views: Tensor, rng: np.random.Generator, same_for_views: bool = True) -> Tensor:
+    """(B, V, C, H, W) uint8 -> the same, each image moved by up to 4 px both ways."""
+    batch, count = views.shape[:2]
+    shifts = rng.integers(-PAD, PAD + 1, (batch, 1 if same_for_views else count, 2))
+    return shift(views, np.broadcast_to(shifts, (batch, count, 2)))
+
+
+def shift(views: Tensor, shifts: Array) -> Tensor:
+    """Moves view (b, v) so that pixel (y, x) shows what was at (y + shifts[..., 0], x + ...[1])."""
+    if views.device.type != "cpu":
+        return _shift_by_index(views, shifts)
+    source = views.numpy().reshape(-1, *views.shape[2:])
+    moved = np.empty_like(source)
+    for image, out, (dy, dx) in zip(source, moved, shifts.reshape(-1, 2).tolist(), strict=True):
+        _shift_image(image, out, dy, dx)
+    return torch.from_numpy(moved).view(views.shape)
+
+
+def _shift_image(image: Array, out: Array, dy: int, dx: int) -> None:
+    height, width = image.shape[1:]
+    top, bottom = max(-dy, 0), height - max(dy, 0)
+    left, right = max(-dx, 0), width - max(dx, 0)
+    out[:, top:bottom, left:right] = image[:, top + dy : bottom + dy, left + dx : right + dx]
+    # The edges repeat the outermost row and column; columns come second and fill the corners.
+    out[:, :top] = out[:, top : top + 1]
+    out[:, bottom:] = out[:, bottom - 1 : bottom]
+    out[:, :, :left] = out[:, :, left : left + 1]
+    out[:, :, right:] = out[:, :, right - 1 : right]
+
+
+def _shift_by_index(views: Tensor, shifts: Array) -> Tensor:
+    height, width = views.shape[-2:]
+    offset = torch.as_tensor(shifts.copy(), device=views.device)
+    rows = (torch.arange(height, device=views.device) + offset[..., :1]).clamp(0, height - 1)
+    columns = (torch.arange(width, device=views.device) + offset[..., 1:]).clamp(0, width - 1)
+    b = torch.arange(views.shape[0], device=views.device)[:, None, None, None]
+    v = torch.arange(views.shape[1], device=views.device)[None, :, None, None]
+    moved = views[b, v, :, rows[:, :, :, None], columns[:, :, None, :]]
+    return moved.permute(0, 1, 4, 2, 3)

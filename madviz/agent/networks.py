@@ -1,0 +1,147 @@
+"""MAD's networks: one shared CNN, and per head a small trunk in front of an MLP (paper, appendix).
+
+    uint8 (9, 84, 84) --Encoder--> 3136 --sum over streams--> Trunk 50 --> Actor / twin Critic
+
+Two decisions make the encoder fast on a CPU. Memory is ``channels_last``, so oneDNN convolves
+without reordering. And pixels are centred to x - 127.5 before the first convolution, whose weights
+are divided by 255 instead: every such value has at most eight significant bits, so bfloat16 holds it
+exactly, and the result equals the paper's x / 255 - 0.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+FEATURE_MAP = (64, 7, 7)
+FEATURE_SIZE = 64 * 7 * 7
+"""Z: the 3136 numbers a stream is encoded to."""
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Sizes of the networks; the defaults are the paper's."""
+
+    state_dim: int = 24
+    """S: proprioceptive numbers."""
+    action_dim: int = 4
+    """A."""
+    frame_stack: int = 3
+    """RGB frames stacked on the channel axis."""
+    feature_dim: int = 50
+    """Width of a trunk's output."""
+    hidden_dim: int = 1024
+    """Width of the heads' two hidden layers (the light recipe uses 512)."""
+    log_std_bounds: tuple[float, float] = (-10.0, 2.0)
+    """Range of the actor's log standard deviation."""
+
+
+class Encoder(nn.Module):
+    """The shared CNN f: 84 -> 20 -> 9 -> 7 pixels, no padding, no normalisation; 88,224 weights."""
+
+    def __init__(self, frame_stack: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(3 * frame_stack, 32, 8, stride=4)
+        self.conv2 = nn.Conv2d(32, 64, 4, stride=2)
+        self.conv3 = nn.Conv2d(64, 64, 3, stride=1)
+        for conv in (self.conv1, self.conv2, self.conv3):
+            nn.init.orthogonal_(conv.weight, nn.init.calculate_gain("relu"))
+            nn.init.zeros_(conv.bias)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def forward(self, pixels: Tensor) -> Tensor:
+        """(B, C, H, W) uint8 -> (B, Z) non-negative features."""
+        low = torch.is_autocast_enabled("cpu") and pixels.device.type == "cpu"
+        x = pixels.contiguous(memory_format=torch.channels_last)
+        x = x.to(torch.bfloat16 if low else self.conv1.weight.dtype).sub_(127.5)
+        x = F.relu(F.conv2d(x, self.conv1.weight / 255, self.conv1.bias, stride=4))
+        x = F.relu(self.conv3(F.relu(self.conv2(x))))
+        return x.flatten(1)
+
+
+class Trunk(nn.Module):
+    """Z -> 50: where a head first sees a merged or singular feature. LayerNorm comes after the
+    linear layer, so the number of views in a sum still shows in its input."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.linear = nn.Linear(FEATURE_SIZE, config.feature_dim)
+        self.norm = nn.LayerNorm(config.feature_dim)
+
+    def forward(self, feature: Tensor) -> Tensor:
+        return torch.tanh(self.norm(self.linear(feature)))
+
+
+def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(
+        *(nn.Linear(inputs, hidden), nn.ReLU()),
+        *(nn.Linear(hidden, hidden), nn.ReLU()),
+        nn.Linear(hidden, outputs),
+    )
+
+
+def _orthogonal(module: nn.Module) -> None:
+    for layer in module.modules():
+        if isinstance(layer, nn.Linear):
+            nn.init.orthogonal_(layer.weight)
+            nn.init.zeros_(layer.bias)
+
+
+class Actor(nn.Module):
+    """Feature and state to a tanh-Gaussian over actions."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.bounds = config.log_std_bounds
+        self.trunk = Trunk(config)
+        inputs = config.state_dim + config.feature_dim
+        self.mlp = _mlp(inputs, config.hidden_dim, 2 * config.action_dim)
+        _orthogonal(self)
+
+    def forward(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, Z), (B, S) -> mean and log standard deviation before tanh, (B, A) each."""
+        hidden = self.mlp(torch.cat([state, self.trunk(feature)], -1))
+        mean, raw = hidden.float().chunk(2, -1)
+        low, high = self.bounds
+        return mean, low + 0.5 * (high - low) * (torch.tanh(raw) + 1)
+
+    def sample(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """A reparameterised action (B, A) in (-1, 1) and its log-probability (B,)."""
+        mean, log_std = self(feature, state)
+        noise = torch.randn_like(mean)
+        return squash(mean, log_std, noise)
+
+
+def squash(mean: Tensor, log_std: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+    """tanh(mean + std * noise) and its log-probability, stable where tanh saturates.
+
+    log(1 - tanh(x)^2) = 2 (log 2 - x - softplus(-2 x)).
+    """
+    x = mean + log_std.exp() * noise
+    gaussian = -0.5 * noise.square() - log_std - 0.5 * torch.log(torch.tensor(2 * torch.pi))
+    correction = 2 * (torch.log(torch.tensor(2.0)) - x - F.softplus(-2 * x))
+    return torch.tanh(x), (gaussian - correction).sum(-1)
+
+
+class Critic(nn.Module):
+    """Twin Q with one trunk between them."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.trunk = Trunk(config)
+        inputs = config.feature_dim + config.action_dim + config.state_dim
+        self.q1 = _mlp(inputs, config.hidden_dim, 1)
+        self.q2 = _mlp(inputs, config.hidden_dim, 1)
+        _orthogonal(self)
+
+    def forward(self, feature: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, Z), (B, S), (B, A) -> Q1, Q2, (B,) each."""
+        return self.heads(self.trunk(feature), state, action)
+
+    def heads(self, hidden: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """The part behind the trunk: a feature that is read for several actions is projected once."""
+        x = torch.cat([hidden, action, state], -1)
+        return self.q1(x).float().squeeze(-1), self.q2(x).float().squeeze(-1)

@@ -1,0 +1,1 @@
+"""Environments: one contract (``base``), Meta-World on MuJoCo, and a toy drawn with NumPy."""

@@ -1,0 +1,112 @@
+"""From what cameras see to what a policy gets: modality, depth code, occlusion, frame stack.
+
+    View (rgb, metres) -> frame (H, W, C) uint8 -> occlusion -> the last K frames -> (V, 3K, H, W)
+
+Depth in metres is clipped to the camera's ``depth_range`` and coded 0..255, so absolute distance
+survives (a per-frame min-max scaling would lose it); a policy gets it as three equal channels and
+can share one CNN with colour. With a range of 0 to 2 m, 0.5 m is coded 64 (8 mm a step).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from madviz.ablations import Ablation, noise_generator
+from madviz.subsets import camera_of, modality_of
+from madviz.types import Array, EnvSpec, View
+
+IMAGE_SIZE = 84
+"""Rows and columns every policy gets; cameras drawn at another size are resized to it."""
+
+
+def depth_code(depth: Array, depth_range: tuple[float, float]) -> Array:
+    """(H, W) metres -> (H, W, 1) uint8 over ``depth_range``."""
+    near, far = depth_range
+    unit = np.clip((depth - near) / (far - near), 0, 1)
+    return np.round(unit * 255).astype(np.uint8)[..., None]
+
+
+def stream_frame(view: View, stream: str, env: EnvSpec) -> Array:
+    """What ``stream`` takes from its camera's view: (H, W, 3) colour or (H, W, 1) coded depth."""
+    if modality_of(stream) == "depth":
+        frame = depth_code(view.depth, env.camera(camera_of(stream)).depth_range)
+    else:
+        frame = view.rgb
+    if frame.shape[0] != IMAGE_SIZE:
+        frame = cv2.resize(frame, (IMAGE_SIZE, IMAGE_SIZE), interpolation=cv2.INTER_AREA)
+        frame = frame.reshape(IMAGE_SIZE, IMAGE_SIZE, -1)
+    return frame
+
+
+def to_channels(frame: Array) -> Array:
+    """(H, W, C) -> (3, H, W); one channel of depth becomes three equal ones."""
+    return np.ascontiguousarray(np.broadcast_to(frame, (*frame.shape[:2], 3)).transpose(2, 0, 1))
+
+
+@dataclass
+class StreamStack:
+    """The last ``depth`` frames of every stream, occlusions applied as they arrive.
+
+    An occlusion that begins now spoils one frame of the stack now and all of them ``depth`` steps
+    later, as a failing camera would. ``replace_last`` re-applies a changed ablation to the newest
+    frames only: it is what makes a toggle visible before the next step.
+    """
+
+    env: EnvSpec
+    streams: tuple[str, ...]
+    length: int = 3
+    _frames: list[dict[str, Array]] = field(default_factory=list)
+    """The newest ``length`` + 1 sets of frames; the extra one is what ``freeze`` holds on to."""
+    _raw: dict[str, Array] = field(default_factory=dict)
+    _noise_key: tuple[int, int] = (0, 0)
+
+    def push(self, views: dict[str, View], ablation: Ablation, seed: int, step: int) -> None:
+        """Takes the views of one step. Cameras absent from ``views`` arrive black; at ``step`` 0
+        the stack is filled with the first frame."""
+        black = np.zeros((IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
+        self._raw = {
+            stream: stream_frame(views[camera_of(stream)], stream, self.env)
+            if camera_of(stream) in views
+            else black
+            for stream in self.streams
+        }
+        if step == 0:
+            self._frames = []
+        self._noise_key = (seed, step)
+        arrived = self._arrived(self._frames[-1] if self._frames else None, ablation)
+        self._frames = [*self._frames, arrived] if self._frames else [arrived] * (self.length + 1)
+        self._frames = self._frames[-self.length - 1 :]
+
+    def replace_last(self, ablation: Ablation) -> None:
+        """Lets the newest frames arrive again, under another ablation."""
+        first = self._noise_key[1] == 0
+        arrived = self._arrived(None if first else self._frames[-2], ablation)
+        kept = [arrived] * self.length if first else self._frames[:-1]
+        self._frames = [*kept, arrived]
+
+    @property
+    def newest(self) -> dict[str, Array]:
+        """The frames (H, W, C) that arrived last, by stream."""
+        return self._frames[-1]
+
+    @property
+    def views(self) -> Array:
+        """(V, 3 x length, H, W) uint8, oldest frame first."""
+        stacks = [
+            np.concatenate([to_channels(frames[stream]) for frames in self._frames[1:]])
+            for stream in self.streams
+        ]
+        return np.stack(stacks)
+
+    def _arrived(self, before: dict[str, Array] | None, ablation: Ablation) -> dict[str, Array]:
+        return {
+            stream: ablation.camera(camera_of(stream)).occlusion.apply(
+                frame,
+                before[stream] if before else None,
+                noise_generator(*self._noise_key, stream),
+            )
+            for stream, frame in self._raw.items()
+        }

@@ -1,0 +1,90 @@
+"""The small language of camera subsets: names to masks and back.
+
+A subset is written ``a+b``. Every part is a stream (``first.rgb``), a camera (all its streams), a
+modality (``rgb``, ``depth``: all its streams), ``all`` or ``none``. With three cameras in two
+modalities, ``first+third_a.depth`` is ``first.rgb``, ``first.depth`` and ``third_a.depth``:
+the mask 1 1 0 1 0 0 over the streams in the order first.rgb, first.depth, third_a.rgb, ...
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from madviz.types import Array, unknown
+
+
+def camera_of(stream: str) -> str:
+    """``first`` for both ``first.rgb`` and ``first``."""
+    return stream.split(".")[0]
+
+
+def modality_of(stream: str) -> str:
+    """``rgb`` or ``depth``; a stream without a suffix is RGB unless its setting says otherwise."""
+    return stream.split(".")[1] if "." in stream else "rgb"
+
+
+def cameras_of(streams: tuple[str, ...]) -> tuple[str, ...]:
+    """The cameras behind ``streams``, each once, in order."""
+    return tuple(dict.fromkeys(camera_of(stream) for stream in streams))
+
+
+def groups(streams: tuple[str, ...]) -> dict[str, Array]:
+    """Every single word of the language and its mask (V,) bool."""
+    table = {"all": np.ones(len(streams), bool), "none": np.zeros(len(streams), bool)}
+    for modality in dict.fromkeys(modality_of(stream) for stream in streams):
+        table[modality] = np.array([modality_of(stream) == modality for stream in streams])
+    for camera in cameras_of(streams):
+        table[camera] = np.array([camera_of(stream) == camera for stream in streams])
+    for index, stream in enumerate(streams):
+        table[stream] = np.arange(len(streams)) == index
+    return table
+
+
+def mask_of(name: str, streams: tuple[str, ...]) -> Array:
+    """(V,) bool of the subset ``name``. Raises UserError listing the known words."""
+    table, mask = groups(streams), np.zeros(len(streams), bool)
+    for word in name.split("+"):
+        if word.strip() not in table:
+            raise unknown("camera subset", word.strip(), list(table))
+        mask |= table[word.strip()]
+    return mask
+
+
+def name_of(mask: Array, streams: tuple[str, ...]) -> str:
+    """The shortest honest name: one word of the language if there is one, otherwise ``a+b``."""
+    mask = np.asarray(mask, bool)
+    table = groups(streams)
+    several = len(set(map(modality_of, streams))) > 1
+    for word, group in table.items():
+        if (several or word not in ("rgb", "depth")) and np.array_equal(group, mask):
+            return word
+    parts: list[str] = []
+    for camera in cameras_of(streams):
+        own = table[camera]
+        if (mask & own).sum() == own.sum():
+            parts.append(camera)
+        else:
+            parts += [s for s, on, mine in zip(streams, mask, own, strict=True) if on and mine]
+    return "+".join(parts)
+
+
+def every_mask(count: int) -> Array:
+    """(2^V, V) bool: all subsets, the full one first, the empty one last."""
+    return np.array(list(product((True, False), repeat=count)), bool).reshape(-1, count)
+
+
+def single_streams(streams: tuple[str, ...]) -> tuple[str, ...]:
+    """The subsets of one stream each, by name."""
+    return tuple(name_of(np.arange(len(streams)) == i, streams) for i in range(len(streams)))
+
+
+def mad_subsets(streams: tuple[str, ...]) -> tuple[str, ...]:
+    """What MAD trains besides the merge: every single stream, as in the paper; where cameras have
+    several modalities, every camera and every modality too, so that each can be switched off whole.
+    """
+    words = [word for word in groups(streams) if word not in ("all", "none")]
+    if len(set(map(modality_of, streams))) == 1:
+        words = list(streams)
+    return tuple(dict.fromkeys(name_of(mask_of(word, streams), streams) for word in words))

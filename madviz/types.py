@@ -1,0 +1,200 @@
+"""The words every other file speaks: observations, cameras, policies. NumPy only, no project imports.
+
+Axis letters, used in every shape comment of the package:
+
+    B  batch            V  streams (a camera in one modality)     N  subsets of streams
+    C  channels         H, W  image rows, columns                 S  proprioceptive state
+    Z  feature          A  action
+
+A *camera* is a place to look from. A *stream* is one camera in one modality, as the policy gets it:
+``first.rgb``, ``first.depth``; where a policy has one modality, the camera's name is the stream's.
+A *subset* is the set of streams that is present; it reaches a policy as a boolean mask over V, so
+that dropping a camera is data and never a code path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+Array = np.ndarray
+Modality = Literal["rgb", "depth"]
+
+
+class UserError(ValueError):
+    """A mistake the user can mend: one line that names what was expected, what was found, what next."""
+
+
+def unknown(kind: str, found: str, known: list[str]) -> UserError:
+    """The error for a name that is not in a table; lists the names that are."""
+    return UserError(f"unknown {kind} {found!r}; known: {', '.join(sorted(known))}")
+
+
+@dataclass(frozen=True)
+class CameraSpec:
+    """A place to look from, and how its depth is coded for a policy."""
+
+    name: str
+    label: str
+    """What the page calls it, for example ``Third A``."""
+    fovy: float
+    """Vertical field of view, degrees."""
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Metres; in the world, or relative to ``body`` if one is named."""
+    wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    """Orientation in the world, OpenGL camera axes: x right, y up, looking along -z."""
+    body: str | None = None
+    """The body whose position the camera follows (its orientation stays fixed in the world)."""
+    depth_range: tuple[float, float] = (0.0, 2.0)
+    """Metres that map to 0 and 255 when depth is handed to a policy."""
+    size: int = 84
+    """Rows and columns the camera is drawn with."""
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Where a camera really is at this instant, for drawing its frustum."""
+
+    position: Array
+    """(3,) metres, world frame."""
+    wxyz: Array
+    """(4,) OpenCV camera axes: x right, y down, looking along +z; world frame."""
+    fovy: float
+    """Vertical field of view, degrees."""
+
+
+@dataclass(frozen=True)
+class EnvSpec:
+    """The facts of an environment that a policy, a card and a page need."""
+
+    task: str
+    cameras: tuple[CameraSpec, ...]
+    state_dim: int
+    action_dim: int
+    horizon: int
+    """Decisions in one episode; episodes never end earlier."""
+    action_repeat: int = 1
+    """Simulator steps for one decision."""
+    render_profile: str = "fast"
+    success: str = "at the last step"
+    """The task's own success condition, in words."""
+
+    def camera(self, name: str) -> CameraSpec:
+        """The camera called ``name``. Raises UserError naming the known ones."""
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        raise unknown("camera", name, [camera.name for camera in self.cameras])
+
+
+@dataclass(frozen=True)
+class TimeStep:
+    """What one decision led to; pixels are asked for separately with ``Environment.view``."""
+
+    state: Array
+    """(S,) float32 proprioception."""
+    reward: float
+    success: bool
+    """The task's condition at this very step."""
+    last: bool
+    """True at the end of the horizon."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera sees at one instant."""
+
+    rgb: Array
+    """(H, W, 3) uint8, upright, not mirrored."""
+    depth: Array
+    """(H, W) float32, metres along the optical axis."""
+
+
+class Environment(Protocol):
+    """A seeded task. Episodes depend on the seed alone, never on earlier episodes or other processes.
+
+    An instance belongs to the thread that created it, because OpenGL contexts do.
+    """
+
+    spec: EnvSpec
+
+    def reset(self, seed: int) -> TimeStep: ...
+
+    def step(self, action: Array) -> TimeStep:
+        """One decision. ``action`` is (A,) in [-1, 1]. Raises UserError if it is not finite."""
+        ...
+
+    def view(self, camera: str, size: int | None = None) -> View:
+        """Draws one camera now; ``size`` in pixels overrides the camera's own."""
+        ...
+
+    def pose(self, camera: str) -> CameraPose: ...
+
+    def expert(self) -> Array:
+        """(A,) what the scripted expert would do now. It may look at the simulator's true state."""
+        ...
+
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """What a policy makes of one instant, before anybody decides which streams count."""
+
+    features: Array
+    """(V, Z) float32, one row per stream."""
+    state: Array
+    """(S,) float32."""
+    private: Any = None
+    """Whatever else this policy needs in ``read``; nobody else looks inside."""
+
+
+@dataclass(frozen=True)
+class Readout:
+    """What a policy would do under each of N subsets."""
+
+    merged: Array
+    """(N, Z) float32 merged feature."""
+    action: Array
+    """(N, A) float32 in [-1, 1], the deterministic action."""
+    q: Array
+    """(N,) float32, min of the twin critics for that action; NaN where a policy has no critic."""
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """What a page or an evaluator must know about a policy. Comes from its checkpoint's config."""
+
+    name: str
+    task: str
+    method: str
+    setting: str
+    recipe: str
+    streams: tuple[str, ...]
+    """Names in the order of axis V."""
+    trained_subsets: tuple[str, ...]
+    """Subsets it was trained to work from; everything else is off-training."""
+    frame_stack: int = 3
+    render_profile: str = "fast"
+    digest: str = ""
+    """SHA-256 of weights and config; the key under which results are cached."""
+
+
+class Policy(Protocol):
+    """Three small methods; anything that has them can be explored and evaluated."""
+
+    spec: PolicySpec
+
+    def encode(self, views: Array, state: Array) -> Encoded:
+        """``views`` (V, C, H, W) uint8 with C = 3 x frame stack; ``state`` (S,) float32."""
+        ...
+
+    def read(self, encoded: Encoded, masks: Array) -> Readout:
+        """``masks`` (N, V) bool, the subsets to read, in one pass through the heads."""
+        ...
+
+    def supports(self, mask: Array) -> bool:
+        """Whether this policy can act at all on the subset ``mask`` (V,)."""
+        ...
