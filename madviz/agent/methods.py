@@ -37,7 +37,7 @@ class Method:
     weights: Callable[[float], dict[str, float]]
     """alpha -> the weight of each loss term: ``merged``, and ``singular``, a mean over subsets."""
     targets: Literal["merged", "own"] = "merged"
-    """Where Q is read for targets and for the actor: on the merged feature, or on each row's own."""
+    """Where targets and the actor read Q: from the merged feature, or from each row's own."""
     recipes: tuple[str, ...] = ("paper", "light")
     needs: tuple[str, ...] = ()
     """What must be there to train it, in words, for ``madviz list``."""
