@@ -1,0 +1,164 @@
+"""Results of single episodes in SQLite, so that nothing is rolled out twice.
+
+An episode is a pure function of what is in its key: weights and config (the digest), task, success
+definition, render profile, occlusions, subset and seed. Change any of them and the old result no
+longer answers. The store is a cache: losing it costs time, never truth. ``madviz eval`` does not
+read it unless asked to; the live page does, so that bars are there from the first second.
+
+One file serves many threads (a lock) and many processes (SQLite's write-ahead log). A file that is
+broken is moved aside with a warning; a folder that cannot be written to means memory only.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import TypeVar
+
+T = TypeVar("T")
+
+MEMORY = ":memory:"
+BUSY_SECONDS = 10.0
+"""How long a write waits for another process before it gives up."""
+
+_CREATE = """
+CREATE TABLE IF NOT EXISTS episodes_1 (
+    digest TEXT, task TEXT, definition TEXT, render_profile TEXT, occlusions TEXT, subset TEXT,
+    seed INTEGER, success INTEGER NOT NULL, success_any INTEGER NOT NULL,
+    total_reward REAL NOT NULL,
+    PRIMARY KEY (digest, task, definition, render_profile, occlusions, subset, seed)
+) WITHOUT ROWID
+"""
+_MATCH = " AND ".join(
+    f"{column} = ?"
+    for column in ("digest", "task", "definition", "render_profile", "occlusions", "subset")
+)
+_CORRUPT = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """What one episode came to."""
+
+    subset: str
+    seed: int
+    success: bool
+    """At the last step: the number that is reported."""
+    success_any: bool
+    """At any step."""
+    total_reward: float
+    """The return: rewards summed over the episode, undiscounted."""
+
+
+@dataclass(frozen=True)
+class ResultKey:
+    """Everything but the seed that decides how an episode goes."""
+
+    digest: str
+    """Of the policy's weights and config; '' (a policy that has none) is never stored."""
+    task: str
+    definition: str
+    render_profile: str
+    occlusions: str
+    subset: str
+
+
+def default_path() -> Path:
+    """``$XDG_CACHE_HOME/madviz/results.sqlite``; ``~/.cache`` if the variable is not set."""
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(cache) / "madviz" / "results.sqlite"
+
+
+class Store:
+    """See the module. ``path`` None is the default one, ``":memory:"`` keeps nothing."""
+
+    def __init__(self, path: str | Path | None = None) -> None:
+        self.path = str(path or default_path())
+        self._lock = threading.RLock()
+        self._db = self._open()
+
+    def put(self, key: ResultKey, result: EpisodeResult) -> None:
+        """Keeps a result; the same episode again changes nothing."""
+        if key.digest:
+            row = (*astuple(key), *astuple(result)[1:])
+            query = f"INSERT OR REPLACE INTO episodes_1 VALUES ({', '.join('?' * len(row))})"
+            self._run(lambda db: db.execute(query, row))
+
+    def results(self, key: ResultKey) -> dict[int, EpisodeResult]:
+        """All known episodes under ``key``, by seed, in the order of seeds."""
+        query = (
+            f"SELECT seed, success, success_any, total_reward FROM episodes_1 WHERE {_MATCH} "
+            "ORDER BY seed"
+        )
+        rows = self._run(lambda db: db.execute(query, astuple(key)).fetchall())
+        return {
+            seed: EpisodeResult(key.subset, seed, bool(success), bool(anytime), total)
+            for seed, success, anytime, total in rows
+        }
+
+    def close(self) -> None:
+        with self._lock:
+            self._db.close()
+
+    def _run(self, query: Callable[[sqlite3.Connection], T]) -> T:
+        """One transaction. A file found broken meanwhile is replaced and the query asked again."""
+        with self._lock:
+            try:
+                with self._db:
+                    return query(self._db)
+            except sqlite3.DatabaseError as error:
+                if getattr(error, "sqlite_errorcode", None) not in _CORRUPT or self.path == MEMORY:
+                    raise
+                self._db.close()
+                self._move_aside(error)
+                self._db = self._open()
+                with self._db:
+                    return query(self._db)
+
+    def _open(self) -> sqlite3.Connection:
+        if self.path == MEMORY:
+            return self._connect()
+        try:
+            Path(self.path).parent.mkdir(parents=True, exist_ok=True)
+            try:
+                return self._connect()
+            except sqlite3.DatabaseError as error:
+                if isinstance(error, sqlite3.OperationalError):
+                    raise
+                self._move_aside(error)
+                return self._connect()
+        except (OSError, sqlite3.OperationalError) as error:
+            warnings.warn(f"{self.path}: {error}; results are kept in memory only", stacklevel=4)
+            self.path = MEMORY
+            return self._connect()
+
+    def _connect(self) -> sqlite3.Connection:
+        db = sqlite3.connect(self.path, timeout=BUSY_SECONDS, check_same_thread=False)
+        try:
+            db.execute("PRAGMA journal_mode = WAL")
+            # A power cut may cost the last results, never the file: it is a cache.
+            db.execute("PRAGMA synchronous = NORMAL")
+            verdict = db.execute("PRAGMA quick_check(1)").fetchone()[0]
+            if verdict != "ok":
+                raise sqlite3.DatabaseError(verdict)
+            with db:
+                db.execute(_CREATE)
+        except sqlite3.Error:
+            db.close()
+            raise
+        return db
+
+    def _move_aside(self, error: sqlite3.DatabaseError) -> None:
+        aside = f"{self.path}.broken-{time.time_ns()}"
+        warnings.warn(f"{self.path}: {error}; moved to {aside}, starting afresh", stacklevel=5)
+        with suppress(FileNotFoundError):  # Another process may have been faster.
+            os.replace(self.path, aside)
+        for suffix in ("-wal", "-shm"):
+            Path(self.path + suffix).unlink(missing_ok=True)

@@ -1,0 +1,71 @@
+"""Intervals and paired comparisons, held against scipy and against exact coverage."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom, binomtest
+
+from madviz.statistics import Paired, newcombe, pair, wilson
+from madviz.types import UserError
+
+
+@pytest.mark.parametrize("n", [1, 2, 10, 25, 100])
+def test_wilson_agrees_with_scipy(n):
+    for successes in range(n + 1):
+        expected = binomtest(successes, n).proportion_ci(method="wilson")
+        assert wilson(successes, n) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_wilson_contains_the_rate_at_the_ends_and_knows_nothing_from_nothing():
+    assert wilson(0, 0) == (0.0, 1.0)
+    assert wilson(0, 10)[0] == 0.0 and wilson(10, 10)[1] == 1.0
+    assert wilson(10, 10)[0] == pytest.approx(0.722467, abs=1e-6)
+
+
+@pytest.mark.parametrize(("successes", "n"), [(-1, 10), (11, 10), (1, 0)])
+def test_wilson_refuses_impossible_counts(successes, n):
+    with pytest.raises(UserError, match="expected 0 <= successes <= n"):
+        wilson(successes, n)
+
+
+def test_newcombe_agrees_with_his_published_example():
+    # Newcombe (1998), Statistics in Medicine 17:873-890, table II, contrast (a), method 10.
+    assert newcombe(56, 70, 48, 80) == pytest.approx((0.0524, 0.3339), abs=5e-5)
+    assert newcombe(0, 0, 5, 10) == (-1.0, 1.0)
+
+
+def test_newcombe_covers_the_truth_about_95_percent_of_the_time():
+    n, p, q = 30, 0.9, 0.6
+    first, second = binom.pmf(np.arange(n + 1), n, p), binom.pmf(np.arange(n + 1), n, q)
+    covered = 0.0
+    for a in range(n + 1):
+        for b in range(n + 1):
+            low, high = newcombe(a, n, b, n)
+            covered += first[a] * second[b] * (low <= p - q <= high)
+    assert 0.93 < covered < 0.98
+
+
+def test_pairing_narrows_the_interval_of_policies_that_fail_on_the_same_seeds():
+    paired = Paired(both=70, first_only=10, second_only=2, neither=18)
+    assert paired.difference == pytest.approx(0.08)
+    low, high = paired.interval()
+    unpaired = newcombe(80, 100, 72, 100)
+    assert low < paired.difference < high
+    assert high - low < 0.75 * (unpaired[1] - unpaired[0])
+
+
+def test_paired_interval_without_association_is_the_unpaired_one():
+    paired = Paired(both=25, first_only=25, second_only=25, neither=25)
+    assert paired.interval() == pytest.approx(newcombe(50, 100, 50, 100))
+    assert Paired(0, 0, 0, 0).interval() == (-1.0, 1.0)
+
+
+def test_mcnemar_counts_only_the_episodes_that_differ():
+    assert Paired(50, 0, 0, 50).mcnemar() == 1.0
+    assert Paired(50, 10, 0, 40).mcnemar() == pytest.approx(2 * 0.5**10)
+    assert Paired(0, 10, 0, 0).mcnemar() == Paired(90, 10, 0, 0).mcnemar()
+
+
+def test_pair_uses_common_seeds_only():
+    first = {1: True, 2: True, 3: False, 4: False, 5: True}
+    second = {4: False, 3: True, 2: False, 1: True, 6: True}
+    assert pair(first, second) == Paired(1, 1, 1, 1)
