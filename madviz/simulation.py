@@ -1,0 +1,192 @@
+"""One policy in one environment, with cameras that can fail at any moment. No threads, no clock.
+
+``Simulation`` is the deterministic half of a live session: what an episode does depends on its
+seed and on which commands came at which step, on nothing else. The features of the newest frame are
+kept, with what *every* subset would do with them, so that switching a camera off is a look-up and a
+new occlusion one encoding; neither waits for a picture to be drawn.
+
+A camera touched while step t+1 is being drawn counts as touched when that step has arrived. What is
+shown in between is a preview of step t under the new setting, and leaves no trace.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from madviz.ablations import Ablation
+from madviz.frame import Change, Outcome, SetCamera, Setting, untouched
+from madviz.probes import Probe, probe
+from madviz.streams import StreamStack
+from madviz.subsets import every_mask, name_of
+from madviz.types import Array, CameraPose, Environment, Policy, TimeStep, UserError, View
+
+
+@dataclass(frozen=True)
+class Instant:
+    """What one step brought: everything that does not depend on the ablation."""
+
+    time: TimeStep
+    step: int
+    views: dict[str, View]
+    poses: dict[str, CameraPose]
+
+
+class Simulation:
+    """See the module. Belongs to the thread that created ``env``."""
+
+    def __init__(self, env: Environment, policy: Policy, ablation: Ablation) -> None:
+        self.env, self.policy = env, policy
+        self.ablation = ablation
+        self.outcomes: deque[Outcome] = deque(maxlen=20)
+        self.episode = self.seed = 0
+        self.change: Change | None = None
+        self.total_reward, self.success_any = 0.0, False
+        self._recent: deque[Instant] = deque()
+        """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
+        self._worst: dict[str, str] = {}
+        self._settings: set[Setting] = set()
+        self._stack: StreamStack
+        self.probe: Probe
+        self._adopt(policy)
+
+    @property
+    def now(self) -> Instant:
+        return self._recent[-1]
+
+    @property
+    def ended(self) -> bool:
+        return self.now.time.last
+
+    @property
+    def arrived(self) -> dict[str, Array]:
+        """(H, W, C) uint8 by stream, what reached the policy last."""
+        return self._stack.newest
+
+    @property
+    def setting(self) -> Setting:
+        streams = self.policy.spec.streams
+        return Setting(name_of(self.ablation.mask(streams), streams), self.ablation.key())
+
+    def begin(self, seed: int) -> None:
+        """Starts the episode of ``seed``; camera settings stay."""
+        moment = self.env.reset(seed)
+        self.episode, self.seed = self.episode + 1, seed
+        self.total_reward, self.success_any, self.change = 0.0, moment.success, None
+        self._recent.clear()
+        self._worst, self._settings = {}, set()
+        self._arrive(moment, self._draw(lambda: None))
+
+    def step(self, between: Callable[[], None]) -> None:
+        """Takes one decision. ``between`` is called after every camera that is drawn, and may call
+        ``set_camera``. Raises UserError if the policy cannot act on the present streams."""
+        mask = self.ablation.mask(self.policy.spec.streams)
+        row = self.probe.row(mask)
+        if not self.probe.supported[row]:
+            raise UserError(
+                f"{self.policy.spec.name} cannot act on {self.setting.subset!r}; "
+                "switch another camera on"
+            )
+        moment = self.env.step(self.probe.readout.action[row])
+        self.total_reward += moment.reward
+        self.success_any |= moment.success
+        self._arrive(moment, self._draw(between))
+        if moment.last:
+            self._conclude(moment)
+
+    def set_camera(self, command: SetCamera, preview: bool = False) -> None:
+        """Another state for one camera, seen at once. Raises UserError for an unknown camera."""
+        self.env.spec.camera(command.camera)
+        before, old = self.ablation, self._reading()
+        self.ablation = before.replace(command.camera, command.state)
+        if self.ablation.key() != before.key():
+            self._stack.replace_last(self.ablation)
+            self._read()
+            if preview:
+                self._stack.replace_last(before)
+        new = self._reading()
+        self.change = Change(
+            command.camera,
+            before.cameras.get(command.camera, untouched(self.policy.spec)),
+            command.state,
+            setting_before=old[0],
+            setting_after=new[0],
+            action_change=float(np.linalg.norm(new[1] - old[1])),
+            q_before=old[2],
+            q_after=new[2],
+        )
+        if not preview:
+            self._note_setting()
+
+    def swap(self, policy: Policy) -> None:
+        """Another policy in the same episode; it gets the newest frames as its past."""
+        kept = list(self._recent)
+        self._adopt(policy)
+        self._recent.clear()
+        for instant in kept[-policy.spec.frame_stack - 1 :]:
+            self._push(instant)
+        self._read()
+        self.change = None
+        self._note_setting()
+
+    def _adopt(self, policy: Policy) -> None:
+        self.policy = policy
+        spec = policy.spec
+        self._stack = StreamStack(self.env.spec, spec.streams, spec.frame_stack)
+        self._masks = every_mask(len(spec.streams))
+        self._recent = deque(self._recent, maxlen=max(spec.frame_stack, 3) + 1)
+
+    def _draw(self, between: Callable[[], None]) -> dict[str, View]:
+        """Every camera, always: one that comes back needs its past frames."""
+        views = {}
+        for camera in self.env.spec.cameras:
+            views[camera.name] = self.env.view(camera.name)
+            between()
+        return views
+
+    def _arrive(self, moment: TimeStep, views: dict[str, View]) -> None:
+        step = self.now.step + 1 if self._recent else 0
+        poses = {camera.name: self.env.pose(camera.name) for camera in self.env.spec.cameras}
+        self._push(Instant(moment, step, views, poses))
+        self._read()
+        self._note_setting()
+
+    def _push(self, instant: Instant) -> None:
+        self._stack.push(instant.views, self.ablation, self.seed, instant.step)
+        self._recent.append(instant)
+
+    def _read(self) -> None:
+        encoded = self.policy.encode(self._stack.views, self.now.time.state)
+        self.probe = probe(self.policy, encoded, self._masks)
+
+    def _reading(self) -> tuple[Setting, Array, float]:
+        """The present setting, and the action and Q under it."""
+        row = self.probe.row(self.ablation.mask(self.policy.spec.streams))
+        return self.setting, self.probe.readout.action[row], float(self.probe.readout.q[row])
+
+    def _note_setting(self) -> None:
+        self._settings.add(self.setting)
+        for camera in self.env.spec.cameras:
+            state = self.ablation.camera(camera.name)
+            if state.input == "off":
+                self._worst[camera.name] = "off"
+            elif state.occlusion.kind != "none":
+                self._worst.setdefault(camera.name, "occluded")
+
+    def _conclude(self, moment: TimeStep) -> None:
+        # What was touched in the very last instant never reached a decision, but it is part of how
+        # the episode looks on the page, so it counts as touched.
+        names = [camera.name for camera in self.env.spec.cameras]
+        self.outcomes.append(
+            Outcome(
+                self.seed,
+                moment.success,
+                self.success_any,
+                self.total_reward,
+                {name: self._worst.get(name, "") for name in names},
+                self.setting if len(self._settings) == 1 else None,
+            )
+        )

@@ -1,0 +1,358 @@
+"""The session with an injected clock and a fake policy: no test sleeps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from madviz.ablations import CameraState, Occlusion
+from madviz.envs.base import make_env
+from madviz.envs.toy import ToyReach
+from madviz.frame import (
+    Failure,
+    Frame,
+    Pause,
+    Play,
+    Reset,
+    SetAutoNext,
+    SetCamera,
+    SetPolicy,
+    SetSeed,
+    SetSpeed,
+    StepOnce,
+    words,
+)
+from madviz.session import FIRST_SEED, HOLD, Session
+from madviz.types import UserError
+from tests.fakes import AllOrNothing, FakePolicy, NanPolicy
+
+OFF = CameraState("off")
+BLACK = CameraState("rgb", occlusion=Occlusion("black"))
+
+
+def policies(name: str) -> FakePolicy:
+    table = {
+        "toy-mad": FakePolicy,
+        "toy-rgbd": lambda: FakePolicy("toy-rgbd", "three-rgbd"),
+        "toy-other": lambda: FakePolicy("toy-other", seed=1),
+        "toy-nan": lambda: NanPolicy("toy-nan"),
+    }
+    if name not in table:
+        raise UserError(f"unknown policy {name!r}")
+    return table[name]()
+
+
+class Recorder(Session):
+    """A session that keeps its frames, on a clock the test moves."""
+
+    def __init__(self, policy=None, env_factory=make_env, **kwargs) -> None:
+        super().__init__(env_factory, policy or FakePolicy(), policies, **kwargs)
+        self.frames: list[Frame] = []
+        self.subscribe(lambda frame: self.frames.append(frame))  # type: ignore[arg-type]
+        self.time = 0.0
+
+    def at(self, time: float) -> float | None:
+        self.time = time
+        return self.tick(time)
+
+    def steps(self, count: int) -> Frame:
+        """Lets ``count`` due moments pass."""
+        for _ in range(count):
+            due = self.tick(self.time)
+            assert due is not None
+            self.time = max(self.time, due)
+            self.tick(self.time)
+        return self.frames[-1]
+
+    def ask(self, *commands) -> Frame:
+        for command in commands:
+            self.send(command)
+        self.tick(self.time)
+        return self.frames[-1]
+
+
+@pytest.fixture
+def session() -> Recorder:
+    recorder = Recorder()
+    recorder.at(0.0)
+    return recorder
+
+
+def test_first_tick_starts_an_episode(session):
+    frame = session.frames[-1]
+    assert (frame.seed, frame.step, frame.episode, frame.phase) == (FIRST_SEED, 0, 1, "playing")
+    assert set(frame.views) == {"first", "third_a", "third_b"}
+    assert frame.probe.masks.shape == (8, 3)
+    assert frame.setting.subset == "all"
+
+
+def test_steps_come_at_the_asked_pace(session):
+    assert session.at(0.05) == pytest.approx(0.1)
+    assert session.frames[-1].step == 0
+    assert session.at(0.1) == pytest.approx(0.2)
+    assert session.frames[-1].step == 1
+
+
+def test_achieved_rate_is_measured(session):
+    session.ask(SetSpeed(8.0))  # Eighths of a second are exact in binary.
+    for eighth in range(10):
+        session.at(eighth / 8)
+    assert session.frames[-1].rate == pytest.approx(8)
+    assert not session.frames[-1].capped
+
+
+def test_a_slow_machine_is_called_capped_and_its_debt_is_forgiven(session):
+    for quarter in range(1, 10):
+        due = session.at(quarter / 4)
+    assert session.frames[-1].rate == pytest.approx(4)
+    assert session.frames[-1].capped
+    assert due == pytest.approx(9 / 4)
+    assert session.frames[-1].step == 9
+
+
+def test_an_ended_episode_holds_then_the_next_seed_starts(session):
+    frame = session.steps(25)
+    assert (frame.phase, frame.step, frame.ended) == ("ended", 25, True)
+    assert session.at(session.time + HOLD / 2) == pytest.approx(session.time + HOLD / 2)
+    assert session.frames[-1].step == 25
+    session.at(session.time + HOLD)
+    assert (session.frames[-1].seed, session.frames[-1].step) == (FIRST_SEED + 1, 0)
+    outcome = session.frames[-1].outcomes[0]
+    assert outcome.seed == FIRST_SEED
+    assert outcome.setting is not None and outcome.setting.subset == "all"
+    assert set(outcome.cameras.values()) == {""}
+
+
+def test_without_auto_next_an_ended_episode_stays_until_asked(session):
+    session.ask(SetAutoNext(False))
+    session.steps(25)
+    assert session.at(1000.0) is None
+    assert session.frames[-1].phase == "ended"
+    assert session.ask(Reset()).seed == FIRST_SEED
+    assert session.frames[-1].phase == "playing"
+    session.steps(25)
+    assert session.ask(Play()).seed == FIRST_SEED + 1
+
+
+def test_pause_step_and_seed(session):
+    assert session.ask(Pause()).phase == "paused"
+    assert session.at(9.0) is None
+    assert session.ask(StepOnce()).step == 1
+    assert session.frames[-1].phase == "paused"
+    assert session.ask(SetSeed(7)).seed == 7
+    assert session.ask(Play()).phase == "playing"
+    assert session.ask(Reset(next_seed=True)).seed == 8
+
+
+def test_a_dropped_camera_leaves_the_sum_at_once(session):
+    session.steps(3)
+    before = session.frames[-1]
+    after = session.ask(SetCamera("third_a", OFF))
+    assert after.step == before.step and after.number > before.number
+    assert after.setting.subset == "first+third_b"
+    kept = after.probe.features[[0, 2]].sum(0)
+    np.testing.assert_allclose(after.probe.readout.merged[after.row], kept, rtol=1e-5)
+    np.testing.assert_array_equal(after.arrived["third_a"], before.arrived["third_a"])
+    change = after.change
+    assert change is not None
+    assert change.action_change == pytest.approx(
+        float(np.linalg.norm(after.action - before.action))
+    )
+    assert words(change, after.env).startswith("Third A dropped: action changed by ")
+    session.steps(1)
+    assert not session.frames[-1].mask[1]
+
+
+def test_black_is_not_dropped(session):
+    dropped = session.ask(SetCamera("third_a", OFF))
+    session.ask(SetCamera("third_a", CameraState("rgb")))
+    black = session.ask(SetCamera("third_a", BLACK))
+    assert black.setting.subset == "all" and "third_a:black" in black.setting.occlusions
+    assert (black.arrived["third_a"] == 0).all()
+    assert dropped.arrived["third_a"].any()
+    assert "sends black" in words(black.change, black.env)
+
+
+def test_camera_commands_are_served_between_renders():
+    class Slow(ToyReach):
+        drawn = 0
+
+        def view(self, camera, size=None):
+            Slow.drawn += 1
+            if Slow.drawn == 5:  # The second camera of the first step.
+                session.send(SetCamera("first", OFF))
+                session.send(Pause())
+            return super().view(camera, size)
+
+    session = Recorder(env_factory=lambda task, profile: Slow())
+    session.at(0.0)
+    session.at(0.1)
+    preview, arrived = session.frames[-2:]
+    assert (preview.step, preview.setting.subset) == (0, "third_a+third_b")
+    assert (arrived.step, arrived.setting.subset) == (1, "third_a+third_b")
+    assert arrived.phase == "playing"
+    session.at(0.11)
+    assert session.frames[-1].phase == "paused"
+
+
+def test_a_preview_leaves_no_trace_in_what_the_policy_gets():
+    """Touching a camera while step 1 is drawn equals touching it once step 1 has arrived."""
+
+    class Early(ToyReach):
+        drawn = 0
+
+        def view(self, camera, size=None):
+            Early.drawn += 1
+            if Early.drawn == 5:
+                early.send(SetCamera("first", BLACK))
+            return super().view(camera, size)
+
+    early = Recorder(env_factory=lambda task, profile: Early())
+    late = Recorder()
+    for session in (early, late):
+        session.at(0.0)
+        session.at(0.1)
+    late.ask(SetCamera("first", BLACK))
+    for _ in range(4):
+        left, right = early.steps(1), late.steps(1)
+        np.testing.assert_array_equal(left.probe.features, right.probe.features)
+        np.testing.assert_array_equal(left.action, right.action)
+
+
+def test_same_seed_and_commands_give_the_same_episode():
+    def episode() -> list[Frame]:
+        session = Recorder(seed=31)
+        session.at(0.0)
+        noise = CameraState(occlusion=Occlusion("noise", 0.7))
+        session.steps(4)
+        session.ask(SetCamera("third_b", noise))
+        session.steps(5)
+        session.ask(SetCamera("first", OFF))
+        session.steps(10)
+        return session.frames
+
+    for left, right in zip(episode(), episode(), strict=True):
+        np.testing.assert_array_equal(left.action, right.action)
+        np.testing.assert_array_equal(left.arrived["third_b"], right.arrived["third_b"])
+
+
+def test_outcomes_remember_what_was_wrong(session):
+    session.ask(SetSpeed(None), SetCamera("first", OFF))
+    session.steps(3)
+    session.ask(SetCamera("first", CameraState("rgb")), SetCamera("third_b", BLACK))
+    session.steps(30)
+    outcome = session.frames[-1].outcomes[0]
+    assert outcome.cameras == {"first": "off", "third_a": "", "third_b": "occluded"}
+    assert outcome.setting is None
+
+
+def test_nan_action_pauses_with_a_traceback_and_reset_recovers(session):
+    session.ask(SetPolicy("toy-nan"))
+    session.ask(SetCamera("first", OFF), SetCamera("third_a", OFF))
+    assert not session.frames[-1].error
+    broken = session.steps(1)
+    assert broken.phase == "paused"
+    assert "finite action" in broken.error and "Traceback" in broken.error
+    assert session.at(session.time + 5) is None
+    session.ask(SetCamera("first", CameraState("rgb")))
+    well = session.ask(Reset())
+    assert (well.error, well.phase, well.step) == ("", "playing", 0)
+    assert session.steps(2).step == 2
+
+
+def test_a_policy_that_needs_every_stream_says_so():
+    session = Recorder(AllOrNothing("toy-stack"))
+    session.at(0.0)
+    session.ask(SetCamera("first", OFF))
+    assert np.isnan(session.frames[-1].action).all()
+    assert "cannot act on 'third_a+third_b'" in session.steps(1).error
+    session.ask(SetCamera("first", CameraState("rgb")), Play())
+    assert session.steps(1).error == ""
+
+
+def test_policies_swap_in_mid_episode_and_camera_settings_stay(session):
+    session.ask(SetCamera("third_a", OFF))
+    before = session.steps(5)
+    after = session.ask(SetPolicy("toy-other"))
+    assert (after.policy.name, after.step) == ("toy-other", before.step)
+    assert after.setting.subset == "first+third_b"
+    np.testing.assert_array_equal(after.arrived["first"], before.arrived["first"])
+    six = session.ask(SetPolicy("toy-rgbd"))
+    assert six.probe.masks.shape == (64, 6)
+    assert six.setting.subset == "first+third_b"
+    assert session.steps(2).step == before.step + 2
+
+
+def test_an_unknown_policy_leaves_the_old_one(session):
+    frame = session.ask(SetPolicy("nonsense"))
+    assert frame.policy.name == "toy-mad" and "nonsense" in frame.error
+    assert session.ask(Play()).error == ""
+
+
+def test_a_swapped_policy_gets_the_past_it_would_have_had():
+    swapped, fresh = Recorder(), Recorder(policies("toy-rgbd"))
+    for session in (swapped, fresh):
+        session.at(0.0)
+        session.ask(SetAutoNext(False))
+    action = np.zeros(2, np.float32)
+    for session in (swapped, fresh):
+        # The same actions for both, so that only the policy's past can differ.
+        simulation = session._simulation
+        assert simulation is not None
+        for _ in range(6):
+            simulation.probe.readout.action[:] = action
+            simulation.step(lambda: None)
+    after = swapped.ask(SetPolicy("toy-rgbd"))
+    expected = fresh.ask(Pause())
+    np.testing.assert_array_equal(after.probe.features, expected.probe.features)
+
+
+def test_a_simulator_that_cannot_start_is_reported_and_can_be_retried():
+    attempts = []
+
+    def factory(task, profile):
+        attempts.append(task)
+        if len(attempts) == 1:
+            raise UserError("no OpenGL here")
+        return make_env(task, profile)
+
+    session = Recorder(env_factory=factory)
+    assert session.at(0.0) is None
+    assert isinstance(session.latest, Failure) and "no OpenGL here" in session.latest.error
+    assert session.at(1.0) is None and len(attempts) == 1
+    assert session.ask(Play()).step == 0
+
+
+def test_unknown_camera_is_an_error_the_page_survives(session):
+    frame = session.ask(SetCamera("fourth", OFF))
+    assert "unknown camera 'fourth'" in frame.error
+    assert session.ask(Play()).error == ""
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, 1e9, float("nan")])
+def test_absurd_speeds_are_refused(rate):
+    with pytest.raises(UserError, match="speed"):
+        SetSpeed(rate)
+
+
+def test_thread_closes_its_environment():
+    closed = []
+
+    class Closing(ToyReach):
+        def close(self):
+            closed.append(True)
+
+    session = Session(lambda task, profile: Closing(), FakePolicy(), speed=None).start()
+    session.close()
+    assert closed == [True]
+    assert session._thread is not None and not session._thread.is_alive()
+
+
+def test_curves_and_cosines(session):
+    frame = session.frames[-1]
+    cosines = frame.probe.cosines(frame.row)
+    features, merged = frame.probe.features, frame.probe.features.sum(0)
+    expected = features @ merged / np.linalg.norm(features, axis=1) / np.linalg.norm(merged)
+    np.testing.assert_allclose(cosines, expected, rtol=1e-4)
+    np.testing.assert_allclose(frame.probe.norms, np.linalg.norm(features, axis=1), rtol=1e-5)
+    assert np.isnan(frame.probe.cosines(frame.probe.row(np.zeros(3, bool)))).all()
