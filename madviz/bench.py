@@ -1,0 +1,103 @@
+"""Ratios measured in one run: what a claim about speed in the README is made of.
+
+Milliseconds drift with the machine and with whatever else it does; a ratio of two things that take
+turns in one process does not. So both sides alternate, the order flips every round, and medians are
+compared. ``bench_live`` and ``bench_update`` hold the two other benchmarks.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from madviz.envs.base import make_env
+from madviz.types import UserError
+
+
+@dataclass(frozen=True)
+class RenderConfig:
+    """Times a three-view Meta-World frame against stock MuJoCo flags."""
+
+    json: str | None = None
+    """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
+    task: str = "metaworld/hammer"
+    """A Meta-World task."""
+    size: int = 84
+    """Rows and columns of a view, pixels."""
+    rounds: int = 15
+    """Frames drawn by each side; the medians are compared."""
+
+
+class Frames(Protocol):
+    """Something that moves on a step and draws three views; only ``draw`` is timed."""
+
+    def step(self) -> None: ...
+
+    def draw(self) -> object: ...
+
+
+class OurFrames:
+    """The three views as madviz draws them, colour and depth."""
+
+    def __init__(self, task: str, size: int) -> None:
+        self._env, self._size = make_env(task), size
+        self._env.reset(seed=0)
+        self._idle = np.zeros(self._env.spec.action_dim, np.float32)
+
+    def step(self) -> None:
+        self._env.step(self._idle)
+
+    def draw(self) -> object:
+        return [self._env.view(camera.name, self._size) for camera in self._env.spec.cameras]
+
+    def close(self) -> None:
+        self._env.close()
+
+
+def alternate(
+    sides: dict[str, Frames], rounds: int, clock: Callable[[], float] = time.perf_counter
+) -> dict[str, float]:
+    """Median milliseconds of ``draw`` by side, after one round that does not count. Every round
+    steps and draws each side once, in an order that flips from round to round."""
+    times: dict[str, list[float]] = {name: [] for name in sides}
+    for number in range(rounds + 1):
+        for name in sorted(sides, reverse=number % 2 == 1):
+            sides[name].step()
+            started = clock()
+            sides[name].draw()
+            times[name].append(1000 * (clock() - started))
+    return {name: statistics.median(each[1:]) for name, each in times.items()}
+
+
+def bench_render(config: RenderConfig) -> dict[str, Any]:
+    """``ours_ms``, ``stock_ms`` and their ``ratio``, with the flags of both sides."""
+    if not config.task.startswith("metaworld/"):
+        raise UserError(f"expected a task metaworld/…, found {config.task!r}; see `madviz list`")
+    if config.rounds < 1:
+        raise UserError(f"expected at least 1 round, found {config.rounds}")
+    ours = OurFrames(config.task, config.size)
+    ours.draw()  # Complains about missing OpenGL in words of its own, before MuJoCo can.
+    # MuJoCo loads an OpenGL library when it is imported, so this waits until ours has checked it.
+    from madviz.envs.metaworld_stock import StockFrames
+
+    stock = StockFrames(config.task.split("/")[1], config.size)
+    times = alternate({"ours": ours, "stock": stock}, config.rounds)
+    result = {
+        "schema": 1,
+        "ours_ms": round(times["ours"], 2),
+        "stock_ms": round(times["stock"], 2),
+        "ratio": round(times["stock"] / times["ours"], 2),
+        "task": config.task,
+        "size": config.size,
+        "rounds": config.rounds,
+        "ours_flags": "shadows 0, reflections 0, 0 samples (profile fast); colour and depth",
+        "stock_flags": f"{stock.flags()} (MuJoCo's and the model's own); colour only",
+    }
+    ours.close()
+    stock.close()
+    return result

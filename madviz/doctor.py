@@ -1,0 +1,211 @@
+"""What this machine has, how fast it draws, and the line that mends what is missing.
+
+Nothing here may fail because something is missing: that is the very case it is for. OpenGL back
+ends are therefore tried in processes of their own (a broken driver can take its process along, and
+MuJoCo keeps the back end it was imported with), and packages are looked up without importing them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from ctypes.util import find_library
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, get_args
+
+from madviz.envs.base import RenderProfile, make_env
+from madviz.types import Environment, UserError
+
+PACKAGES = ("torch", "metaworld", "mujoco", "gymnasium", "viser", "numpy")
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+EXTENSIONS = ("avx2", "avx512f", "avx512_bf16", "amx_bf16", "amx_int8", "bf16")
+"""What makes a CPU quick here; ``bf16`` is what ARM calls it."""
+TESTED_MESA = (25, 0)
+"""The bundled policies learned from its pictures."""
+
+PROVIDERS = {
+    "egl": "libegl1 libegl-mesa0 libgl1-mesa-dri",
+    "osmesa": "libosmesa6",
+    "vulkan": "libvulkan1 mesa-vulkan-drivers",
+    "browser": "chromium",
+}
+"""Debian's packages for what may be missing."""
+
+
+@dataclass(frozen=True)
+class DoctorConfig:
+    """Tells what is missing here and the line that mends it."""
+
+    json: str | None = None
+    """Write the report to this file; ``-`` is standard output, and then nothing else goes there."""
+    task: str = "metaworld/hammer"
+    """The task whose frames are timed."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was looked for."""
+
+    name: str
+    found: str
+    """What was found, in words; '' if nothing."""
+    needed: bool = True
+    """Whether madviz cannot run without it."""
+    mend: str = ""
+    """The line to run if it is missing or too old."""
+
+    @property
+    def sound(self) -> bool:
+        return bool(self.found) and not self.mend
+
+
+def install_line(what: str) -> str:
+    """The line that installs what may be missing; without sudo for root, who may not have it."""
+    sudo = "" if os.geteuid() == 0 else "sudo "
+    return f"{sudo}apt-get install -y {PROVIDERS[what]}"
+
+
+def check_opengl(probe: Callable[[str], dict[str, str] | None], chosen: str = "egl") -> list[Check]:
+    """EGL, OSMesa and the Mesa behind them. Only the back end that is ``chosen`` is needed."""
+    checks, mesa = [], ""
+    for backend, label in (("egl", "EGL"), ("osmesa", "OSMesa")):
+        answer = probe(backend)
+        needed = backend == chosen
+        if answer is None:
+            checks.append(Check(label, "", needed, install_line(backend)))
+            continue
+        checks.append(Check(label, answer["renderer"], needed))
+        mesa = mesa or mesa_version(answer["version"])
+    old = bool(mesa) and tuple(map(int, mesa.split(".")[:2])) < TESTED_MESA
+    if mesa:
+        found = f"{mesa} (policies were trained under 25.0)" if old else mesa
+        checks.append(
+            Check("Mesa", found, needed=False, mend="python3 tools/system.py" if old else "")
+        )
+    return checks
+
+
+def mesa_version(gl_version: str) -> str:
+    """``4.5 (Compatibility Profile) Mesa 25.0.7-2`` -> ``25.0.7``; '' if it is another's driver."""
+    found = re.search(r"Mesa (\d+(?:\.\d+)+)", gl_version)
+    return found[1] if found else ""
+
+
+def probe_opengl(backend: str) -> dict[str, str] | None:
+    """Version and renderer under ``MUJOCO_GL=backend``, asked of another process; None if that
+    process found nothing, hung or did not survive."""
+    command = [sys.executable, "-m", "madviz.envs.metaworld_gl"]
+    environment = {**os.environ, "MUJOCO_GL": backend}
+    try:
+        asked = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    except subprocess.TimeoutExpired:
+        return None
+    return json.loads(asked.stdout) if asked.returncode == 0 else None
+
+
+def check_vulkan(folders: tuple[str, ...] = ("/usr/share/vulkan", "/etc/vulkan")) -> Check:
+    """The loader and the drivers it would find; only simulators that draw with Vulkan need them."""
+    drivers = [path.stem for f in folders for path in sorted(Path(f, "icd.d").glob("*.json"))]
+    if find_library("vulkan") and drivers:
+        return Check("Vulkan", "loader, drivers " + " ".join(drivers), needed=False)
+    return Check("Vulkan", "", needed=False, mend=install_line("vulkan"))
+
+
+def check_packages(names: tuple[str, ...] = PACKAGES) -> list[Check]:
+    """Python and the packages whose versions matter."""
+    checks = [Check("Python", platform.python_version())]
+    for name in names:
+        try:
+            checks.append(Check(name, version(name)))
+        except PackageNotFoundError:
+            checks.append(Check(name, "", mend="make setup"))
+    return checks
+
+
+def find_browser() -> str | None:
+    """The Chromium that tests and benchmarks drive."""
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
+
+
+def check_browser() -> Check:
+    path = find_browser()
+    return Check("Chromium", path or "", needed=False, mend="" if path else install_line("browser"))
+
+
+def describe_cpu(cpuinfo: str, cores: int) -> Check:
+    """Cores this process may use, and the matrix and bfloat16 instructions among the flags."""
+    flags = set(re.findall(r"\w+", " ".join(re.findall(r"(?:flags|Features)\s*:(.*)", cpuinfo))))
+    quick = [flag for flag in EXTENSIONS if flag in flags]
+    return Check("CPU", f"{cores} cores, {' '.join(quick) or 'no bf16 or AMX'}")
+
+
+def check_cpu() -> Check:
+    path = Path("/proc/cpuinfo")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return describe_cpu(path.read_text() if path.exists() else "", cores or 1)
+
+
+def time_frames(
+    task: str, make: Callable[[str, str], Environment] = make_env, repeats: int = 5
+) -> dict[str, dict[str, float]]:
+    """Milliseconds of one frame by render profile and camera, the median of ``repeats``."""
+    table: dict[str, dict[str, float]] = {}
+    for profile in get_args(RenderProfile):
+        env = make(task, profile)
+        env.reset(seed=0)
+        table[profile] = {}
+        for camera in env.spec.cameras:
+            env.view(camera.name)  # The first one also compiles shaders.
+            times = []
+            for _ in range(repeats):
+                started = time.perf_counter()
+                env.view(camera.name)
+                times.append(1000 * (time.perf_counter() - started))
+            table[profile][camera.name] = round(statistics.median(times), 2)
+        env.close()
+    return table
+
+
+def examine(config: DoctorConfig) -> dict[str, Any]:
+    """The whole report. Key ``ok`` is True if nothing that madviz needs is missing."""
+    checks = [check_cpu(), *check_packages()]
+    checks += check_opengl(probe_opengl, os.environ.get("MUJOCO_GL", "egl"))
+    checks += [check_vulkan(), check_browser()]
+    report: dict[str, Any] = {
+        "schema": 1,
+        "ok": all(check.sound or not check.needed for check in checks),
+        "checks": [{**asdict(check), "ok": check.sound} for check in checks],
+        "frames_ms": {},
+    }
+    if report["ok"]:
+        try:
+            report["frames_ms"] = time_frames(config.task)
+        except UserError as error:
+            report["ok"] = False
+            report["checks"].append({**asdict(Check("A frame", "", mend=str(error))), "ok": False})
+    return report
+
+
+def in_words(report: Mapping[str, Any]) -> str:
+    """The report as a person reads it."""
+    lines = []
+    for check in report["checks"]:
+        mark = "ok" if check["ok"] else "MISSING" if check["needed"] else "without"
+        lines.append(f"{mark:8} {check['name']:10} {check['found'] or 'not found'}")
+        if check["mend"]:
+            lines.append(f"{'':19} mend it:  {check['mend']}")
+    for profile, frames in report["frames_ms"].items():
+        each = ", ".join(f"{camera} {ms:.1f} ms" for camera, ms in frames.items())
+        lines.append(f"{'frame':8} {profile:10} {each}; together {sum(frames.values()):.1f} ms")
+    lines.append("All that madviz needs is here." if report["ok"] else "Something is missing.")
+    return "\n".join(lines)
