@@ -1,0 +1,287 @@
+"""Policy folders: everything needed to act, in files a person can read or a card can be made from.
+
+    config.json          what it is: task, streams, networks, how it was trained   (manifest.py)
+    weights.safetensors  encoder, actor and critic, half precision                 (this file)
+    evaluation.json      what ``madviz eval --card`` measured                      (evaluate.py)
+    curve.csv            success and losses while it was trained                   (train.py)
+    card.md              generated from the JSON files                             (card.py)
+
+Loading needs nothing else, runs no code from the folder (no pickle), and is strict: a tensor that
+is missing, foreign, misshapen or not finite is an error in one line. Weights are stored in half
+precision and computed with in float32: 7.6 MB for the paper's networks, 3 MB for the light ones.
+
+The *digest* is the SHA-256 of the weights file and of the config in canonical JSON. It names the
+policy in the store of results: whoever changes either file starts from zero episodes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from madviz.files import read_json, write_bytes, write_json
+from madviz.manifest import FORMAT, check_config, policy_spec
+from madviz.types import Policy, PolicySpec, UserError
+
+if TYPE_CHECKING:
+    from madviz.agent.agent import Agent
+
+CONFIG, WEIGHTS, EVALUATION = "config.json", "weights.safetensors", "evaluation.json"
+
+
+@dataclass(frozen=True)
+class PolicyFolder:
+    """A policy that was found and whose config was checked; its weights are not loaded."""
+
+    path: Path
+    config: dict[str, Any]
+    spec: PolicySpec
+
+
+# --- Writing --------------------------------------------------------------------------------
+
+
+def save_policy(
+    folder: str | Path, agent: Agent, config: dict[str, Any], *, half: bool = True
+) -> Path:
+    """Writes config and weights of ``agent``, each file whole or not at all; returns the folder.
+
+    Raises UserError for weights that are not finite (training diverged) and for a bad config.
+    """
+    from safetensors.torch import save
+
+    folder = Path(folder)
+    check_config({"format": FORMAT, **config}, folder / CONFIG)
+    tensors = {}
+    for name, tensor in agent.acting_state().items():
+        kept = tensor.detach().cpu()
+        tensors[name] = (kept.half() if half else kept.float()).contiguous()
+        if not tensors[name].isfinite().all():
+            raise UserError(
+                f"expected finite weights, found NaN or infinity in {name}; the training diverged: "
+                "continue from an earlier checkpoint with a smaller learning rate"
+            )
+    folder.mkdir(parents=True, exist_ok=True)
+    write_bytes(folder / WEIGHTS, save(tensors))
+    write_json(folder / CONFIG, {"format": FORMAT, **config})
+    return folder
+
+
+# --- Reading --------------------------------------------------------------------------------
+
+
+def policy_roots() -> list[Path]:
+    """Where names are looked up: $MADVIZ_CHECKPOINTS, ./checkpoints, the repository's."""
+    named = [Path(p) for p in os.environ.get("MADVIZ_CHECKPOINTS", "").split(os.pathsep) if p]
+    repository = Path(__file__).resolve().parent.parent / "checkpoints"
+    return list(dict.fromkeys([*named, Path.cwd() / "checkpoints", repository]))
+
+
+def policy_folders() -> dict[str, Path]:
+    """Every policy under the roots by name; the first root that has a name wins."""
+    found: dict[str, Path] = {}
+    for root in policy_roots():
+        for config in sorted(root.glob(f"*/{CONFIG}")):
+            found.setdefault(config.parent.name, config.parent)
+    return found
+
+
+def find_policy(policy: str | Path) -> Path:
+    """The folder of a policy, given by path or name. Raises UserError listing the known names."""
+    if (Path(policy) / CONFIG).is_file():
+        return Path(policy)
+    known = policy_folders()
+    if str(policy) in known:
+        return known[str(policy)]
+    raise UserError(
+        f"unknown policy {str(policy)!r}: expected a folder with {CONFIG}, module:factory, "
+        f"or one of: {', '.join(known) or 'none found; see `madviz train`'}"
+    )
+
+
+def describe(policy: str | Path) -> PolicyFolder:
+    """Finds and checks a policy without loading its weights (or torch)."""
+    path = find_policy(policy)
+    config = check_config(read_json(path / CONFIG), path / CONFIG)
+    stat = _existing(path / WEIGHTS).stat()
+    weights = _sha256(path / WEIGHTS, stat.st_mtime_ns, stat.st_size)
+    return PolicyFolder(path, config, policy_spec(config, weights))
+
+
+def is_factory(policy: str | Path) -> bool:
+    """Whether ``policy`` is written ``module:factory``: somebody's own, made by calling it."""
+    return ":" in str(policy) and not Path(policy).exists()
+
+
+def load_policy(policy: str | Path) -> Policy:
+    """A policy that can act: from a folder, a name (see ``policy_roots``) or ``module:factory``.
+
+    Raises UserError for anything but a complete, finite policy of a known format.
+    """
+    if is_factory(policy):
+        return _from_factory(str(policy))
+    from madviz.agent.agent import TorchPolicy
+    from madviz.agent.merge import MERGES
+
+    path = find_policy(policy)
+    config = check_config(read_json(path / CONFIG), path / CONFIG)
+    weights = _existing(path / WEIGHTS).read_bytes()
+    if config["merge"] not in MERGES:
+        raise UserError(
+            f"{path / CONFIG}: unknown merge {config['merge']!r}; known: {list(MERGES)}"
+        )
+    agent = _agent(path, config["networks"], weights)
+    spec = policy_spec(config, hashlib.sha256(weights).hexdigest())
+    return TorchPolicy(spec, agent, config["merge"], config["reward_scale"])
+
+
+def _agent(path: Path, networks: dict[str, Any], weights: bytes) -> Agent:
+    import torch
+    from safetensors import SafetensorError
+    from safetensors.torch import load
+
+    from madviz.agent.agent import Agent
+    from madviz.agent.networks import NetworkConfig
+
+    try:
+        bounds = tuple(networks.get("log_std_bounds", (-10.0, 2.0)))
+        network = NetworkConfig(**{**networks, "log_std_bounds": bounds})  # type: ignore[arg-type]
+        # Without memory at first: shapes are known before anything is initialised or allocated.
+        with torch.device("meta"):
+            agent = Agent(network)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise UserError(f"{path / CONFIG}: networks that cannot be built: {error}") from error
+    try:
+        tensors = load(weights)
+    except SafetensorError as error:
+        raise UserError(
+            f"{path / WEIGHTS}: expected a safetensors file, found {len(weights)} bytes that are "
+            f"none ({error}); it is truncated or something else: restore it or retrain"
+        ) from error
+    _check_tensors(path / WEIGHTS, tensors, agent.acting_state())
+    agent.to_empty(device="cpu")
+    agent.load_state_dict({k: v.float() for k, v in tensors.items()}, strict=False)
+    agent.target.load_state_dict(agent.critic.state_dict())
+    torch.nn.init.zeros_(agent.log_temperature)
+    return agent
+
+
+def _check_tensors(where: Path, found: dict[str, Any], expected: dict[str, Any]) -> None:
+    missing, extra = sorted(expected.keys() - found.keys()), sorted(found.keys() - expected.keys())
+    if missing or extra:
+        raise UserError(
+            f"{where}: expected {len(expected)} tensors of a policy, found {len(found)} "
+            f"(missing: {', '.join(missing[:3]) or 'none'}; extra: {', '.join(extra[:3]) or 'none'}"
+            "); it belongs to another config.json or program: restore it or retrain"
+        )
+    for name, tensor in found.items():
+        if tensor.shape != expected[name].shape:
+            raise UserError(
+                f"{where}: expected {name} of shape {tuple(expected[name].shape)}, found "
+                f"{tuple(tensor.shape)}; it belongs to another config.json: restore it or retrain"
+            )
+        if not tensor.isfinite().all():
+            raise UserError(
+                f"{where}: expected finite weights, found NaN or infinity in {name}; "
+                "the training diverged or the file is damaged: restore it or retrain"
+            )
+
+
+def _from_factory(policy: str) -> Policy:
+    module, _, factory = policy.partition(":")
+    try:
+        with _importable_from_here():
+            made = getattr(importlib.import_module(module), factory)()
+    except (ImportError, AttributeError) as error:
+        raise UserError(
+            f"{policy}: expected module:factory that can be imported from here, found: {error}"
+        ) from error
+    lacking = [part for part in ("spec", "encode", "read", "supports") if not hasattr(made, part)]
+    if lacking:
+        raise UserError(
+            f"{policy}: expected a policy (madviz.types.Policy), found a {type(made).__name__} "
+            f"without {', '.join(lacking)}; return an object that has them"
+        )
+    return made
+
+
+@contextmanager
+def _importable_from_here() -> Iterator[None]:
+    """A console script does not look for modules in the working directory; its user does."""
+    sys.path.insert(0, os.getcwd())
+    try:
+        yield
+    finally:
+        sys.path.remove(os.getcwd())
+
+
+def shipped_evaluation(policy: str | Path) -> dict[str, Any] | None:
+    """evaluation.json of a policy folder; None if there is none or it measured other weights."""
+    folder = describe(policy)
+    if not (folder.path / EVALUATION).is_file():
+        return None
+    evaluation = read_json(folder.path / EVALUATION)
+    return evaluation if evaluation.get("digest") == folder.spec.digest else None
+
+
+def list_policies() -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
+    """Every policy that can be found, with its shipped success; and those that are broken, why."""
+    policies, broken = [], []
+    for name, path in policy_folders().items():
+        try:
+            policies.append(_listed(name, path))
+        except UserError as error:
+            broken.append({"name": name, "path": str(path), "error": str(error)})
+    return policies, broken
+
+
+def _listed(name: str, path: Path) -> dict[str, Any]:
+    folder = describe(path)
+    subsets = (shipped_evaluation(path) or {}).get("subsets", {})
+    return {
+        **{"name": name, "path": str(path)},
+        **{k: folder.config[k] for k in ("task", "method", "setting", "recipe", "definition")},
+        "trained_subsets": list(folder.spec.trained_subsets),
+        "digest": folder.spec.digest,
+        "success": {
+            subset: {key: row[key] for key in ("success", "n", "ci95")}
+            for subset, row in subsets.items()
+        },
+    }
+
+
+def list_everything() -> dict[str, Any]:
+    """What ``madviz list --json`` prints: tasks, settings, methods, policies."""
+    from madviz.agent.methods import METHODS
+    from madviz.envs.base import SETTINGS, TASKS
+
+    policies, broken = list_policies()
+    methods = {
+        name: {"recipes": list(method.recipes), "needs": list(method.needs)}
+        for name, method in METHODS.items()
+    }
+    return {
+        "schema": 1,
+        **{"tasks": list(TASKS), "settings": list(SETTINGS), "methods": methods},
+        **{"policies": policies, "broken": broken},
+    }
+
+
+def _existing(path: Path) -> Path:
+    if not path.is_file():
+        raise UserError(f"{path}: expected the policy's weights, found no such file; restore it")
+    return path
+
+
+@lru_cache(maxsize=64)
+def _sha256(path: Path, modified_ns: int, size: int) -> str:
+    """Hash of a file; the last two arguments make a changed file a new question."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
