@@ -88,3 +88,14 @@ def optimisers(agent: Agent, lr: float) -> dict[str, torch.optim.Adam]:
         "temperature": [agent.log_temperature],
     }
     return {name: torch.optim.Adam(list(part), lr=lr) for name, part in parts.items()}
+
+
+def autocast() -> torch.autocast:
+    """bfloat16 where the CPU multiplies it natively (AMX or AVX512-BF16), else plain float32."""
+    return torch.autocast("cpu", torch.bfloat16, enabled=fast_bfloat16())
+
+
+def fast_bfloat16() -> bool:
+    """Whether this CPU has bfloat16 instructions."""
+    flags = torch.cpu.get_capabilities()
+    return bool(flags.get("amx_bf16") or flags.get("avx512_bf16"))

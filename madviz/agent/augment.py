@@ -18,10 +18,12 @@ from madviz.types import Array
 PAD = 4
 
 
-def random_shift(views: Tensor, rng: np.random.Generator, same_for_views: bool = True) -> Tensor:
-    """(B, V, C, H, W) uint8 -> the same, each image moved by up to 4 px both ways."""
+def random_shift(
+    views: Tensor, rng: np.random.Generator, same_for_views: bool = True, pad: int = PAD
+) -> Tensor:
+    """(B, V, C, H, W) uint8 -> the same, each image moved by up to ``pad`` pixels both ways."""
     batch, count = views.shape[:2]
-    shifts = rng.integers(-PAD, PAD + 1, (batch, 1 if same_for_views else count, 2))
+    shifts = rng.integers(-pad, pad + 1, (batch, 1 if same_for_views else count, 2))
     return shift(views, np.broadcast_to(shifts, (batch, count, 2)))
 
 

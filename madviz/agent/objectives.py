@@ -1,0 +1,122 @@
+"""MAD's losses, one plain function each, named after the paper's terms.
+
+Every sample is read in N rows: row 0 is the merged feature M, the others are singular subsets of
+its streams (``methods.py``). A loss function returns one number per row, so that the paper's
+objective is a weighted sum in plain sight: ``weighted(losses, {"merged": 0.8, "singular": 0.2})``.
+
+What makes it MAD is *where Q is read*. Learning targets come from merged features alone:
+
+                  acts on           its Q is read on     regressed on / ascends
+    target        M' (actor)        M' (target critic)   y = r + d (min Q'(M', a') - T log pi(a'))
+    critic        stored action     every row            y, the same for all rows
+    actor         every row         M, critic fixed      min Q(M, a) - T log pi(a)
+    temperature   every row         -                    entropy -A
+
+so a camera alone is never its own teacher. ``Features.reads`` holds the features Q is read on: (1,
+B, Z), the merged one, for MAD; (N, B, Z), each row's own, for a method without that rule.
+
+Randomness is an argument everywhere: the functions are pure, and a test can compute them again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from madviz.agent.agent import Agent
+from madviz.agent.networks import squash
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Transitions, as the replay buffer gives them."""
+
+    views: Tensor
+    """(B, V, C, H, W) uint8."""
+    state: Tensor
+    """(B, S) float32."""
+    action: Tensor
+    """(B, A) in [-1, 1]."""
+    reward: Tensor
+    """(B,)."""
+    discount: Tensor
+    """(B,) gamma, or 0 where nothing follows that may be bootstrapped from."""
+    next_views: Tensor
+    next_state: Tensor
+
+
+@dataclass(frozen=True)
+class Features:
+    """What the encoder makes of a batch under a method."""
+
+    rows: Tensor
+    """(N, B, Z) merged feature, then singular ones; carries the encoder's graph."""
+    reads: Tensor
+    """(R, B, Z) where the actor's Q is read; R is 1 or N."""
+    next_reads: Tensor
+    """(R, B, Z) where targets are read, at the next step; no graph."""
+
+
+@torch.no_grad()
+def td_target(agent: Agent, features: Features, batch: Batch, noise: Tensor) -> Tensor:
+    """y (R, B), one step ahead; ``noise`` (R, B, A) draws a' from the current actor."""
+    state = _tile(batch.next_state, len(noise))
+    action, log_prob = squash(*agent.actor(features.next_reads, state), noise)
+    q = torch.minimum(*agent.target(features.next_reads, state, action))
+    value = q - agent.log_temperature.exp() * log_prob
+    return batch.reward + batch.discount * value
+
+
+def critic_losses(agent: Agent, features: Features, batch: Batch, target: Tensor) -> Tensor:
+    """(N,) squared errors against ``target`` (R, B), summed over the twins, mean over B."""
+    count = len(features.rows)
+    q1, q2 = agent.critic(features.rows, _tile(batch.state, count), _tile(batch.action, count))
+    return ((q1 - target).square() + (q2 - target).square()).mean(1)
+
+
+def actor_losses(
+    agent: Agent, features: Features, batch: Batch, noise: Tensor
+) -> tuple[Tensor, Tensor]:
+    """(N,) T log pi(a|row) - min Q(read, a), mean over B; and log pi (N, B).
+
+    Features are taken as they are: the encoder learns from the critic alone. ``noise`` is (N, B, A).
+    """
+    state = _tile(batch.state, len(noise))
+    action, log_prob = squash(*agent.actor(features.rows.detach(), state), noise)
+    # One projection of M serves the N actions that are judged on it.
+    hidden = agent.critic.trunk(features.reads.detach()).expand(len(noise), -1, -1)
+    q = torch.minimum(*agent.critic.heads(hidden, state, action))
+    temperature = agent.log_temperature.detach().exp()
+    return (temperature * log_prob - q).mean(1), log_prob
+
+
+def temperature_losses(agent: Agent, log_prob: Tensor) -> Tensor:
+    """(N,) T (-log pi - H), mean over B, with target entropy H = -A; log pi (N, B) is data."""
+    target_entropy = -agent.config.action_dim
+    return (agent.log_temperature.exp() * (-log_prob.detach() - target_entropy)).mean(1)
+
+
+def merged(losses: Tensor) -> Tensor:
+    """The paper's UnAug term: the merged row's."""
+    return losses[0]
+
+
+def singular(losses: Tensor) -> Tensor:
+    """The paper's Aug terms, 1/n of each: the mean over the singular rows."""
+    return losses[1:].mean()
+
+
+TERMS = {"merged": merged, "singular": singular}
+
+
+def weighted(losses: Tensor, weights: Mapping[str, float]) -> Tensor:
+    """The objective: (N,) losses of the rows to one number, by a method's ``weights``."""
+    return torch.stack([weight * TERMS[name](losses) for name, weight in weights.items()]).sum()
+
+
+def _tile(x: Tensor, count: int) -> Tensor:
+    """(B, ...) -> (count, B, ...) without copying."""
+    return x.expand(count, *x.shape)

@@ -1,0 +1,169 @@
+"""Episodes that an expert labels: driven by the expert, by a student, or by a mix of both.
+
+A student that only saw the expert's own states drifts into states nobody showed it. So after the
+first demonstrations the student drives, seeing the cameras of one of its trained subsets, and the
+expert says at every state what it would have done (dataset aggregation). Whoever drives, a fifth of
+the actions is replaced by a random one, so that recoveries are in the data.
+
+An episode of 100 decisions and three RGB streams is 6.4 MB: every frame is stored once, and stacks
+are formed when a batch is drawn.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from madviz.ablations import Ablation
+from madviz.envs.base import make_env
+from madviz.streams import StreamStack, stream_frame
+from madviz.subsets import camera_of, cameras_of
+from madviz.types import Array, Environment, Policy
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One labelled episode of T decisions."""
+
+    frames: dict[str, Array]
+    """Stream -> (T, C, H, W) uint8, C = 3 for colour and 1 for depth."""
+    states: Array
+    """(T, S) float32."""
+    actions: Array
+    """(T, A) float32, what was done."""
+    labels: Array
+    """(T, A) float32, what the expert would have done."""
+    rewards: Array
+    """(T,) float32."""
+    success: bool
+    """At the last step."""
+
+    def save(self, file: Path) -> None:
+        """One uncompressed archive, whole or not at all."""
+        temporary = file.with_suffix(".tmp.npz")
+        streams = {f"frames.{name}": frames for name, frames in self.frames.items()}
+        rest = {k: getattr(self, k) for k in ("states", "actions", "labels", "rewards", "success")}
+        np.savez(temporary, allow_pickle=False, **streams, **rest)
+        os.replace(temporary, file)
+
+    @staticmethod
+    def load(file: Path) -> Episode:
+        with np.load(file, allow_pickle=False) as archive:
+            frames = {
+                key.removeprefix("frames."): archive[key]
+                for key in archive.files
+                if key.startswith("frames.")
+            }
+            rest = {k: archive[k] for k in ("states", "actions", "labels", "rewards")}
+            return Episode(frames, **rest, success=bool(archive["success"]))
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Who acts: the expert with probability ``expert_share`` at every step, else the student."""
+
+    expert_share: float = 1.0
+    noise_share: float = 0.2
+    """Probability that an action is replaced by a uniformly random one."""
+    student: Policy | None = None
+    mask: Array | None = None
+    """(V,) the streams the student sees."""
+
+
+def record_episode(env: Environment, streams: tuple[str, ...], driver: Driver, seed: int) -> Episode:
+    """Plays one episode; the same arguments give the same episode to the bit."""
+    rng = np.random.default_rng([seed, 7])
+    stack = StreamStack(env.spec, streams)
+    cameras = cameras_of(streams)
+    rows: dict[str, list] = {k: [] for k in ("states", "actions", "labels", "rewards")}
+    frames: dict[str, list[Array]] = {stream: [] for stream in streams}
+    now = env.reset(seed)
+    for step in range(env.spec.horizon):
+        views = {camera: env.view(camera) for camera in cameras}
+        for stream in streams:
+            frame = stream_frame(views[camera_of(stream)], stream, env.spec)
+            frames[stream].append(np.ascontiguousarray(frame.transpose(2, 0, 1)))
+        action = label = env.expert()
+        student_drives = rng.random() >= driver.expert_share
+        if driver.student is not None:
+            stack.push(views, Ablation(), seed, step)
+            if student_drives and driver.mask is not None:
+                encoded = driver.student.encode(stack.views, now.state)
+                action = driver.student.read(encoded, driver.mask[None]).action[0]
+        if rng.random() < driver.noise_share:
+            action = rng.uniform(-1, 1, len(label)).astype(np.float32)
+        rows["states"].append(now.state)
+        now = env.step(action)
+        for key, value in (("actions", action), ("labels", label), ("rewards", now.reward)):
+            rows[key].append(value)
+    arrays = {key: np.asarray(value, np.float32) for key, value in rows.items()}
+    return Episode({s: np.stack(f) for s, f in frames.items()}, **arrays, success=now.success)
+
+
+class Dataset:
+    """All episodes in flat arrays; index i is one decision, whose stack ends at i."""
+
+    def __init__(self, streams: tuple[str, ...], capacity: int, horizon: int) -> None:
+        self.streams, self.horizon = streams, horizon
+        self.episodes = 0
+        self._capacity = capacity
+        self._frames: dict[str, Array] = {}
+        self._rest: dict[str, Array] = {}
+
+    def __len__(self) -> int:
+        return self.episodes * self.horizon
+
+    def add(self, episode: Episode) -> None:
+        """Copies an episode in. The arrays are allocated at the first one; untouched pages of them
+        cost no memory."""
+        rest = {k: getattr(episode, k) for k in ("states", "actions", "labels", "rewards")}
+        if not self._rest:
+            size = self._capacity * self.horizon
+            self._frames = {s: np.empty((size, *f.shape[1:]), f.dtype) for s, f in episode.frames.items()}
+            self._rest = {k: np.empty((size, *v.shape[1:]), v.dtype) for k, v in rest.items()}
+        rows = slice(len(self), len(self) + self.horizon)
+        for table, source in ((self._frames, episode.frames), (self._rest, rest)):
+            for key, values in source.items():
+                table[key][rows] = values
+        self.episodes += 1
+
+    def views(self, index: Array, length: int = 3) -> Tensor:
+        """(B,) decisions -> (B, V, 3 x length, H, W) uint8; stacks never reach over a start."""
+        start = index - index % self.horizon
+        back = np.maximum(index[:, None] - np.arange(length - 1, -1, -1), start[:, None])
+        stacks = []
+        for stream in self.streams:
+            frames = self._frames[stream][back]  # (B, length, C, H, W)
+            if frames.shape[2] == 1:
+                frames = np.broadcast_to(frames, (*frames.shape[:2], 3, *frames.shape[3:]))
+            stacks.append(frames.reshape(len(index), 3 * length, *frames.shape[3:]))
+        return torch.from_numpy(np.stack(stacks, 1))
+
+    def column(self, name: str, index: Array) -> Tensor:
+        """Rows of ``states``, ``actions``, ``labels`` or ``rewards``."""
+        return torch.from_numpy(self._rest[name][index])
+
+
+_env: Environment | None = None  # A worker process keeps its environment between episodes.
+
+
+def record_in_worker(
+    task: str, render_profile: str, streams: tuple[str, ...], driver: Driver, seed: int
+) -> Episode:
+    """``record_episode`` for a process pool."""
+    global _env
+    if _env is None or _env.spec.task != task:
+        _env = make_env(task, render_profile)
+    return record_episode(_env, streams, driver, seed)
+
+
+def set_up_worker() -> None:
+    """One core per worker: the software renderer and torch would otherwise each take all of them."""
+    os.environ["LP_NUM_THREADS"] = "1"
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    torch.set_num_threads(1)

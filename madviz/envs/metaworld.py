@@ -1,0 +1,155 @@
+"""Meta-World v3 as the paper uses it: 15 tasks, three cameras, action repeat 2, 200 simulator steps.
+
+Pictures are upright and *not* mirrored. (The paper's own are mirrored left to right, an artefact of
+its frame buffer; a page that shows pictures beside the 3D scene must not be.) ``third_a`` and
+``third_b`` are the paper's moved corner cameras, whose model orientation is upside down and is
+therefore rolled by half a turn; ``first`` hangs at a constant world offset from the hand and keeps
+its orientation in the world.
+
+The state is eight numbers (hand x y z in metres and gripper opening, now and one simulator step ago)
+for each of three decisions: 24. It holds neither object nor goal. ``state="paper"`` gives the four
+numbers of the paper's table instead.
+
+Resets draw from a generator of the instance's own. Meta-World would use NumPy's global one, and
+several simulations side by side would then change each other's scenes.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from madviz.envs.base import check_action
+from madviz.envs.metaworld_experts import METAWORLD_SUCCESS, Expert
+from madviz.types import Array, CameraPose, CameraSpec, EnvSpec, TimeStep, UserError, View
+
+ACTION_REPEAT = 2
+HORIZON = 100
+
+CAMERAS = (
+    CameraSpec(
+        *("first", "First person", 90),
+        position=(0.040, 0.010, 0.059),
+        wxyz=(0.99909, 0.04265, 0.0, 0.0),
+        body="hand",
+        depth_range=(0.0, 0.45),
+    ),
+    CameraSpec(
+        *("third_a", "Third A", 60),
+        position=(0.75, 0.075, 0.7),
+        wxyz=(0.76536, 0.43494, 0.26267, 0.39504),
+        depth_range=(0.5, 1.7),
+    ),
+    CameraSpec(
+        *("third_b", "Third B", 45),
+        position=(0.72, 0.1, 1.2),
+        wxyz=(0.82385, 0.25594, 0.10574, 0.49455),
+        depth_range=(0.8, 2.0),
+    ),
+)
+"""The paper's cameras in world terms, with the roll already applied (fact sheet of the method)."""
+
+
+class MetaWorld:
+    """One task; see the module. Not thread-safe, and bound to the thread that makes it."""
+
+    def __init__(
+        self, task: str, render_profile: str = "fast", state: Literal["code", "paper"] = "code"
+    ) -> None:
+        self._state_kind = state
+        self.spec = EnvSpec(
+            f"metaworld/{task}",
+            CAMERAS,
+            state_dim=24 if state == "code" else 4,
+            action_dim=4,
+            horizon=HORIZON,
+            action_repeat=ACTION_REPEAT,
+            render_profile=render_profile,
+            success=METAWORLD_SUCCESS[task],
+        )
+        self._simulation = _simulation(task)
+        self._expert = Expert(task)
+        self._observation = np.zeros(39)
+        self._states: list[Array] = []
+        self._step, self._success = 0, False
+        self._cameras: Any = None  # Made on the first view: many uses never draw.
+
+    def reset(self, seed: int) -> TimeStep:
+        simulation = self._simulation
+        simulation.seed(seed)
+        simulation.reset()
+        # The first real step makes the frame-difference half of the observation valid.
+        self._observation, _, _, _, info = simulation.step(np.zeros(4, np.float32))
+        self._step, self._success = 0, bool(info["success"])
+        self._states = [self._frame_state()] * 3
+        self._moved()
+        return TimeStep(self._state(), 0.0, self._success, last=False)
+
+    def step(self, action: Array) -> TimeStep:
+        check_action(action, self.spec.action_dim)
+        clipped = np.clip(np.asarray(action, np.float32), -1, 1)
+        reward, info = 0.0, {}
+        for _ in range(ACTION_REPEAT):
+            self._observation, gained, _, _, info = self._simulation.step(clipped)
+            reward += float(gained)
+        self._step, self._success = self._step + 1, bool(info["success"])
+        self._states = [*self._states[1:], self._frame_state()]
+        self._moved()
+        return TimeStep(self._state(), reward, self._success, self._step >= HORIZON)
+
+    def view(self, camera: str, size: int | None = None) -> View:
+        spec = self.spec.camera(camera)
+        if self._cameras is None:
+            self._cameras = _scene_cameras(self._simulation, self.spec.render_profile)
+        rotation = Rotation.from_quat(spec.wxyz, scalar_first=True).as_matrix()
+        return self._cameras.draw(self._position(spec), rotation, spec.fovy, size or spec.size)
+
+    def pose(self, camera: str) -> CameraPose:
+        spec = self.spec.camera(camera)
+        # OpenGL axes to OpenCV axes is half a turn about the camera's x.
+        turned = Rotation.from_quat(spec.wxyz, scalar_first=True) * Rotation.from_euler("x", np.pi)
+        return CameraPose(self._position(spec), turned.as_quat(scalar_first=True), spec.fovy)
+
+    def expert(self) -> Array:
+        return self._expert.action(self._observation, self._success)
+
+    def close(self) -> None:
+        if self._cameras is not None:
+            self._cameras.close()
+            self._cameras = None
+
+    def _moved(self) -> None:
+        if self._cameras is not None:
+            self._cameras.scene_changed()
+
+    def _position(self, spec: CameraSpec) -> Array:
+        origin = self._simulation.data.body(spec.body).xpos if spec.body else np.zeros(3)
+        return np.asarray(origin) + np.asarray(spec.position)
+
+    def _frame_state(self) -> Array:
+        return np.concatenate([self._observation[:4], self._observation[18:22]]).astype(np.float32)
+
+    def _state(self) -> Array:
+        return np.concatenate(self._states) if self._state_kind == "code" else self._states[-1][:4]
+
+
+def _scene_cameras(simulation: Any, render_profile: str) -> Any:
+    try:
+        from madviz.envs.metaworld_render import SceneCameras
+    except ImportError as error:
+        # MuJoCo loads its GL library while it is imported.
+        raise UserError(f"MuJoCo found no OpenGL ({error}); run `madviz doctor`") from error
+    return SceneCameras(simulation.model, simulation.data, render_profile)
+
+
+def _simulation(task: str) -> Any:
+    try:
+        from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE
+    except ImportError as error:
+        raise UserError(f"Meta-World did not load ({error}); run `madviz doctor`") from error
+    simulation = ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE[f"{task}-v3-goal-observable"](seed=0)
+    simulation._freeze_rand_vec = False
+    simulation.seeded_rand_vec = True
+    return simulation
