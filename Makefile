@@ -1,0 +1,60 @@
+# make demo    set everything up and serve the page at http://127.0.0.1:8080
+# make test    set up the same, then the fast and the real-browser tests
+#
+# Variables: PYTHON=python3.12      the Python the environment is made from (3.11 or newer)
+#            TORCH_INDEX=ADDRESS    where to take torch from, for example the index of its CPU builds
+#            ARGS='--port 9000'     more words for madviz explore
+
+PYTHON ?= python3
+POLICY ?= metaworld-hammer-mad-light
+BIN    := .venv/bin
+
+.PHONY: help demo setup setup-dev test test-slow check bench clean
+
+help:
+	@sed -n '/^$$/q; s/^# \{0,1\}//p' Makefile
+
+demo: setup
+	$(BIN)/madviz explore --policy $(POLICY) $(ARGS)
+
+setup: .venv/packages.stamp
+
+setup-dev: .venv/dev.stamp .venv/browser.stamp
+
+test: setup-dev
+	$(BIN)/python -m pytest -m "not slow"
+
+test-slow: setup-dev
+	$(BIN)/python -m pytest -m slow
+
+check: .venv/dev.stamp
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+
+bench: setup-dev
+	$(BIN)/madviz bench render
+	$(BIN)/madviz bench live
+	$(BIN)/madviz bench update
+
+clean:
+	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache
+
+# A stamp is younger than all it was made from, or it is made again; so a second `make demo` starts
+# at once. Packages come through uv where it is there, otherwise through pip.
+
+.venv/system.stamp: tools/system.py
+	$(PYTHON) tools/system.py
+	@mkdir -p .venv && touch $@
+
+.venv/browser.stamp: tools/system.py | .venv/system.stamp
+	$(PYTHON) tools/system.py --browser
+	@touch $@
+
+.venv/packages.stamp: pyproject.toml constraints.txt | .venv/system.stamp
+	PYTHON="$(PYTHON)" TORCH_INDEX="$(TORCH_INDEX)" tools/packages.sh .
+	@touch $@
+
+.venv/dev.stamp: pyproject.toml constraints.txt | .venv/packages.stamp
+	PYTHON="$(PYTHON)" tools/packages.sh '.[test,dev]'
+	@touch $@

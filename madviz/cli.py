@@ -1,0 +1,226 @@
+"""``madviz <command>``: thin verbs over the dataclasses and functions that are the Python API too.
+
+The first word picks a verb, and only then is that verb's module imported: ``madviz --help`` needs
+neither torch nor viser. A verb parses its frozen dataclass (tyro), calls one function and hands
+over what that returns.
+
+    exit code 0 only for success; 1 something failed (doctor: something needed is missing);
+    2 the user's own mistake, in one line and without a traceback; 130 Ctrl-C
+    --json FILE writes the result as JSON; --json - prints it, and then nothing else goes to
+    standard output: whatever the work prints meanwhile, worker processes included, goes to stderr
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from madviz.files import pretty, write_json
+from madviz.types import UserError, unknown
+
+Config = TypeVar("Config")
+Verb = Callable[[Sequence[str]], int]
+
+
+@dataclass(frozen=True)
+class ListConfig:
+    """Lists tasks, settings, methods and the policies that were found."""
+
+    json: str | None = None
+    """Write the list to this file; ``-`` is standard output, and then nothing else goes there."""
+
+
+class HasJson(Protocol):
+    @property
+    def json(self) -> str | Path | None: ...
+
+
+def explore(words: Sequence[str]) -> int:
+    """Serves the page: a policy at work, and cameras to take away from it."""
+    from madviz.app.server import ExploreConfig
+    from madviz.app.server import explore as serve
+
+    serve(parse(ExploreConfig, "explore", words))
+    return 0
+
+
+def train(words: Sequence[str]) -> int:
+    """Trains a policy by a recipe; can be stopped and resumed."""
+    from madviz.train import TrainConfig
+    from madviz.train import train as run
+
+    run(parse(TrainConfig, "train", words))
+    return 0
+
+
+def evaluate(words: Sequence[str]) -> int:
+    """Counts a policy's successes under camera subsets, on seeded episodes."""
+    from madviz.evaluate import EvalConfig, run_eval
+
+    config = parse(EvalConfig, "eval", words)
+    deliver(config, lambda: run_eval(config), success_table)
+    return 0
+
+
+def list_(words: Sequence[str]) -> int:
+    """Lists tasks, settings, methods and policies."""
+    from madviz.checkpoint import list_everything
+
+    deliver(parse(ListConfig, "list", words), list_everything, catalogue)
+    return 0
+
+
+def doctor(words: Sequence[str]) -> int:
+    """Tells what is missing on this machine and the line that mends it; times a frame."""
+    from madviz.doctor import DoctorConfig, examine, in_words
+
+    config = parse(DoctorConfig, "doctor", words)
+    return 0 if deliver(config, lambda: examine(config), in_words)["ok"] else 1
+
+
+def bench(words: Sequence[str]) -> int:
+    """Measures: bench render, bench live, bench update."""
+    return pick(BENCHMARKS, "benchmark", words, "madviz bench")
+
+
+def bench_render(words: Sequence[str]) -> int:
+    """A three-view Meta-World frame against stock MuJoCo flags."""
+    from madviz.bench import RenderConfig
+    from madviz.bench import bench_render as measure
+
+    config = parse(RenderConfig, "bench render", words)
+    deliver(config, lambda: measure(config), pretty)
+    return 0
+
+
+def bench_live(words: Sequence[str]) -> int:
+    """The page in a real browser: updates a second, and how long a toggle takes."""
+    from madviz.bench_live import LiveConfig
+    from madviz.bench_live import bench_live as measure
+
+    config = parse(LiveConfig, "bench live", words)
+    deliver(config, lambda: measure(config), pretty)
+    return 0
+
+
+def bench_update(words: Sequence[str]) -> int:
+    """One training update against a straightforward implementation."""
+    from madviz.bench_update import UpdateConfig
+    from madviz.bench_update import bench_update as measure
+
+    config = parse(UpdateConfig, "bench update", words)
+    deliver(config, lambda: measure(config), pretty)
+    return 0
+
+
+VERBS: dict[str, Verb] = {
+    **{"explore": explore, "train": train, "eval": evaluate, "list": list_},
+    **{"doctor": doctor, "bench": bench},
+}
+BENCHMARKS: dict[str, Verb] = {
+    **{"render": bench_render, "live": bench_live, "update": bench_update},
+}
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Runs one command; the exit code."""
+    if sys.platform == "linux":
+        # MuJoCo reads this while it is imported, and its own default needs a display.
+        os.environ.setdefault("MUJOCO_GL", "egl")
+    try:
+        return pick(VERBS, "command", sys.argv[1:] if words is None else words, "madviz")
+    except UserError as error:
+        print(f"madviz: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("madviz: stopped", file=sys.stderr)
+        return 130
+
+
+def pick(verbs: Mapping[str, Verb], kind: str, words: Sequence[str], prog: str) -> int:
+    """Hands the words after the first to the verb that the first one names."""
+    if not words or words[0] in ("-h", "--help"):
+        print(usage(verbs, prog), file=sys.stdout if words else sys.stderr)
+        return 0 if words else 2
+    if words[0] not in verbs:
+        raise unknown(kind, words[0], list(verbs))
+    return verbs[words[0]](words[1:])
+
+
+def usage(verbs: Mapping[str, Verb], prog: str) -> str:
+    """A line for every verb: its docstring's first."""
+    lines = [f"usage: {prog} COMMAND [options]     ({prog} COMMAND --help lists them)", ""]
+    for name, verb in verbs.items():
+        lines.append(f"  {name:9} {(verb.__doc__ or '').splitlines()[0]}")
+    return "\n".join(lines)
+
+
+def parse(config: type[Config], command: str, words: Sequence[str]) -> Config:
+    """The dataclass ``config`` filled from the command line; leaves with code 2 if that fails."""
+    import tyro
+
+    return tyro.cli(config, prog=f"madviz {command}", args=list(words))
+
+
+def deliver(
+    config: HasJson,
+    work: Callable[[], dict[str, Any]],
+    in_words: Callable[[dict[str, Any]], str],
+) -> dict[str, Any]:
+    """Does the work and hands its result over where ``config.json`` says; returns it."""
+    if str(config.json) == "-":
+        with printing_to_stderr():
+            result = work()
+        sys.stdout.write(pretty(result))
+        return result
+    if config.json is not None and not Path(config.json).resolve().parent.is_dir():
+        raise UserError(f"--json {config.json}: expected a file in a folder that exists")
+    result = work()
+    if config.json is not None:
+        write_json(Path(config.json), result)
+    print(in_words(result))
+    return result
+
+
+@contextmanager
+def printing_to_stderr() -> Iterator[None]:
+    """Sends standard output to standard error meanwhile, also what C libraries and child processes
+    print: the file descriptor itself is exchanged."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+def success_table(result: dict[str, Any]) -> str:
+    """An evaluation as lines: subset, success with its interval, episodes."""
+    lines = [f"{result['policy']} on {result['task']}: success {result['definition']}"]
+    for name, row in result["subsets"].items():
+        low, high = row["ci95"]
+        lines.append(
+            f"  {name:24} {row['success']:.2f} [{low:.2f}, {high:.2f}] n={row['n']}"
+            f"   any step {row['success_any']:.2f}" + ("" if row["trained"] else "   off-training")
+        )
+    return "\n".join(lines)
+
+
+def catalogue(listed: dict[str, Any]) -> str:
+    """The list as lines; a policy's line carries its success on all cameras, if it was measured."""
+    lines = [f"{word}: {', '.join(listed[word])}" for word in ("tasks", "settings", "methods")]
+    lines.append("policies:" if listed["policies"] else "policies: none found")
+    for policy in listed["policies"]:
+        whole = policy["success"].get("all")
+        rate = f"all {whole['success']:.2f} (n={whole['n']})" if whole else "not evaluated"
+        lines.append(f"  {policy['name']:44} {policy['task']:24} {rate}")
+    lines += [f"  broken: {each['error']}" for each in listed.get("broken", [])]
+    return "\n".join(lines)
