@@ -18,6 +18,8 @@ import numpy as np
 from madviz.envs.base import make_env
 from madviz.types import UserError
 
+OUR_FLAGS = "profile fast: no shadows, reflections or samples, lighter meshes; colour and depth"
+
 
 @dataclass(frozen=True)
 class RenderConfig:
@@ -95,7 +97,7 @@ def bench_render(config: RenderConfig) -> dict[str, Any]:
         "task": config.task,
         "size": config.size,
         "rounds": config.rounds,
-        "ours_flags": "shadows 0, reflections 0, 0 samples (profile fast); colour and depth",
+        "ours_flags": OUR_FLAGS,
         "stock_flags": f"{stock.flags()} (MuJoCo's and the model's own); colour only",
     }
     ours.close()

@@ -50,11 +50,11 @@ def explore(words: Sequence[str]) -> int:
 
 
 def train(words: Sequence[str]) -> int:
-    """Trains a policy by a recipe; can be stopped and resumed."""
+    """Trains a policy by a recipe and prints its folder; can be stopped and resumed."""
     from madviz.train import TrainConfig
     from madviz.train import train as run
 
-    run(parse(TrainConfig, "train", words))
+    print(run(parse(TrainConfig, "train", words)))
     return 0
 
 

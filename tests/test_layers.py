@@ -21,7 +21,7 @@ MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in FI
 LAYERS = (
     "types subsets files statistics",
     "envs agent ablations streams",
-    "buffer manifest checkpoint store rollout evaluate evaluator probes demonstrations run card",
+    "buffer manifest checkpoint store rollout evaluate live probes demonstrations run card",
     "light paper train",
     "frame simulation session",
     "app bench doctor",

@@ -1,4 +1,5 @@
-"""Meta-World v3 as the paper uses it: 15 tasks, three cameras, action repeat 2, 200 simulator steps.
+"""Meta-World v3 as the paper uses it: 15 tasks, three cameras, action repeat 2, 200 simulator
+steps.
 
 Pictures are upright and *not* mirrored. (The paper's own are mirrored left to right, an artefact of
 its frame buffer; a page that shows pictures beside the 3D scene must not be.) ``third_a`` and
@@ -6,9 +7,9 @@ its frame buffer; a page that shows pictures beside the 3D scene must not be.) `
 therefore rolled by half a turn; ``first`` hangs at a constant world offset from the hand and keeps
 its orientation in the world.
 
-The state is eight numbers (hand x y z in metres and gripper opening, now and one simulator step ago)
-for each of three decisions: 24. It holds neither object nor goal. ``state="paper"`` gives the four
-numbers of the paper's table instead.
+The state is eight numbers (hand x y z in metres and gripper opening, now and one simulator step
+ago) for each of three decisions: 24. It holds neither object nor goal. ``state="paper"`` gives the
+four numbers of the paper's table instead.
 
 Resets draw from a generator of the instance's own. Meta-World would use NumPy's global one, and
 several simulations side by side would then change each other's scenes.
@@ -23,7 +24,8 @@ from scipy.spatial.transform import Rotation
 
 from madviz.envs.base import check_action
 from madviz.envs.metaworld_experts import METAWORLD_SUCCESS, Expert
-from madviz.types import Array, CameraPose, CameraSpec, EnvSpec, TimeStep, UserError, View
+from madviz.envs.metaworld_gl import check_gl
+from madviz.types import Array, CameraPose, CameraSpec, EnvSpec, TimeStep, View
 
 ACTION_REPEAT = 2
 HORIZON = 100
@@ -136,20 +138,18 @@ class MetaWorld:
 
 
 def _scene_cameras(simulation: Any, render_profile: str) -> Any:
-    try:
-        from madviz.envs.metaworld_render import SceneCameras
-    except ImportError as error:
-        # MuJoCo loads its GL library while it is imported.
-        raise UserError(f"MuJoCo found no OpenGL ({error}); run `madviz doctor`") from error
+    # MuJoCo loads an OpenGL library while it is imported: not before ``check_gl`` has looked.
+    from madviz.envs.metaworld_render import SceneCameras
+
     return SceneCameras(simulation.model, simulation.data, render_profile)
 
 
 def _simulation(task: str) -> Any:
-    try:
-        from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE
-    except ImportError as error:
-        raise UserError(f"Meta-World did not load ({error}); run `madviz doctor`") from error
-    simulation = ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE[f"{task}-v3-goal-observable"](seed=0)
+    check_gl()
+    from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE
+
+    build: Any = ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE[f"{task}-v3-goal-observable"]
+    simulation = build(seed=0)
     simulation._freeze_rand_vec = False
     simulation.seeded_rand_vec = True
     return simulation

@@ -1,0 +1,123 @@
+"""The command line: what goes where, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from madviz import cli
+from madviz.types import UserError
+
+
+def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "madviz", *words]
+    return subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, **environment}
+    )
+
+
+def test_help_names_every_command_and_loads_next_to_nothing() -> None:
+    program = (
+        "import sys; from madviz.cli import main; main(['--help']);"
+        "print(*{'torch', 'viser', 'mujoco', 'tyro'} & set(sys.modules), file=sys.stderr)"
+    )
+    asked = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    for verb in cli.VERBS:
+        assert f"\n  {verb} " in asked.stdout
+    assert asked.stderr.strip() == ""
+
+
+@pytest.mark.parametrize("verb", ["train", "eval", "list", "doctor"])
+def test_every_command_explains_its_options(verb: str) -> None:
+    asked = run(verb, "--help")
+    assert asked.returncode == 0 and f"usage: madviz {verb}" in asked.stdout
+
+
+def test_no_command_at_all_is_a_mistake() -> None:
+    asked = run()
+    assert asked.returncode == 2 and asked.stdout == "" and "usage: madviz" in asked.stderr
+
+
+def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["wurst"]) == 2
+    assert capsys.readouterr().err == (
+        "madviz: unknown command 'wurst'; known: bench, doctor, eval, explore, list, train\n"
+    )
+    assert cli.main(["bench", "wurst"]) == 2
+    assert "known: live, render, update" in capsys.readouterr().err
+
+
+def test_a_users_mistake_is_one_line_without_a_traceback() -> None:
+    asked = run("eval", "--policy", "no-such-policy")
+    assert asked.returncode == 2 and asked.stdout == ""
+    assert asked.stderr.startswith("madviz: unknown policy 'no-such-policy'")
+    assert asked.stderr.count("\n") == 1
+
+
+def test_an_unknown_task_lists_the_known_ones() -> None:
+    asked = run("train", "--task", "metaworld/wurst", "--out", os.devnull)
+    assert asked.returncode == 2 and "Traceback" not in asked.stderr
+    assert "metaworld/hammer" in asked.stderr
+
+
+def test_missing_opengl_is_one_line_that_points_to_the_doctor(tmp_path: Path) -> None:
+    words = ("bench", "render", "--rounds", "1")
+    asked = run(*words, MUJOCO_GL="egl", __EGL_VENDOR_LIBRARY_DIRS=str(tmp_path))
+    assert asked.returncode == 2 and asked.stdout == ""
+    assert "MUJOCO_GL=egl" in asked.stderr and "madviz doctor" in asked.stderr
+    assert asked.stderr.count("\n") == 1
+
+
+def test_ctrl_c_ends_without_a_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(words: Any) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(cli.VERBS, "list", interrupted)
+    assert cli.main(["list"]) == 130
+    assert capsys.readouterr().err == "madviz: stopped\n"
+
+
+def test_a_dash_keeps_everything_but_the_json_off_standard_output() -> None:
+    program = (
+        "import os; from madviz.cli import ListConfig, deliver\n"
+        "def work():\n"
+        "    print('from Python'); os.system('echo from a child'); os.write(1, b'from C')\n"
+        "    return {'a': 1}\n"
+        "deliver(ListConfig('-'), work, str)"
+    )
+    asked = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert json.loads(asked.stdout) == {"a": 1}
+    for word in ("from Python", "from a child", "from C"):
+        assert word in asked.stderr
+
+
+def test_a_file_gets_the_json_and_the_terminal_the_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "out.json"
+    cli.deliver(cli.ListConfig(str(path)), lambda: {"a": 1}, lambda result: "one a")
+    assert json.loads(path.read_text()) == {"a": 1}
+    assert capsys.readouterr().out == "one a\n"
+
+
+def test_a_folder_that_is_missing_is_noticed_before_the_work(tmp_path: Path) -> None:
+    worked: list[str] = []
+    with pytest.raises(UserError, match="a folder that exists"):
+        config = cli.ListConfig(str(tmp_path / "missing" / "out.json"))
+        cli.deliver(config, lambda: {"worked": worked.append("")}, str)
+    assert worked == []
+
+
+def test_list_has_the_shape_that_is_documented() -> None:
+    listed = json.loads(run("list", "--json", "-").stdout)
+    assert listed["schema"] == 1 and "metaworld/hammer" in listed["tasks"]
+    assert "three" in listed["settings"] and "needs" in listed["methods"]["mad"]
+    assert isinstance(listed["policies"], list)
