@@ -75,7 +75,9 @@ class Driver:
     """(V,) the streams the student sees."""
 
 
-def record_episode(env: Environment, streams: tuple[str, ...], driver: Driver, seed: int) -> Episode:
+def record_episode(
+    env: Environment, streams: tuple[str, ...], driver: Driver, seed: int
+) -> Episode:
     """Plays one episode; the same arguments give the same episode to the bit."""
     rng = np.random.default_rng([seed, 7])
     stack = StreamStack(env.spec, streams)
@@ -124,7 +126,9 @@ class Dataset:
         rest = {k: getattr(episode, k) for k in ("states", "actions", "labels", "rewards")}
         if not self._rest:
             size = self._capacity * self.horizon
-            self._frames = {s: np.empty((size, *f.shape[1:]), f.dtype) for s, f in episode.frames.items()}
+            self._frames = {
+                s: np.empty((size, *f.shape[1:]), f.dtype) for s, f in episode.frames.items()
+            }
             self._rest = {k: np.empty((size, *v.shape[1:]), v.dtype) for k, v in rest.items()}
         rows = slice(len(self), len(self) + self.horizon)
         for table, source in ((self._frames, episode.frames), (self._rest, rest)):

@@ -1,15 +1,17 @@
-"""The light recipe: MAD's weighting on an imitation loss; minutes on two cores. Not RL from scratch.
+"""The light recipe: MAD's weighting on an imitation loss; minutes on two cores. Not RL from
+scratch.
 
-The problem: the paper's schedule takes hours on a GPU. The idea: Meta-World ships scripted experts,
-so actions can be learned by imitation, and what MAD is about (one head that reads the merged feature
-and every singular one) stays exactly as it is:
+The problem: the paper's schedule takes hours on a GPU. The idea: Meta-World ships scripted
+experts, so actions can be learned by imitation, and what MAD is about (one head that reads the
+merged feature and every singular one) stays exactly as it is:
 
     L = alpha |pi(M) - a*|^2 + (1 - alpha) mean_i |pi(V_i) - a*|^2
 
-A run is a sequence of rounds. While round k's updates run on one core, a worker process records the
-episodes of round k+1 on the other, driven by the student as it was when the round began; so data and
-weights of every round are a function of the configuration alone, and a resumed run repeats them.
-At 8 episodes and 300 updates a round, 40 rounds see 32,800 labelled states in about 10 minutes.
+A run is a sequence of rounds. While round k's updates run on one core, a worker process records
+the episodes of round k+1 on the other, driven by the student as it was when the round began; so
+data and weights of every round are a function of the configuration alone, and a resumed run
+repeats them. At 8 episodes and 300 updates a round, 20 rounds see 16,200 labelled states in seven
+minutes.
 
 Shipped are an exponential average of the weights and a critic fitted at the end to the recorded
 rewards (``madviz.light_critic``), so that Q can be shown; the critic never shapes the features.
@@ -35,14 +37,14 @@ from madviz.agent.merge import merge_sum
 from madviz.agent.methods import method
 from madviz.demonstrations import Dataset, Driver, Episode, record_in_worker, set_up_worker
 from madviz.run import RunFolder, interruptible
-from madviz.types import Array, PolicySpec
+from madviz.types import PolicySpec
 
 
 @dataclass(frozen=True)
 class LightConfig:
     """The light recipe's dials; defaults were chosen by measurement on hammer."""
 
-    rounds: int = 40
+    rounds: int = 20
     """Rounds of recording and updates after the first demonstrations."""
     demonstrations: int = 10
     """Episodes driven by the (perturbed) expert before the first update."""
@@ -91,7 +93,13 @@ class LightRun:
     """The state of a run and one method per thing that happens to it."""
 
     def __init__(
-        self, config: LightConfig, spec: PolicySpec, agent: Agent, horizon: int, seed: int, folder: Path
+        self,
+        config: LightConfig,
+        spec: PolicySpec,
+        agent: Agent,
+        horizon: int,
+        seed: int,
+        folder: Path,
     ) -> None:
         self.config, self.spec, self.agent, self.seed = config, spec, agent, seed
         chosen = method(spec.method)
@@ -110,8 +118,10 @@ class LightRun:
         self._episodes.mkdir(exist_ok=True)
 
     def plan(self, round_index: int) -> list[tuple[Driver, int]]:
-        """Who drives which seed in a round: half the episodes see every stream, the others take the
-        trained subsets in turn. Round 0 is the expert's. A function of the round alone."""
+        """Who drives which seed in a round: the trained subsets in turn, round 0 the expert.
+
+        A function of the configuration, the round, and the average at the time of the call.
+        """
         config = self.config
         if round_index == 0:
             demonstration = Driver(1.0, config.noise_share)
@@ -160,7 +170,7 @@ class LightRun:
             pairs = zip(self.average.parameters(), self.agent.parameters(), strict=True)
             for slow, fast in pairs:
                 slow.lerp_(fast, 1 - decay)
-        return float(loss)
+        return loss.item()
 
     def _train_seed(self, number: int) -> int:
         # Training seeds stay below 1000; a run with more episodes meets scenes again.
@@ -193,7 +203,9 @@ class LightRun:
 class Recorder:
     """Records a round's episodes in worker processes while the caller does something else."""
 
-    def __init__(self, task: str, render_profile: str, streams: tuple[str, ...], workers: int) -> None:
+    def __init__(
+        self, task: str, render_profile: str, streams: tuple[str, ...], workers: int
+    ) -> None:
         self._fixed = (task, render_profile, streams)
         context = multiprocessing.get_context("spawn")
         self._pool = ProcessPoolExecutor(workers, mp_context=context, initializer=set_up_worker)
@@ -225,7 +237,7 @@ def train_light(run: LightRun, folder: RunFolder, recorder: Recorder, save: Any)
             run.seconds = time.monotonic() - began
             folder.save_state(run.state())
             _report(run, folder, loss, episodes)
-            if run.round % 5 == 0:
+            if run.round < config.rounds and run.round % 5 == 0:
                 save(run, final=False)
         if run.round >= config.rounds:
             save(run, final=True)
@@ -257,5 +269,3 @@ def _unplain(state: Any) -> Any:
     if isinstance(state, dict):
         return {key: _unplain(value) for key, value in state.items()}
     return int(state[4:]) if isinstance(state, str) and state.startswith("int:") else state
-
-

@@ -1,12 +1,13 @@
-"""A training run's folder: what it is, where it stands, and how it goes on after being killed.
+"""A training run's folder: a policy folder that grows, and beside it what a killed run needs.
 
-    DIR/config.json     the resolved configuration; a resumed run must have the same
-    DIR/state.pt        everything needed to go on exactly: full-precision tensors and numbers only
-    DIR/curve.csv       one row per progress report
-    DIR/policy/         the checkpoint in its shipped form, replaced as training goes on
+DIR/config.json, weights.safetensors   the policy in its shipped form, replaced as training goes on
+    DIR/curve.csv                          one row per progress report
+    DIR/resume/run.json                    the run's configuration; a resumed run must have the same
+DIR/resume/state.pt                    full-precision tensors and numbers, enough to go on exactly
 
-State is written to a neighbour and renamed, so a run killed at any moment finds its last whole state.
-"""
+DIR can be explored and evaluated at any time; ``resume/`` may be deleted when the run is over.
+State is written to a neighbour and renamed, so a run killed at any moment finds its last whole
+state."""
 
 from __future__ import annotations
 
@@ -23,6 +24,7 @@ from typing import Any
 
 import torch
 
+from madviz.files import write_bytes
 from madviz.types import UserError
 
 Event = dict[str, Any]
@@ -37,28 +39,31 @@ class RunFolder:
     ) -> None:
         """Raises UserError if the folder holds another run, or none although ``resume`` is set."""
         self.path = Path(path)
+        self.resume = self.path / "resume"
         self._listener = listener
         described = json.dumps(dataclasses.asdict(config), indent=1, sort_keys=True)
-        file = self.path / "config.json"
+        file = self.resume / "run.json"
         if resume and not file.exists():
             raise UserError(f"nothing to resume: expected a run in {self.path}, found none")
         if file.exists() and not resume:
-            raise UserError(f"{self.path} holds a run already; add --resume or choose another --out")
+            raise UserError(
+                f"{self.path} holds a run already; add --resume or choose another --out"
+            )
         if resume and file.read_text() != described:
             changed = _changed(json.loads(file.read_text()), json.loads(described))
             raise UserError(f"the run in {self.path} has another configuration: {changed}")
-        self.path.mkdir(parents=True, exist_ok=True)
-        write_atomically(file, described.encode())
+        self.resume.mkdir(parents=True, exist_ok=True)
+        write_bytes(file, described.encode())
 
     def save_state(self, state: dict[str, Any]) -> None:
         """``state`` may hold tensors, numbers, strings, lists and dicts; no other objects."""
-        temporary = self.path / "state.tmp"
+        temporary = self.resume / "state.tmp"
         torch.save(state, temporary)
-        os.replace(temporary, self.path / "state.pt")
+        os.replace(temporary, self.resume / "state.pt")
 
     def load_state(self) -> dict[str, Any] | None:
         """The last whole state, or None for a new run. Never unpickles objects."""
-        file = self.path / "state.pt"
+        file = self.resume / "state.pt"
         return torch.load(file, weights_only=True) if file.exists() else None
 
     def report(self, kind: str, **values: Any) -> None:
@@ -87,13 +92,6 @@ class RunFolder:
             if fresh:
                 writer.writeheader()
             writer.writerow(row)
-
-
-def write_atomically(file: Path, content: bytes) -> None:
-    """All of ``content`` or what was there before, whenever the process dies."""
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_bytes(content)
-    os.replace(temporary, file)
 
 
 @contextmanager

@@ -1,10 +1,9 @@
 """How features of several streams become one: MAD sums the streams that are present.
 
 The sum is over the 3136 post-ReLU features, without averaging, view embeddings or mask tokens
-(paper, Merge Module). A missing stream is simply not in it: with features of norm 8, 6 and 7 and the
-second dropped, M = V_1 + V_3, exactly what a policy trained on two cameras would get. Singular and
-merged features have the same size, so one actor reads both.
-"""
+(paper, Merge Module). A missing stream is simply not in it: with features of norm 8, 6 and 7 and
+the second dropped, M = V_1 + V_3, exactly what a policy trained on two cameras would get. Singular
+and merged features have the same size, so one actor reads both."""
 
 from __future__ import annotations
 

@@ -3,9 +3,11 @@
     uint8 (9, 84, 84) --Encoder--> 3136 --sum over streams--> Trunk 50 --> Actor / twin Critic
 
 Two decisions make the encoder fast on a CPU. Memory is ``channels_last``, so oneDNN convolves
-without reordering. And pixels are centred to x - 127.5 before the first convolution, whose weights
-are divided by 255 instead: every such value has at most eight significant bits, so bfloat16 holds it
-exactly, and the result equals the paper's x / 255 - 0.5.
+without reordering. And pixels are centred while they are still bytes: flipping the top bit of a
+uint8 and reading it as int8 is x - 128, which bfloat16 holds exactly. Scale and the missing half
+move into the first convolution, so that the result equals the paper's x / 255 - 0.5:
+
+    w * (x / 255 - 0.5) + b  =  (w / 255) * (x - 128) + b + 0.5 sum(w / 255)
 """
 
 from __future__ import annotations
@@ -49,17 +51,20 @@ class Encoder(nn.Module):
         self.conv3 = nn.Conv2d(64, 64, 3, stride=1)
         for conv in (self.conv1, self.conv2, self.conv3):
             nn.init.orthogonal_(conv.weight, nn.init.calculate_gain("relu"))
+            assert conv.bias is not None
             nn.init.zeros_(conv.bias)
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, pixels: Tensor) -> Tensor:
         """(B, C, H, W) uint8 -> (B, Z) non-negative features."""
         low = torch.is_autocast_enabled("cpu") and pixels.device.type == "cpu"
-        x = pixels.contiguous(memory_format=torch.channels_last)
-        x = x.to(torch.bfloat16 if low else self.conv1.weight.dtype).sub_(127.5)
-        x = F.relu(F.conv2d(x, self.conv1.weight / 255, self.conv1.bias, stride=4))
-        x = F.relu(self.conv3(F.relu(self.conv2(x))))
-        return x.flatten(1)
+        x = (pixels.contiguous(memory_format=torch.channels_last) ^ 128).view(torch.int8)
+        x = x.to(torch.bfloat16 if low else self.conv1.weight.dtype)
+        weight = self.conv1.weight / 255
+        assert self.conv1.bias is not None
+        x = F.conv2d(x, weight, self.conv1.bias + 0.5 * weight.sum((1, 2, 3)), stride=4)
+        x = F.relu(self.conv2(F.relu(x, inplace=True)), inplace=True)
+        return F.relu(self.conv3(x), inplace=True).flatten(1)
 
 
 class Trunk(nn.Module):
@@ -83,6 +88,14 @@ def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     )
 
 
+def _read(mlp: nn.Sequential, x: Tensor) -> Tensor:
+    """The last layer is small and its output is compared: a Q of 500 in bfloat16 would move in
+    steps of 2. It runs in the weights' own precision whatever autocast says."""
+    hidden, last = mlp[:-1](x), mlp[-1]
+    with torch.autocast(x.device.type, enabled=False):
+        return last(hidden.to(last.weight.dtype))
+
+
 def _orthogonal(module: nn.Module) -> None:
     for layer in module.modules():
         if isinstance(layer, nn.Linear):
@@ -103,8 +116,8 @@ class Actor(nn.Module):
 
     def forward(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """(B, Z), (B, S) -> mean and log standard deviation before tanh, (B, A) each."""
-        hidden = self.mlp(torch.cat([state, self.trunk(feature)], -1))
-        mean, raw = hidden.float().chunk(2, -1)
+        output = _read(self.mlp, torch.cat([state, self.trunk(feature)], -1))
+        mean, raw = output.chunk(2, -1)
         low, high = self.bounds
         return mean, low + 0.5 * (high - low) * (torch.tanh(raw) + 1)
 
@@ -142,6 +155,6 @@ class Critic(nn.Module):
         return self.heads(self.trunk(feature), state, action)
 
     def heads(self, hidden: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """The part behind the trunk: a feature that is read for several actions is projected once."""
+        """The part behind the trunk, so that a feature read for several actions is projected once."""
         x = torch.cat([hidden, action, state], -1)
-        return self.q1(x).float().squeeze(-1), self.q2(x).float().squeeze(-1)
+        return _read(self.q1, x).squeeze(-1), _read(self.q2, x).squeeze(-1)

@@ -12,8 +12,8 @@ What makes it MAD is *where Q is read*. Learning targets come from merged featur
     actor         every row         M, critic fixed      min Q(M, a) - T log pi(a)
     temperature   every row         -                    entropy -A
 
-so a camera alone is never its own teacher. ``Features.reads`` holds the features Q is read on: (1,
-B, Z), the merged one, for MAD; (N, B, Z), each row's own, for a method without that rule.
+so a camera alone is never its own teacher. The argument ``reads`` holds the features Q is read on:
+(R, B, Z) with R = 1, the merged one, for MAD; R = N, each row's own, for a method without the rule.
 
 Randomness is an argument everywhere: the functions are pure, and a test can compute them again.
 """
@@ -48,46 +48,37 @@ class Batch:
     next_state: Tensor
 
 
-@dataclass(frozen=True)
-class Features:
-    """What the encoder makes of a batch under a method."""
-
-    rows: Tensor
-    """(N, B, Z) merged feature, then singular ones; carries the encoder's graph."""
-    reads: Tensor
-    """(R, B, Z) where the actor's Q is read; R is 1 or N."""
-    next_reads: Tensor
-    """(R, B, Z) where targets are read, at the next step; no graph."""
-
-
 @torch.no_grad()
-def td_target(agent: Agent, features: Features, batch: Batch, noise: Tensor) -> Tensor:
-    """y (R, B), one step ahead; ``noise`` (R, B, A) draws a' from the current actor."""
-    state = _tile(batch.next_state, len(noise))
-    action, log_prob = squash(*agent.actor(features.next_reads, state), noise)
-    q = torch.minimum(*agent.target(features.next_reads, state, action))
+def td_target(agent: Agent, reads: Tensor, batch: Batch, noise: Tensor) -> Tensor:
+    """y (R, B) from the next step's ``reads``; ``noise`` (R, B, A) draws a' from the actor."""
+    state = _tile(batch.next_state, len(reads))
+    mean, log_std = agent.actor(reads, state)
+    action, log_prob = squash(mean, log_std, noise)
+    q = torch.minimum(*agent.target(reads, state, action))
     value = q - agent.log_temperature.exp() * log_prob
     return batch.reward + batch.discount * value
 
 
-def critic_losses(agent: Agent, features: Features, batch: Batch, target: Tensor) -> Tensor:
-    """(N,) squared errors against ``target`` (R, B), summed over the twins, mean over B."""
-    count = len(features.rows)
-    q1, q2 = agent.critic(features.rows, _tile(batch.state, count), _tile(batch.action, count))
+def critic_losses(agent: Agent, rows: Tensor, batch: Batch, target: Tensor) -> Tensor:
+    """(N,) squared errors of ``rows`` (N, B, Z) against ``target`` (R, B): summed over the twins,
+    mean over B."""
+    count = len(rows)
+    q1, q2 = agent.critic(rows, _tile(batch.state, count), _tile(batch.action, count))
     return ((q1 - target).square() + (q2 - target).square()).mean(1)
 
 
 def actor_losses(
-    agent: Agent, features: Features, batch: Batch, noise: Tensor
+    agent: Agent, rows: Tensor, batch: Batch, noise: Tensor, reads: Tensor
 ) -> tuple[Tensor, Tensor]:
     """(N,) T log pi(a|row) - min Q(read, a), mean over B; and log pi (N, B).
 
-    Features are taken as they are: the encoder learns from the critic alone. ``noise`` is (N, B, A).
+    Features are taken as data: the encoder learns from the critic alone. ``noise`` is (N, B, A).
     """
-    state = _tile(batch.state, len(noise))
-    action, log_prob = squash(*agent.actor(features.rows.detach(), state), noise)
+    state = _tile(batch.state, len(rows))
+    mean, log_std = agent.actor(rows.detach(), state)
+    action, log_prob = squash(mean, log_std, noise)
     # One projection of M serves the N actions that are judged on it.
-    hidden = agent.critic.trunk(features.reads.detach()).expand(len(noise), -1, -1)
+    hidden = agent.critic.trunk(reads.detach()).expand(len(rows), -1, -1)
     q = torch.minimum(*agent.critic.heads(hidden, state, action))
     temperature = agent.log_temperature.detach().exp()
     return (temperature * log_prob - q).mean(1), log_prob

@@ -1,10 +1,9 @@
 """Meta-World's scripted experts, asked every decision, and made to stay where they succeeded.
 
-The scripts know the object's true position. Several go on after the goal is reached and spoil it by
-the last step, so the expert holds still while the task's own condition is true: no motion, and the
-script's gripper effort. Because that depends on the present state alone, it can also label the states
-of a student, which is what the light recipe asks of it.
-"""
+The scripts know the object's true position. Several go on after the goal is reached and spoil it
+by the last step, so the expert holds still while the task's own condition is true: no motion, and
+the script's gripper effort. Because that depends on the present state alone, it can also label the
+states of a student, which is what the light recipe asks of it."""
 
 from __future__ import annotations
 

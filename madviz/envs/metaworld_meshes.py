@@ -1,12 +1,11 @@
 """A lighter robot for the ``fast`` render profile: what is uploaded to OpenGL, not what collides.
 
-A software renderer spends its time on vertices: the Sawyer's eleven meshes hold 67,000 triangles, and
-a view of 8 pixels costs as much as one of 84. Quadric decimation to 1,000 triangles a mesh (12,000 in
-all) halves the time of a view, and at 84 pixels the mean change of a pixel is 1 of 255.
+A software renderer spends its time on vertices: the Sawyer's eleven meshes hold 67,000 triangles,
+and a view of 8 pixels costs as much as one of 84. Quadric decimation to 1,000 triangles a mesh
+(12,000 in all) halves the time of a view, and at 84 pixels the mean change of a pixel is 1 of 255.
 
-MuJoCo copies meshes to OpenGL when a context is made. So the decimated ones stand in the model's own
-arrays only during that moment; physics never sees them.
-"""
+MuJoCo copies meshes to OpenGL when a context is made. So the decimated ones stand in the model's
+own arrays only during that moment; physics never sees them."""
 
 from __future__ import annotations
 
@@ -30,7 +29,9 @@ _CHANGED = (
 
 @contextmanager
 def lighter_meshes(model: mujoco.MjModel) -> Iterator[None]:
-    """Inside, heavy meshes without a texture are decimated; afterwards all is as before, to the bit."""
+    """Inside, heavy meshes without a texture are decimated; afterwards all is as before, to the
+    bit.
+    """
     before = {name: getattr(model, name).copy() for name in _CHANGED}
     try:
         for mesh in range(model.nmesh):
@@ -48,9 +49,8 @@ def _decimate(model: mujoco.MjModel, mesh: int) -> None:
     vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
     vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]]
     faces = model.mesh_face[face : face + model.mesh_facenum[mesh]]
-    small, triangles = fast_simplification.simplify(
-        vertices.copy(), faces.copy(), target_reduction=1 - TRIANGLES / len(faces)
-    )
+    share = 1 - TRIANGLES / len(faces)
+    small, triangles, *_ = fast_simplification.simplify(vertices.copy(), faces.copy(), share)
     normals, normal = _vertex_normals(small, triangles), model.mesh_normaladr[mesh]
     if len(small) > min(model.mesh_vertnum[mesh], model.mesh_normalnum[mesh]):
         return  # It would not fit; the mesh stays as it is.

@@ -6,7 +6,8 @@ need not exist in the model), and colour and depth are read from the same frame 
 
 The ``fast`` profile draws without shadows, reflections and multisampling, and a lighter robot. On
 two CPU cores three 84-pixel views then take 8 ms where MuJoCo's stock flags take 170; resolution
-hardly matters, flags and triangles do. The depth buffer is reversed (1 near, 0 far), where 1/metres is linear:
+hardly matters, flags and triangles do. The depth buffer is reversed (1 near, 0 far), where
+1/metres is linear:
 
     1 / z = 1 / far + r (1 / near - 1 / far);  near 0.02 m, far 100 m, r = 0.02  ->  z = 0.99 m
 """
@@ -35,7 +36,7 @@ class SceneCameras:
         model.vis.global_.offwidth = model.vis.global_.offheight = MAX_SIZE
         if render_profile == "fast":
             model.vis.quality.offsamples = 0
-        self._gl = _gl_context()
+        self._gl: mujoco.GLContext | None = _gl_context()
         self._gl.make_current()
         with lighter_meshes(model) if render_profile == "fast" else nullcontext():
             self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
@@ -57,6 +58,8 @@ class SceneCameras:
         (right, up, back) as columns; ``fovy`` in degrees; square of ``size`` pixels."""
         if not 1 <= size <= MAX_SIZE:
             raise UserError(f"a view must have 1 to {MAX_SIZE} pixels a side, found {size}")
+        if self._gl is None:
+            raise RuntimeError("these cameras are closed")
         self._gl.make_current()
         if self._stale:
             categories = mujoco.mjtCatBit.mjCAT_ALL.value
@@ -102,6 +105,6 @@ def _gl_context() -> mujoco.GLContext:
         return mujoco.GLContext(MAX_SIZE, MAX_SIZE)
     except Exception as error:  # Every GL back end raises its own type.
         raise UserError(
-            f"expected an OpenGL back end (MUJOCO_GL=egl or osmesa), found none that works ({error}); "
+            f"expected an OpenGL back end (MUJOCO_GL=egl or osmesa), found none ({error}); "
             "`madviz doctor` names the missing library and the line that installs it"
         ) from error

@@ -1,0 +1,186 @@
+"""One full update of MAD, and the learner that keeps what it needs between updates.
+
+    shift -> encode o' -> target                        nothing here has a gradient
+    shift -> encode o -> critic losses -> critic and encoder step
+                     '-> features, detached -> actor losses -> actor step -> temperature step
+    target critic <- 0.99 target critic + 0.01 critic
+
+The encoder learns from the critic's losses alone. The actor acts on features from before the critic
+and encoder step and is judged by the critic from after it.
+
+Speed on a CPU comes from the encoder's memory layout (``networks.py``), from bfloat16 where the
+processor multiplies it natively, from one pass of the heads over all N x B rows, and from asking
+autograd only for the gradients that a step uses: ``backward(inputs=...)``. Weights, optimisers and
+the target critic's average stay in float32.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
+
+from madviz.agent.agent import Agent, fast_bfloat16, optimisers
+from madviz.agent.augment import PAD, shift
+from madviz.agent.merge import MERGES
+from madviz.agent.methods import Method
+from madviz.agent.objectives import (
+    Batch,
+    actor_losses,
+    critic_losses,
+    td_target,
+    temperature_losses,
+    weighted,
+)
+from madviz.types import Array
+
+Precision = Literal["auto", "float32", "bfloat16"]
+
+
+@dataclass(frozen=True)
+class LearningConfig:
+    """How an agent learns from a batch; the defaults are the paper's."""
+
+    alpha: float = 0.8
+    """Weight of the merged term; 1 - alpha is shared by the singular terms."""
+    learning_rate: float = 5e-4
+    """Of four separate Adams: encoder, actor, critic, temperature."""
+    target_rate: float = 0.01
+    """Share of the critic in its target's moving average, per update."""
+    same_shift_for_views: bool = True
+    """The paper shifts all views of a sample alike; its code draws a shift per view."""
+    precision: Precision = "auto"
+    """Of matrix products: bfloat16 where the CPU has instructions for it, else float32."""
+
+
+@dataclass(frozen=True)
+class Draw:
+    """All the randomness of one update."""
+
+    shifts: Array
+    """(2, B, V, 2) pixels by which observations, then next observations, are moved."""
+    target_noise: Tensor
+    """(R, B, A) standard normal, for a'."""
+    actor_noise: Tensor
+    """(N, B, A) standard normal, for the rows' actions."""
+
+
+class Learner:
+    """An agent in training: its method, optimisers and generators."""
+
+    def __init__(
+        self,
+        agent: Agent,
+        method: Method,
+        streams: tuple[str, ...],
+        config: LearningConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.agent = agent.train()
+        self.config = config or LearningConfig()
+        self.optimisers = optimisers(agent, self.config.learning_rate)
+        self.weights = method.weights(self.config.alpha)
+        self._device = next(agent.parameters()).device
+        self._masks = torch.from_numpy(method.masks(streams)).to(self._device)
+        self._reads = 1 if method.targets == "merged" else len(self._masks)
+        self._rng = np.random.default_rng(seed)
+        self._noise = torch.Generator().manual_seed(seed)
+        self._low = self.config.precision == "bfloat16" or (
+            self.config.precision == "auto" and fast_bfloat16()
+        )
+        self._average = get_ema_multi_avg_fn(1 - self.config.target_rate)
+
+    def draw(self, batch: int) -> Draw:
+        """The next update's randomness, for ``batch`` samples."""
+        (rows, count), actions = self._masks.shape, self.agent.config.action_dim
+        views = 1 if self.config.same_shift_for_views else count
+        shifts = self._rng.integers(-PAD, PAD + 1, (2, batch, views, 2))
+        return Draw(
+            np.broadcast_to(shifts, (2, batch, count, 2)),
+            torch.randn(self._reads, batch, actions, generator=self._noise),
+            torch.randn(rows, batch, actions, generator=self._noise),
+        )
+
+    def update(self, batch: Batch, draw: Draw | None = None) -> dict[str, float]:
+        """One step of all four optimisers and of the target; returns named losses."""
+        draw = draw or self.draw(len(batch.action))
+        batch = self._shifted(batch, draw)
+        target = self._target(batch, draw)
+        with self._autocast():
+            rows = self._merge(batch.views, len(self._masks))
+            critic = weighted(critic_losses(self.agent, rows, batch, target), self.weights)
+        self._step(critic, "critic", "encoder")
+        with self._autocast():
+            noise, reads = draw.actor_noise.to(self._device), rows[: self._reads]
+            losses, log_prob = actor_losses(self.agent, rows, batch, noise, reads)
+            actor = weighted(losses, self.weights)
+        self._step(actor, "actor")
+        temperature = weighted(temperature_losses(self.agent, log_prob), self.weights)
+        self._step(temperature, "temperature")
+        with torch.no_grad():
+            self._average(
+                list(self.agent.target.parameters()), list(self.agent.critic.parameters()), 0
+            )
+        return {
+            "critic_loss": critic.item(),
+            "actor_loss": actor.item(),
+            "temperature": self.agent.log_temperature.exp().item(),
+            "entropy": -log_prob[0].mean().item(),
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything a resumed run needs to go on as if it had never stopped."""
+        return {
+            "agent": self.agent.state_dict(),
+            "optimisers": {name: o.state_dict() for name, o in self.optimisers.items()},
+            "rng": self._rng.bit_generator.state,
+            "noise": self._noise.get_state(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.agent.load_state_dict(state["agent"])
+        for name, optimiser in self.optimisers.items():
+            optimiser.load_state_dict(state["optimisers"][name])
+        self._rng.bit_generator.state = state["rng"]
+        self._noise.set_state(state["noise"])
+
+    def _shifted(self, batch: Batch, draw: Draw) -> Batch:
+        moved = {
+            name: shift(getattr(batch, name), shifts).to(self._device)
+            for name, shifts in zip(("views", "next_views"), draw.shifts, strict=True)
+        }
+        numbers = {
+            name: getattr(batch, name).to(self._device)
+            for name in ("state", "action", "reward", "discount", "next_state")
+        }
+        return replace(batch, **moved, **numbers)
+
+    def _autocast(self) -> torch.autocast:
+        # A context keeps its bfloat16 copies of the weights, so none may outlive an optimiser's
+        # step, and none made without gradients may be met by a pass that needs them.
+        return torch.autocast(self._device.type, torch.bfloat16, enabled=self._low)
+
+    def _merge(self, views: Tensor, count: int) -> Tensor:
+        """(B, V, C, H, W) -> (count, B, Z): the first ``count`` rows of the method."""
+        return MERGES["sum"](self.agent.encode(views), self._masks[:count])
+
+    @torch.no_grad()
+    def _target(self, batch: Batch, draw: Draw) -> Tensor:
+        with self._autocast():
+            reads = self._merge(batch.next_views, self._reads)
+            return td_target(self.agent, reads, batch, draw.target_noise.to(self._device))
+
+    def _step(self, loss: Tensor, *names: str) -> None:
+        """Gradients of the named networks alone, and their optimisers' steps."""
+        chosen = [self.optimisers[name] for name in names]
+        parameters: list[nn.Parameter] = []
+        for optimiser in chosen:
+            optimiser.zero_grad()
+            parameters += [p for group in optimiser.param_groups for p in group["params"]]
+        loss.backward(inputs=parameters)
+        for optimiser in chosen:
+            optimiser.step()
