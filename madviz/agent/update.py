@@ -100,7 +100,7 @@ class Learner:
         views = 1 if self.config.same_shift_for_views else count
         shifts = self._rng.integers(-PAD, PAD + 1, (2, batch, views, 2))
         return Draw(
-            np.broadcast_to(shifts, (2, batch, count, 2)),
+            np.repeat(shifts, count // views, axis=2),
             torch.randn(self._reads, batch, actions, generator=self._noise),
             torch.randn(rows, batch, actions, generator=self._noise),
         )
