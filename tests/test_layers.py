@@ -22,7 +22,7 @@ LAYERS = (
     "types subsets files statistics",
     "envs agent ablations streams",
     "buffer manifest checkpoint store rollout evaluate live probes demonstrations run card",
-    "light paper train",
+    "light paper train naive",
     "frame simulation session",
     "app bench doctor",
     "cli main",
