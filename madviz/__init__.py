@@ -4,6 +4,7 @@
 
     env = madviz.make_env("metaworld/hammer")
     policy = madviz.load_policy("metaworld-hammer-mad-light")
+    rates = madviz.evaluate("metaworld-hammer-mad-light", episodes=20).rows
     madviz.explore(madviz.ExploreConfig(policy="metaworld-hammer-mad-light"))
 
 Importing this loads neither torch nor viser; the names below load what they need when used.
@@ -17,17 +18,25 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from madviz.app.server import ExploreConfig as ExploreConfig
     from madviz.app.server import explore as explore
+    from madviz.checkpoint import list_policies as list_policies
     from madviz.checkpoint import load_policy as load_policy
+    from madviz.checkpoint import save_policy as save_policy
     from madviz.envs.base import make_env as make_env
+    from madviz.evaluate import evaluate as evaluate
+    from madviz.rollout import run_episode as run_episode
     from madviz.types import UserError as UserError
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "ExploreConfig": "madviz.app.server",
+    "evaluate": "madviz.evaluate",
     "explore": "madviz.app.server",
+    "list_policies": "madviz.checkpoint",
     "load_policy": "madviz.checkpoint",
     "make_env": "madviz.envs.base",
+    "run_episode": "madviz.rollout",
+    "save_policy": "madviz.checkpoint",
     "UserError": "madviz.types",
 }
 

@@ -116,9 +116,9 @@ def describe(policy: str | Path) -> PolicyFolder:
     return PolicyFolder(path, config, policy_spec(config, weights))
 
 
-def is_factory(policy: str | Path) -> bool:
-    """Whether ``policy`` is written ``module:factory``: somebody's own, made by calling it."""
-    return ":" in str(policy) and not Path(policy).exists()
+def is_folder(policy: str | Path) -> bool:
+    """Whether ``policy`` is a path or a name, and not ``module:factory`` or nothing at all."""
+    return bool(str(policy)) and (":" not in str(policy) or Path(policy).exists())
 
 
 def load_policy(policy: str | Path) -> Policy:
@@ -126,14 +126,15 @@ def load_policy(policy: str | Path) -> Policy:
 
     Raises UserError for anything but a complete, finite policy of a known format.
     """
-    if is_factory(policy):
+    if not is_folder(policy):
         return _from_factory(str(policy))
-    from madviz.agent.agent import TorchPolicy
-    from madviz.agent.merge import MERGES
-
     path = find_policy(policy)
     config = check_config(read_json(path / CONFIG), path / CONFIG)
     weights = _existing(path / WEIGHTS).read_bytes()
+
+    from madviz.agent.agent import TorchPolicy
+    from madviz.agent.merge import MERGES
+
     if config["merge"] not in MERGES:
         raise UserError(
             f"{path / CONFIG}: unknown merge {config['merge']!r}; known: {list(MERGES)}"

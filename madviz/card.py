@@ -1,0 +1,134 @@
+"""card.md of a policy folder: generated from config.json and evaluation.json, never typed by hand.
+
+A card is shown beside the weights by every code host, so it says first what a reader needs: what
+the policy does, from which cameras it was trained to do it, and how often it succeeds, with
+interval, episode count, definition and seeds. A test can hold a committed card against
+``card_text``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from madviz import checkpoint
+from madviz.files import read_json, write_bytes
+from madviz.types import UserError
+
+CARD = "card.md"
+
+
+def write_card(folder: str | Path) -> Path:
+    """Writes card.md; returns its path. Raises UserError for an evaluation of other weights."""
+    path = Path(folder) / CARD
+    write_bytes(path, card_text(folder).encode())
+    return path
+
+
+def card_text(folder: str | Path) -> str:
+    """What card.md of ``folder`` has to be."""
+    found = checkpoint.describe(folder)
+    file = found.path / checkpoint.EVALUATION
+    evaluation = read_json(file) if file.is_file() else None
+    if evaluation is not None and evaluation.get("digest") != found.spec.digest:
+        raise UserError(
+            f"{file}: expected an evaluation of these weights, found one of others; "
+            f"run `madviz eval --policy {found.path} --card`"
+        )
+    sections = [
+        _head(found.config),
+        _success(evaluation, found.spec.name),
+        _inputs(found.config),
+        _training(found.config["training"]),
+        f"Digest of weights and config: `{found.spec.digest}`.",
+        "Generated from `config.json` and `evaluation.json` by `madviz eval --card`; not edited.",
+    ]
+    return "\n\n".join(sections) + "\n"
+
+
+def _head(config: dict[str, Any]) -> str:
+    return (
+        f"# {config['name']}\n\n"
+        f"Task `{config['task']}`, method `{config['method']}`, setting `{config['setting']}`, "
+        f"recipe `{config['recipe']}`.\n\n"
+        f"    madviz explore --policy {config['name']}"
+    )
+
+
+def _success(evaluation: dict[str, Any] | None, name: str) -> str:
+    if evaluation is None:
+        return f"## Success\n\nNot measured yet: `madviz eval --policy {name} --card`."
+    lines = [
+        "## Success",
+        "",
+        "| present | success | 95% interval | any step | episodes | |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines += [success_row(subset, row) for subset, row in evaluation["subsets"].items()]
+    last = max(episode["seed"] for episode in evaluation["episodes"])
+    return "\n".join(
+        [
+            *lines,
+            "",
+            f"A success, {evaluation['definition']}. Seeds {evaluation['seed']} to {last}, the "
+            f"same for every row; render profile `{evaluation['render_profile']}`. Intervals are "
+            "Wilson's. Off-training rows show what happens, not what was promised.",
+        ]
+    )
+
+
+def success_row(subset: str, row: dict[str, Any]) -> str:
+    """One line of the table."""
+    low, high = row["ci95"]
+    trained = "" if row["trained"] else "off-training"
+    cells = (subset, f"{row['success']:.2f}", f"{low:.2f} – {high:.2f}")
+    return "| " + " | ".join([*cells, f"{row['success_any']:.2f}", str(row["n"]), trained]) + " |"
+
+
+def _inputs(config: dict[str, Any]) -> str:
+    networks = config["networks"]
+    lines = [
+        "## What it sees",
+        "",
+        f"Streams: {', '.join(config['streams'])}. Trained to work from: "
+        f"{', '.join(config['trained_subsets'])}.",
+        "",
+        f"{config['image_size']} × {config['image_size']} pixels, {networks['frame_stack']} frames "
+        f"stacked; {networks['state_dim']} proprioceptive numbers in, {networks['action_dim']} "
+        f"action numbers out. {config['horizon']} decisions of {config['action_repeat']} simulator "
+        f"steps make an episode. Render profile `{config['render_profile']}`.",
+        "",
+        "| camera | position, m | orientation wxyz (OpenGL) | field of view | rides on |",
+        "|---|---|---|---|---|",
+    ]
+    for camera in config["cameras"]:
+        position = ", ".join(f"{value:g}" for value in camera["position"])
+        wxyz = ", ".join(f"{value:.4g}" for value in camera["wxyz"])
+        ride = camera["body"] or "nothing"
+        lines.append(f"| {camera['name']} | {position} | {wxyz} | {camera['fovy']:g}° | {ride} |")
+    return "\n".join(lines)
+
+
+def _training(training: dict[str, Any]) -> str:
+    """Whatever the recipe wrote down; the command first, alone on its line, to be copied."""
+    lines = ["## How it was trained", ""]
+    if "command" in training:
+        lines += [f"    {training['command']}", ""]
+    for name, value in training.items():
+        if name != "command":
+            lines.append(f"- {_title(name)}: {_plain(value)}")
+    return "\n".join(lines)
+
+
+def _title(name: str) -> str:
+    """``wall_time_s`` -> ``wall time (s)``."""
+    words = name.split("_")
+    return " ".join(words[:-1]) + " (s)" if words[-1] == "s" else " ".join(words)
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{_title(key)} {_plain(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return ", ".join(map(_plain, value))
+    return f"{value:,.4g}" if isinstance(value, float) else str(value)

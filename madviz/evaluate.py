@@ -1,0 +1,309 @@
+"""Success rates: seeded episodes for every camera subset, counted at the last step.
+
+    evaluation = madviz.evaluate("metaworld-hammer-mad-light", episodes=100, seed=5000)
+    evaluation.rows["first"]      {"success": 0.91, "n": 100, "ci95": [0.84, 0.95], ...}
+
+All subsets see the same seeds, so any two of them, and any two policies, can be compared episode by
+episode (statistics.py). It computes and never repeats what a file claims; only a ``store`` that is
+handed in answers for episodes it has seen. With workers or without, the results are the same bits.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import types
+from collections.abc import Iterable, Iterator
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from madviz import checkpoint
+from madviz.ablations import Occlusion
+from madviz.card import write_card
+from madviz.files import write_json
+from madviz.live import Evaluator, Tally
+from madviz.rollout import (
+    FIRST_SEED,
+    GIVE_UP,
+    Finished,
+    Job,
+    Runner,
+    Workers,
+    claimed_definition,
+    occlusion_key,
+    relevant,
+    run_episode,
+    unsupported,
+)
+from madviz.statistics import wilson
+from madviz.store import EpisodeResult, Store
+from madviz.subsets import mask_of, name_of, single_streams
+from madviz.types import Array, Policy, PolicySpec, UserError
+
+__all__ = [
+    "EpisodeResult",
+    "EvalConfig",
+    "Evaluation",
+    "Evaluator",
+    "Tally",
+    "default_subsets",
+    "evaluate",
+    "run_episode",
+    "run_eval",
+    "trained_names",
+    "wilson",
+]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The episodes of one policy under one set of occlusions."""
+
+    spec: PolicySpec
+    definition: str
+    seed: int
+    occlusions: str
+    """As in the store's key; '' where no camera is occluded."""
+    episodes: tuple[EpisodeResult, ...]
+
+    @property
+    def rows(self) -> dict[str, dict[str, Any]]:
+        """Per subset: rates at the last and at any step, count, Wilson interval, trained or not."""
+        table = {}
+        for subset in dict.fromkeys(e.subset for e in self.episodes):
+            mine = [e for e in self.episodes if e.subset == subset]
+            successes = sum(e.success for e in mine)
+            table[subset] = {
+                "success": successes / len(mine),
+                "success_any": sum(e.success_any for e in mine) / len(mine),
+                "n": len(mine),
+                "ci95": list(wilson(successes, len(mine))),
+                "trained": subset in trained_names(self.spec),
+            }
+        return table
+
+    def outcomes(self, subset: str) -> dict[int, bool]:
+        """Success by seed, for ``statistics.pair``."""
+        return {e.seed: e.success for e in self.episodes if e.subset == subset}
+
+    def to_json(self) -> dict[str, Any]:
+        """The document ``madviz eval --json`` writes."""
+        return {
+            "schema": 1,
+            **{"policy": self.spec.name, "digest": self.spec.digest, "task": self.spec.task},
+            "definition": self.definition,
+            **{"render_profile": self.spec.render_profile, "occlusions": self.occlusions},
+            "seed": self.seed,
+            "subsets": self.rows,
+            "episodes": [
+                {
+                    **{"subset": e.subset, "seed": e.seed},
+                    **{"success": e.success, "success_any": e.success_any},
+                    "return": e.total_reward,
+                }
+                for e in self.episodes
+            ],
+        }
+
+
+def trained_names(spec: PolicySpec) -> tuple[str, ...]:
+    """The trained subsets in their canonical spelling."""
+    return tuple(name_of(mask_of(s, spec.streams), spec.streams) for s in spec.trained_subsets)
+
+
+def default_subsets(spec: PolicySpec) -> tuple[str, ...]:
+    """What says most about a policy: everything on, what it was trained on, every stream alone,
+    and the floor (no camera at all, state only)."""
+    return tuple(
+        dict.fromkeys(["all", *trained_names(spec), *single_streams(spec.streams), "none"])
+    )
+
+
+def evaluate(
+    policy: str | Path | Policy,
+    subsets: Iterable[str] | None = None,
+    *,
+    episodes: int = 50,
+    seed: int = FIRST_SEED,
+    workers: int | None = None,
+    occlusions: dict[str, Occlusion] | None = None,
+    store: Store | None = None,
+    progress: bool = False,
+) -> Evaluation:
+    """Runs the seeds ``seed`` to ``seed + episodes - 1`` on every one of ``subsets``.
+
+    ``policy`` is a path, a name, ``module:factory``, or a policy itself, which then runs in this
+    process. ``workers`` is the number of processes, by default one per core; 0 is none but this.
+    ``store`` answers for episodes it has seen, of policy folders only, and keeps the new ones.
+    Raises UserError for names that are unknown and subsets the policy cannot act on.
+    """
+    if episodes < 1 or seed < 0:
+        raise UserError(f"expected episodes >= 1 and seed >= 0, found {episodes} and {seed}")
+    here, occluded = Runner(), occlusions or {}
+    if isinstance(policy, str | Path):
+        reference, loaded = str(policy), checkpoint.load_policy(policy)
+    else:
+        reference, loaded, workers = "", policy, 0
+    if not checkpoint.is_folder(reference):
+        store = None  # Nobody can tell whether somebody's own code is still the same.
+    here.adopt(reference, loaded)
+    spec = loaded.spec
+    jobs = [
+        Job(reference, spec.digest, subset, relevant(occluded, mask, spec.streams), number)
+        for subset, mask in _masks(loaded, subsets).items()
+        for number in range(seed, seed + episodes)
+    ]
+    done = _remembered(store, spec, jobs)
+    missing = [job for job in jobs if job not in done]
+    for job, finished in _progress(_run(missing, workers, here), len(missing), progress):
+        done[job] = finished
+        if store is not None:
+            store.put(job.key(spec, finished[1]), finished[0])
+    definition = next(iter(done.values()))[1]
+    results = tuple(done[job][0] for job in jobs)
+    return Evaluation(spec, definition, seed, occlusion_key(occluded), results)
+
+
+def _masks(policy: Policy, subsets: Iterable[str] | None) -> dict[str, Array]:
+    """Subset names in canonical spelling, each once. Those asked for must be supported; of the
+    default ones only the supported are taken."""
+    streams = policy.spec.streams
+    masks = [mask_of(name, streams) for name in subsets or default_subsets(policy.spec)]
+    if not subsets:
+        masks = [mask for mask in masks if policy.supports(mask)]
+    for mask in masks:
+        if not policy.supports(mask):
+            raise unsupported(policy.spec, mask)
+    return {name_of(mask, streams): mask for mask in masks}
+
+
+def _remembered(store: Store | None, spec: PolicySpec, jobs: list[Job]) -> dict[Job, Finished]:
+    """What the store knows of ``jobs``."""
+    if store is None:
+        return {}
+    definition = claimed_definition(jobs[0].policy)
+    kept = {key: store.results(key) for key in {job.key(spec, definition) for job in jobs}}
+    known = ((job, kept[job.key(spec, definition)].get(job.seed)) for job in jobs)
+    return {job: (result, definition) for job, result in known if result is not None}
+
+
+def _run(jobs: list[Job], workers: int | None, here: Runner) -> Iterator[tuple[Job, Finished]]:
+    count = (os.cpu_count() or 1) if workers is None else workers
+    try:
+        if count == 0:
+            yield from ((job, here.run(job)) for job in jobs)
+        elif jobs:
+            yield from run_jobs(jobs, Workers(min(count, len(jobs)), niceness=5))
+    finally:
+        here.close()
+
+
+def run_jobs(jobs: list[Job], workers: Workers) -> Iterator[tuple[Job, Finished]]:
+    """Every job with its result, as they finish, in no order; closes ``workers`` at the end.
+
+    A worker that is killed takes its pool with it: what had not finished is submitted again to a
+    new one. Raises UserError if pools keep breaking, and whatever a job raises.
+    """
+    left, breaks = dict.fromkeys(jobs), 0
+    try:
+        while left:
+            before = len(left)
+            futures = {workers.submit(job): job for job in left}
+            for future in as_completed(futures):
+                if not isinstance(future.exception(), BrokenProcessPool):
+                    job = futures[future]
+                    del left[job]
+                    yield job, future.result()
+            breaks = breaks + 1 if len(left) == before else 0
+            if breaks == GIVE_UP:
+                raise workers.gave_up()
+            workers.renew(workers.generation)
+    finally:
+        workers.close()
+
+
+def _progress(
+    finished: Iterator[tuple[Job, Finished]], total: int, show: bool
+) -> Iterable[tuple[Job, Finished]]:
+    """A bar on standard error, only where somebody watches."""
+    return tqdm(finished, total=total, unit="episode", disable=None if show else True)
+
+
+# --- The command ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class EvalConfig:
+    """Counts a policy's successes under camera subsets, on seeded episodes."""
+
+    policy: str
+    """A name from ``madviz list``, a folder, or module:factory."""
+    subsets: tuple[str, ...] = ()
+    """For example ``all first first+third_b none``; by default all, the trained ones, every
+    stream alone, and none."""
+    episodes: int = 50
+    """Episodes for each subset."""
+    seed: int = FIRST_SEED
+    """The first episode's seed; the others count up, the same for every subset."""
+    workers: int | None = None
+    """Processes; by default one per core. 0 runs everything in this one."""
+    occlude: tuple[str, ...] = ()
+    """Cameras that fail, for example ``first=black third_a=noise,strength=0.5``."""
+    json: str | None = None
+    """Where to write the result; - is standard output."""
+    card: bool = False
+    """Also write evaluation.json and card.md into the policy's folder."""
+
+
+def run_eval(config: EvalConfig) -> dict[str, Any]:
+    """``madviz eval``: always computes; progress goes to standard error."""
+    if config.card and (config.occlude or not checkpoint.is_folder(config.policy)):
+        raise UserError(
+            "a card is about a policy folder's intact cameras: drop --occlude or --card"
+        )
+    evaluation = evaluate(
+        config.policy,
+        config.subsets or None,
+        episodes=config.episodes,
+        seed=config.seed,
+        workers=config.workers,
+        occlusions=parse_occlusions(config.occlude),
+        progress=True,
+    )
+    if config.card:
+        folder = checkpoint.find_policy(config.policy)
+        write_json(folder / checkpoint.EVALUATION, evaluation.to_json())
+        write_card(folder)
+    return evaluation.to_json()
+
+
+def parse_occlusions(texts: Iterable[str]) -> dict[str, Occlusion]:
+    """``first=noise,strength=0.5,size=0.3`` -> occlusions by camera. Raises UserError."""
+    found = {}
+    for text in texts:
+        camera, equals, words = text.partition("=")
+        kind, *details = words.split(",")
+        try:
+            values = {name: float(value) for name, _, value in (d.partition("=") for d in details)}
+            found[camera] = Occlusion(kind, **values)  # type: ignore[arg-type]
+        except (TypeError, ValueError) as error:
+            raise UserError(
+                f"expected an occlusion like first=noise,strength=0.5, found {text!r}: {error}"
+            ) from error
+    return found
+
+
+class _CallableModule(types.ModuleType):
+    """``madviz.evaluate`` is this module as soon as anybody imports it, and a function before; so
+    that it can be called either way, the module can."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Evaluation:
+        return evaluate(*args, **kwargs)
+
+
+sys.modules[__name__].__class__ = _CallableModule

@@ -1,0 +1,282 @@
+"""One episode, and processes that run many.
+
+An episode is a pure function of policy, subset, occlusions and seed, to the bit: whatever ran
+before it, in whichever process, beside however many others. Two things would break that. PyTorch
+splits sums differently over different numbers of threads, so an episode always computes on one. And
+OpenGL and PyTorch do not survive a fork, so workers are spawned and load what they need themselves.
+
+A process dies now and then (out of memory, an impatient user). The standard library then gives up
+the whole pool; ``Workers`` starts another one, and whoever submitted submits again what had not
+finished. An episode lasts seconds, so that is all that is lost.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from multiprocessing.connection import wait
+from typing import Any
+
+from madviz import checkpoint
+from madviz.ablations import Ablation, CameraState, Occlusion
+from madviz.envs.base import make_env
+from madviz.manifest import check_environment, definition_of
+from madviz.store import EpisodeResult, ResultKey
+from madviz.streams import StreamStack
+from madviz.subsets import camera_of, cameras_of, mask_of, name_of
+from madviz.types import Array, Environment, Policy, PolicySpec, UserError
+
+Occlusions = tuple[tuple[str, Occlusion], ...]
+Finished = tuple[EpisodeResult, str]
+"""An episode's result and the definition of success it was judged by."""
+
+FIRST_SEED = 5000
+"""Where the seeds of reported numbers begin; training stays below 1000, selection below 2000."""
+GIVE_UP = 3
+"""Pools that may break in a row, without a single episode finished, before it is an error."""
+
+
+class Stopped(Exception):
+    """The episode was abandoned because its evaluation is being closed."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One episode to run, in words that travel to another process."""
+
+    policy: str
+    digest: str
+    """Of the policy's files when the job was made; a process with another version reloads."""
+    subset: str
+    occlusions: Occlusions
+    seed: int
+
+    def key(self, spec: PolicySpec, definition: str) -> ResultKey:
+        """Where the result is kept, given what the policy says of itself."""
+        return ResultKey(
+            *(spec.digest, spec.task, definition, spec.render_profile),
+            *(occlusion_key(dict(self.occlusions)), self.subset),
+        )
+
+
+def occlusion_key(occlusions: dict[str, Occlusion]) -> str:
+    """A name for occlusions by camera; '' where there are none."""
+    return Ablation({c: CameraState(occlusion=o) for c, o in occlusions.items()}).key()
+
+
+def claimed_definition(policy: str) -> str:
+    """The definition of success in a policy folder's config: where to look for kept results."""
+    return checkpoint.describe(policy).config["definition"]
+
+
+def relevant(occlusions: dict[str, Occlusion], mask: Array, streams: tuple[str, ...]) -> Occlusions:
+    """The occlusions that a policy on the subset ``mask`` can notice, in a fixed order.
+
+    Raises UserError for cameras that none of ``streams`` has.
+    """
+    for camera in occlusions:
+        if camera not in cameras_of(streams):
+            raise UserError(
+                f"unknown camera {camera!r} to occlude; known: {', '.join(cameras_of(streams))}"
+            )
+    present = cameras_of(tuple(s for s, on in zip(streams, mask, strict=True) if on))
+    return tuple((c, o) for c, o in sorted(occlusions.items()) if c in present and o.kind != "none")
+
+
+def unsupported(spec: PolicySpec, mask: Array) -> UserError:
+    return UserError(
+        f"{spec.name} cannot act on {name_of(mask, spec.streams)!r}; "
+        f"it was trained on: {', '.join(spec.trained_subsets)}"
+    )
+
+
+def run_episode(
+    policy: Policy,
+    env: Environment,
+    mask: Array,
+    ablation: Ablation,
+    seed: int,
+    stop: Callable[[], bool] = lambda: False,
+) -> EpisodeResult:
+    """Runs the episode ``seed`` on the subset ``mask`` (V,) bool; of ``ablation`` the occlusions.
+
+    Only cameras that are present are drawn; dropped streams cannot reach the sum, so they may as
+    well be black. Raises UserError if the policy cannot act on the subset, Stopped if ``stop``
+    says so between two decisions.
+    """
+    streams = policy.spec.streams
+    if not policy.supports(mask):
+        raise unsupported(policy.spec, mask)
+    cameras = dict.fromkeys(camera_of(s) for s, on in zip(streams, mask, strict=True) if on)
+    stack = StreamStack(env.spec, streams, policy.spec.frame_stack)
+    now, total, success_any, decision = env.reset(seed), 0.0, False, 0
+    while not now.last:
+        if stop():
+            raise Stopped
+        views = {camera: env.view(camera) for camera in cameras}
+        stack.push(views, ablation, seed, decision)
+        encoded = policy.encode(stack.views, now.state)
+        now = env.step(policy.read(encoded, mask[None]).action[0])
+        total += float(now.reward)
+        success_any |= bool(now.success)
+        decision += 1
+    return EpisodeResult(name_of(mask, streams), seed, bool(now.success), success_any, total)
+
+
+class Runner:
+    """Runs jobs in this process: each policy and environment is loaded once, the last is kept."""
+
+    def __init__(self, stop: Callable[[], bool] = lambda: False) -> None:
+        self._stop = stop
+        self._policy: tuple[tuple[str, str], Policy] | None = None
+        self._env: tuple[tuple[str, str], Environment] | None = None
+
+    def run(self, job: Job) -> Finished:
+        policy = self._loaded(job.policy, job.digest)
+        env = self._environment(policy, job.policy)
+        mask = mask_of(job.subset, policy.spec.streams)
+        ablation = Ablation.from_mask(mask, policy.spec.streams, dict(job.occlusions))
+        with one_thread():
+            result = run_episode(policy, env, mask, ablation, job.seed, self._stop)
+        return result, definition_of(env.spec)
+
+    def adopt(self, reference: str, policy: Policy) -> None:
+        """Makes an object that exists already answer to ``reference``."""
+        self._policy = (reference, policy.spec.digest), policy
+
+    def close(self) -> None:
+        if self._env:
+            self._env[1].close()
+        self._env = None
+
+    def _loaded(self, reference: str, digest: str) -> Policy:
+        if self._policy is None or self._policy[0] != (reference, digest):
+            policy = checkpoint.load_policy(reference)
+            if policy.spec.digest != digest:
+                raise UserError(f"{reference} was changed while it was evaluated; start again")
+            self._policy = (reference, digest), policy
+        return self._policy[1]
+
+    def _environment(self, policy: Policy, reference: str) -> Environment:
+        key = (policy.spec.task, policy.spec.render_profile)
+        if self._env is None or self._env[0] != key:
+            self.close()
+            self._env = key, make_env(*key)
+            if checkpoint.is_folder(reference):
+                check_environment(checkpoint.describe(reference).config, self._env[1].spec)
+        return self._env[1]
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """PyTorch on one thread, if anybody has imported it; see the module."""
+    torch: Any = sys.modules.get("torch")
+    if torch is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+class Workers:
+    """``count`` processes that run jobs; started at the first one, replaced when they die."""
+
+    def __init__(self, count: int, niceness: int = 0) -> None:
+        if count < 1:
+            raise UserError(f"expected one worker process or more, found {count}")
+        self.count = count
+        self._niceness = niceness
+        self._context = multiprocessing.get_context("spawn")
+        # Shared memory without a lock: a worker that is killed cannot leave it locked.
+        self._stop = self._context.RawValue("b", 0)
+        self._pool: ProcessPoolExecutor | None = None
+        self.generation = 0
+        """Counts the pools; a job knows from which one it came."""
+
+    def submit(self, job: Job) -> Future[Finished]:
+        """Starts a job as soon as a process is free. Its result may be BrokenProcessPool."""
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(
+                self.count, self._context, _start, (self._stop, self._niceness)
+            )
+        try:
+            return self._pool.submit(_work, job)
+        except BrokenProcessPool:  # It broke since it was last asked.
+            self.renew(self.generation)
+            return self.submit(job)
+
+    def renew(self, generation: int) -> None:
+        """Forgets the broken pool of ``generation``, unless that has happened already.
+
+        It is not shut down: a broken pool ends its processes by itself, and tells its futures while
+        it holds the very lock that ``shutdown`` would wait for.
+        """
+        if generation == self.generation:
+            self._pool, self.generation = None, generation + 1
+
+    def gave_up(self) -> UserError:
+        """What to say after GIVE_UP broken pools."""
+        return UserError(
+            f"expected worker processes to live, found {GIVE_UP} deaths in a row without a "
+            "finished episode; out of memory? try --workers 1, or 0 to see the error in this "
+            "process (a script needs `if __name__ == '__main__':` around what it runs)"
+        )
+
+    def close(self) -> None:
+        """Abandons what runs at its next decision, and what waits."""
+        self._stop.value = 1
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+        self._pool = None
+
+
+# --- In a worker process ----------------------------------------------------------------------
+
+
+class _Process:
+    """What a worker process holds between jobs."""
+
+    stop: Any = None
+
+    @cached_property
+    def runner(self) -> Runner:
+        return Runner(lambda: bool(self.stop.value))
+
+
+_process = _Process()
+
+
+def _start(stop: Any, niceness: int) -> None:
+    """Runs once in a new process, before anything heavy is imported. It must not fail: whatever
+    can go wrong does so inside a job, where the error finds its way back."""
+    os.environ["LP_NUM_THREADS"] = "1"  # Mesa's software renderer would take every core.
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    os.nice(niceness)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business.
+    _process.stop = stop
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+
+
+def _leave_with_parent() -> None:
+    """A pool's process waits for jobs for ever, even if the parent was killed; this one leaves."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def _work(job: Job) -> Finished:
+    return _process.runner.run(job)

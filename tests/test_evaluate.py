@@ -1,0 +1,413 @@
+"""Episodes, worker processes and the commands around them. Processes are real, the world is toy."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from madviz import checkpoint, manifest
+from madviz.ablations import Ablation, Occlusion
+from madviz.agent.agent import Agent
+from madviz.agent.networks import NetworkConfig
+from madviz.envs.base import SETTINGS
+from madviz.envs.toy import ToyReach
+from madviz.evaluate import (
+    EvalConfig,
+    default_subsets,
+    evaluate,
+    parse_occlusions,
+    run_eval,
+    run_jobs,
+)
+from madviz.rollout import Job, Runner, Workers, relevant, run_episode
+from madviz.store import MEMORY, Store
+from madviz.types import PolicySpec, UserError
+from tests.fakes import AllOrNothing, FakePolicy, NanPolicy
+
+STREAMS = SETTINGS["three"].streams
+ALL, FIRST, NONE = (np.array(mask, bool) for mask in ((1, 1, 1), (1, 0, 0), (0, 0, 0)))
+INTACT = Ablation()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A torch policy that nobody trained, in a folder."""
+    torch.manual_seed(0)
+    networks = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8)
+    config = manifest.policy_config(
+        ToyReach().spec,
+        networks,
+        name="toy",
+        method="mad",
+        setting="three",
+        recipe="light",
+        streams=STREAMS,
+        trained_subsets=("all", *STREAMS),
+        training={"command": "madviz train"},
+    )
+    return checkpoint.save_policy(tmp_path_factory.mktemp("toy"), Agent(networks), config)
+
+
+class Expert(FakePolicy):
+    """Reads the answer out of its environment; needs ``first`` to be present."""
+
+    def __init__(self, env):
+        super().__init__("expert")
+        self.env = env
+
+    def read(self, encoded, masks):
+        readout = super().read(encoded, masks)
+        return replace(readout, action=np.array([self.env.expert() * m[0] for m in masks]))
+
+
+class CountingEnv(ToyReach):
+    """Remembers which cameras were drawn."""
+
+    def __init__(self):
+        super().__init__()
+        self.drawn = []
+
+    def view(self, camera, size=None):
+        self.drawn.append(camera)
+        return super().view(camera, size)
+
+
+class Suicidal(FakePolicy):
+    """Its process does not survive it."""
+
+    def encode(self, views, state):
+        os.kill(os.getpid(), signal.SIGKILL)
+        raise AssertionError("unreachable")
+
+
+def make_nan_policy():
+    return NanPolicy()
+
+
+def jobs_for(count, subset="all"):
+    policy = "tests.fakes:FakePolicy"
+    return [Job(policy, "toy-mad0", subset, (), seed) for seed in range(5000, 5000 + count)]
+
+
+# --- One episode ---
+
+
+def test_success_is_counted_at_the_last_step_and_at_any():
+    env = ToyReach()
+    result = run_episode(Expert(env), env, ALL, INTACT, 5000)
+    assert (result.success, result.success_any, result.subset, result.seed) == (1, 1, "all", 5000)
+    assert result.total_reward > 10
+
+    class Leaves(Expert):
+        def read(self, encoded, masks):
+            action = super().read(encoded, masks).action
+            return replace(super().read(encoded, masks), action=-action if env._near() else action)
+
+    env._step = 0
+    wanders = [run_episode(Leaves(env), env, ALL, INTACT, seed) for seed in range(20)]
+    assert any(r.success_any and not r.success for r in wanders)
+
+
+def test_only_cameras_that_are_present_are_drawn():
+    for mask, expected in ((ALL, set(STREAMS)), (FIRST, {"first"}), (NONE, set())):
+        env = CountingEnv()
+        run_episode(FakePolicy(), env, mask, INTACT, 1)
+        assert set(env.drawn) == expected
+        assert len(env.drawn) == env.spec.horizon * len(expected)
+
+
+def test_what_was_not_drawn_makes_no_difference():
+    class DrawsAll(FakePolicy):
+        """Sees every camera, whatever the mask: its streams come straight from the world."""
+
+        def encode(self, views, state):
+            frames = [env.view(camera).rgb.transpose(2, 0, 1) for camera in STREAMS]
+            views = views.copy()
+            views[:, -3:] = frames
+            return super().encode(views, state)
+
+    env = ToyReach()
+    drawn = run_episode(DrawsAll(), env, FIRST, INTACT, 7)
+    assert drawn == run_episode(FakePolicy(), env, FIRST, INTACT, 7)
+
+
+def test_an_episode_does_not_depend_on_what_ran_before():
+    env, policy = ToyReach(), FakePolicy()
+    noisy = Ablation.from_mask(ALL, STREAMS, {"first": Occlusion("noise")})
+    fresh = run_episode(policy, ToyReach(), ALL, noisy, 3)
+    run_episode(policy, env, FIRST, INTACT, 4)
+    assert run_episode(policy, env, ALL, noisy, 3) == fresh
+    assert run_episode(policy, env, ALL, noisy, 4) != replace(fresh, seed=4)
+
+
+def test_an_occlusion_is_not_a_drop():
+    env, policy = ToyReach(), FakePolicy()
+    black = Ablation.from_mask(ALL, STREAMS, {"first": Occlusion("noise", strength=1)})
+    dropped = run_episode(policy, env, np.array([0, 1, 1], bool), INTACT, 3)
+    rewards = {run_episode(policy, env, ALL, a, 3).total_reward for a in (INTACT, black)}
+    assert len(rewards | {dropped.total_reward}) == 3
+
+
+def test_a_subset_the_policy_cannot_act_on_is_an_error():
+    with pytest.raises(UserError, match="picky cannot act on 'first'; it was trained on: all"):
+        run_episode(AllOrNothing("picky"), ToyReach(), FIRST, INTACT, 1)
+
+
+def test_relevant_occlusions_are_those_a_policy_can_notice():
+    black, noise = Occlusion("black"), Occlusion("noise")
+    occlusions = {"third_a": noise, "first": black, "third_b": Occlusion("none")}
+    assert relevant(occlusions, ALL, STREAMS) == (("first", black), ("third_a", noise))
+    assert relevant(occlusions, FIRST, STREAMS) == (("first", black),)
+    assert relevant(occlusions, NONE, STREAMS) == ()
+    with pytest.raises(UserError, match="unknown camera 'fourth' to occlude; known: first"):
+        relevant({"fourth": black}, ALL, STREAMS)
+
+
+# --- Evaluations ---
+
+
+def test_results_are_the_same_bits_with_any_number_of_workers(folder):
+    asked = {"subsets": ("all", "first+third_b", "none"), "episodes": 3, "seed": 7}
+    serial = evaluate(folder, **asked, workers=0)
+    assert len({e.total_reward for e in serial.episodes}) > 3
+    for workers in (1, 2):
+        assert evaluate(folder, **asked, workers=workers) == serial
+    alone = [evaluate(folder, ("none",), episodes=1, seed=s, workers=0) for s in (9, 8, 7)]
+    assert tuple(a.episodes[0] for a in alone[::-1]) == serial.episodes[6:]
+
+
+def test_every_subset_sees_the_same_seeds_in_order():
+    found = evaluate(FakePolicy(), ("first", "all"), episodes=4, seed=11)
+    assert [(e.subset, e.seed) for e in found.episodes] == [
+        (subset, seed) for subset in ("first", "all") for seed in (11, 12, 13, 14)
+    ]
+    assert list(found.outcomes("all")) == [11, 12, 13, 14]
+
+
+def test_the_document_has_the_schema(folder):
+    document = evaluate(folder, ("all", "first+third_a"), episodes=3, workers=0).to_json()
+    assert document["schema"] == 1 and document["policy"] == "toy" and document["seed"] == 5000
+    assert document["task"] == "toy/reach" and document["definition"].startswith("at the last step")
+    assert set(document["subsets"]) == {"all", "first+third_a"}
+    for name, row in document["subsets"].items():
+        assert set(row) == {"success", "success_any", "n", "ci95", "trained"}
+        assert row["n"] == 3 and row["trained"] == (name == "all")
+        assert 0 <= row["ci95"][0] <= row["success"] <= row["ci95"][1] <= 1
+    assert len(document["episodes"]) == 6
+    for episode in document["episodes"]:
+        assert set(episode) == {"subset", "seed", "success", "success_any", "return"}
+    assert json.loads(json.dumps(document)) == document
+
+
+def test_subsets_are_reported_in_one_spelling_and_once():
+    found = evaluate(FakePolicy(), ("third_b+first", "first+third_b", "rgb"), episodes=1)
+    assert list(found.rows) == ["first+third_b", "all"]
+
+
+def spec_with(streams, trained):
+    names = ("p", "toy/reach", "mad", "three", "light")
+    return PolicySpec(*names, streams=streams, trained_subsets=trained)
+
+
+def test_default_subsets_show_what_was_trained_every_single_stream_and_the_floor():
+    rgb = spec_with(STREAMS, ("all",))
+    assert default_subsets(rgb) == ("all", "first", "third_a", "third_b", "none")
+    streams = SETTINGS["three-rgbd"].streams
+    both = default_subsets(spec_with(streams, ("all", "rgb", "depth", "first", "first.rgb")))
+    assert both[:5] == ("all", "rgb", "depth", "first", "first.rgb")
+    assert set(streams) < set(both) and both[-1] == "none" and len(set(both)) == len(both)
+
+
+def test_default_subsets_leave_out_what_the_policy_cannot_do():
+    assert list(evaluate(AllOrNothing(), episodes=1).rows) == ["all"]
+    with pytest.raises(UserError, match="cannot act on 'first'"):
+        evaluate(AllOrNothing(), ("first",), episodes=1)
+
+
+def test_occlusions_are_part_of_the_result():
+    occlusions = {"first": Occlusion("black")}
+    found = evaluate(FakePolicy(), ("all", "third_a"), episodes=1, occlusions=occlusions)
+    intact = evaluate(FakePolicy(), ("all", "third_a"), episodes=1)
+    assert found.occlusions.startswith("first:black") and intact.occlusions == ""
+    changed = [a != b for a, b in zip(found.episodes, intact.episodes, strict=True)]
+    assert changed == [True, False]
+
+
+def test_the_store_answers_only_when_it_is_handed_in(folder, monkeypatch):
+    store, ran = Store(MEMORY), []
+    run = Runner.run
+    monkeypatch.setattr(Runner, "run", lambda self, job: ran.append(job.seed) or run(self, job))
+    first = evaluate(folder, ("all",), episodes=2, workers=0, store=store)
+    assert ran == [5000, 5001]
+    again = evaluate(folder, ("all",), episodes=3, workers=0, store=store)
+    assert ran == [5000, 5001, 5002] and again.episodes[:2] == first.episodes
+    evaluate(folder, ("all",), episodes=2, workers=0)
+    assert ran == [5000, 5001, 5002, 5000, 5001]
+    evaluate(
+        *(folder, ("all",)),
+        episodes=1,
+        workers=0,
+        store=store,
+        occlusions=parse_occlusions(["first=black"]),
+    )
+    assert len(ran) == 6
+
+
+def test_bring_your_own_is_never_stored():
+    store = Store(MEMORY)
+    evaluate("tests.fakes:FakePolicy", ("all",), episodes=1, workers=0, store=store)
+    assert store._db.execute("SELECT count(*) FROM episodes_1").fetchone() == (0,)
+
+
+@pytest.mark.parametrize("asked", [{"episodes": 0}, {"seed": -1}, {"workers": -1}])
+def test_impossible_numbers(folder, asked):
+    with pytest.raises(UserError, match="expected"):
+        evaluate(folder, ("all",), **{"episodes": 1, **asked})
+
+
+def test_unknown_names():
+    with pytest.raises(UserError, match="unknown camera subset 'fourth'; known: all"):
+        evaluate(FakePolicy(), ("first+fourth",), episodes=1)
+    with pytest.raises(UserError, match="unknown policy 'nope'"):
+        evaluate("nope", episodes=1)
+
+
+def test_a_policy_trained_elsewhere_is_refused(folder, tmp_path):
+    config = json.loads((folder / "config.json").read_text())
+    config["cameras"][0]["fovy"] += 1
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    (tmp_path / "weights.safetensors").write_bytes((folder / "weights.safetensors").read_bytes())
+    with pytest.raises(UserError, match="toy was trained with camera first"):
+        evaluate(tmp_path, ("all",), episodes=1, workers=0)
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_mistake_in_a_worker_reaches_the_user(workers):
+    with pytest.raises(UserError, match="expected a finite action"):
+        evaluate("tests.test_evaluate:make_nan_policy", ("first",), episodes=2, workers=workers)
+
+
+# --- Worker processes ---
+
+
+def pids(workers):
+    return list(workers._pool._processes)
+
+
+def test_a_killed_worker_is_replaced_and_nothing_finished_is_lost():
+    jobs, workers = jobs_for(40), Workers(2)
+    finished = run_jobs(jobs, workers)
+    seen = [next(finished) for _ in range(5)]
+    victims = pids(workers)
+    os.kill(victims[0], signal.SIGKILL)
+    seen += list(finished)
+    assert workers.generation >= 1
+    assert sorted(job.seed for job, _ in seen) == [job.seed for job in jobs]  # Each exactly once.
+    serial = Runner()
+    assert dict(seen) == {job: serial.run(job) for job in jobs}
+
+
+def test_a_policy_that_kills_every_worker_is_given_up():
+    with pytest.raises(UserError, match="3 deaths in a row.*--workers"):
+        evaluate("tests.test_evaluate:Suicidal", ("all",), episodes=2, workers=1)
+
+
+def test_workers_leave_when_their_parent_is_killed():
+    code = (
+        "import sys, time; from madviz.rollout import Job, Workers\n"
+        "workers = Workers(1)\n"
+        "workers.submit(Job('tests.fakes:FakePolicy', 'toy-mad0', 'all', (), 1)).result()\n"
+        "print(*workers._pool._processes, flush=True); time.sleep(600)"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    children = [int(pid) for pid in parent.stdout.readline().split()]
+    assert len(children) == 1
+    parent.kill()
+    parent.wait()
+    deadline = time.monotonic() + 20
+    while any(alive(pid) for pid in children) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(alive(pid) for pid in children)
+
+
+def alive(pid):
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_workers_use_one_thread_and_are_polite():
+    workers = Workers(1, niceness=7)
+    workers.submit(jobs_for(1)[0]).result()
+    assert workers._pool is not None
+    asked = [workers._pool.submit(question) for question in (os.cpu_count, lp_threads, niceness)]
+    assert [answer.result() for answer in asked][1:] == ["1", os.nice(0) + 7]
+    workers.close()
+
+
+def lp_threads():
+    return os.environ["LP_NUM_THREADS"]
+
+
+def niceness():
+    return os.nice(0)
+
+
+# --- The command ---
+
+
+def test_eval_command_computes_and_writes_the_card(folder, tmp_path, capsys):
+    copy = tmp_path / "toy"
+    shutil.copytree(folder, copy)
+    (copy / "evaluation.json").write_text('{"subsets": {"all": {"success": 1.0}}}')
+    config = EvalConfig(str(copy), ("all", "first"), episodes=2, seed=5, workers=0, card=True)
+    document = run_eval(config)
+    assert document == evaluate(folder, ("all", "first"), episodes=2, seed=5, workers=0).to_json()
+    assert json.loads((copy / "evaluation.json").read_text()) == document
+    assert "| first |" in (copy / "card.md").read_text()
+    assert capsys.readouterr().out == ""
+
+
+def test_a_card_is_not_written_about_occluded_cameras_or_somebodys_own_code(folder):
+    for config in (
+        EvalConfig(str(folder), occlude=("first=black",), card=True),
+        EvalConfig("tests.fakes:FakePolicy", card=True),
+    ):
+        with pytest.raises(UserError, match="drop --occlude or --card"):
+            run_eval(config)
+
+
+def test_occlusions_are_written_as_camera_kind_and_details():
+    assert parse_occlusions(["first=black", "third_a=noise,strength=0.5,size=0.1"]) == {
+        "first": Occlusion("black"),
+        "third_a": Occlusion("noise", strength=0.5, size=0.1),
+    }
+    for wrong in (
+        "first",
+        "first=fog",
+        "first=noise,strength=2",
+        "first=noise,strong",
+        "a=noise,b=1",
+    ):
+        with pytest.raises(UserError, match="expected an occlusion like"):
+            parse_occlusions([wrong])
+
+
+def test_the_public_name_is_callable_before_and_after_the_module_is_imported():
+    code = "import madviz; from madviz.{} import *; madviz.evaluate('nope')"
+    for first in ("types", "evaluate"):
+        found = subprocess.run(
+            [sys.executable, "-c", code.format(first)], capture_output=True, text=True, timeout=60
+        )
+        assert "UserError: unknown policy 'nope'" in found.stderr

@@ -1,0 +1,273 @@
+"""The live evaluator: who is served next, what is kept, and what happens when processes die.
+
+Jobs of the fake workers wait until a test says how they end, so nothing here depends on time; one
+test at the end uses real processes.
+"""
+
+import os
+import signal
+import threading
+import time
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+
+import numpy as np
+import pytest
+
+from madviz import checkpoint
+from madviz.ablations import Occlusion
+from madviz.live import Evaluator
+from madviz.rollout import Runner, Workers
+from madviz.store import MEMORY, EpisodeResult, Store
+from madviz.types import UserError
+from tests.fakes import FakePolicy
+
+POLICY = "tests.fakes:FakePolicy"
+ALL, FIRST, NONE = (np.array(mask, bool) for mask in ((1, 1, 1), (1, 0, 0), (0, 0, 0)))
+
+
+class FakeWorkers(Workers):
+    """Takes jobs and does nothing; ``finish`` and ``fail`` end the oldest one."""
+
+    def __init__(self, count: int, niceness: int = 0) -> None:
+        super().__init__(count, niceness)
+        self.waiting: list = []
+        self.closed = False
+
+    def submit(self, job):
+        self.waiting.append((job, Future()))
+        return self.waiting[-1][1]
+
+    @property
+    def jobs(self):
+        return [(job.subset, job.seed) for job, _ in self.waiting]
+
+    def finish(self, success=True):
+        job, future = self.waiting.pop(0)
+        result = EpisodeResult(job.subset, job.seed, success, True, 1.0)
+        future.set_result((result, "at the last step: near"))
+        return job
+
+    def fail(self, error):
+        self.waiting.pop(0)[1].set_exception(error)
+
+    def close(self):
+        self.closed = True
+
+
+def fake(count, store=None, listener=None, episodes=4):
+    """An evaluator and the fake workers inside it."""
+    made: list[FakeWorkers] = []
+
+    def make(count, niceness):
+        made.append(FakeWorkers(count, niceness))
+        return made[0]
+
+    return Evaluator(count, store, listener, episodes, make), made[0]
+
+
+@pytest.fixture
+def live():
+    return fake(1)
+
+
+def test_seeds_are_run_in_order_one_at_a_time_until_there_are_enough(live):
+    evaluator, workers = live
+    assert evaluator.request("ann", POLICY, ALL).n == 0
+    for seed in (5000, 5001, 5002, 5003):
+        assert workers.jobs == [("all", seed)]
+        workers.finish(success=seed > 5000)
+    assert workers.jobs == []
+    tally = evaluator.request("ann", POLICY, ALL)
+    assert (tally.n, tally.successes, tally.success, tally.success_any) == (4, 3, 0.75, 1.0)
+    assert tally.ci95 == pytest.approx((0.3006, 0.9544), abs=1e-4)
+    assert [result.seed for result in tally.results] == [5000, 5001, 5002, 5003]
+
+
+def test_asking_the_same_again_changes_nothing(live):
+    evaluator, workers = live
+    for _ in range(5):
+        evaluator.request("ann", POLICY, ALL)
+    assert workers.jobs == [("all", 5000)]
+
+
+def test_a_changed_setting_is_next_and_the_old_one_is_resumed_later(live):
+    evaluator, workers = live
+    evaluator.request("ann", POLICY, ALL)
+    evaluator.request("ann", POLICY, NONE)
+    evaluator.request("ann", POLICY, FIRST)
+    assert workers.jobs == [("all", 5000)]  # One episode of the past at most.
+    workers.finish()
+    assert workers.jobs == [("first", 5000)]
+    workers.finish()
+    evaluator.request("ann", POLICY, ALL)
+    workers.finish()
+    assert workers.jobs == [("all", 5001)]
+    assert evaluator.tally(POLICY, ALL).n == 1 and evaluator.tally(POLICY, FIRST).n == 2
+
+
+def test_visitors_take_turns_and_share_what_they_both_want(live):
+    evaluator, workers = live
+    evaluator.request("ann", POLICY, ALL)
+    evaluator.request("bob", POLICY, FIRST)
+    order = []
+    for _ in range(6):
+        order += workers.jobs
+        workers.finish()
+    assert order == [(subset, seed) for seed in (5000, 5001, 5002) for subset in ("all", "first")]
+    evaluator.request("bob", POLICY, ALL)
+    assert evaluator.request("bob", POLICY, ALL).n == 3
+    assert workers.jobs == [("all", 5003)]
+
+
+def test_several_workers_get_different_episodes():
+    evaluator, workers = fake(3, episodes=5)
+    evaluator.request("ann", POLICY, ALL)
+    evaluator.request("bob", POLICY, ALL)
+    assert workers.jobs == [("all", 5000), ("all", 5001), ("all", 5002)]
+    workers.waiting.append(workers.waiting.pop(0))  # The first one takes longest.
+    workers.finish()
+    assert [r.seed for r in evaluator.tally(POLICY, ALL).results] == [5001]
+    assert workers.jobs == [("all", 5002), ("all", 5000), ("all", 5003)]
+
+
+def test_a_visitor_who_left_is_not_served(live):
+    evaluator, workers = live
+    evaluator.request("ann", POLICY, ALL)
+    evaluator.forget("ann")
+    evaluator.forget("nobody")
+    workers.finish()
+    assert workers.jobs == [] and evaluator.tally(POLICY, ALL).n == 1
+
+
+def test_occlusions_that_cannot_be_noticed_are_the_same_setting(live):
+    evaluator, _ = live
+    black = {"third_a": Occlusion("black")}
+    assert evaluator.tally(POLICY, FIRST, black).setting == evaluator.tally(POLICY, FIRST).setting
+    assert evaluator.tally(POLICY, ALL, black).setting != evaluator.tally(POLICY, ALL).setting
+
+
+def test_the_listener_hears_every_result():
+    heard = []
+    evaluator, workers = fake(1, listener=heard.append, episodes=2)
+    evaluator.request("ann", POLICY, ALL)
+    workers.finish()
+    workers.finish()
+    assert [(tally.setting.subset, tally.n) for tally in heard] == [("all", 1), ("all", 2)]
+
+
+def test_an_error_ends_its_setting_only_and_asking_anew_tries_again(live):
+    evaluator, workers = live
+    evaluator.request("ann", POLICY, ALL)
+    evaluator.request("bob", POLICY, FIRST)
+    workers.fail(UserError("cannot act on 'all'"))
+    assert evaluator.tally(POLICY, ALL).error == "cannot act on 'all'"
+    assert workers.jobs == [("first", 5000)]
+    workers.finish()
+    assert workers.jobs == [("first", 5001)]
+    evaluator.request("ann", POLICY, ALL)
+    assert workers.jobs == [("first", 5001)]  # Nothing was asked anew.
+    evaluator.request("ann", POLICY, NONE)
+    evaluator.request("ann", POLICY, ALL)
+    assert evaluator.tally(POLICY, ALL).error == ""
+    workers.finish()
+    assert workers.jobs == [("all", 5000)]
+
+
+def test_after_a_killed_worker_the_same_seed_is_run_again(live):
+    evaluator, workers = live
+    evaluator.request("ann", POLICY, ALL)
+    workers.finish()
+    workers.fail(BrokenProcessPool("killed"))
+    assert workers.generation == 1 and workers.jobs == [("all", 5001)]
+    tally = evaluator.tally(POLICY, ALL)
+    assert tally.n == 1 and tally.error == ""
+
+
+def test_it_gives_up_when_workers_keep_dying_and_starts_again_on_a_new_wish(live):
+    evaluator, workers = live
+    evaluator.request("ann", POLICY, ALL)
+    for _ in range(3):
+        workers.fail(BrokenProcessPool("killed"))
+    assert workers.jobs == [] and evaluator.tally(POLICY, ALL).error.startswith("expected worker")
+    evaluator.request("ann", POLICY, FIRST)
+    assert workers.jobs == [("first", 5000)]
+
+
+def test_unknown_policies_and_cameras_are_refused_and_the_wish_stays(live):
+    evaluator, workers = live
+    evaluator.request("ann", POLICY, ALL)
+    for wrong, message in (("nope", "unknown policy 'nope'"), (POLICY, "unknown camera 'fourth'")):
+        with pytest.raises(UserError, match=message):
+            evaluator.request("ann", wrong, FIRST, {"fourth": Occlusion("black")})
+    workers.finish()
+    assert workers.jobs == [("all", 5001)]
+
+
+def test_nothing_starts_after_close(live):
+    evaluator, workers = live
+    evaluator.request("ann", POLICY, ALL)
+    evaluator.close()
+    assert workers.closed
+    workers.finish()
+    evaluator.request("ann", POLICY, FIRST)
+    assert workers.jobs == []
+
+
+def test_results_of_policy_folders_are_kept_in_the_store(monkeypatch, tmp_path):
+    monkeypatch.setattr(checkpoint, "is_folder", lambda policy: True)
+    spec = FakePolicy().spec
+    config = {"definition": "at the last step: near"}
+    folder = checkpoint.PolicyFolder(tmp_path, config, spec)
+    monkeypatch.setattr(checkpoint, "describe", lambda policy: folder)
+    store = Store(MEMORY)
+    first, workers = fake(1, store)
+    first.request("ann", "toy", ALL)
+    workers.finish()
+    workers.finish(success=False)
+    later, workers = fake(1, store)
+    tally = later.request("bob", "toy", ALL)
+    assert (tally.n, tally.successes) == (2, 1)
+    assert workers.jobs == [("all", 5002)]
+    assert later.tally("toy", FIRST).n == 0
+
+
+def test_real_workers_survive_a_kill_and_give_the_right_numbers():
+    enough, some = threading.Event(), threading.Event()
+
+    def listen(tally):
+        some.set()
+        if tally.n == 60:
+            enough.set()
+
+    evaluator = Evaluator(1, listener=listen, episodes=60)
+    evaluator.request("ann", POLICY, ALL)
+    assert some.wait(60)
+    assert evaluator._workers._pool is not None
+    (victim,) = evaluator._workers._pool._processes
+    os.kill(victim, signal.SIGKILL)
+    assert enough.wait(60)
+    runner, tally = Runner(), evaluator.tally(POLICY, ALL)
+    assert tally.results == tuple(runner.run(tally.setting.job(r.seed))[0] for r in tally.results)
+    assert [r.seed for r in tally.results] == list(range(5000, 5060))
+    evaluator.close()
+
+
+def test_closing_does_not_wait_for_the_end_of_an_episode():
+    started = threading.Event()
+    evaluator = Evaluator(1, listener=lambda tally: started.set(), episodes=10**4)
+    evaluator.request("bob", POLICY, FIRST)
+    evaluator.request("ann", "tests.test_live:Patient", FIRST)
+    assert started.wait(60)  # Bob's first episode is over, Ann's has begun.
+    closing = time.monotonic()
+    evaluator.close()
+    assert time.monotonic() - closing < 10
+    assert evaluator.tally("tests.test_live:Patient", FIRST).n == 0
+
+
+class Patient(FakePolicy):
+    """Thinks for a second: an episode takes 25."""
+
+    def read(self, encoded, masks):
+        time.sleep(1)
+        return super().read(encoded, masks)
