@@ -13,7 +13,7 @@ import numpy as np
 
 from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.probes import Probe
-from madviz.subsets import modality_of, name_of
+from madviz.subsets import camera_of, modality_of, name_of
 from madviz.types import Array, CameraPose, EnvSpec, PolicySpec, UserError, View
 
 Phase = Literal["playing", "paused", "ended"]
@@ -100,6 +100,15 @@ class Setting:
         return f"{self.subset} · {self.occlusions}" if self.occlusions else self.subset
 
 
+def setting_of(ablation: Ablation, streams: tuple[str, ...]) -> Setting:
+    """What a policy with ``streams`` gets under ``ablation``; how a dropped camera fails is no part
+    of it."""
+    mask = ablation.mask(streams)
+    present = {camera_of(stream) for stream, on in zip(streams, mask, strict=True) if on}
+    noticed = {name: state for name, state in ablation.cameras.items() if name in present}
+    return Setting(name_of(mask, streams), Ablation(noticed).key())
+
+
 @dataclass(frozen=True)
 class Change:
     """What a visitor just did to a camera, and what came of it at that instant."""
@@ -119,6 +128,8 @@ class Change:
 class Outcome:
     """How a live episode ended."""
 
+    policy: PolicySpec
+    """Who acted at the end."""
     seed: int
     success: bool
     """At the last step."""
@@ -127,7 +138,7 @@ class Outcome:
     cameras: dict[str, str]
     """By camera: ``''`` if it worked all episode, else ``off`` or ``occluded`` (the worst)."""
     setting: Setting | None
-    """The setting, if it was one and the same from the first step to the last."""
+    """The setting, if it and the policy were the same from the first step to the last."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +205,7 @@ class Frame:
 
     @property
     def setting(self) -> Setting:
-        return Setting(name_of(self.mask, self.policy.streams), self.ablation.key())
+        return setting_of(self.ablation, self.policy.streams)
 
     @property
     def ended(self) -> bool:

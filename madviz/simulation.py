@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from madviz.ablations import Ablation
-from madviz.frame import Change, Outcome, SetCamera, Setting, untouched
+from madviz.frame import Change, Outcome, SetCamera, Setting, setting_of, untouched
 from madviz.probes import Probe, probe
 from madviz.streams import StreamStack
-from madviz.subsets import every_mask, name_of
+from madviz.subsets import every_mask
 from madviz.types import Array, CameraPose, Environment, Policy, TimeStep, UserError, View
 
 
@@ -48,7 +48,7 @@ class Simulation:
         self._recent: deque[Instant] = deque()
         """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
         self._worst: dict[str, str] = {}
-        self._settings: set[Setting] = set()
+        self._settings: set[tuple[str, Setting]] = set()
         self._stack: StreamStack
         self.probe: Probe
         self._adopt(policy)
@@ -68,8 +68,7 @@ class Simulation:
 
     @property
     def setting(self) -> Setting:
-        streams = self.policy.spec.streams
-        return Setting(name_of(self.ablation.mask(streams), streams), self.ablation.key())
+        return setting_of(self.ablation, self.policy.spec.streams)
 
     def begin(self, seed: int) -> None:
         """Starts the episode of ``seed``; camera settings stay."""
@@ -168,7 +167,7 @@ class Simulation:
         return self.setting, self.probe.readout.action[row], float(self.probe.readout.q[row])
 
     def _note_setting(self) -> None:
-        self._settings.add(self.setting)
+        self._settings.add((self.policy.spec.name, self.setting))
         for camera in self.env.spec.cameras:
             state = self.ablation.camera(camera.name)
             if state.input == "off":
@@ -182,6 +181,7 @@ class Simulation:
         names = [camera.name for camera in self.env.spec.cameras]
         self.outcomes.append(
             Outcome(
+                self.policy.spec,
                 self.seed,
                 moment.success,
                 self.success_any,

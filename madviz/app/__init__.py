@@ -1,0 +1,1 @@
+"""The page: panels that draw frames and send commands. The only folder that knows viser."""

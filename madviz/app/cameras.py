@@ -1,0 +1,185 @@
+"""What every camera sends, and the switches that take it away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import viser
+
+from madviz.ablations import CameraState, Occlusion
+from madviz.app.mosaic import GAP, mosaic
+from madviz.app.panel import Assign
+from madviz.app.toolkit import STYLE, Cell, Choice, grid_style, on_value, remove_all
+from madviz.frame import Frame, SetCamera, untouched
+from madviz.subsets import modality_of
+from madviz.types import CameraSpec
+
+INPUTS = {"rgb": "RGB", "depth": "depth", "both": "both", "off": "off"}
+OCCLUSIONS = {kind: kind for kind in ("none", "black", "noise", "freeze", "blur", "patch")}
+SLIDERS = {
+    "strength": ("noise", "blur", "patch"),
+    "x": ("patch",),
+    "y": ("patch",),
+    "size": ("patch",),
+}
+"""Each fraction of an occlusion, and the kinds it matters to."""
+HINTS = {
+    "input": "What the policy gets of this camera. Off drops it: its feature leaves the sum.",
+    "occlusion": "A failing camera: it stays in the sum, but sends a spoilt picture.",
+    "strength": "How strongly the picture is spoilt.",
+    "x": "Centre of the patch, from the left.",
+    "y": "Centre of the patch, from the top.",
+    "size": "Side of the patch, as a part of the picture.",
+}
+
+
+class CameraControls:
+    """The switches of one camera. ``change(state)`` is called with what a visitor asks for."""
+
+    def __init__(self, gui: viser.GuiApi, send: Callable[[SetCamera], None], name: str) -> None:
+        self.name, self._send = name, send
+        self._state = CameraState()
+        self._wanted: dict[str, float] = {}
+        """What a slider was dragged to and no frame has confirmed yet: not to be pulled back."""
+        self.input: Choice
+        self.occlusion: Choice
+        self.sliders: dict[str, viser.GuiSliderHandle] = {}
+        self._gui = gui
+
+    def add_input(self) -> None:
+        self.input = Choice(self._gui, "Input", INPUTS, self._on_input, HINTS["input"])
+
+    def add_occlusion(self) -> None:
+        self.occlusion = Choice(
+            self._gui, "Occlude", OCCLUSIONS, self._on_occlusion, HINTS["occlusion"]
+        )
+
+    def add_slider(self, field: str) -> None:
+        handle = self._gui.add_slider(
+            field,
+            0.0,
+            1.0,
+            0.01,
+            getattr(Occlusion(), field),
+            marks=(),
+            visible=False,
+            hint=HINTS[field],
+        )
+        on_value(handle, lambda _, value: self._on_fraction(field, value))
+        self.sliders[field] = handle
+
+    @property
+    def handles(self) -> list:
+        return [self.input.handle, self.occlusion.handle, *self.sliders.values()]
+
+    def style(self) -> str:
+        return self.input.style(self._state.input) + self.occlusion.style(
+            self._state.occlusion.kind
+        )
+
+    def show(self, state: CameraState) -> list[Assign]:
+        self._state = state
+        changes = []
+        for field, handle in self.sliders.items():
+            value = getattr(state.occlusion, field)
+            changes.append(Assign(handle, "visible", state.occlusion.kind in SLIDERS[field]))
+            if self._wanted.get(field, value) == value:
+                self._wanted.pop(field, None)
+                changes.append(Assign(handle, "value", value))
+        return changes
+
+    def _ask(self, state: CameraState) -> None:
+        self._state = state
+        self._send(SetCamera(self.name, state))
+
+    def _on_input(self, _: viser.ClientHandle, value: str) -> None:
+        self._ask(replace(self._state, input=value))  # type: ignore[arg-type]
+
+    def _on_occlusion(self, _: viser.ClientHandle, value: str) -> None:
+        occlusion = replace(self._state.occlusion, kind=value)  # type: ignore[arg-type]
+        self._ask(replace(self._state, occlusion=occlusion))
+
+    def _on_fraction(self, field: str, value: float) -> None:
+        occlusion = replace(self._state.occlusion, **{field: value})
+        self._wanted[field] = value
+        self._ask(replace(self._state, occlusion=occlusion))
+
+
+class CamerasPanel:
+    """The mosaic with a column of controls under every tile. ``send`` None: look, don't touch."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        send: Callable[[SetCamera], None] | None,
+        frame: Frame,
+        width: int,
+    ) -> None:
+        """``width`` in pixels of the picture; tiles share it."""
+        count = len(frame.env.cameras)
+        self._tile = (width - (count - 1) * GAP) // count
+        self._style = gui.add_html(STYLE)
+        self._image = gui.add_image(
+            mosaic(frame, self._tile), label=None, format="jpeg", jpeg_quality=88
+        )
+        self._controls: list[CameraControls] = []
+        if send is not None:
+            self._build(gui, send, frame.env.cameras)
+        self._grid = gui.add_html(self._layout(count))
+        self._note = gui.add_html("")
+
+    def _build(
+        self,
+        gui: viser.GuiApi,
+        send: Callable[[SetCamera], None],
+        cameras: tuple[CameraSpec, ...],
+    ) -> None:
+        """Row by row, so that the grid fills in this order."""
+        self._controls = [CameraControls(gui, send, camera.name) for camera in cameras]
+        for control in self._controls:
+            control.add_input()
+        for control in self._controls:
+            control.add_occlusion()
+        for field in SLIDERS:
+            for control in self._controls:
+                control.add_slider(field)
+
+    def _layout(self, columns: int) -> str:
+        cells = []
+        for index, control in enumerate(self._controls):
+            cells.append(Cell(control.input.handle, index + 1, label="above"))
+            cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="28%"))
+            cells += [Cell(slider, index + 1) for slider in control.sliders.values()]
+        return grid_style("cameras", columns, cells)
+
+    def update(self, frame: Frame) -> list[Assign]:
+        changes = [Assign(self._image, "image", mosaic(frame, self._tile))]
+        for control in self._controls:
+            changes += control.show(frame.camera(control.name))
+        marks = "<style>" + "".join(control.style() for control in self._controls) + "</style>"
+        changes.append(Assign(self._style, "content", STYLE + marks))
+        changes.append(Assign(self._note, "content", unused_note(frame)))
+        return changes
+
+    def remove(self) -> None:
+        remove_all([self._style, self._image, self._grid, self._note])
+        remove_all([handle for control in self._controls for handle in control.handles])
+
+
+def unused_note(frame: Frame) -> str:
+    """Says so where a visitor shows the policy something it does not take."""
+    known = {modality_of(stream) for stream in frame.policy.streams}
+    asked = set()
+    for camera in frame.env.cameras:
+        switch = frame.camera(camera.name).input
+        asked |= {"rgb", "depth"} if switch == "both" else {switch} - {"off"}
+    missing = asked - known
+    if not missing:
+        return ""
+    word = {"rgb": "colour", "depth": "depth"}[missing.pop()]
+    takes = {"rgb": "colour", "depth": "depth"}[untouched(frame.policy).input]
+    return (
+        f'<div class="mv dim">This policy takes {takes} only: {word} is shown, but does not reach '
+        "it. A camera that gives only that counts as dropped.</div>"
+    )

@@ -1,0 +1,33 @@
+"""Colours with a meaning: one per camera, everywhere; good and bad differ in more than hue.
+
+The camera colours are from Okabe and Ito's set, which stays distinct for colour-blind eyes.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from madviz.types import Array, CameraSpec
+
+CAMERA_COLOURS = ("#E69F00", "#56B4E9", "#CC79A7", "#009E73", "#F0E442", "#D55E00")
+MERGED, MUTED, INK, FAINT = "#FFFFFF", "#9a9fa6", "#e8eaed", "#3a3d42"
+GOOD, BAD, NOTE = "#4db6ff", "#ff8a3d", "#ffd166"
+"""Success and failure: blue against orange, always with a word or a shape beside them."""
+
+
+def camera_colours(cameras: tuple[CameraSpec, ...]) -> dict[str, str]:
+    """Camera name -> ``#rrggbb``, by position."""
+    count = len(CAMERA_COLOURS)
+    return {camera.name: CAMERA_COLOURS[i % count] for i, camera in enumerate(cameras)}
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """``#rrggbb`` -> 0..255 each."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def heat(unit: Array, colormap: int = cv2.COLORMAP_VIRIDIS) -> Array:
+    """(H, W) in [0, 1] -> (H, W, 3) uint8 RGB."""
+    bytes_ = np.round(np.clip(np.nan_to_num(unit), 0, 1) * 255).astype(np.uint8)
+    return cv2.cvtColor(cv2.applyColorMap(bytes_, colormap), cv2.COLOR_BGR2RGB)

@@ -1,0 +1,172 @@
+"""What the policy makes of the pictures: feature lengths, the merged feature and its terms.
+
+The strips show where a feature is active: its Z numbers in ``BINS`` groups, the mean size of each.
+All strips share one colour scale, so that a stream that adds little looks dark.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections import deque
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import viser
+from viser import uplot
+
+from madviz.app.colours import MERGED, camera_colours, heat
+from madviz.app.panel import Assign
+from madviz.app.subsets import MODALITY_WORDS
+from madviz.app.toolkit import remove_all
+from madviz.frame import Frame
+from madviz.subsets import camera_of, modality_of
+from madviz.types import Array
+
+BINS, HISTORY = 128, 150
+"""Columns of a strip; decisions a curve goes back."""
+
+
+NO_POINTS = uplot.Series_Points(show=False)
+
+
+def small_axes(width: int) -> tuple[uplot.Axis, uplot.Axis]:
+    """Axes for a chart that has little room; ``width`` in pixels of the numbers on the left."""
+    ticks = uplot.Axis_Ticks(size=4)
+    return (
+        uplot.Axis(size=22, font="11px sans-serif", gap=3, ticks=ticks),
+        uplot.Axis(size=width, font="11px sans-serif", gap=3, ticks=ticks),
+    )
+
+
+def stream_label(frame: Frame, stream: str) -> str:
+    """``Third A``, or ``Third A depth`` where a policy has both."""
+    label = frame.env.camera(camera_of(stream)).label
+    several = len({modality_of(name) for name in frame.policy.streams}) > 1
+    return f"{label} {MODALITY_WORDS[modality_of(stream)]}" if several else label
+
+
+class FeaturesPanel:
+    """Curves of norms and, below them, a table: strip, norm and cosine of every stream."""
+
+    def __init__(self, gui: viser.GuiApi, frame: Frame, height: int = 150) -> None:
+        self._gui, self._height = gui, height
+        self._streams: tuple[str, ...] = ()
+        self._plot: viser.GuiUplotHandle
+        self._history: deque[tuple[float, ...]] = deque(maxlen=HISTORY)
+        self._last = (0, -1)
+        self._time = 0
+        self._holder = gui.add_folder(None)
+        self._rebuild(frame)
+        self._table = gui.add_html(features_html(frame))
+
+    def update(self, frame: Frame) -> list[Assign]:
+        if frame.policy.streams != self._streams:
+            self._rebuild(frame)
+        changes = [Assign(self._table, "content", features_html(frame))]
+        if (frame.episode, frame.step) != self._last:
+            self._last, self._time = (frame.episode, frame.step), self._time + 1
+        elif self._history:
+            self._history.pop()  # The same instant under another setting.
+        self._history.append((self._time, *curve_point(frame)))
+        if len(self._history) > 1:
+            changes.append(Assign(self._plot, "data", tuple(np.array(self._history).T)))
+        return changes
+
+    def remove(self) -> None:
+        remove_all([self._table, self._holder])
+
+    def _rebuild(self, frame: Frame) -> None:
+        """Another policy may have other streams, and with them other curves."""
+        if self._streams:
+            self._plot.remove()
+        self._history.clear()
+        self._streams = frame.policy.streams
+        count = len(self._streams) + 2
+        with self._holder:
+            self._plot = self._gui.add_uplot(
+                tuple(np.array([0.0, 1.0]) if i == 0 else np.zeros(2) for i in range(count)),
+                curve_series(frame),
+                scales={"x": uplot.Scale(time=False)},
+                axes=small_axes(42),
+                legend=uplot.Legend(show=False),
+                height=self._height - 12 * max(0, len(self._streams) - 3),
+                padding=(8, 12, 0, 0),
+            )
+
+
+def curve_series(frame: Frame) -> tuple[uplot.Series, ...]:
+    """One line per stream in its camera's colour, depth dashed, the merged feature in white."""
+    colours = camera_colours(frame.env.cameras)
+    series: list[uplot.Series] = [uplot.Series(label="decision")]
+    for stream in frame.policy.streams:
+        line = uplot.Series(
+            label=stream_label(frame, stream),
+            stroke=colours[camera_of(stream)],
+            width=2,
+            points=NO_POINTS,
+        )
+        if modality_of(stream) == "depth":
+            line["dash"] = (6, 4)
+        series.append(line)
+    series.append(uplot.Series(label="merged", stroke=MERGED, width=2, points=NO_POINTS))
+    return tuple(series)
+
+
+def curve_point(frame: Frame) -> list[float]:
+    """The norms now: a dropped stream's is a gap, because nothing of it is used."""
+    norms = np.where(frame.mask, frame.probe.norms, np.nan)
+    return [*map(float, norms), frame.probe.merged_norm(frame.row)]
+
+
+def features_html(frame: Frame) -> str:
+    """A row per stream and one for their sum."""
+    probe, row, mask = frame.probe, frame.row, frame.mask
+    colours = camera_colours(frame.env.cameras)
+    merged = probe.readout.merged[row]
+    terms = [_bins(feature) for feature in probe.features]
+    top = max(float(np.max([*terms, _bins(np.nan_to_num(merged))])), 1e-9)
+    cosines = probe.cosines(row)
+    rows = []
+    for index, stream in enumerate(frame.policy.streams):
+        rows.append(
+            _row(
+                colours[camera_of(stream)],
+                stream_label(frame, stream),
+                terms[index] / top,
+                float(probe.norms[index]),
+                f"{cosines[index]:.2f}" if np.isfinite(cosines[index]) else "–",
+                faded=not mask[index],
+            )
+        )
+    rows.append(
+        _row(MERGED, "merged: their sum", _bins(merged) / top, probe.merged_norm(row), "", False)
+    )
+    head = (
+        '<tr class="dim"><td>stream</td><td style="width:55%">where its feature is active</td>'
+        '<td class="num">length</td><td class="num">cosine</td></tr>'
+    )
+    return f'<div class="mv"><table>{head}{"".join(rows)}</table></div>'
+
+
+def _row(colour: str, label: str, strip: Array, norm: float, cosine: str, faded: bool) -> str:
+    style = "opacity:0.35" if faded else ""
+    note = " · dropped" if faded else ""
+    return (
+        f'<tr style="{style}"><td><span class="dot" style="background:{colour}"></span>'
+        f'{label}{note}</td><td><img class="strip" src="{strip_uri(strip)}"></td>'
+        f'<td class="num">{norm:.1f}</td><td class="num">{cosine}</td></tr>'
+    )
+
+
+def _bins(feature: Array) -> Array:
+    """(Z,) -> (BINS,) mean absolute activity; fewer where Z is smaller."""
+    parts: Sequence[Array] = np.array_split(np.abs(feature), min(BINS, len(feature)))
+    return np.array([part.mean() for part in parts])
+
+
+def strip_uri(strip: Array) -> str:
+    """A one-pixel-high heat map as an inline picture."""
+    picture = heat(np.sqrt(strip)[None], cv2.COLORMAP_INFERNO)
+    _, png = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    return "data:image/png;base64," + b64encode(png.tobytes()).decode()

@@ -1,0 +1,162 @@
+"""One picture of all cameras with their states drawn in: one message, always in step.
+
+    ┌ First person ───── RGB ┬ Third A ── NOISE 70 % ┬ Third B ──── DROPPED ┐
+    │   as it arrives        │  as it arrives         │  dimmed, stamped      │
+
+A tile shows what *arrives* at the policy, occlusions and all, enlarged pixel by pixel. A dropped
+camera still sees, but nothing of it is used: its own picture, dimmed and stamped, so that it cannot
+be mistaken for a camera that sends black. Pure NumPy; nothing here knows viser.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from madviz.app.colours import INK, MUTED, NOTE, camera_colours, heat, rgb
+from madviz.frame import Frame
+from madviz.streams import depth_code
+from madviz.types import Array, CameraSpec
+
+GAP, HEADER, SCALE = 6, 24, 18
+"""Pixels between tiles, of a tile's title, of the depth scale under a tile."""
+_GROUND = (30, 31, 34)
+
+
+def mosaic(frame: Frame, tile: int) -> Array:
+    """(HEADER + tile, V tiles, 3) uint8: all cameras side by side, ``tile`` pixels wide each."""
+    cameras = frame.env.cameras
+    width = len(cameras) * tile + (len(cameras) - 1) * GAP
+    canvas = np.empty((HEADER + tile, width, 3), np.uint8)
+    canvas[:] = _GROUND
+    colours = camera_colours(cameras)
+    for index, camera in enumerate(cameras):
+        left = index * (tile + GAP)
+        block = canvas[:, left : left + tile]
+        _header(block[:HEADER], camera.label, badge(frame, camera.name), colours[camera.name])
+        block[HEADER:] = _tile(frame, camera, tile)
+        if frame.camera(camera.name).input == "off":
+            _stamp(block[HEADER:], "DROPPED")
+    return canvas
+
+
+def badge(frame: Frame, camera: str) -> str:
+    """What the state of ``camera`` is in two words, for the corner of its tile."""
+    state = frame.camera(camera)
+    if state.input == "off":
+        return "OFF"
+    occlusion = state.occlusion
+    if occlusion.kind in ("black", "freeze"):
+        return {"black": "BLACK", "freeze": "FROZEN"}[occlusion.kind]
+    if occlusion.kind != "none":
+        return f"{occlusion.kind.upper()} {100 * occlusion.strength:.0f} %"
+    words = []
+    for modality in ("rgb", "depth"):
+        if state.input in (modality, "both"):
+            unused = _stream_picture(frame, camera, modality) is None
+            words.append(modality.upper() + (" (NOT USED)" if unused else ""))
+    return " + ".join(words)
+
+
+def _tile(frame: Frame, camera: CameraSpec, tile: int) -> Array:
+    state = frame.camera(camera.name)
+    shown = state.input if state.input != "off" else "rgb"
+    if shown == "both":
+        height = tile // 2
+        top = _colour_picture(frame, camera, tile)[(tile - height) // 2 :][:height]
+        return np.concatenate([top, _depth_picture(frame, camera, tile, tile - height)])
+    if shown == "depth":
+        return _depth_picture(frame, camera, tile, tile)
+    if state.input == "off":
+        grey = _enlarge(frame.views[camera.name].rgb, tile).mean(axis=2, keepdims=True)
+        return (0.3 * grey).astype(np.uint8).repeat(3, axis=2)
+    return _colour_picture(frame, camera, tile)
+
+
+def _stream_picture(frame: Frame, camera: str, modality: str) -> Array | None:
+    """What arrived of ``camera`` in ``modality``; None where the policy has no such stream."""
+    for name in (f"{camera}.{modality}", camera if modality == "rgb" else ""):
+        if name in frame.arrived:
+            return frame.arrived[name]
+    return None
+
+
+def _colour_picture(frame: Frame, camera: CameraSpec, tile: int) -> Array:
+    arrived = _stream_picture(frame, camera.name, "rgb")
+    if arrived is None:
+        arrived = frame.views[camera.name].rgb
+    return _enlarge(arrived, tile)
+
+
+def _depth_picture(frame: Frame, camera: CameraSpec, tile: int, height: int) -> Array:
+    """(height, tile, 3): the middle rows of the depth picture above a scale in metres."""
+    arrived = _stream_picture(frame, camera.name, "depth")
+    if arrived is None:
+        arrived = depth_code(frame.views[camera.name].depth, camera.depth_range)
+    picture = heat(_enlarge(arrived[..., 0], tile) / 255.0)
+    rows = height - SCALE
+    start = (tile - rows) // 2
+    return np.concatenate([picture[start : start + rows], _depth_scale(camera.depth_range, tile)])
+
+
+def _enlarge(picture: Array, tile: int) -> Array:
+    """Nearest neighbour: the policy's own pixels, crisp."""
+    return cv2.resize(picture, (tile, tile), interpolation=cv2.INTER_NEAREST)
+
+
+@lru_cache(maxsize=32)
+def _depth_scale(depth_range: tuple[float, float], width: int) -> Array:
+    """A strip of the colour map with its ends in metres."""
+    strip = heat(np.tile(np.linspace(0, 1, width), (SCALE, 1)))
+    near, far = depth_range
+    _write(strip, f"{near:.1f} m", 4, "#ffffff", 12)
+    _write(strip, f"{far:.1f} m", -4, "#000000", 12)
+    return strip
+
+
+def _header(block: Array, label: str, state: str, colour: str) -> None:
+    block[:, :5] = rgb(colour)
+    plain = state in ("RGB", "DEPTH", "RGB + DEPTH")
+    _write(block, label, 12, INK, 14)
+    _write(block, state, -4, MUTED if plain else NOTE, 12)
+
+
+def _stamp(picture: Array, text: str) -> None:
+    """``text`` across the middle on a dark band, and two diagonals: no camera sends that."""
+    height, width = picture.shape[:2]
+    for start, end in (((0, 0), (width, height)), ((width, 0), (0, height))):
+        cv2.line(picture, start, end, (110, 110, 110), 1, cv2.LINE_AA)
+    band = picture[height // 2 - 18 : height // 2 + 18]
+    band[:] = band // 3
+    alpha = _glyphs(text, 24)
+    _blend(band, alpha, (width - alpha.shape[1]) // 2, rgb("#ffffff"))
+
+
+def _write(block: Array, text: str, x: int, colour: str, size: int) -> None:
+    """Text at ``x`` from the left, or from the right where negative, centred vertically."""
+    alpha = _glyphs(text, size)
+    _blend(block, alpha, x if x >= 0 else block.shape[1] - alpha.shape[1] + x, rgb(colour))
+
+
+def _blend(block: Array, alpha: Array, left: int, colour: tuple[int, int, int]) -> None:
+    left = max(left, 0)
+    width = min(alpha.shape[1], block.shape[1] - left)
+    top = max((block.shape[0] - alpha.shape[0]) // 2, 0)
+    height = min(alpha.shape[0], block.shape[0])
+    region = block[top : top + height, left : left + width]
+    weight = alpha[:height, :width, None]
+    region[:] = region * (1 - weight) + np.array(colour) * weight
+
+
+@lru_cache(maxsize=256)
+def _glyphs(text: str, size: int) -> Array:
+    """(H, W) in [0, 1]: coverage of ``text``; drawn once, because text costs more than a tile."""
+    font = ImageFont.load_default(size)
+    left, _, right, _ = font.getbbox(text)
+    _, top, _, bottom = font.getbbox("Hp")  # One height for all, or words would jump up and down.
+    image = Image.new("L", (int(right - left) + 2, int(bottom - top) + 4))
+    ImageDraw.Draw(image).text((1 - left, 2 - top), text, fill=255, font=font)
+    return np.asarray(image, np.float32) / 255

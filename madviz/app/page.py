@@ -1,0 +1,249 @@
+"""One visitor's page: panels around the scene, and the thread that keeps them up to date.
+
+Frames come from the session's thread into a slot for one; the page's thread takes the newest, lets
+every panel compute, and assigns all changes in one ``atomic`` block. A slow page skips frames and
+never slows the simulator. What a visitor looks at while switching a camera goes first and at every
+frame: pictures, action, state. Tables and textures follow at a few a second, and at once when
+something was touched.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import viser
+
+from madviz.ablations import CameraState
+from madviz.app.cameras import CamerasPanel
+from madviz.app.features import FeaturesPanel
+from madviz.app.panel import Panel, apply
+from madviz.app.policy import PolicyChoice, PolicyPanel
+from madviz.app.scene import ScenePanel
+from madviz.app.subsets import SubsetsPanel
+from madviz.app.success import Rates, SuccessPanel, WordsPanel
+from madviz.app.toolkit import (
+    LEFT_WIDTH,
+    LEFT_WIDTH_WIDE,
+    STYLE,
+    commands,
+    dock,
+    window_is_wide,
+)
+from madviz.frame import (
+    Failure,
+    Frame,
+    Pause,
+    Play,
+    Reset,
+    SetCamera,
+    SetSpeed,
+    StepOnce,
+    untouched,
+)
+from madviz.session import Session
+
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class Shown:
+    """A panel, and how often it is brought up to date while nothing is touched."""
+
+    panel: Panel
+    period: float
+    """Seconds; 0 for every frame."""
+    done: float = -1e9
+    number: int = 0
+    """The last frame it showed."""
+
+
+class Page:
+    """See the module. ``readonly`` pages watch somebody else's session."""
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        session: Session,
+        choices: Sequence[PolicyChoice],
+        rates: Rates,
+        notice: str = "",
+        readonly: bool = False,
+    ) -> None:
+        self.client, self.session = client, session
+        self._choices, self._rates = choices, rates
+        self._notice, self._readonly = notice, readonly
+        self._wide = window_is_wide(client)
+        self._waiting: viser.GuiHtmlHandle | None = None
+        self._extras: list = []
+        self._shown: list[Shown] = []
+        self._built: object = None
+        self._reported = ""
+        self._touched: object = None
+        self._newest: Frame | Failure | None = None
+        self._wake, self._closing = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="madviz-page", daemon=True)
+
+    def start(self) -> None:
+        """Begins to draw."""
+        self._waiting = self.client.gui.add_html(waiting_html("The simulator is starting."))
+        self._thread.start()
+        self.session.subscribe(self.show)
+        self._rates.subscribe(self.poke)
+
+    def show(self, frame: Frame | Failure) -> None:
+        """Takes a frame, from any thread; an older one that was not shown yet is forgotten."""
+        self._newest = frame
+        self._wake.set()
+
+    def poke(self) -> None:
+        """Shows the newest frame again: something beside it has changed."""
+        for shown in self._shown:
+            shown.number = 0
+        self._wake.set()
+
+    def close(self) -> None:
+        """Lets go of session and thread; the browser may be gone already."""
+        self.session.unsubscribe(self.show)
+        self._rates.unsubscribe(self.poke)
+        self._closing.set()
+        self._wake.set()
+        if self._thread.is_alive():
+            self._thread.join(5.0)
+
+    def clear(self) -> None:
+        """Takes everything off the page, after ``close``."""
+        for shown in self._shown:
+            shown.panel.remove()
+        for handle in self._extras:
+            handle.remove()
+        if self._waiting is not None:
+            self._waiting.remove()
+        self._shown, self._extras = [], []
+
+    # The page's own thread.
+
+    def _run(self) -> None:
+        pause: float | None = None
+        while not self._closing.is_set():
+            self._wake.wait(pause)
+            self._wake.clear()
+            frame = self._newest
+            if frame is None or self._closing.is_set():
+                continue
+            try:
+                pause = self._push(frame, time.monotonic())
+            except Exception:
+                # A panel that fails must not take the page down; the next frame may be fine.
+                pause = None
+                self._report(traceback.format_exc())
+
+    def _report(self, error: str) -> None:
+        """Says once, in the log and on the page, that a frame could not be shown."""
+        if error != self._reported and self._waiting is not None:
+            self._reported = error
+            log.error("a frame could not be shown\n%s", error)
+            self._waiting.content = waiting_html("A frame could not be shown.", error)
+
+    def _push(self, frame: Frame | Failure, now: float) -> float | None:
+        """Shows ``frame``. Returns in how many seconds a panel that was left out is due."""
+        assert self._waiting is not None
+        if isinstance(frame, Failure):
+            self._waiting.content = waiting_html("The simulator could not start.", frame.error)
+            return None
+        if self._built != (frame.env.task, frame.env.cameras):
+            self._build(frame)
+        urgent = self._touched != (frame.change, frame.policy, frame.phase, frame.error)
+        self._touched = (frame.change, frame.policy, frame.phase, frame.error)
+        due = [s for s in self._shown if s.number != frame.number]
+        ready = [s for s in due if urgent or now - s.done >= s.period]
+        for batch in ([s for s in ready if s.period == 0], [s for s in ready if s.period > 0]):
+            changes = [change for shown in batch for change in shown.panel.update(frame)]
+            if not changes:
+                continue
+            with self.client.atomic():
+                apply(changes)
+            self.client.flush()
+        for shown in ready:
+            shown.done, shown.number = now, frame.number
+        later = [s.done + s.period - now for s in due if s not in ready]
+        return max(0.01, min(later)) if later else None
+
+    def _build(self, frame: Frame) -> None:
+        for shown in self._shown:
+            shown.panel.remove()
+        for handle in self._extras:
+            handle.remove()
+        client, gui = self.client, self.client.gui
+        send = None if self._readonly else self.session.send
+        assert self._waiting is not None
+        self._waiting.content = waiting_html(self._notice) if self._notice else ""
+        with client.atomic():
+            policy = PolicyPanel(gui, send, frame, self._choices)
+            success = SuccessPanel(gui, frame, self._rates, not self._readonly)
+            dockable = dock(client, self._wide)
+            with dockable.add_tab("Cameras", viser.Icon.CAMERA):
+                width = (LEFT_WIDTH_WIDE if self._wide else LEFT_WIDTH) - 18
+                cameras = CamerasPanel(gui, send, frame, width)
+                words = WordsPanel(gui, frame, self._rates)
+                tabs = gui.add_tab_group()
+            with tabs.add_tab("Features", viser.Icon.ACTIVITY):
+                features = FeaturesPanel(gui, frame, 230 if self._wide else 150)
+            with tabs.add_tab("Every subset", viser.Icon.LIST):
+                subsets = SubsetsPanel(gui, frame)
+            self._extras = [dockable, *self._shortcuts(frame)]
+        scene = ScenePanel(client, frame, None if self._readonly else self._toggle)
+        self._shown = [
+            *(Shown(cameras, 0), Shown(policy, 0), Shown(words, 0)),
+            *(Shown(features, 0.1), Shown(subsets, 0.25)),
+            *(Shown(success, 0.5), Shown(scene, 0.5)),
+        ]
+        self._built = (frame.env.task, frame.env.cameras)
+
+    def _toggle(self, camera: str) -> None:
+        """Drops a camera, or takes it back in the modalities the policy knows."""
+        frame = self._newest
+        if isinstance(frame, Frame):
+            state = frame.camera(camera)
+            back = untouched(frame.policy).input
+            switch = back if state.input == "off" else "off"
+            self.session.send(SetCamera(camera, CameraState(switch, state.occlusion)))
+
+    def _shortcuts(self, frame: Frame) -> list:
+        if self._readonly:
+            return []
+        send = self.session.send
+        table: list[tuple[str, object, Callable[[], None]]] = [
+            ("Play or pause", "space", self._play_or_pause),
+            ("One step", "S", lambda: send(StepOnce())),
+            ("Same seed again", "R", lambda: send(Reset())),
+            ("Next seed", "N", lambda: send(Reset(next_seed=True))),
+            ("Full speed", "F", lambda: send(SetSpeed(None))),
+            ("Normal speed", "G", lambda: send(SetSpeed(10.0))),
+        ]
+        for index, camera in enumerate(frame.env.cameras):
+            name = camera.name
+            table.append(
+                (
+                    f"Drop {camera.label}, or take it back",
+                    str(index + 1),
+                    lambda name=name: self._toggle(name),
+                )
+            )
+        return commands(self.client, table)
+
+    def _play_or_pause(self) -> None:
+        frame = self._newest
+        playing = isinstance(frame, Frame) and frame.phase == "playing"
+        self.session.send(Pause() if playing else Play())
+
+
+def waiting_html(text: str, error: str = "") -> str:
+    """A line at the top of the main panel, with a traceback under it if there is one."""
+    trace = f"<pre>{escape(error)}</pre>" if error else ""
+    return f'{STYLE}<div class="mv mv-notice">{escape(text)}{trace}</div>'

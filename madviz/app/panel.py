@@ -1,0 +1,39 @@
+"""What a panel is, and how its frames reach a browser.
+
+A panel builds its widgets into the container it is given, owns their handles and nothing else.
+``update`` only computes; what it returns is assigned afterwards, all panels at once, inside one
+``atomic`` block, so that a browser never shows half a frame and an exception never leaves the
+block open.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+from madviz.frame import Frame
+
+
+class Assign(NamedTuple):
+    """``setattr(handle, name, value)``, later."""
+
+    handle: Any
+    name: str
+    value: Any
+
+
+class Panel(Protocol):
+    """A part of the page."""
+
+    def update(self, frame: Frame) -> list[Assign]:
+        """What has to change on the page to show ``frame``. Assigns nothing itself."""
+        ...
+
+    def remove(self) -> None:
+        """Takes all its widgets off the page."""
+        ...
+
+
+def apply(changes: list[Assign]) -> None:
+    """Assigns, leaving out what is there already."""
+    for handle, name, value in changes:
+        setattr(handle, name, value)

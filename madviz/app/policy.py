@@ -1,0 +1,223 @@
+"""Who acts, how fast, and how the episode stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+import viser
+
+from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
+from madviz.app.panel import Assign
+from madviz.app.subsets import action_bars
+from madviz.app.toolkit import Cell, Choice, grid_style, guarded, on_value, remove_all
+from madviz.frame import (
+    Command,
+    Frame,
+    Pause,
+    Play,
+    Reset,
+    SetAutoNext,
+    SetPolicy,
+    SetSeed,
+    SetSpeed,
+    StepOnce,
+)
+from madviz.types import PolicySpec
+
+SPEEDS: dict[str, float | None] = {"1": 1.0, "5": 5.0, "10": 10.0, "20": 20.0, "max": None}
+RUNS = {"play": "▶ play", "pause": "pause", "step": "step", "again": "again", "next": "next"}
+METHODS = {
+    "mad": "MAD: trained on all cameras and each one alone.",
+    "merged-only": "Trained on all cameras together only.",
+    "singular-only": "Trained on single cameras only.",
+    "single": "Trained on one camera.",
+}
+
+
+@dataclass(frozen=True)
+class PolicyChoice:
+    """A policy that can be picked."""
+
+    name: str
+    label: str
+
+
+class PolicyPanel:
+    """Picker, transport, and the state of the episode. ``send`` None: look, don't touch."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        send: Callable[[Command], None] | None,
+        frame: Frame,
+        choices: Sequence[PolicyChoice],
+    ) -> None:
+        self._gui, self._send = gui, send
+        self._names = {choice.label: choice.name for choice in choices}
+        self._labels = {choice.name: choice.label for choice in choices}
+        self._handles: list = []
+        self._run: Choice | None = None
+        self._speed: Choice | None = None
+        if send is not None:
+            self._add_controls(gui, send, frame)
+        self._style = gui.add_html("")
+        self._status = gui.add_html(status_html(frame))
+        self._handles += [self._style, self._status]
+
+    def _add_controls(
+        self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
+    ) -> None:
+        labels = list(self._names)
+        current = self._labels.get(frame.policy.name, frame.policy.name)
+        if current not in labels:
+            labels, self._names[current] = [current, *labels], frame.policy.name
+        self._picker = gui.add_dropdown(
+            "Policy", labels, initial_value=current, hint="Swap the policy in mid-episode."
+        )
+        on_value(self._picker, lambda _, label: send(SetPolicy(self._names[label])))
+        self._run = Choice(gui, "Episode", RUNS, self._on_run, "Space, S, R and N do it, too.")
+        self._speed = Choice(
+            gui,
+            "Speed",
+            {name: name for name in SPEEDS},
+            lambda _, name: send(SetSpeed(SPEEDS[name])),
+            "Decisions per second that are asked for; max is as fast as it goes.",
+        )
+        self._seed = gui.add_number(
+            "Seed", frame.seed, min=0, max=2**31 - 1, step=1, hint="Which episode to start."
+        )
+        self._go = gui.add_button("go")
+        self._go.on_click(lambda event: self._on_go(event.client))
+        self._auto = gui.add_checkbox(
+            "Auto", True, hint="Start the next seed by itself when an episode is over."
+        )
+        on_value(self._auto, lambda _, on: send(SetAutoNext(bool(on))))
+        cells = [
+            *(
+                Cell(self._picker, 1, 8),
+                Cell(self._run.handle, 1, 8),
+                Cell(self._speed.handle, 1, 8),
+            ),
+            *(Cell(self._seed, 1, 4), Cell(self._go, 5, 2), Cell(self._auto, 7, 2, "2.8em")),
+        ]
+        self._handles = [
+            *(cell.handle for cell in cells),
+            gui.add_html(grid_style("run", 8, cells)),
+        ]
+
+    def _on_go(self, client: viser.ClientHandle | None) -> None:
+        send = self._send
+        if client is not None and send is not None:
+            guarded(client, lambda: send(SetSeed(int(self._seed.value))))
+
+    def _on_run(self, _: viser.ClientHandle, name: str) -> None:
+        assert self._send is not None
+        table: dict[str, Command] = {
+            "play": Play(),
+            "pause": Pause(),
+            "step": StepOnce(),
+            "again": Reset(),
+            "next": Reset(next_seed=True),
+        }
+        self._send(table[name])
+
+    def update(self, frame: Frame) -> list[Assign]:
+        changes = [Assign(self._status, "content", status_html(frame))]
+        if self._run is None or self._speed is None:
+            return changes
+        speed = next((name for name, rate in SPEEDS.items() if rate == frame.speed), "")
+        marks = self._run.style("pause" if frame.phase == "paused" else "play")
+        marks += self._speed.style(speed)
+        changes.append(Assign(self._style, "content", f"<style>{marks}</style>"))
+        changes.append(Assign(self._auto, "value", frame.auto_next))
+        label = self._labels.get(frame.policy.name)
+        if label is not None:
+            changes.append(Assign(self._picker, "value", label))
+        return changes
+
+    def remove(self) -> None:
+        remove_all(self._handles)
+
+
+def policy_words(spec: PolicySpec) -> str:
+    """What kind of policy this is, for somebody who never heard of it."""
+    return METHODS.get(spec.method, f"Method {spec.method}, recipe {spec.recipe}.")
+
+
+def verdict(frame: Frame) -> tuple[str, str]:
+    """The state of the episode in a word, and the colour of its tag."""
+    if frame.error:
+        return "STOPPED", NOTE
+    if frame.ended:
+        return ("SUCCESS", GOOD) if frame.success else ("FAIL", BAD)
+    return ("PAUSED", MUTED) if frame.phase == "paused" else ("RUNNING", "#dfe3e8")
+
+
+def status_html(frame: Frame) -> str:
+    """The episode at a glance. The attributes are there for those who measure the page."""
+    action = ",".join(f"{value:.3f}" for value in frame.action)
+    return (
+        f'<div class="mv mv-status" data-episode="{frame.episode}" data-step="{frame.step}" '
+        f'data-action="{action}" data-phase="{frame.phase}" data-frame="{frame.number}">'
+        f'<div class="dim" style="font-size:12px">{escape(policy_words(frame.policy))}</div>'
+        f"{_progress(frame)}{_goal(frame)}<h4>Action and its value Q</h4>"
+        f'<div style="display:flex;gap:8px;align-items:center"><div style="flex:1">'
+        f'{_action(frame)}</div><span class="num">Q <b>{frame.q:.1f}</b></span></div>'
+        f"{_error(frame)}</div>"
+    )
+
+
+def _progress(frame: Frame) -> str:
+    """The verdict, how far the episode is, and a bar of that."""
+    word, colour = verdict(frame)
+    done = 100 * frame.step / frame.env.horizon
+    big = f"background:{colour};font-size:15px;padding:1px 9px"
+    bar = f"height:4px;width:{done:.0f}%;background:{colour}"
+    return (
+        '<div style="margin-top:6px;display:flex;gap:8px;align-items:center">'
+        f'<span class="tag" style="{big}">{word}</span>'
+        f'<span class="num">step <b>{frame.step}</b>/{frame.env.horizon}</span>'
+        f'<span class="dim num">seed {frame.seed}</span>'
+        f'<span class="num" style="margin-left:auto">{_pace(frame)}</span></div>'
+        f'<div style="height:4px;background:{FAINT};margin:5px 0"><div style="{bar}"></div></div>'
+    )
+
+
+def _goal(frame: Frame) -> str:
+    met = "✔ Goal met now" if frame.success else "✘ Goal not met now"
+    ever = "" if frame.success else ", but it was" if frame.success_any else ", nor before"
+    goal = escape(frame.env.success)
+    return (
+        '<div style="overflow:hidden;text-overflow:ellipsis;white-space:nowrap" '
+        f'title="{goal}">{met}{ever} <span class="dim">({goal})</span></div>'
+    )
+
+
+def _action(frame: Frame) -> str:
+    if np.isfinite(frame.action).all():
+        return action_bars(frame.action)
+    return f'<span style="color:{NOTE}">not a number, or this policy cannot act on that</span>'
+
+
+def _pace(frame: Frame) -> str:
+    if frame.phase != "playing" or not np.isfinite(frame.rate):
+        return ""
+    capped = f' <b style="color:{NOTE}">[CAPPED]</b>' if frame.capped else ""
+    return f"{frame.rate:.1f}/s{capped}"
+
+
+def _error(frame: Frame) -> str:
+    if not frame.error:
+        return ""
+    first, _, rest = frame.error.partition("\n")
+    return (
+        f'<div class="mv-error" style="border-left:3px solid {NOTE};padding-left:8px">'
+        f"<b>Paused: {escape(first)}</b><pre>{escape(rest.strip())}</pre>"
+        "Press again to restart the episode, or play to try once more.</div>"
+    )
+
+
+__all__ = ["PolicyChoice", "PolicyPanel", "grid_style", "policy_words", "status_html", "verdict"]

@@ -1,0 +1,161 @@
+"""``madviz explore``: the server, and everything that its visitors share."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import viser
+
+from madviz import checkpoint
+from madviz.app.policy import PolicyChoice
+from madviz.app.rates import Rates
+from madviz.app.users import Users
+from madviz.envs.base import make_env
+from madviz.session import EnvFactory, Session
+from madviz.types import Policy, PolicySpec, UserError
+
+DEFAULT_POLICY = "metaworld-hammer-mad-light"
+
+
+@dataclass(frozen=True)
+class ExploreConfig:
+    """Serves the page: a policy at work, and cameras to take away from it."""
+
+    policy: str | None = None
+    """A name from ``madviz list``, a folder, or module:factory. By default the first that fits."""
+    task: str | None = None
+    """Offer only policies of this task, for example metaworld/hammer."""
+    port: int = 8080
+    """Where to serve."""
+    host: str = "127.0.0.1"
+    """Which address to serve on; 0.0.0.0 lets other machines in, and there is no password."""
+    visitors: int = 4
+    """Visitors with a simulation of their own; more than that watch."""
+    workers: int = 1
+    """Processes that measure success in the background; 0 for none."""
+    speed: float | None = 10.0
+    """Decisions per second at the start; None for as fast as it goes."""
+
+
+class App:
+    """A running page. ``stop`` frees the port and every simulation."""
+
+    def __init__(
+        self,
+        policy: Policy,
+        choices: Sequence[PolicyChoice],
+        load_policy: Callable[[str], Policy],
+        *,
+        env_factory: EnvFactory = make_env,
+        rates: Rates | None = None,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        visitors: int = 4,
+        speed: float | None = 10.0,
+    ) -> None:
+        """``port`` 0 takes a free one. Raises UserError if the port is taken."""
+        check_port(host, port)
+        self.rates = rates or Rates()
+        self.server = viser.ViserServer(host=host, port=port, label="madviz", verbose=False)
+        self.server.gui.configure_theme(
+            dark_mode=True, show_logo=False, show_share_button=False, brand_color=(77, 140, 200)
+        )
+
+        def new_session() -> Session:
+            return Session(env_factory, policy, load_policy, speed=speed)
+
+        self.users = Users(self.server, new_session, choices, self.rates, visitors)
+
+    @property
+    def url(self) -> str:
+        host = self.server.get_host()
+        shown = "127.0.0.1" if host == "0.0.0.0" else host
+        return f"http://{shown}:{self.server.get_port()}"
+
+    def stop(self) -> None:
+        self.users.close()
+        self.server.stop()
+
+
+def explore(config: ExploreConfig | None = None) -> None:
+    """Serves the page until Ctrl-C. Raises UserError for a policy, task or port that won't do."""
+    config = config or ExploreConfig()
+    check_port(config.host, config.port)
+    app = open_app(config)
+    print(f"madviz is at {app.url}  (Ctrl-C ends it)", flush=True)
+    try:
+        threading.Event().wait()
+    finally:
+        app.stop()
+
+
+def open_app(config: ExploreConfig) -> App:
+    """The page as configured, running."""
+    choices = policy_choices(config.task)
+    name = config.policy or first_choice(choices, config.task)
+    loaded: dict[str, Policy] = {name: checkpoint.load_policy(name)}
+
+    def load(wanted: str) -> Policy:
+        if wanted not in loaded:
+            loaded[wanted] = checkpoint.load_policy(wanted)
+        return loaded[wanted]
+
+    policy = loaded[name]
+    if name not in [choice.name for choice in choices]:
+        choices = [PolicyChoice(name, policy.spec.name), *choices]
+    return App(
+        policy,
+        choices,
+        load,
+        rates=Rates(shipped_rates),
+        host=config.host,
+        port=config.port,
+        visitors=config.visitors,
+        speed=config.speed,
+    )
+
+
+def shipped_rates(spec: PolicySpec) -> dict:
+    """The subsets of a policy's evaluation.json; empty where it has none."""
+    folder = checkpoint.policy_folders().get(spec.name)
+    return (checkpoint.shipped_evaluation(folder) or {}).get("subsets", {}) if folder else {}
+
+
+def policy_choices(task: str | None) -> list[PolicyChoice]:
+    """The policies a visitor can swap between, those of ``task`` only if it is given."""
+    listed, _ = checkpoint.list_policies()
+    fitting = [one for one in listed if task in (None, one["task"])]
+    return [
+        PolicyChoice(
+            one["name"],
+            f"{one['task'].split('/')[-1]} · {one['method']} · {one['setting']} · {one['recipe']}",
+        )
+        for one in fitting
+    ]
+
+
+def first_choice(choices: Sequence[PolicyChoice], task: str | None) -> str:
+    """The default policy, or the first there is. Raises UserError where there is none."""
+    names = [choice.name for choice in choices]
+    if DEFAULT_POLICY in names:
+        return DEFAULT_POLICY
+    if not names:
+        what = f"policy for {task!r}" if task else "policy"
+        raise UserError(f"no {what} found; name one with --policy, or train one: madviz train")
+    return names[0]
+
+
+def check_port(host: str, port: int) -> None:
+    """Raises UserError if ``port`` is taken; viser would silently take the next one."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise UserError(
+                f"port {port} on {host} cannot be served ({error.strerror}); choose another "
+                "with --port"
+            ) from error

@@ -1,0 +1,123 @@
+"""Every subset: what the policy would do with each set of streams, at this very step."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+import viser
+
+from madviz.app.colours import NOTE, camera_colours
+from madviz.app.panel import Assign
+from madviz.app.toolkit import remove_all
+from madviz.frame import Frame
+from madviz.subsets import camera_of, mask_of, modality_of, name_of
+
+MODALITY_WORDS = {"rgb": "colour", "depth": "depth"}
+MIDDLE = 50
+"""Percent of an action cell's width where 0 is."""
+
+
+class SubsetsPanel:
+    """A table with a row per subset: its action as bars, its Q, whether it was trained."""
+
+    def __init__(self, gui: viser.GuiApi, frame: Frame) -> None:
+        self._table = gui.add_html(subsets_html(frame))
+
+    def update(self, frame: Frame) -> list[Assign]:
+        return [Assign(self._table, "content", subsets_html(frame))]
+
+    def remove(self) -> None:
+        remove_all([self._table])
+
+
+def is_trained(frame: Frame, mask: np.ndarray) -> bool:
+    """Whether the card says that the policy was trained to work from the streams of ``mask``."""
+    streams = frame.policy.streams
+    return any(
+        np.array_equal(mask_of(name, streams), mask) for name in frame.policy.trained_subsets
+    )
+
+
+def subsets_html(frame: Frame) -> str:
+    """The current subset first, then the trained ones, then the rest."""
+    probe = frame.probe
+    masks = probe.masks
+    trained = {
+        mask_of(name, frame.policy.streams).tobytes() for name in frame.policy.trained_subsets
+    }
+    here = frame.row
+    order = sorted(
+        range(len(masks)), key=lambda row: (row != here, masks[row].tobytes() not in trained, row)
+    )
+    rows = [_row(frame, row, masks[row].tobytes() in trained, row == here) for row in order]
+    head = (
+        '<tr class="dim"><td colspan="2">the policy gets</td><td style="width:45%">action now</td>'
+        '<td class="num">Q now</td><td></td></tr>'
+    )
+    return f'<div class="mv"><table>{head}{"".join(rows)}</table></div>'
+
+
+def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
+    readout, mask = frame.probe.readout, frame.probe.masks[row]
+    label = escape(subset_label(frame, name_of(mask, frame.policy.streams)))
+    now = f'<span class="tag" style="background:{NOTE}">now</span> ' if here else ""
+    note = "" if trained else '<span class="dim">off-training</span>'
+    if np.isfinite(readout.action[row]).all():
+        cells = (
+            f'<td>{action_bars(readout.action[row])}</td><td class="num">{readout.q[row]:.1f}</td>'
+        )
+    else:
+        cells = '<td class="dim">cannot act on this</td><td></td>'
+    style = ' style="background:rgba(255,209,102,0.12)"' if here else ""
+    return (
+        f"<tr{style}><td>{presence(frame, mask)}</td><td>{now}{label}</td>{cells}"
+        f"<td>{note}</td></tr>"
+    )
+
+
+def presence(frame: Frame, mask: np.ndarray) -> str:
+    """A square per camera in its colour, filled where it is present; with two modalities the left
+    half is colour and the right half depth."""
+    colours = camera_colours(frame.env.cameras)
+    on: dict[str, list[bool]] = {}
+    for stream, present in zip(frame.policy.streams, mask, strict=True):
+        on.setdefault(camera_of(stream), []).append(bool(present))
+    squares = ""
+    for camera, halves in on.items():
+        colour = colours[camera]
+        left, right = (colour if half else "transparent" for half in (halves[0], halves[-1]))
+        squares += (
+            f'<span class="dot" style="border:1.5px solid {colour};margin-right:3px;'
+            f'background:linear-gradient(90deg,{left} 50%,{right} 50%)"></span>'
+        )
+    return squares
+
+
+def subset_label(frame: Frame, subset: str) -> str:
+    """``First person + Third B depth`` for ``first+third_b.depth``."""
+    special = {"all": "all", "none": "state only", "rgb": "all colour", "depth": "all depth"}
+    if subset in special:
+        return special[subset]
+    parts = []
+    for stream in subset.split("+"):
+        label = frame.env.camera(camera_of(stream)).label
+        several = "." in stream
+        parts.append(f"{label} {MODALITY_WORDS[modality_of(stream)]}" if several else label)
+    return " + ".join(parts)
+
+
+def action_bars(action: np.ndarray) -> str:
+    """(A,) in [-1, 1] as bars from the middle of a cell each, with the number inside."""
+    cells = ""
+    for value in action:
+        width = abs(float(value)) * MIDDLE
+        left = MIDDLE if value >= 0 else MIDDLE - width
+        cells += (
+            '<div style="position:relative;flex:1;height:15px;background:#33363b">'
+            f'<div style="position:absolute;left:{left:.0f}%;width:{width:.0f}%;height:100%;'
+            'background:#5b6b80"></div>'
+            '<div style="position:absolute;left:0;right:0;text-align:center;font-size:11px;'
+            f'line-height:15px" class="num">{value:+.2f}</div></div>'
+        )
+    return f'<div style="display:flex;gap:3px">{cells}</div>'

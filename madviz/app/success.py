@@ -1,0 +1,267 @@
+"""What comes of it: success rates with their intervals, the last live outcomes, and the words."""
+
+from __future__ import annotations
+
+from collections import deque
+from html import escape
+
+import numpy as np
+import viser
+from viser import uplot
+
+from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
+from madviz.app.features import NO_POINTS, small_axes
+from madviz.app.panel import Assign
+from madviz.app.rates import Rate, Rates
+from madviz.app.subsets import is_trained, presence, subset_label
+from madviz.app.toolkit import remove_all
+from madviz.frame import Change, Frame, Outcome, Setting, words
+from madviz.subsets import mask_of, single_streams
+from madviz.types import PolicySpec
+
+HISTORY = 200
+"""Points of the success curve that are kept."""
+
+
+class SuccessPanel:
+    """Bars (shipped above, measured here below), a curve that marks every change, a strip."""
+
+    def __init__(self, gui: viser.GuiApi, frame: Frame, rates: Rates, owner: bool) -> None:
+        self._rates, self._owner = rates, owner
+        self._known: tuple[Outcome, ...] = ()
+        self._curve = Curve()
+        self._bars = gui.add_html(bars_html(frame, rates))
+        self._strip = gui.add_html(strip_html(frame))
+        self._plot = gui.add_uplot(
+            self._curve.data(),
+            (
+                uplot.Series(label="episode"),
+                uplot.Series(label="low", stroke="transparent", points=NO_POINTS),
+                uplot.Series(label="high", stroke="transparent", points=NO_POINTS),
+                uplot.Series(label="success", stroke=GOOD, width=2, points=NO_POINTS),
+                uplot.Series(label="change", stroke=NOTE, width=1, dash=(3, 3), points=NO_POINTS),
+            ),
+            bands=(uplot.Band(series=(2, 1), fill="rgba(77,182,255,0.18)"),),
+            scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=(0.0, 1.0))},
+            axes=small_axes(30),
+            legend=uplot.Legend(show=False),
+            height=84,
+            padding=(6, 10, 0, 0),
+        )
+
+    def update(self, frame: Frame) -> list[Assign]:
+        if self._owner:
+            self._keep(frame)
+        setting = frame.setting
+        moved = self._curve.add(frame.policy, setting, self._rates.live(frame.policy, setting))
+        changes = [
+            Assign(self._bars, "content", bars_html(frame, self._rates)),
+            Assign(self._strip, "content", strip_html(frame)),
+        ]
+        if moved:
+            changes.append(Assign(self._plot, "data", self._curve.data()))
+        return changes
+
+    def remove(self) -> None:
+        remove_all([self._bars, self._plot, self._strip])
+
+    def _keep(self, frame: Frame) -> None:
+        """Episodes seen on this page under one setting from start to end are measurements, too."""
+        fresh = [one for one in frame.outcomes if one not in self._known]
+        self._known = frame.outcomes
+        for outcome in fresh:
+            if outcome.setting is not None and outcome.policy == frame.policy:
+                self._rates.add(frame.policy, outcome.setting, {outcome.seed: outcome.success})
+
+
+class Curve:
+    """Success under the present setting, episode by episode; starts afresh at every change."""
+
+    def __init__(self) -> None:
+        self._points: deque[tuple[float, ...]] = deque(maxlen=HISTORY)
+        self._key: tuple[PolicySpec, Setting] | None = None
+        self._n, self._episodes = 0, 0
+
+    def add(self, policy: PolicySpec, setting: Setting, rate: Rate) -> bool:
+        """Whether there is something new to draw."""
+        key, before = (policy, setting), self._key
+        if key != before:
+            self._key, self._n = key, 0
+            if before is not None:
+                # A vertical line: two points at the same place, and a gap after them.
+                x = self._episodes + 0.5
+                gap = (np.nan, np.nan, np.nan)
+                self._points += [(x, *gap, 0.0), (x, *gap, 1.0), (x, *gap, np.nan)]
+        if rate.n == self._n:
+            return key != before
+        self._n, self._episodes = rate.n, self._episodes + 1
+        self._points.append((self._episodes, *rate.interval, rate.mean, np.nan))
+        return True
+
+    def data(self) -> tuple[np.ndarray, ...]:
+        """The columns: episode, low, high, success, change."""
+        if len(self._points) < 2:
+            return (np.array([0.0, 10.0]), *(np.full(2, np.nan) for _ in range(4)))
+        return tuple(np.array(self._points).T)
+
+
+def bar_rows(frame: Frame, rates: Rates) -> list[Setting]:
+    """The settings that get a bar: all, the single cameras or streams, no camera; and now."""
+    spec = frame.policy
+    singles = single_streams(spec.streams)
+    names = [subset for subset in ("all", *rates.shipped(spec), *singles, "none")]
+    rows = [Setting(name) for name in dict.fromkeys(names)]
+    return rows if frame.setting in rows else [*rows, frame.setting]
+
+
+def bars_html(frame: Frame, rates: Rates) -> str:
+    """One bar per setting: rate, interval and count, shipped above, measured here below."""
+    spec = frame.policy
+    rows = []
+    for setting in bar_rows(frame, rates):
+        shipped = rates.shipped(spec).get(setting.subset, Rate())
+        shipped = Rate() if setting.occlusions else shipped
+        rows.append(_bar_row(frame, setting, shipped, rates.live(spec, setting)))
+    key = (
+        f'<span class="dot" style="background:{MUTED};height:5px"></span>shipped'
+        f'<span class="dot" style="background:{GOOD};height:5px;margin-left:8px"></span>'
+        "measured here · † off-training"
+    )
+    return (
+        f'<div class="mv"><h4>Success at the last step</h4><div class="dim">{key}'
+        f"</div>{''.join(rows)}</div>"
+    )
+
+
+def _bar_row(frame: Frame, setting: Setting, shipped: Rate, live: Rate) -> str:
+    mask = mask_of(setting.subset, frame.policy.streams)
+    label = subset_label(frame, setting.subset)
+    if setting.occlusions:
+        label += " · " + ", ".join(p.split(",")[0] for p in setting.occlusions.split(";"))
+    dagger = "" if is_trained(frame, mask) else "† "
+    joined = live if live.n >= shipped.n else shipped
+    number = f"<b>{joined.mean:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"
+    style, now = "border-left:3px solid transparent", ""
+    if setting == frame.setting:
+        style = f"border-left:3px solid {NOTE};background:rgba(255,209,102,0.12)"
+        now = f'<b style="color:{NOTE}">now</b> '
+    title = escape(f"{label}: {_in_words(shipped, 'shipped')}; {_in_words(live, 'measured here')}")
+    return (
+        f'<div title="{title}" style="display:flex;align-items:center;height:20px;gap:4px;{style};'
+        'padding-left:3px;margin-left:-6px;white-space:nowrap">'
+        f"<span>{presence(frame, mask)}</span>"
+        '<span style="width:104px;overflow:hidden;text-overflow:ellipsis;font-size:12px">'
+        f"{now}{dagger}{escape(label)}</span>"
+        '<div style="position:relative;flex:1;height:12px;background:#33363b;border-radius:2px">'
+        f"{_interval(shipped, MUTED, 0)}{_interval(live, GOOD, 6)}</div>"
+        f'<span class="num" style="width:74px">{number}</span></div>'
+    )
+
+
+def _in_words(rate: Rate, source: str) -> str:
+    if not rate.n:
+        return f"nothing {source}"
+    low, high = rate.interval
+    return f"{source} {rate.mean:.2f} [{low:.2f}, {high:.2f}], n={rate.n}"
+
+
+def _interval(rate: Rate, colour: str, top: int) -> str:
+    """A band from low to high with a solid mark at the mean."""
+    if not rate.n:
+        return ""
+    low, high = rate.interval
+    at = 97 * rate.mean
+    return (
+        f'<div style="position:absolute;top:{top}px;height:6px;left:{100 * low:.1f}%;'
+        f'width:{100 * (high - low):.1f}%;background:{colour};opacity:0.5"></div>'
+        f'<div style="position:absolute;top:{top}px;height:6px;left:{at:.1f}%;width:3px;'
+        f'background:{colour}"></div>'
+    )
+
+
+def strip_html(frame: Frame) -> str:
+    """The last live outcomes, newest on the right, with the cameras that were missing in each."""
+    if not frame.outcomes:
+        body = '<span class="dim">the first episode is still running</span>'
+    else:
+        body = "".join(_outcome(frame, outcome) for outcome in frame.outcomes)
+    return (
+        '<div class="mv"><h4>Last episodes <span class="plain">● camera off, ○ spoilt</span></h4>'
+        f'<div style="display:flex;gap:3px;min-height:38px">{body}</div>'
+        "<h4>Success, present setting, by episode</h4></div>"
+    )
+
+
+def _outcome(frame: Frame, outcome: Outcome) -> str:
+    colours = camera_colours(frame.env.cameras)
+    dots = ""
+    for camera, wrong in outcome.cameras.items():
+        fill = colours[camera] if wrong == "off" else "transparent"
+        edge = colours[camera] if wrong else FAINT
+        dots += (
+            f'<div style="width:5px;height:5px;border-radius:3px;background:{fill};'
+            f'border:1px solid {edge}"></div>'
+        )
+    mark, colour = ("✔", GOOD) if outcome.success else ("✘", BAD)
+    style = f"background:{colour};color:#15171a" if outcome.success else f"color:{colour}"
+    hurt = [f"{camera} {wrong}" for camera, wrong in outcome.cameras.items() if wrong]
+    title = f"seed {outcome.seed}: {'success' if outcome.success else 'fail'}; " + (
+        ", ".join(hurt) or "all cameras worked"
+    )
+    return (
+        f'<div title="{escape(title)}"><div style="width:12px;height:16px;font-size:10px;'
+        f'line-height:16px;text-align:center;border-radius:2px;border:1px solid {colour};{style}">'
+        f'{mark}</div><div style="display:flex;justify-content:center;margin-top:2px;'
+        f'flex-direction:column;align-items:center;gap:1px">{dots}</div></div>'
+    )
+
+
+class WordsPanel:
+    """One line that says what just happened, in plain words."""
+
+    HINT = (
+        "Take a camera away: press <b>off</b> under its picture, its number key, or click it in "
+        "the scene. <b>Off</b> leaves it out of the sum; <b>black</b> sends a black picture."
+    )
+
+    def __init__(self, gui: viser.GuiApi, frame: Frame, rates: Rates) -> None:
+        self._rates = rates
+        self._last: tuple[Change, PolicySpec] | None = None
+        self._line = gui.add_html(self._html(frame))
+
+    def update(self, frame: Frame) -> list[Assign]:
+        if frame.change is not None:
+            self._last = (frame.change, frame.policy)
+        return [Assign(self._line, "content", self._html(frame))]
+
+    def remove(self) -> None:
+        self._line.remove()
+
+    def _html(self, frame: Frame) -> str:
+        if self._last is None or self._last[1] != frame.policy:
+            said = f'<span class="dim">{self.HINT}</span>'
+        else:
+            said = escape(sentence(self._last[0], frame, self._rates))
+        return (
+            f'<div class="mv mv-words" style="border-left:3px solid {NOTE};margin:0 10px 4px;'
+            f'padding:2px 8px;min-height:36px">{said}</div>'
+        )
+
+
+def sentence(change: Change, frame: Frame, rates: Rates) -> str:
+    """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8; success so far 0.94 → 0.81
+    (n=16)``."""
+    line = words(change, frame.env)
+    if change.setting_before == change.setting_after:
+        return line
+    before = rates.best(frame.policy, change.setting_before)
+    after = rates.best(frame.policy, change.setting_after)
+    if not after.n:
+        tail = f"success so far {before.mean:.2f} → not measured yet" if before.n else ""
+    else:
+        start = f"{before.mean:.2f} → " if before.n else ""
+        tail = f"success so far {start}{after.mean:.2f} (n={after.n})"
+    return f"{line}; {tail}" if tail else line
+
+
+__all__ = ["Curve", "SuccessPanel", "WordsPanel", "bars_html", "sentence", "strip_html"]

@@ -1,0 +1,175 @@
+"""Everything of viser 1.1 that is experimental or needs a word of explanation, in one place.
+
+*Layout.* Panels dock left and right of the 3D scene. viser has no columns; a container becomes a
+grid when it holds ``grid_style``. A browser without the CSS ``:has`` selector shows a plain list.
+
+*Choices.* A button group is one click to any of its options, but does not show which one is active.
+``Choice`` marks it, by a style that is rewritten whenever the choice changes; widgets are found in
+the page by the id of their label.
+
+*Echo.* Assigning ``handle.value`` runs the callbacks of that widget in the assigning thread, with
+``event.client`` None. Every value callback begins by leaving in that case, or showing the state
+would change the state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import viser
+
+from madviz.types import UserError
+
+LEFT_WIDTH, LEFT_WIDTH_WIDE, RIGHT_WIDTH = 640, 790, 320
+WIDE = 1600
+"""Browser windows from this width on get bigger tiles."""
+
+STYLE = """<style>
+.mv {font-size:13px; line-height:1.35; color:#e8eaed; padding:0 10px 6px; letter-spacing:-0.1px}
+.mv b {font-weight:600} .mv .dim {color:#9a9fa6} .mv table {border-collapse:collapse; width:100%}
+.mv td {padding:1px 4px 1px 0; white-space:nowrap}
+.mv .num {font-variant-numeric:tabular-nums; text-align:right}
+.mv .dot {display:inline-block; width:10px; height:10px; border-radius:2px; margin-right:5px}
+.mv .tag {display:inline-block; padding:0 6px; border-radius:3px; font-weight:600; color:#15171a}
+.mv img.strip {image-rendering:pixelated; width:100%; height:14px; display:block}
+.mv h4 {margin:6px 0 3px; font-size:12px; font-weight:600; color:#9a9fa6; letter-spacing:0.3px;
+  text-transform:uppercase} .mv h4 .plain {text-transform:none; font-weight:400; letter-spacing:0}
+.uplot-container {margin-top:2px !important; margin-bottom:4px !important}
+.mv pre {white-space:pre-wrap; font-size:11px; max-height:160px; overflow:auto; margin:4px 0}
+</style>"""
+
+
+def dock(client: viser.ClientHandle, wide: bool) -> viser.PanelHandle:
+    """The left panel; the main panel goes to the right, the scene stays between them."""
+    panel = client.gui.add_panel()
+    panel.dock_left()
+    panel.set_width(LEFT_WIDTH_WIDE if wide else LEFT_WIDTH)
+    client.gui.main_panel.dock_right()
+    client.gui.main_panel.set_width(RIGHT_WIDTH)
+    return panel
+
+
+def window_is_wide(client: viser.ClientHandle) -> bool:
+    """Whether the 3D canvas, which fills the window before panels dock, is wide."""
+    return client.camera.image_width >= WIDE
+
+
+def notify(client: viser.ClientHandle, title: str, body: str, seconds: float = 8.0) -> None:
+    """A note in the corner of the scene that goes away by itself."""
+    client.add_notification(title, body, auto_close_seconds=seconds, color="orange")
+
+
+def commands(
+    client: viser.ClientHandle, table: Sequence[tuple[str, Any, Callable[[], None]]]
+) -> list[viser.CommandHandle]:
+    """Registers (label, hotkey, what it does) with the page's command palette (Ctrl/Cmd + K)."""
+    handles = []
+    for label, hotkey, work in table:
+        handle = client.gui.add_command(label, hotkey=hotkey)
+        handle.on_trigger(lambda _, work=work: work())
+        handles.append(handle)
+    return handles
+
+
+def guarded(client: viser.ClientHandle, work: Callable[[], None]) -> None:
+    """Runs ``work``; a value that the page should not have sent becomes a note on the page."""
+    try:
+        work()
+    except UserError as error:
+        notify(client, "That did not work", str(error))
+
+
+class Cell(NamedTuple):
+    """Where a widget goes in a grid."""
+
+    handle: Any
+    column: int
+    """From 1."""
+    span: int = 1
+    label: str = "4.2em"
+    """Width of its label; ``above`` puts the label on top."""
+    button: str = "0"
+    """Least width of its buttons."""
+
+
+def grid_style(name: str, columns: int, cells: Sequence[Cell]) -> str:
+    """CSS that lays out the container this style is in: the widgets of ``cells`` where they say,
+    everything else across all columns."""
+    here = f"div:has(> div > style.mv-grid-{name})"
+    rules = [
+        f"{here} {{display:grid; grid-template-columns:repeat({columns}, minmax(0, 1fr));"
+        "padding-left:7px; padding-right:7px}",
+        f"{here} > * {{grid-column:1 / -1; min-width:0; margin-left:-7px; margin-right:-7px}}",
+        f"{here} > * > div > img {{width:100%}}",
+    ]
+    for cell in cells:
+        box = f'{here} > div:has([id="{cell.handle._impl.uuid}"], [for="{cell.handle._impl.uuid}"])'
+        rules.append(
+            f"{box} {{grid-column:{cell.column} / span {cell.span}; margin:0; "
+            "padding:0 3px 6px !important}"
+        )
+        line = f"{box} > div:has(label)"
+        if cell.label == "above":
+            rules.append(f"{line} {{flex-direction:column; align-items:stretch !important}}")
+            rules.append(f"{line} > div:first-child {{width:auto !important; font-size:13px}}")
+            rules.append(f"{line} button {{flex-basis:{cell.button} !important}}")
+        else:
+            rules.append(f"{line} > div:first-child {{width:{cell.label} !important}}")
+    return f'<style class="mv-grid-{name}">' + "\n".join(rules) + "</style>"
+
+
+class Choice:
+    """A row of buttons of which one is active, and shown as active."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        label: str,
+        options: dict[str, str],
+        on_choice: Callable[[viser.ClientHandle, str], None],
+        hint: str | None = None,
+    ) -> None:
+        """``options`` maps values to what the buttons say."""
+        self._values = list(options)
+        said = {text: value for value, text in options.items()}
+        self.handle = gui.add_button_group(label, list(said), hint=hint)
+
+        @self.handle.on_click
+        def _(event: viser.GuiEvent) -> None:
+            client = event.client
+            if client is None or event.target.value not in said:
+                return
+            guarded(client, lambda: on_choice(client, said[event.target.value]))
+
+    def style(self, active: str, disabled: bool = False) -> str:
+        """CSS that marks the active button."""
+        row = f'div:has(> div > p > label[for="{self.handle._impl.uuid}"])'
+        rules = f"{row} button {{color:#c3c7cc; border-color:#50545a; padding:0 5px}}"
+        if active in self._values:
+            place = self._values.index(active) + 1
+            rules += (
+                f"{row} button:nth-child({place}) "
+                "{background:#e8eaed; color:#15171a; border-color:#e8eaed}"
+            )
+        if disabled:
+            rules += f"{row} {{opacity:0.45; pointer-events:none}}"
+        return rules
+
+
+def on_value(handle: Any, work: Callable[[viser.ClientHandle, Any], None]) -> None:
+    """Calls ``work(client, value)`` when a visitor changes ``handle``; never for our own
+    assignments."""
+
+    @handle.on_update
+    def _(event: viser.GuiEvent) -> None:
+        client = event.client
+        if client is None:
+            return
+        guarded(client, lambda: work(client, event.target.value))
+
+
+def remove_all(handles: Sequence[Any]) -> None:
+    """Takes widgets off the page."""
+    for handle in handles:
+        handle.remove()
