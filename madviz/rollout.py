@@ -44,6 +44,9 @@ FIRST_SEED = 5000
 GIVE_UP = 3
 """Pools that may break in a row, without a single episode finished, before it is an error."""
 
+KEPT = 4
+"""Policies a process keeps loaded: visitors of a page compare a few, and take turns."""
+
 
 class Stopped(Exception):
     """The episode was abandoned because its evaluation is being closed."""
@@ -133,11 +136,11 @@ def run_episode(
 
 
 class Runner:
-    """Runs jobs in this process: each policy and environment is loaded once, the last is kept."""
+    """Runs jobs in this process; keeps the last few policies and the last environment."""
 
     def __init__(self, stop: Callable[[], bool] = lambda: False) -> None:
         self._stop = stop
-        self._policy: tuple[tuple[str, str], Policy] | None = None
+        self._policies: dict[tuple[str, str], Policy] = {}
         self._env: tuple[tuple[str, str], Environment] | None = None
 
     def run(self, job: Job) -> Finished:
@@ -151,7 +154,7 @@ class Runner:
 
     def adopt(self, reference: str, policy: Policy) -> None:
         """Makes an object that exists already answer to ``reference``."""
-        self._policy = (reference, policy.spec.digest), policy
+        self._policies[reference, policy.spec.digest] = policy
 
     def close(self) -> None:
         if self._env:
@@ -159,12 +162,15 @@ class Runner:
         self._env = None
 
     def _loaded(self, reference: str, digest: str) -> Policy:
-        if self._policy is None or self._policy[0] != (reference, digest):
+        key = (reference, digest)
+        if key not in self._policies:
             policy = checkpoint.load_policy(reference)
             if policy.spec.digest != digest:
                 raise UserError(f"{reference} was changed while it was evaluated; start again")
-            self._policy = (reference, digest), policy
-        return self._policy[1]
+            if len(self._policies) == KEPT:
+                del self._policies[next(iter(self._policies))]
+            self._policies[key] = policy
+        return self._policies[key]
 
     def _environment(self, policy: Policy, reference: str) -> Environment:
         key = (policy.spec.task, policy.spec.render_profile)
