@@ -80,7 +80,7 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
     described = replace(config, out=None, resume=False)
     folder = RunFolder(out, described, config.resume, listener or print_event)
     if config.recipe == "paper":
-        train_paper(config, folder)
+        train_paper(config, folder, command(config))
     else:
         _train_light(config, folder)
     return folder.path

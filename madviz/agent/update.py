@@ -16,6 +16,7 @@ the target critic's average stay in float32.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -28,6 +29,7 @@ from madviz.agent.agent import Agent, fast_bfloat16, optimisers
 from madviz.agent.augment import PAD, shift
 from madviz.agent.merge import MERGES
 from madviz.agent.methods import Method
+from madviz.agent.networks import squash
 from madviz.agent.objectives import (
     Batch,
     actor_losses,
@@ -132,12 +134,20 @@ class Learner:
             "entropy": -log_prob[0].mean().item(),
         }
 
+    @torch.inference_mode()
+    def act(self, views: Tensor, state: Tensor) -> Array:
+        """(V, C, H, W) uint8 and (S,) to a drawn action (A,), on all streams; for exploration."""
+        merged = self._merge(views[None].to(self._device), 1)[0]
+        mean, log_std = self.agent.actor(merged, state[None].to(self._device))
+        noise = torch.randn(mean.shape, generator=self._noise).to(self._device)
+        return squash(mean, log_std, noise)[0][0].float().cpu().numpy()
+
     def state_dict(self) -> dict[str, Any]:
         """Everything a resumed run needs to go on as if it had never stopped."""
         return {
             "agent": self.agent.state_dict(),
             "optimisers": {name: o.state_dict() for name, o in self.optimisers.items()},
-            "rng": self._rng.bit_generator.state,
+            "rng": json.dumps(self._rng.bit_generator.state),
             "noise": self._noise.get_state(),
         }
 
@@ -145,7 +155,7 @@ class Learner:
         self.agent.load_state_dict(state["agent"])
         for name, optimiser in self.optimisers.items():
             optimiser.load_state_dict(state["optimisers"][name])
-        self._rng.bit_generator.state = state["rng"]
+        self._rng.bit_generator.state = json.loads(state["rng"])
         self._noise.set_state(state["noise"])
 
     def _shifted(self, batch: Batch, draw: Draw) -> Batch:

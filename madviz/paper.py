@@ -1,0 +1,347 @@
+"""The paper recipe: MAD by reinforcement learning, with the paper's schedule and hyper-parameters.
+
+    for step in 0, 1, 2, ... 499,999:                          an agent step is one decision
+        from step 2,000 on, every second step: one full update on 256 transitions
+        act: uniformly before step 2,000, then drawn from the policy on all streams
+
+That is 249,000 updates and, where a decision lasts two simulator steps (Meta-World), a million of
+those. Every 25,000 *simulator* steps (the paper's words; its code counts decisions), at the next
+end of an episode, 20 deterministic episodes are run on all streams and on each alone.
+
+A run is a function of its configuration and seed. Resume state holds weights, optimisers,
+generators and what is new in the buffer; a killed run goes on in mid-episode, by resetting to the
+episode's seed and repeating its actions, and ends with the weights of a run that was left alone.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from madviz.ablations import Ablation
+from madviz.agent.agent import Agent, TorchPolicy
+from madviz.agent.augment import random_shift
+from madviz.agent.methods import method
+from madviz.agent.networks import NetworkConfig
+from madviz.agent.update import Learner, LearningConfig, Precision
+from madviz.buffer import BufferSpec, ReplayBuffer
+from madviz.checkpoint import save_policy
+from madviz.envs.base import make_env, setting
+from madviz.manifest import policy_config
+from madviz.rollout import Stopped, one_thread, run_episode
+from madviz.run import RunFolder, interruptible
+from madviz.streams import stream_frame
+from madviz.subsets import camera_of, cameras_of, mask_of, single_streams
+from madviz.types import Array, Encoded, Environment, PolicySpec
+
+if TYPE_CHECKING:
+    from madviz.train import TrainConfig
+
+SELECTION_SEED = 1000
+"""Where the seeds of evaluations during training begin; training itself stays below."""
+PROGRESS_SECONDS = 20
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """The paper's schedule; the defaults are its numbers (discount: Meta-World's)."""
+
+    steps: int = 500_000
+    """Decisions in the whole run."""
+    exploration_steps: int = 2_000
+    """Decisions drawn uniformly before the policy acts; no update before that."""
+    update_every: int = 2
+    """Decisions between updates."""
+    batch_size: int = 256
+    """Transitions in an update."""
+    buffer_capacity: int = 500_000
+    """Transitions that are remembered."""
+    buffer_on_disk: bool = False
+    """Keep frames in files of the run's folder; slower, but memory need not hold them."""
+    discount: float = 0.99
+    """Gamma (ManiSkill: 0.8)."""
+    bootstrap_at_time_limit: bool = True
+    """Whether the last step of an episode still expects a future; nothing really ends there."""
+    hidden_dim: int = 1024
+    """Width of the heads' hidden layers."""
+    temperature: float = 0.1
+    """Of the entropy bonus, at the start; learned from then on."""
+    alpha: float = 0.8
+    """Weight of the merged term; 1 - alpha is shared by the singular terms."""
+    learning_rate: float = 5e-4
+    """Of four separate Adams."""
+    target_rate: float = 0.01
+    """Share of the critic in its target's moving average, per update."""
+    same_shift_for_views: bool = True
+    """Shift all views of a sample alike (the paper), or each on its own (its code)."""
+    shift_when_acting: bool = False
+    """Also shift what the policy acts on, in training and in evaluation (as the code does)."""
+    precision: Precision = "auto"
+    """Of matrix products in updates."""
+    eval_every: int = 25_000
+    """Simulator steps between evaluations."""
+    eval_episodes: int = 20
+    """Deterministic episodes for each subset."""
+    save_every: int = 2_000
+    """Decisions between checkpoints."""
+
+    def learning(self) -> LearningConfig:
+        """The part an update needs."""
+        return LearningConfig(
+            *(self.alpha, self.learning_rate, self.target_rate),
+            same_shift_for_views=self.same_shift_for_views,
+            precision=self.precision,
+        )
+
+
+class PaperRun:
+    """One training run: learner, buffer, environment, and where they stand."""
+
+    def __init__(
+        self, config: PaperConfig, env: Environment, spec: PolicySpec, seed: int, folder: RunFolder
+    ) -> None:
+        """Raises UserError if the replay buffer will not fit."""
+        self.config, self.env, self.spec, self.folder = config, env, spec, folder
+        facts = env.spec
+        torch.manual_seed(seed)
+        networks = NetworkConfig(
+            facts.state_dim, facts.action_dim, spec.frame_stack, hidden_dim=config.hidden_dim
+        )
+        self.learner = Learner(
+            Agent(networks, config.temperature),
+            method(spec.method),
+            spec.streams,
+            config.learning(),
+            seed,
+        )
+        self.buffer = ReplayBuffer(
+            BufferSpec(
+                spec.streams,
+                *(facts.state_dim, facts.action_dim),
+                capacity=min(config.buffer_capacity, config.steps),
+                horizon=facts.horizon,
+                frame_stack=spec.frame_stack,
+            ),
+            folder.resume / "frames" if config.buffer_on_disk else None,
+        )
+        self.rng = np.random.default_rng(seed)
+        self.step = self.updates = self.episodes = self.evaluate_at = 0
+        self.evaluated_step = -1
+        self.seconds = 0.0
+        self.losses: dict[str, float] = {}
+        self.between_episodes = True
+        self.episode_seed = 0
+
+    def advance(self) -> None:
+        """One decision, with the update that is due before it."""
+        config = self.config
+        exploring = self.step < config.exploration_steps
+        if self.between_episodes:
+            self._begin()
+        if not exploring and self.step % config.update_every == 0:
+            self.losses = self.learner.update(self.buffer.sample(config.batch_size, self.rng))
+            self.updates += 1
+        action = self._explore() if exploring else self._act()
+        now = self.env.step(action)
+        ends = now.last and not config.bootstrap_at_time_limit
+        self.buffer.add(action, now.reward, 0 if ends else config.discount, now.state, self._look())
+        self.step += 1
+        self.between_episodes = now.last
+
+    @property
+    def env_steps(self) -> int:
+        """Simulator steps taken."""
+        return self.step * self.env.spec.action_repeat
+
+    @property
+    def finished(self) -> bool:
+        return self.step >= self.config.steps
+
+    def evaluation_due(self) -> bool:
+        """At the start, at the first episode's end past every ``eval_every``, and at the end."""
+        regular = self.between_episodes and self.env_steps >= self.evaluate_at
+        return regular or (self.finished and self.evaluated_step != self.step)
+
+    def evaluate(self, stop: Callable[[], bool]) -> dict[str, float]:
+        """Success and return on all streams and on each alone. Raises Stopped if ``stop`` says so.
+
+        The environment is between two episodes; the next one begins with a reset anyway.
+        """
+        policy = TorchPolicy(self.spec, self.learner.agent)
+        if self.config.shift_when_acting:
+            policy = _Shifting(self.spec, self.learner.agent)
+        row: dict[str, float] = {}
+        for subset in ("all", *single_streams(self.spec.streams)):
+            mask = mask_of(subset, self.spec.streams)
+            with one_thread():
+                results = [
+                    run_episode(policy, self.env, mask, Ablation(), SELECTION_SEED + i, stop)
+                    for i in range(self.config.eval_episodes)
+                ]
+            row[f"success_{subset}"] = round(float(np.mean([r.success for r in results])), 4)
+            row[f"return_{subset}"] = round(float(np.mean([r.total_reward for r in results])), 3)
+        self.evaluated_step = self.step
+        self.evaluate_at = (self.env_steps // self.config.eval_every + 1) * self.config.eval_every
+        return row
+
+    def state(self) -> dict[str, Any]:
+        """Everything ``restore`` needs; what is new in the buffer is written on the way."""
+        return {
+            "learner": self.learner.state_dict(),
+            "buffer": self.buffer.save(self.folder.resume / "buffer"),
+            "rng": json.dumps(self.rng.bit_generator.state),
+            **{key: getattr(self, key) for key in _COUNTS},
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continues from ``state``, in mid-episode if need be."""
+        self.learner.load_state_dict(state["learner"])
+        self.buffer.restore(self.folder.resume / "buffer", state["buffer"])
+        self.rng.bit_generator.state = json.loads(state["rng"])
+        for key in _COUNTS:
+            setattr(self, key, state[key])
+        if not self.between_episodes:
+            self.env.reset(self.episode_seed)
+            for action in self.buffer.actions():
+                self.env.step(action)
+
+    def _begin(self) -> None:
+        self.episode_seed = int(self.rng.integers(0, SELECTION_SEED))
+        self.episodes += 1
+        now = self.env.reset(self.episode_seed)
+        self.buffer.begin(now.state, self._look())
+
+    def _look(self) -> list[Array]:
+        """The newest frame of every stream."""
+        streams = self.spec.streams
+        views = {camera: self.env.view(camera) for camera in cameras_of(streams)}
+        return [stream_frame(views[camera_of(s)], s, self.env.spec) for s in streams]
+
+    def _explore(self) -> Array:
+        return self.rng.uniform(-1, 1, self.env.spec.action_dim).astype(np.float32)
+
+    def _act(self) -> Array:
+        views, state = self.buffer.newest()
+        if self.config.shift_when_acting:
+            views = random_shift(views[None], self.rng, self.config.same_shift_for_views)[0]
+        return self.learner.act(views, state)
+
+
+_COUNTS = (
+    *("step", "updates", "episodes", "evaluate_at", "evaluated_step"),
+    *("seconds", "losses", "between_episodes", "episode_seed"),
+)
+
+
+class _Shifting(TorchPolicy):
+    """The code's policy: every view it acts on is shifted, evaluation included."""
+
+    def encode(self, views: Array, state: Array) -> Encoded:
+        # Drawn from the picture itself, so that an episode stays a function of its seed.
+        rng = np.random.default_rng(int(views.sum(dtype=np.int64)))
+        moved = random_shift(torch.from_numpy(views)[None], rng, same_for_views=False)
+        return super().encode(moved[0].numpy(), state)
+
+
+def train_paper(config: TrainConfig, folder: RunFolder, command: str = "") -> None:
+    """Trains by the paper's recipe, from the folder's last state on if it has one.
+
+    Ctrl-C saves after the decision (or evaluation episode) at hand. Raises UserError for what the
+    method or the machine cannot do.
+    """
+    streams = setting(config.setting).streams
+    spec = PolicySpec(
+        *(config.policy_name(), config.task, config.method, config.setting, config.recipe),
+        streams=streams,
+        trained_subsets=method(config.method).trained_subsets(streams),
+        render_profile=config.render_profile,
+    )
+    env = make_env(config.task, config.render_profile)
+    try:
+        run = PaperRun(config.paper, env, spec, config.seed, folder)
+        state = folder.load_state()
+        if state:
+            run.restore(state)
+        # Whatever was reported after that state will be reported again.
+        folder.truncate_curve("step", run.step if state else -1)
+        _loop(run, lambda: _save(run, config, command))
+    finally:
+        env.close()
+
+
+def _loop(run: PaperRun, save: Callable[[], None]) -> None:
+    saved, began = run.step, time.monotonic() - run.seconds
+    reported, reported_step = time.monotonic(), run.step
+    with interruptible() as stop:
+        while True:
+            if run.evaluation_due():
+                _evaluate(run, stop.is_set)
+            run.seconds = time.monotonic() - began
+            if run.finished or stop.is_set() or run.step - saved >= run.config.save_every:
+                save()
+                saved = run.step
+            if run.finished or stop.is_set():
+                break
+            run.advance()
+            now = time.monotonic()
+            if now - reported > PROGRESS_SECONDS:
+                _report(run, (now - reported) / (run.step - reported_step))
+                reported, reported_step = now, run.step
+
+
+def _evaluate(run: PaperRun, stop: Callable[[], bool]) -> None:
+    try:
+        row = run.evaluate(stop)
+    except Stopped:
+        return  # It is due again when the run goes on.
+    counts = {"step": run.step, "env_steps": run.env_steps, "updates": run.updates}
+    losses = {name: round(run.losses.get(name, float("nan")), 5) for name in _LOSSES}
+    run.folder.report("curve", **counts, seconds=round(run.seconds, 1), **row, **losses)
+
+
+_LOSSES = ("critic_loss", "actor_loss", "temperature", "entropy")
+
+
+def _report(run: PaperRun, seconds_per_step: float) -> None:
+    run.folder.report(
+        "progress",
+        step=run.step,
+        steps=run.config.steps,
+        episodes=run.episodes,
+        updates=run.updates,
+        seconds_left=round(seconds_per_step * (run.config.steps - run.step)),
+        **{name: round(value, 4) for name, value in run.losses.items()},
+    )
+
+
+def _save(run: PaperRun, config: TrainConfig, command: str) -> None:
+    """Resume state, then the policy in its shipped form."""
+    run.folder.save_state(run.state())
+    training = {
+        "how": "reinforcement learning from scratch, by the paper's schedule",
+        "command": command,
+        **{"steps": run.step, "environment_steps": run.env_steps, "episodes": run.episodes},
+        **{"updates": run.updates, "batch_size": config.paper.batch_size},
+        "alpha": config.paper.alpha,
+        "seeds": f"network and data {config.seed}, episodes below {SELECTION_SEED}",
+        "wall_time_s": round(run.seconds),
+        "finished": run.finished,
+    }
+    described = policy_config(
+        run.env.spec,
+        run.learner.agent.config,
+        name=run.spec.name,
+        method=run.spec.method,
+        setting=run.spec.setting,
+        recipe=run.spec.recipe,
+        streams=run.spec.streams,
+        trained_subsets=run.spec.trained_subsets,
+        training=training,
+    )
+    save_policy(run.folder.path, run.learner.agent, described)
