@@ -42,8 +42,8 @@ from madviz.rollout import (
 )
 from madviz.statistics import wilson
 from madviz.store import EpisodeResult, Store
-from madviz.subsets import mask_of, name_of, single_streams
-from madviz.types import Array, Policy, PolicySpec, UserError
+from madviz.subsets import cameras_of, mask_of, name_of, single_streams
+from madviz.types import Array, Policy, PolicySpec, UserError, unknown
 
 __all__ = [
     "EpisodeResult",
@@ -153,6 +153,9 @@ def evaluate(
         store = None  # Nobody can tell whether somebody's own code is still the same.
     here.adopt(reference, loaded)
     spec = loaded.spec
+    for camera in occluded:
+        if camera not in cameras_of(spec.streams):
+            raise unknown("camera to occlude", camera, list(cameras_of(spec.streams)))
     jobs = [
         Job(reference, spec.digest, subset, relevant(occluded, mask, spec.streams), number)
         for subset, mask in _masks(loaded, subsets).items()

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import tempfile
 from pathlib import Path
 from typing import Any, NoReturn
 
 from madviz.types import UserError
 
-_LINE = 100
-_FLAT = re.compile(r"([\[{])\n\s+([^\[\]{}]*?)\n\s*([\]}])")
-"""A list or object with no other inside. A text cannot start a match: it holds no line breaks."""
+LINE = 120
+"""Characters that a list or object may take to stay on one line."""
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -38,8 +36,8 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def pretty(value: Any) -> str:
-    """Indented JSON in which a list or object that fits on a line stays on one."""
-    return _FLAT.sub(_on_one_line, json.dumps(value, indent=2, allow_nan=False)) + "\n"
+    """Indented JSON in which every list or object that fits on a line stays on one."""
+    return _laid_out(value, "\n") + "\n"
 
 
 def read_json(path: Path) -> Any:
@@ -55,7 +53,12 @@ def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant}, which is not JSON")
 
 
-def _on_one_line(match: re.Match[str]) -> str:
-    opening, inside, closing = match.groups()
-    line = opening + re.sub(r"\n\s*", " ", inside) + closing
-    return line if len(line) <= _LINE else match.group(0)
+def _laid_out(value: Any, newline: str) -> str:
+    flat = json.dumps(value, allow_nan=False)
+    if len(flat) <= LINE or not isinstance(value, dict | list | tuple):
+        return flat
+    inner = newline + "  "
+    if isinstance(value, dict):
+        items = [f"{json.dumps(str(k))}: {_laid_out(v, inner)}" for k, v in value.items()]
+        return "{" + inner + f",{inner}".join(items) + newline + "}"
+    return "[" + inner + f",{inner}".join(_laid_out(v, inner) for v in value) + newline + "]"

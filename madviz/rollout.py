@@ -82,15 +82,7 @@ def claimed_definition(policy: str) -> str:
 
 
 def relevant(occlusions: dict[str, Occlusion], mask: Array, streams: tuple[str, ...]) -> Occlusions:
-    """The occlusions that a policy on the subset ``mask`` can notice, in a fixed order.
-
-    Raises UserError for cameras that none of ``streams`` has.
-    """
-    for camera in occlusions:
-        if camera not in cameras_of(streams):
-            raise UserError(
-                f"unknown camera {camera!r} to occlude; known: {', '.join(cameras_of(streams))}"
-            )
+    """The occlusions that a policy on the subset ``mask`` can notice, in a fixed order."""
     present = cameras_of(tuple(s for s, on in zip(streams, mask, strict=True) if on))
     return tuple((c, o) for c, o in sorted(occlusions.items()) if c in present and o.kind != "none")
 

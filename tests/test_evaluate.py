@@ -167,8 +167,7 @@ def test_relevant_occlusions_are_those_a_policy_can_notice():
     assert relevant(occlusions, ALL, STREAMS) == (("first", black), ("third_a", noise))
     assert relevant(occlusions, FIRST, STREAMS) == (("first", black),)
     assert relevant(occlusions, NONE, STREAMS) == ()
-    with pytest.raises(UserError, match="unknown camera 'fourth' to occlude; known: first"):
-        relevant({"fourth": black}, ALL, STREAMS)
+    assert relevant({"fourth": black}, ALL, STREAMS) == ()  # Of another policy's camera.
 
 
 # --- Evaluations ---
@@ -277,6 +276,8 @@ def test_unknown_names():
         evaluate(FakePolicy(), ("first+fourth",), episodes=1)
     with pytest.raises(UserError, match="unknown policy 'nope'"):
         evaluate("nope", episodes=1)
+    with pytest.raises(UserError, match="unknown camera to occlude 'fourth'; known: first"):
+        evaluate(FakePolicy(), ("all",), episodes=1, occlusions={"fourth": Occlusion("black")})
 
 
 def test_a_policy_trained_elsewhere_is_refused(folder, tmp_path):
