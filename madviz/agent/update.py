@@ -91,7 +91,7 @@ class Learner:
         self._reads = 1 if method.targets == "merged" else len(self._masks)
         self._rng = np.random.default_rng(seed)
         self._noise = torch.Generator().manual_seed(seed)
-        self._low = self.config.precision == "bfloat16" or (
+        self.low_precision = self.config.precision == "bfloat16" or (
             self.config.precision == "auto" and fast_bfloat16()
         )
         self._average = get_ema_multi_avg_fn(1 - self.config.target_rate)
@@ -172,7 +172,7 @@ class Learner:
     def _autocast(self) -> torch.autocast:
         # A context keeps its bfloat16 copies of the weights, so none may outlive an optimiser's
         # step, and none made without gradients may be met by a pass that needs them.
-        return torch.autocast(self._device.type, torch.bfloat16, enabled=self._low)
+        return torch.autocast(self._device.type, torch.bfloat16, enabled=self.low_precision)
 
     def _merge(self, views: Tensor, count: int) -> Tensor:
         """(B, V, C, H, W) -> (count, B, Z): the first ``count`` rows of the method."""

@@ -1,0 +1,158 @@
+"""The replay buffer against stacks that are made as an episode runs and kept in a list."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from madviz.ablations import Ablation
+from madviz.buffer import BufferSpec, ReplayBuffer
+from madviz.envs.toy import ToyReach
+from madviz.streams import StreamStack, stream_frame
+from madviz.subsets import camera_of, cameras_of
+from madviz.types import Array, UserError
+
+STREAMS = ("first.rgb", "first.depth", "third_a.rgb")
+SPEC = BufferSpec(STREAMS, state_dim=6, action_dim=2, capacity=40, horizon=5)
+
+
+class Recorded:
+    """Plays toy episodes into a buffer and remembers every transition whole."""
+
+    def __init__(self, buffer: ReplayBuffer) -> None:
+        self.buffer = buffer
+        self.views: list[Array] = []
+        self.states: list[Array] = []
+        self.steps: dict[int, tuple[Array, float]] = {}
+        self._env = ToyReach()
+        self._env.spec = replace(self._env.spec, horizon=buffer.spec.horizon)
+        self._rng = np.random.default_rng(0)
+
+    def play(self, episodes: int, first: int = 0) -> None:
+        for seed in range(first, first + episodes):
+            now = self._env.reset(seed)
+            stack = StreamStack(self._env.spec, self.buffer.spec.streams, 3)
+            self.buffer.begin(now.state, self._look(stack, seed, 0))
+            self.states.append(now.state)
+            for step in range(1, self.buffer.spec.horizon + 1):
+                action = self._rng.uniform(-1, 1, 2).astype(np.float32)
+                self.steps[len(self.views) - 1] = (action, float(step))
+                now = self._env.step(action)
+                frames = self._look(stack, seed, step)
+                self.buffer.add(action, step, 0.9 * (not now.last), now.state, frames)
+                self.states.append(now.state)
+
+    def _look(self, stack: StreamStack, seed: int, step: int) -> list[Array]:
+        streams = self.buffer.spec.streams
+        views = {camera: self._env.view(camera) for camera in cameras_of(streams)}
+        stack.push(views, Ablation(), seed, step)
+        self.views.append(stack.views)
+        return [stream_frame(views[camera_of(s)], s, self._env.spec) for s in streams]
+
+    def check(self, index: Array) -> None:
+        """The buffer's transitions at ``index`` are those that were seen."""
+        batch = self.buffer.batch(index)
+        for b, i in enumerate(index.tolist()):
+            action, reward = self.steps[i]
+            np.testing.assert_array_equal(batch.views[b], self.views[i])
+            np.testing.assert_array_equal(batch.next_views[b], self.views[i + 1])
+            np.testing.assert_array_equal(batch.state[b], self.states[i])
+            np.testing.assert_array_equal(batch.next_state[b], self.states[i + 1])
+            np.testing.assert_array_equal(batch.action[b], action)
+            assert batch.reward[b] == reward
+            assert batch.discount[b] == pytest.approx(0.0 if reward == 5 else 0.9)
+
+
+def drawn(buffer: ReplayBuffer, size: int = 4000) -> list[int]:
+    return sorted(set(buffer._draw(size, np.random.default_rng(1)).tolist()))
+
+
+def test_samples_are_the_transitions_that_were_seen() -> None:
+    recorded = Recorded(ReplayBuffer(SPEC))
+    recorded.play(3)
+    assert len(recorded.buffer) == 15
+    assert drawn(recorded.buffer) == sorted(recorded.steps), "all of them, none across episodes"
+    recorded.check(np.array(sorted(recorded.steps)))
+    batch = recorded.buffer.sample(7, np.random.default_rng(0))
+    assert batch.views.shape == (7, 3, 9, 84, 84) and batch.views.dtype == torch.uint8
+    assert batch.views.flatten(0, 1).is_contiguous(memory_format=torch.channels_last)
+
+
+def test_a_full_ring_forgets_the_oldest_and_keeps_its_capacity() -> None:
+    recorded = Recorded(ReplayBuffer(SPEC))
+    recorded.play(17)
+    rows = SPEC.rows
+    assert len(recorded.views) > 2 * rows - rows // 2, "it went round"
+    kept = drawn(recorded.buffer)
+    assert len(kept) == len(recorded.buffer) >= SPEC.capacity
+    oldest = len(recorded.views) - rows
+    whole = [i for i in recorded.steps if i - min(i % 6, 2) >= oldest]
+    assert kept == whole, "neither lost rows nor stacks that reach into them"
+    recorded.check(np.array(kept))
+
+
+def test_a_running_episode_is_sampled_too() -> None:
+    recorded = Recorded(ReplayBuffer(SPEC))
+    recorded.play(1)
+    with pytest.raises(ValueError, match="at least one transition"):
+        ReplayBuffer(SPEC).sample(1, np.random.default_rng(0))
+    buffer, frame = recorded.buffer, [np.zeros((84, 84, c), np.uint8) for c in SPEC.channels]
+    buffer.begin(np.full(6, 7.0), frame)
+    assert buffer.age == 0 and len(buffer) == 5 and len(buffer.actions()) == 0
+    buffer.add(np.array([0.5, -0.5]), 1.0, 0.9, np.full(6, 8.0), frame)
+    assert buffer.age == 1 and len(buffer) == 6
+    np.testing.assert_array_equal(buffer.actions(), [[0.5, -0.5]])
+    views, state = buffer.newest()
+    assert views.shape == (3, 9, 84, 84) and not views.any() and (state == 8).all()
+
+
+@pytest.mark.parametrize("on_disk", [False, True])
+def test_a_restored_buffer_goes_on_as_if_never_stopped(tmp_path: Path, on_disk: bool) -> None:
+    recorded = Recorded(ReplayBuffer(SPEC))
+    for episode in range(12):  # Saved in pieces, round the ring.
+        recorded.play(1, first=episode)
+        state = recorded.buffer.save(tmp_path)
+    written = {file.name for file in tmp_path.iterdir()}
+    assert set(state["parts"]) == written or set(state["parts"]) < written
+    recorded.play(1, first=90)
+    later = recorded.buffer.save(tmp_path)
+    assert set(later["parts"]) - set(state["parts"])
+
+    again = Recorded(ReplayBuffer(SPEC, tmp_path / "frames" if on_disk else None))
+    again.buffer.restore(tmp_path, state)
+    left = {file.name for file in tmp_path.glob("part*")}
+    assert left == set(state["parts"]), "what was written after that state is gone"
+    for name in ("views", "states", "steps"):
+        setattr(again, name, getattr(recorded, name))
+    again.views, again.states = again.views[:72], again.states[:72]
+    again.steps = {i: s for i, s in again.steps.items() if i < 71}
+    again.check(np.array(drawn(again.buffer)))
+    again.play(2, first=12)
+    again.check(np.array(drawn(again.buffer)))
+    third = Recorded(ReplayBuffer(SPEC))
+    third.buffer.restore(tmp_path, again.buffer.save(tmp_path))
+    third.views, third.states, third.steps = again.views, again.states, again.steps
+    assert drawn(third.buffer) == drawn(again.buffer)
+    third.check(np.array(drawn(third.buffer)))
+
+
+def test_the_memory_it_will_need_is_said_before() -> None:
+    paper = BufferSpec(("first", "third_a", "third_b"), 24, 4, capacity=500_000, horizon=100)
+    assert paper.rows == 505_003
+    assert paper.rows * paper.bytes_per_row / 1e9 == pytest.approx(32.1, abs=0.05)
+    with pytest.raises(UserError) as error:
+        ReplayBuffer(paper, available=16 * 10**9)
+    assert str(error.value) == (
+        "the replay buffer of 500000 transitions of 3 streams needs 32.1 GB, found 16.0 GB free "
+        "in memory; ask for 248000 transitions or fewer, or keep it on disk"
+    )
+    ReplayBuffer(replace(paper, capacity=248_000), available=16 * 10**9)
+
+
+def test_a_disk_that_is_too_small_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=f"0.0 GB free in {tmp_path}"):
+        ReplayBuffer(SPEC, tmp_path, available=1000)

@@ -1,0 +1,206 @@
+"""The paper recipe: its numbers, its schedule, and that stopping it changes nothing."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from madviz import paper
+from madviz.agent.agent import TorchPolicy
+from madviz.agent.update import Learner
+from madviz.checkpoint import load_policy
+from madviz.envs.toy import ToyReach
+from madviz.paper import PaperConfig, PaperRun, train_paper
+from madviz.run import Event, RunFolder
+from madviz.train import TrainConfig
+from madviz.types import Environment, PolicySpec, UserError
+
+TINY = PaperConfig(
+    steps=26, exploration_steps=10, batch_size=4, hidden_dim=8, eval_every=16, eval_episodes=1,
+    save_every=7, precision="float32",
+)  # fmt: skip
+HORIZON = 6
+
+
+@pytest.fixture(autouse=True)
+def short_toy(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Episodes of six decisions, each of which claims to be two simulator steps."""
+
+    def make(task: str, render_profile: str) -> Environment:
+        env = ToyReach()
+        env.spec = replace(env.spec, horizon=HORIZON, action_repeat=2)
+        return env
+
+    monkeypatch.setattr(paper, "make_env", make)
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+class Killed(Exception):
+    pass
+
+
+def run(
+    folder: Path, config: PaperConfig = TINY, resume: bool = False, listener: Any = None
+) -> None:
+    """As ``madviz train`` does it."""
+    whole = TrainConfig("toy/reach", "mad", "paper", seed=3, paper=config)
+    train_paper(whole, RunFolder(folder, whole, resume, listener), "the command")
+
+
+def final(folder: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:
+    """The last state, and the curve without its clock."""
+    state = torch.load(folder / "resume" / "state.pt", weights_only=True)
+    with (folder / "curve.csv").open() as file:
+        rows = [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+    return state, rows
+
+
+def assert_same_run(one: Path, other: Path) -> None:
+    (a, rows), (b, others) = final(one), final(other)
+    assert rows == others
+    for name, weight in a["learner"]["agent"].items():
+        assert torch.equal(weight, b["learner"]["agent"][name]), name
+    counted = ("step", "updates", "episodes", "rng", "episode_seed")
+    assert [a[k] for k in counted] == [b[k] for k in counted]
+    assert a["learner"]["rng"] == b["learner"]["rng"]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("paper") / "undisturbed"
+
+
+@pytest.fixture
+def whole_run(undisturbed: Path) -> Path:
+    if not undisturbed.exists():
+        run(undisturbed)
+    return undisturbed
+
+
+def test_the_defaults_are_the_papers_table() -> None:
+    config = PaperConfig()
+    assert (config.steps, config.exploration_steps, config.update_every) == (500_000, 2_000, 2)
+    assert (config.batch_size, config.buffer_capacity, config.hidden_dim) == (256, 500_000, 1024)
+    assert (config.alpha, config.learning_rate, config.target_rate) == (0.8, 5e-4, 0.01)
+    assert (config.temperature, config.discount) == (0.1, 0.99)
+    assert (config.eval_every, config.eval_episodes) == (25_000, 20)
+    learning = config.learning()
+    assert (learning.alpha, learning.learning_rate, learning.target_rate) == (0.8, 5e-4, 0.01)
+    assert learning.same_shift_for_views and config.bootstrap_at_time_limit
+    assert not config.shift_when_acting
+
+
+def test_the_schedule(whole_run: Path) -> None:
+    state, rows = final(whole_run)
+    assert state["step"] == 26 and state["episodes"] == 5
+    assert state["updates"] == 8, "before the decisions 10, 12, ... 24"
+    # 16 simulator steps are 8 decisions; the episodes end after 6, 12, 18, 24. Then the very end.
+    assert [(row["step"], row["env_steps"]) for row in rows] == [
+        ("0", "0"), ("12", "24"), ("18", "36"), ("24", "48"), ("26", "52"),
+    ]  # fmt: skip
+    subsets = {name.removeprefix("success_") for name in rows[0] if name.startswith("success_")}
+    assert subsets == {"all", "first", "third_a", "third_b"}
+
+
+def test_the_run_folder_is_a_policy(whole_run: Path) -> None:
+    policy = load_policy(whole_run)
+    assert policy.spec.recipe == "paper" and "third_a" in policy.spec.trained_subsets
+
+
+@pytest.mark.parametrize("killed_at", [0, 12, 18, 24])
+def test_a_killed_run_ends_the_same(whole_run: Path, tmp_path: Path, killed_at: int) -> None:
+    def kill(event: Event) -> None:
+        if event["kind"] == "curve" and event["step"] == killed_at:
+            raise Killed
+
+    with pytest.raises(Killed):
+        run(tmp_path / "run", listener=kill)
+    run(tmp_path / "run", resume=True)
+    assert_same_run(tmp_path / "run", whole_run)
+
+
+def test_ctrl_c_saves_in_mid_episode(whole_run: Path, tmp_path: Path) -> None:
+    def interrupt(event: Event) -> None:
+        if event["kind"] == "progress" and event["step"] == 21:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paper, "PROGRESS_SECONDS", 0)
+        run(tmp_path / "run", listener=interrupt)
+    state, _ = final(tmp_path / "run")
+    assert state["step"] == 21 and not state["between_episodes"]
+    run(tmp_path / "run", resume=True)
+    assert_same_run(tmp_path / "run", whole_run)
+
+
+def test_ctrl_c_abandons_an_evaluation(whole_run: Path, tmp_path: Path) -> None:
+    asked: list[int] = []
+    original = TorchPolicy.encode
+
+    def encode(policy: TorchPolicy, *args: Any) -> Any:
+        asked.append(1)
+        if len(asked) == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+        return original(policy, *args)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(TorchPolicy, "encode", encode)
+        run(tmp_path / "run")
+    assert len(asked) == 3 and not (tmp_path / "run" / "curve.csv").exists()
+    run(tmp_path / "run", resume=True)
+    assert_same_run(tmp_path / "run", whole_run)
+
+
+def test_another_configuration_is_not_resumed(whole_run: Path) -> None:
+    with pytest.raises(UserError, match="another configuration"):
+        run(whole_run, replace(TINY, alpha=0.5), resume=True)
+
+
+def stored_discounts(tmp_path: Path, config: PaperConfig) -> list[float]:
+    env = ToyReach()
+    env.spec = replace(env.spec, horizon=3)
+    spec = PolicySpec("x", "toy/reach", "mad", "three", "paper", ("first", "third_a"), ("all",))
+    training = PaperRun(config, env, spec, 0, RunFolder(tmp_path, config, False, None))
+    for _ in range(6):
+        training.advance()
+    return training.buffer.batch(np.array([0, 1, 2, 4, 5, 6])).discount.tolist()
+
+
+def test_bootstrapping_at_the_time_limit_is_a_switch(tmp_path: Path) -> None:
+    assert stored_discounts(tmp_path / "yes", TINY) == pytest.approx([0.99] * 6)
+    cut = replace(TINY, bootstrap_at_time_limit=False)
+    assert stored_discounts(tmp_path / "no", cut) == pytest.approx([0.99, 0.99, 0] * 2)
+
+
+def test_shifting_when_acting_is_a_switch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[bool] = []
+
+    def shift(views: torch.Tensor, *args: Any, **kwargs: Any) -> torch.Tensor:
+        seen.append(True)
+        return views
+
+    monkeypatch.setattr(paper, "random_shift", shift)
+    monkeypatch.setattr(Learner, "update", lambda learner, batch: {})
+    short = replace(TINY, steps=12, eval_every=1000)
+    run(tmp_path / "off", short)
+    assert not seen
+    run(tmp_path / "on", replace(short, shift_when_acting=True))
+    # 2 decisions of the policy, and 2 evaluations of 4 subsets and 6 decisions.
+    assert len(seen) == 2 + 2 * 4 * HORIZON
+
+
+def test_a_buffer_that_will_not_fit_is_refused_at_the_start(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="needs .* GB, found .* GB free"):
+        run(tmp_path, replace(TINY, steps=10**9, buffer_capacity=10**9))

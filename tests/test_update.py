@@ -1,0 +1,99 @@
+"""The learner around the formulas: its state, acting, precision, and the benchmark."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from madviz.agent import update
+from madviz.agent.agent import Agent
+from madviz.agent.methods import METHODS
+from madviz.agent.networks import NetworkConfig
+from madviz.agent.update import Learner, LearningConfig
+from madviz.bench_update import STREAMS, BenchUpdateConfig, bench_update, contiguous, random_batch
+
+NETWORKS = NetworkConfig(state_dim=5, action_dim=2, hidden_dim=16)
+BATCH = random_batch(4, 3, NETWORKS)
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def make(seed: int = 0, **config: Any) -> Learner:
+    torch.manual_seed(0)
+    learning = LearningConfig(**{"precision": "float32", **config})
+    return Learner(Agent(NETWORKS), METHODS["mad"], STREAMS, learning, seed)
+
+
+def weights(learner: Learner) -> torch.Tensor:
+    return torch.cat([p.detach().flatten() for p in learner.agent.parameters()])
+
+
+def test_a_restored_learner_goes_on_exactly() -> None:
+    one, two, file = make(), make(seed=9), io.BytesIO()
+    one.update(BATCH)
+    torch.save(one.state_dict(), file)
+    one.update(BATCH)
+    acted = one.act(BATCH.views[0], BATCH.state[0])
+    file.seek(0)
+    two.load_state_dict(torch.load(file, weights_only=True))
+    assert not torch.equal(weights(one), weights(two))
+    two.update(BATCH)
+    assert torch.equal(weights(one), weights(two))
+    np.testing.assert_array_equal(two.act(BATCH.views[0], BATCH.state[0]), acted)
+    assert torch.equal(one.draw(4).actor_noise, two.draw(4).actor_noise)
+    np.testing.assert_array_equal(one.draw(4).shifts, two.draw(4).shifts)
+
+
+def test_the_memory_layout_of_a_batch_changes_nothing() -> None:
+    one, two = make(), make()
+    one.update(BATCH)
+    two.update(contiguous(BATCH))
+    assert BATCH.views.stride() != contiguous(BATCH).views.stride()
+    torch.testing.assert_close(weights(one), weights(two))
+
+
+def test_acting_draws_from_the_policy_on_all_streams() -> None:
+    learner = make()
+    drawn = np.stack([learner.act(BATCH.views[0], BATCH.state[0]) for _ in range(300)])
+    assert drawn.shape == (300, 2) and drawn.dtype == np.float32 and (np.abs(drawn) <= 1).all()
+    with torch.no_grad():
+        merged = learner.agent.encode(BATCH.views[:1]).sum(1)
+        mean, log_std = learner.agent.actor(merged, BATCH.state[:1])
+    before_tanh = np.arctanh(drawn.astype(np.float64))
+    error = before_tanh.mean(0) - mean[0].numpy()
+    assert (np.abs(error) < 4 * log_std.exp()[0].numpy() / np.sqrt(300)).all()
+
+
+def test_precision_is_chosen_by_the_cpu_unless_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    for has, expected in ((True, True), (False, False)):
+        monkeypatch.setattr(update, "fast_bfloat16", lambda has=has: has)
+        assert make(precision="auto").low_precision is expected
+        assert make(precision="bfloat16").low_precision
+        assert not make(precision="float32").low_precision
+
+
+def test_learning_lowers_the_critics_error() -> None:
+    """The critic can only fit rewards here: nothing is bootstrapped."""
+    learner = make(learning_rate=3e-3)
+    BATCH.discount.zero_()
+    losses = [learner.update(BATCH)["critic_loss"] for _ in range(40)]
+    BATCH.discount.fill_(0.99)
+    assert losses[-1] < 0.3 * losses[0]
+
+
+def test_the_benchmark_reports_what_it_promises() -> None:
+    found = bench_update(BenchUpdateConfig(rounds=1, batch_size=4, hidden_dim=8, threads=1))
+    assert {"ours_ms", "naive_ms", "ratio", "peak_mb"} <= set(found)
+    assert found["ratio"] == pytest.approx(found["naive_ms"] / found["ours_ms"], rel=0.05)
+    assert found["peak_mb"] > 50 and found["threads"] == 1
