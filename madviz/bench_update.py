@@ -31,6 +31,8 @@ from madviz.streams import IMAGE_SIZE
 class BenchUpdateConfig:
     """What is timed, and how often."""
 
+    json: str | None = None
+    """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
     rounds: int = 7
     """Timed updates of each; two more are not timed."""
     batch_size: int = 256

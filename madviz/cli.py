@@ -110,10 +110,10 @@ def bench_live(words: Sequence[str]) -> int:
 
 def bench_update(words: Sequence[str]) -> int:
     """One training update against a straightforward implementation."""
-    from madviz.bench_update import UpdateConfig
+    from madviz.bench_update import BenchUpdateConfig
     from madviz.bench_update import bench_update as measure
 
-    config = parse(UpdateConfig, "bench update", words)
+    config = parse(BenchUpdateConfig, "bench update", words)
     deliver(config, lambda: measure(config), pretty)
     return 0
 

@@ -33,10 +33,17 @@ def test_help_names_every_command_and_loads_next_to_nothing() -> None:
     assert asked.stderr.strip() == ""
 
 
-@pytest.mark.parametrize("verb", ["train", "eval", "list", "doctor"])
-def test_every_command_explains_its_options(verb: str) -> None:
-    asked = run(verb, "--help")
-    assert asked.returncode == 0 and f"usage: madviz {verb}" in asked.stdout
+COMMANDS = [verb for verb in cli.VERBS if verb != "bench"]
+MEASUREMENTS = [f"bench {benchmark}" for benchmark in cli.BENCHMARKS]
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, *MEASUREMENTS])
+def test_every_command_explains_its_options(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main([*command.split(), "--help"])
+    assert ended.value.code == 0 and f"usage: madviz {command}" in capsys.readouterr().out
 
 
 def test_no_command_at_all_is_a_mistake() -> None:
@@ -60,8 +67,8 @@ def test_a_users_mistake_is_one_line_without_a_traceback() -> None:
     assert asked.stderr.count("\n") == 1
 
 
-def test_an_unknown_task_lists_the_known_ones() -> None:
-    asked = run("train", "--task", "metaworld/wurst", "--out", os.devnull)
+def test_an_unknown_task_lists_the_known_ones(tmp_path: Path) -> None:
+    asked = run("train", "--task", "metaworld/wurst", "--out", str(tmp_path / "run"))
     assert asked.returncode == 2 and "Traceback" not in asked.stderr
     assert "metaworld/hammer" in asked.stderr
 
