@@ -1,9 +1,9 @@
 """What can happen to a camera: small frozen values with a pure ``apply``.
 
 Two things look alike and are not. A *dropped* stream leaves the sum: the policy's merged feature
-loses the term f(o_i). An *occluded* stream stays in the sum, but its camera sends black, noise or an
-old picture, so that the sum holds f(black), an input nobody trained it on. ``CameraInput`` decides
-the first, an ``Occlusion`` the second.
+loses the term f(o_i). An *occluded* stream stays in the sum, but its camera sends black, noise or
+an old picture, so that the sum holds f(black), an input nobody trained it on. ``CameraInput``
+decides the first, an ``Occlusion`` the second.
 
 Noise is drawn from (seed, step, stream), so a replayed session gives the same pixels.
 """
@@ -30,7 +30,7 @@ class Occlusion:
 
     black   every pixel 0                     noise   blend with uniform noise by ``strength``
     freeze  the picture of the moment         blur    Gaussian, sigma = 8 px x ``strength``
-    patch   a black square of side ``size`` with its centre at (``x``, ``y``), blended by ``strength``
+    patch   a black square of side ``size``, centred at (``x``, ``y``), blended by ``strength``
     """
 
     kind: OcclusionKind = "none"
@@ -70,12 +70,8 @@ class Occlusion:
     def _patched(self, frame: Array) -> Array:
         height, width = frame.shape[:2]
         half = self.size / 2
-        rows = slice(
-            round(max(self.y - half, 0) * height), round(min(self.y + half, 1) * height)
-        )
-        columns = slice(
-            round(max(self.x - half, 0) * width), round(min(self.x + half, 1) * width)
-        )
+        rows = slice(round(max(self.y - half, 0) * height), round(min(self.y + half, 1) * height))
+        columns = slice(round(max(self.x - half, 0) * width), round(min(self.x + half, 1) * width))
         patched = frame.copy()
         patched[rows, columns] = frame[rows, columns] * (1 - self.strength)
         return patched
@@ -123,7 +119,7 @@ class Ablation:
         return {n: s.occlusion for n, s in self.cameras.items() if s.occlusion.kind != "none"}
 
     def key(self) -> str:
-        """A name for the occlusions alone (the mask is named by its subset); '' where there are none."""
+        """A name for the occlusions alone, '' for none; the mask is named by its subset."""
         parts = []
         for name, occlusion in sorted(self.occlusions().items()):
             values = asdict(occlusion)
@@ -132,7 +128,9 @@ class Ablation:
         return ";".join(parts)
 
     @staticmethod
-    def from_mask(mask: Array, streams: tuple[str, ...], occlusions: dict[str, Occlusion]) -> Ablation:
+    def from_mask(
+        mask: Array, streams: tuple[str, ...], occlusions: dict[str, Occlusion]
+    ) -> Ablation:
         """The ablation under which exactly the streams of ``mask`` are present."""
         cameras: dict[str, CameraState] = {}
         for camera in dict.fromkeys(camera_of(stream) for stream in streams):

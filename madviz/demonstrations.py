@@ -21,6 +21,7 @@ from torch import Tensor
 
 from madviz.ablations import Ablation
 from madviz.envs.base import make_env
+from madviz.rollout import one_thread
 from madviz.streams import StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of
 from madviz.types import Array, Environment, Policy
@@ -159,15 +160,9 @@ _env: Environment | None = None  # A worker process keeps its environment betwee
 def record_in_worker(
     task: str, render_profile: str, streams: tuple[str, ...], driver: Driver, seed: int
 ) -> Episode:
-    """``record_episode`` for a process pool."""
+    """``record_episode`` for a process pool; PyTorch on one thread, so that results repeat."""
     global _env
-    if _env is None or _env.spec.task != task:
+    if _env is None or (_env.spec.task, _env.spec.render_profile) != (task, render_profile):
         _env = make_env(task, render_profile)
-    return record_episode(_env, streams, driver, seed)
-
-
-def set_up_worker() -> None:
-    """One core per worker: the software renderer and torch would otherwise each take all of them."""
-    os.environ["LP_NUM_THREADS"] = "1"
-    os.environ.setdefault("MUJOCO_GL", "egl")
-    torch.set_num_threads(1)
+    with one_thread():
+        return record_episode(_env, streams, driver, seed)

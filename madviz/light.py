@@ -23,6 +23,7 @@ import copy
 import multiprocessing
 import time
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,9 +36,10 @@ from madviz.agent.agent import Agent, TorchPolicy, autocast
 from madviz.agent.augment import random_shift
 from madviz.agent.merge import merge_sum
 from madviz.agent.methods import method
-from madviz.demonstrations import Dataset, Driver, Episode, record_in_worker, set_up_worker
+from madviz.demonstrations import Dataset, Driver, Episode, record_in_worker
+from madviz.processes import set_up_worker
 from madviz.run import RunFolder, interruptible
-from madviz.types import PolicySpec
+from madviz.types import PolicySpec, UserError
 
 
 @dataclass(frozen=True)
@@ -213,6 +215,17 @@ class Recorder:
     def start(self, plan: list[tuple[Driver, int]]) -> list[Future[Episode]]:
         return [self._pool.submit(record_in_worker, *self._fixed, d, s) for d, s in plan]
 
+    @staticmethod
+    def finish(recording: list[Future[Episode]]) -> list[Episode]:
+        """Waits for the episodes. Raises UserError if a recording process was killed."""
+        try:
+            return [future.result() for future in recording]
+        except BrokenProcessPool as error:
+            raise UserError(
+                "expected the recording process to live, found it killed (out of memory?); "
+                "nothing learned is lost: go on with --resume"
+            ) from error
+
     def close(self) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
@@ -226,13 +239,13 @@ def train_light(run: LightRun, folder: RunFolder, recorder: Recorder, save: Any)
     config = run.config
     began = time.monotonic() - run.seconds
     if len(run.data) == 0:
-        run.add([f.result() for f in recorder.start(run.plan(0))], 0)
+        run.add(Recorder.finish(recorder.start(run.plan(0))), 0)
     with interruptible() as stop:
         while run.round < config.rounds and not stop.is_set():
             ahead = run.round + 1
             recording = recorder.start(run.plan(ahead)) if ahead < config.rounds else []
             loss = run.learn()
-            episodes = [future.result() for future in recording]
+            episodes = Recorder.finish(recording)
             run.add(episodes, ahead)
             run.seconds = time.monotonic() - began
             folder.save_state(run.state())

@@ -13,23 +13,20 @@ finished. An episode lasts seconds, so that is all that is lost.
 from __future__ import annotations
 
 import multiprocessing
-import os
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from multiprocessing.connection import wait
 from typing import Any
 
 from madviz import checkpoint
 from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.envs.base import make_env
 from madviz.manifest import check_environment, definition_of
+from madviz.processes import set_up_worker
 from madviz.store import EpisodeResult, ResultKey
 from madviz.streams import StreamStack
 from madviz.subsets import camera_of, cameras_of, mask_of, name_of
@@ -258,22 +255,9 @@ _process = _Process()
 
 
 def _start(stop: Any, niceness: int) -> None:
-    """Runs once in a new process, before anything heavy is imported. It must not fail: whatever
-    can go wrong does so inside a job, where the error finds its way back."""
-    os.environ["LP_NUM_THREADS"] = "1"  # Mesa's software renderer would take every core.
-    os.environ.setdefault("MUJOCO_GL", "egl")
-    os.nice(niceness)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business.
+    """Runs once in a new process."""
+    set_up_worker(niceness)
     _process.stop = stop
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
-
-
-def _leave_with_parent() -> None:
-    """A pool's process waits for jobs for ever, even if the parent was killed; this one leaves."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
 
 
 def _work(job: Job) -> Finished:

@@ -1,4 +1,4 @@
-"""The words every other file speaks: observations, cameras, policies. NumPy only, no project imports.
+"""The words every other file speaks: observations, cameras, policies. NumPy and nothing else.
 
 Axis letters, used in every shape comment of the package:
 
@@ -24,7 +24,7 @@ Modality = Literal["rgb", "depth"]
 
 
 class UserError(ValueError):
-    """A mistake the user can mend: one line that names what was expected, what was found, what next."""
+    """A mistake the user can mend, in one line: what was expected, what was found, what next."""
 
 
 def unknown(kind: str, found: str, known: list[str]) -> UserError:
@@ -113,7 +113,7 @@ class View:
 
 
 class Environment(Protocol):
-    """A seeded task. Episodes depend on the seed alone, never on earlier episodes or other processes.
+    """A seeded task: an episode depends on its seed, never on earlier ones or other processes.
 
     An instance belongs to the thread that created it, because OpenGL contexts do.
     """

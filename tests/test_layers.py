@@ -19,7 +19,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in FILES}
 
 LAYERS = (
-    "types subsets files statistics",
+    "types subsets files statistics processes",
     "envs agent ablations streams",
     "buffer manifest checkpoint store rollout evaluate live probes demonstrations run card",
     "light paper train naive",

@@ -155,6 +155,6 @@ class Critic(nn.Module):
         return self.heads(self.trunk(feature), state, action)
 
     def heads(self, hidden: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """The part behind the trunk, so that a feature read for several actions is projected once."""
+        """The part behind the trunk: a feature read for several actions is projected once."""
         x = torch.cat([hidden, action, state], -1)
         return _read(self.q1, x).squeeze(-1), _read(self.q2, x).squeeze(-1)

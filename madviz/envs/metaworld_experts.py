@@ -7,6 +7,8 @@ states of a student, which is what the light recipe asks of it."""
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
 from madviz.types import Array
@@ -37,6 +39,8 @@ class Expert:
     def __init__(self, task: str) -> None:
         from metaworld.policies import ENV_POLICY_MAP
 
+        # The scripts' gains are meant to saturate; actions are clipped below.
+        warnings.filterwarnings("ignore", "Constant.s. may be too high", module="metaworld")
         self._script = ENV_POLICY_MAP[f"{task}-v3"]()
 
     def action(self, observation: Array, success: bool) -> Array:

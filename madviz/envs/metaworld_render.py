@@ -36,8 +36,9 @@ class SceneCameras:
         model.vis.global_.offwidth = model.vis.global_.offheight = MAX_SIZE
         if render_profile == "fast":
             model.vis.quality.offsamples = 0
-        self._gl: mujoco.GLContext | None = _gl_context()
-        self._gl.make_current()
+        gl = _gl_context()
+        gl.make_current()
+        self._gl: mujoco.GLContext | None = gl
         with lighter_meshes(model) if render_profile == "fast" else nullcontext():
             self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)

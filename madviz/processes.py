@@ -1,0 +1,30 @@
+"""What every worker process does first, before anything heavy is imported.
+
+OpenGL and PyTorch do not survive a fork, so workers are spawned and load what they need themselves.
+Each is meant for one core: Mesa's software renderer would otherwise take them all.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from multiprocessing.connection import wait
+
+
+def set_up_worker(niceness: int = 0) -> None:
+    """Must not fail: whatever can go wrong does so inside a job, whose error finds its way back."""
+    os.environ["LP_NUM_THREADS"] = "1"
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    os.nice(niceness)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business.
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+
+
+def _leave_with_parent() -> None:
+    """A pool's process waits for jobs for ever, even if the parent was killed; this one leaves."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

@@ -1,0 +1,88 @@
+"""Dropped and occluded are two things; occlusions are pure and repeat from their seed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from madviz.ablations import Ablation, CameraState, Occlusion, noise_generator
+from madviz.envs.base import SETTINGS
+from madviz.subsets import every_mask, mask_of
+from madviz.types import UserError
+
+FRAME = np.random.default_rng(0).integers(0, 256, (84, 84, 3), np.uint8)
+BEFORE = np.full_like(FRAME, 7)
+
+
+def arrive(occlusion: Occlusion, frame: np.ndarray = FRAME) -> np.ndarray:
+    before = BEFORE[..., : frame.shape[2]]
+    return occlusion.apply(frame, before, noise_generator(1, 2, "first"))
+
+
+@pytest.mark.parametrize("kind", ["none", "black", "noise", "freeze", "blur", "patch"])
+@pytest.mark.parametrize("channels", [3, 1])
+def test_every_kind_keeps_shape_and_input(kind: str, channels: int) -> None:
+    frame = FRAME[..., :channels].copy()
+    kept = frame.copy()
+    arrived = arrive(Occlusion(kind), frame)  # type: ignore[arg-type]
+    assert arrived.shape == frame.shape and arrived.dtype == np.uint8
+    assert np.array_equal(frame, kept)
+    assert np.array_equal(arrived, frame) == (kind == "none")
+
+
+def test_what_arrives() -> None:
+    assert not arrive(Occlusion("black")).any()
+    assert np.array_equal(arrive(Occlusion("freeze")), BEFORE)
+    noisy = arrive(Occlusion("noise", strength=1.0))
+    assert np.array_equal(noisy, arrive(Occlusion("noise", strength=1.0)))
+    assert np.abs(arrive(Occlusion("noise", strength=0.1)).astype(int) - FRAME).mean() < 12
+    assert arrive(Occlusion("blur")).std() < FRAME.std() / 4
+
+
+def test_noise_differs_between_steps_and_streams() -> None:
+    draws = [
+        Occlusion("noise").apply(FRAME, None, noise_generator(*key)).tobytes()
+        for key in ((1, 2, "first"), (1, 3, "first"), (2, 2, "first"), (1, 2, "third_a"))
+    ]
+    assert len(set(draws)) == 4
+
+
+def test_a_patch_is_where_it_was_put() -> None:
+    patched = arrive(Occlusion("patch", x=0.25, y=0.75, size=0.5))
+    assert not patched[42:, :42].any()
+    assert np.array_equal(patched[:42], FRAME[:42])
+    assert np.array_equal(patched[:, 42:], FRAME[:, 42:])
+    outside = arrive(Occlusion("patch", x=1.0, y=1.0, size=0.2))
+    assert not outside[76:, 76:].any() and outside[:70].any()
+
+
+@pytest.mark.parametrize(
+    "bad", [{"strength": 1.5}, {"x": -0.1}, {"size": float("nan")}, {"kind": "rain"}]
+)
+def test_absurd_values_are_refused(bad: dict) -> None:
+    with pytest.raises(UserError):
+        Occlusion(**{"kind": "patch", **bad})
+
+
+@pytest.mark.parametrize("setting", ["three", "three-rgbd"])
+def test_masks_and_switches_say_the_same(setting: str) -> None:
+    streams = SETTINGS[setting].streams
+    for mask in every_mask(len(streams)):
+        ablation = Ablation.from_mask(mask, streams, {"first": Occlusion("black")})
+        assert np.array_equal(ablation.mask(streams), mask)
+        assert ablation.occlusions() == {"first": Occlusion("black")}
+
+
+def test_switches_of_a_camera() -> None:
+    rgbd = SETTINGS["three-rgbd"].streams
+    ablation = Ablation({"first": CameraState("off"), "third_a": CameraState("depth")})
+    assert np.array_equal(ablation.mask(rgbd), mask_of("third_a.depth+third_b", rgbd))
+    plain = ablation.mask(SETTINGS["three"].streams)
+    assert plain.tolist() == [False, False, True]  # RGB-only: depth alone leaves nothing.
+
+
+def test_a_key_names_occlusions_and_nothing_else() -> None:
+    assert Ablation({"first": CameraState("off")}).key() == ""
+    one = Ablation({"first": CameraState("rgb", Occlusion("patch", size=0.3))}).key()
+    two = Ablation({"first": CameraState("rgb", Occlusion("patch", size=0.4))}).key()
+    assert one != two and one.startswith("first:patch")

@@ -1,0 +1,139 @@
+"""One contract for every environment: whoever keeps it can be trained on, evaluated and shown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from madviz.envs.base import METAWORLD_TASKS, SETTINGS, TASKS, make_env, setting
+from madviz.types import Environment, UserError
+
+CONTRACT_TASKS = ("toy/reach", "metaworld/hammer", "metaworld/push")
+
+
+@pytest.fixture(scope="module", params=CONTRACT_TASKS)
+def env(request: pytest.FixtureRequest) -> Iterator[Environment]:
+    made = make_env(request.param)
+    yield made
+    made.close()
+
+
+def play(env: Environment, seed: int, decisions: int) -> list[np.ndarray]:
+    """States and rewards of a seeded random episode."""
+    rng, now = np.random.default_rng(seed), env.reset(seed)
+    seen = [now.state]
+    for _ in range(decisions):
+        now = env.step(rng.uniform(-1, 1, env.spec.action_dim))
+        seen += [now.state, np.array(now.reward)]
+    return seen
+
+
+def test_shapes_and_types(env: Environment) -> None:
+    now = env.reset(0)
+    assert now.state.shape == (env.spec.state_dim,) and now.state.dtype == np.float32
+    assert not now.last
+    for camera in env.spec.cameras:
+        view = env.view(camera.name)
+        assert view.rgb.shape == (camera.size, camera.size, 3) and view.rgb.dtype == np.uint8
+        assert view.depth.shape == (camera.size, camera.size) and view.depth.dtype == np.float32
+        assert view.depth.min() > 0
+    expert = env.expert()
+    assert expert.shape == (env.spec.action_dim,) and np.abs(expert).max() <= 1
+
+
+def test_any_size_can_be_drawn(env: Environment) -> None:
+    env.reset(0)
+    large = env.view("third_a", 168)
+    assert large.rgb.shape == (168, 168, 3)
+    small = env.view("third_a", 84).rgb.astype(float)
+    averaged = large.rgb.reshape(84, 2, 84, 2, 3).mean((1, 3))
+    assert np.abs(averaged - small).mean() < 6  # The same picture, sharper.
+
+
+def test_a_seed_is_an_episode_whatever_came_before(env: Environment) -> None:
+    first = play(env, 5, 8)
+    picture = env.view("first").rgb
+    play(env, 6, 3)
+    np.random.seed(1)
+    again = play(env, 5, 8)
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    assert np.array_equal(picture, env.view("first").rgb)
+
+
+def test_simulations_side_by_side_do_not_disturb_each_other(env: Environment) -> None:
+    alone = play(env, 7, 5)
+    other = make_env(env.spec.task)
+    rng, now = np.random.default_rng(7), env.reset(7)
+    beside = [now.state]
+    other.reset(8)
+    for _ in range(5):
+        now = env.step(rng.uniform(-1, 1, env.spec.action_dim))
+        beside += [now.state, np.array(now.reward)]
+        other.step(np.zeros(env.spec.action_dim))
+        other.view("third_b")
+    other.close()
+    assert all(np.array_equal(a, b) for a, b in zip(alone, beside, strict=True))
+
+
+def test_different_seeds_are_different_scenes(env: Environment) -> None:
+    env.reset(1)
+    one = env.view("third_b").rgb
+    env.reset(2)
+    assert not np.array_equal(one, env.view("third_b").rgb)
+
+
+def test_the_horizon_is_the_end(env: Environment) -> None:
+    env.reset(0)
+    still = np.zeros(env.spec.action_dim)
+    lasts = [env.step(still).last for _ in range(env.spec.horizon)]
+    assert lasts == [False] * (env.spec.horizon - 1) + [True]
+
+
+def test_the_expert_succeeds_and_holds_it(env: Environment) -> None:
+    ends = []
+    for seed in range(3):
+        now = env.reset(100 + seed)
+        while not now.last:
+            now = env.step(env.expert())
+        ends.append(now.success)
+    assert all(ends)
+
+
+def test_cameras_are_where_their_poses_say(env: Environment) -> None:
+    """The point in front of the lens, at the depth of the middle pixel, is on a surface that
+    another camera's pose agrees with: here, above or on the table."""
+    env.reset(3)
+    for camera in env.spec.cameras:
+        pose, view = env.pose(camera.name), env.view(camera.name)
+        assert np.isclose(np.linalg.norm(pose.wxyz), 1, atol=1e-3)
+        w, x, y, z = pose.wxyz
+        forward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+        middle = view.depth[41:43, 41:43].mean()
+        hit = pose.position + forward * middle
+        assert -0.05 < hit[2] < 0.5, f"{camera.name} sees {hit}"
+
+
+@pytest.mark.parametrize("bad", [np.full(4, np.nan), np.zeros(3), np.full(4, np.inf)])
+def test_a_broken_action_is_refused(env: Environment, bad: np.ndarray) -> None:
+    env.reset(0)
+    with pytest.raises(UserError, match="expected a finite action"):
+        env.step(bad[: env.spec.action_dim] if np.isnan(bad).any() else bad)
+
+
+def test_unknown_names_list_the_known_ones(env: Environment) -> None:
+    with pytest.raises(UserError, match="third_b"):
+        env.view("forth")
+    with pytest.raises(UserError, match="metaworld/hammer"):
+        make_env("metaworld/hamer")
+    with pytest.raises(UserError, match="three-rgbd"):
+        setting("thre")
+    with pytest.raises(UserError, match="fast"):
+        make_env("toy/reach", "shiny")
+
+
+def test_settings_name_their_streams() -> None:
+    assert SETTINGS["three"].streams == ("first", "third_a", "third_b")
+    assert SETTINGS["three-rgbd"].streams[:2] == ("first.rgb", "first.depth")
+    assert len(TASKS) == len(METAWORLD_TASKS) + 1 == 16

@@ -1,0 +1,205 @@
+"""The light recipe: its loss, its critic's targets, its data, and exact resumption."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from madviz.agent.agent import Agent, random_policy
+from madviz.agent.methods import METHODS
+from madviz.agent.networks import NetworkConfig
+from madviz.demonstrations import Dataset, Driver, Episode, record_episode
+from madviz.envs.base import SETTINGS
+from madviz.envs.toy import ToyReach
+from madviz.light import LightConfig, LightRun, imitation_loss, train_light
+from madviz.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
+from madviz.run import RunFolder
+from madviz.types import PolicySpec, UserError
+
+THREE, RGBD = SETTINGS["three"].streams, SETTINGS["three-rgbd"].streams
+TOY = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=16)
+TINY = LightConfig(
+    rounds=4, demonstrations=2, episodes_per_round=4, updates_per_round=3, batch_size=4
+)
+
+
+def spec(streams: tuple[str, ...] = THREE, method: str = "mad") -> PolicySpec:
+    trained = METHODS[method].trained_subsets(streams)
+    return PolicySpec("p", "toy/reach", method, "three", "light", streams, trained)
+
+
+class InlineRecorder:
+    """Records at once, in this process; can be told to break off."""
+
+    def __init__(self, breaks_after: int = 1000) -> None:
+        self.env, self.left = ToyReach(), breaks_after
+
+    def start(self, plan: list[tuple[Driver, int]]) -> list[Future[Episode]]:
+        if self.left == 0:
+            raise KeyboardInterrupt
+        self.left -= 1
+        futures: list[Future[Episode]] = []
+        for driver, seed in plan:
+            future: Future[Episode] = Future()
+            future.set_result(record_episode(self.env, THREE, driver, seed))
+            futures.append(future)
+        return futures
+
+    def close(self) -> None:
+        pass
+
+
+def run_in(folder: RunFolder, config: LightConfig = TINY) -> LightRun:
+    torch.manual_seed(0)
+    run = LightRun(config, spec(), Agent(TOY), 25, 0, folder.resume)
+    state = folder.load_state()
+    if state:
+        run.restore(state)
+    return run
+
+
+def finish(run: LightRun, folder: RunFolder, recorder: InlineRecorder) -> None:
+    train_light(run, folder, recorder, lambda run, final: None)  # type: ignore[arg-type]
+
+
+def weights(run: LightRun) -> torch.Tensor:
+    return torch.cat([p.flatten() for p in (*run.agent.parameters(), *run.average.parameters())])
+
+
+@pytest.mark.parametrize("streams", [THREE, RGBD])
+def test_imitation_loss_is_the_formula(streams: tuple[str, ...]) -> None:
+    rng, agent = np.random.default_rng(0), Agent(TOY)
+    views = torch.from_numpy(rng.integers(0, 256, (2, len(streams), 9, 84, 84), np.uint8))
+    state, label = torch.randn(2, 6), torch.rand(2, 2)
+    method, alpha = METHODS["mad"], 0.3
+    masks = torch.from_numpy(method.masks(streams))
+    share = torch.from_numpy(method.row_weights(streams, alpha))
+    found = imitation_loss(agent, views, state, label, masks, share).item()
+
+    exact = agent.double()
+    subsets = ["all", *method.subsets(streams)]
+    errors = []
+    for name in subsets:
+        present = [s for s in streams if _is_in(s, name)]
+        merged = torch.zeros(2, 3136, dtype=torch.float64)
+        for stream in present:
+            merged += exact.encoder(views[:, streams.index(stream)])
+        mean, _ = exact.actor(merged, state.double())
+        errors.append((torch.tanh(mean) - label.double()).square().mean().item())
+    expected = alpha * errors[0] + (1 - alpha) * np.mean(errors[1:])
+    assert found == pytest.approx(expected, rel=1e-4)
+
+
+def _is_in(stream: str, subset: str) -> bool:
+    camera, _, modality = stream.partition(".")
+    return subset in ("all", stream, camera, modality)
+
+
+def test_imitation_reaches_encoder_and_actor_alone() -> None:
+    agent = Agent(TOY)
+    views = torch.randint(0, 256, (2, 3, 9, 84, 84), dtype=torch.uint8)
+    masks = torch.from_numpy(METHODS["mad"].masks(THREE))
+    share = torch.from_numpy(METHODS["mad"].row_weights(THREE, 0.5))
+    imitation_loss(agent, views, torch.randn(2, 6), torch.rand(2, 2), masks, share).backward()
+    touched = {name.split(".")[0] for name, p in agent.named_parameters() if p.grad is not None}
+    assert touched == {"encoder", "actor"}
+
+
+def test_n_step_returns_stop_at_the_end_of_an_episode() -> None:
+    horizon = 30
+    rewards = np.random.default_rng(0).random(2 * horizon).astype(np.float32)
+    sums, ahead, discount = n_step_returns(rewards, horizon)
+    for t in (0, 12, 25, 28, 31, 58):
+        last = t // horizon * horizon + horizon - 1
+        terms = min(STEPS, last - t)
+        expected = sum(GAMMA**k * rewards[t + k] for k in range(terms))
+        assert sums[t] == pytest.approx(expected, rel=1e-5)
+        assert ahead[t] == t + terms and discount[t] == pytest.approx(GAMMA**terms)
+    assert sums[29] == rewards[29] and ahead[29] == 29 and discount[29] == pytest.approx(GAMMA)
+
+
+def test_fitting_the_critic_changes_nothing_else() -> None:
+    data = Dataset(THREE, 2, 25)
+    for seed in range(2):
+        data.add(record_episode(ToyReach(), THREE, Driver(), seed))
+    agent = Agent(TOY)
+    before = {k: v.clone() for k, v in agent.state_dict().items()}
+    first = fit_critic(agent, data, METHODS["mad"], 0.5, updates=3, seed=0)
+    later = fit_critic(agent, data, METHODS["mad"], 0.5, updates=60, seed=0)
+    changed = {
+        k.split(".")[0] for k, v in agent.state_dict().items() if not torch.equal(v, before[k])
+    }
+    assert changed == {"critic", "target"}
+    assert later < first
+
+
+def test_a_recorded_episode_repeats_to_the_bit() -> None:
+    student = random_policy(spec(), TOY)
+    driver = Driver(0.5, 0.2, student, np.array([True, False, False]))
+    one, two = (record_episode(ToyReach(), THREE, driver, 3) for _ in range(2))
+    assert np.array_equal(one.actions, two.actions)
+    assert all(np.array_equal(one.frames[s], two.frames[s]) for s in THREE)
+    assert not np.array_equal(one.actions, one.labels)
+
+
+def test_an_episode_comes_back_from_its_file(tmp_path: Path) -> None:
+    episode = record_episode(ToyReach(), RGBD, Driver(), 1)
+    episode.save(tmp_path / "e.npz")
+    back = Episode.load(tmp_path / "e.npz")
+    assert np.array_equal(back.frames["first.depth"], episode.frames["first.depth"])
+    assert back.frames["first.depth"].shape == (25, 1, 84, 84)
+    assert np.array_equal(back.labels, episode.labels) and back.success == episode.success
+
+
+def test_stacks_of_a_dataset_do_not_reach_over_a_start() -> None:
+    data = Dataset(THREE, 2, 25)
+    for seed in range(2):
+        data.add(record_episode(ToyReach(), THREE, Driver(), seed))
+    start, later = data.views(np.array([25, 40]))
+    frame = start[:, :3]
+    assert torch.equal(start, torch.cat([frame] * 3, 1))
+    assert not torch.equal(later[0, :3], later[0, 6:])
+
+
+def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:
+    whole = RunFolder(tmp_path / "whole", TINY, resume=False, listener=None)
+    uninterrupted = run_in(whole)
+    finish(uninterrupted, whole, InlineRecorder())
+
+    broken = RunFolder(tmp_path / "broken", TINY, resume=False, listener=None)
+    with pytest.raises(KeyboardInterrupt):
+        finish(run_in(broken), broken, InlineRecorder(breaks_after=3))
+    again = RunFolder(tmp_path / "broken", TINY, resume=True, listener=None)
+    resumed = run_in(again)
+    assert 0 < resumed.round < TINY.rounds
+    finish(resumed, again, InlineRecorder())
+    assert resumed.updates == uninterrupted.updates == 12
+    assert torch.equal(weights(resumed), weights(uninterrupted))
+    assert (whole.path / "curve.csv").read_text().count("\n") == TINY.rounds + 1
+
+
+def test_students_see_their_methods_subsets_and_demonstrations_are_shared(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "a", TINY, resume=False, listener=None)
+    mad = run_in(folder)
+    merged = LightRun(TINY, spec(method="merged-only"), Agent(TOY), 25, 0, folder.resume)
+    assert mad.plan(0) == merged.plan(0)
+    assert [seed for _, seed in mad.plan(2)] == [seed for _, seed in merged.plan(2)]
+    seen = {tuple(driver.mask) for driver, _ in mad.plan(1) if driver.mask is not None}
+    assert len(seen) == 4
+    assert all(driver.mask is not None and driver.mask.all() for driver, _ in merged.plan(1))
+    assert all(seed < 1000 for _, seed in mad.plan(3))
+
+
+def test_a_folder_holds_one_run(tmp_path: Path) -> None:
+    RunFolder(tmp_path, TINY, resume=False, listener=None)
+    with pytest.raises(UserError, match="--resume"):
+        RunFolder(tmp_path, TINY, resume=False, listener=None)
+    with pytest.raises(UserError, match="rounds 4 -> 5"):
+        RunFolder(tmp_path, replace(TINY, rounds=5), resume=True, listener=None)
+    with pytest.raises(UserError, match="nothing to resume"):
+        RunFolder(tmp_path / "other", TINY, resume=True, listener=None)

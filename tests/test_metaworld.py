@@ -1,0 +1,89 @@
+"""What is special to Meta-World: its tasks, cameras, depth and render profiles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from madviz.envs.base import METAWORLD_TASKS, make_env
+from madviz.envs.metaworld import MetaWorld
+
+
+@pytest.mark.parametrize("task", METAWORLD_TASKS)
+def test_every_task_runs_and_repeats(task: str) -> None:
+    env = make_env(f"metaworld/{task}")
+    runs = []
+    for _ in range(2):
+        now = env.reset(42)
+        states = [now.state]
+        for _ in range(3):
+            now = env.step(env.expert())
+            states.append(now.state)
+        runs.append(np.concatenate(states))
+    env.close()
+    assert np.array_equal(*runs)
+    assert env.spec.success
+
+
+def test_pictures_are_upright_and_not_mirrored() -> None:
+    """In the hammer task the nail's box stands at larger x than the robot's base, and third_a looks
+    along -x from the right of it: unmirrored, the wooden box is on the right of the picture."""
+    env = make_env("metaworld/hammer")
+    env.reset(3)
+    red, green, blue = env.view("third_a").rgb.astype(int).transpose(2, 0, 1)
+    robot = (red > 90) & (green < 50) & (blue < 50)
+    rows, columns = np.nonzero(robot)
+    env.close()
+    assert columns.mean() < 42 and rows.mean() < 50
+
+
+def test_depth_is_metres_and_agrees_with_the_table() -> None:
+    env = make_env("metaworld/push")
+    env.reset(1)
+    height = env.pose("first").position[2]
+    middle = float(np.median(env.view("first").depth))
+    env.close()
+    assert middle == pytest.approx(height, abs=0.03)  # The camera looks straight down at z = 0.
+
+
+def test_the_first_person_camera_rides_on_the_hand() -> None:
+    env = make_env("metaworld/push")
+    env.reset(1)
+    before = env.pose("first").position
+    for _ in range(5):
+        env.step(np.array([0, 0, 1, 0]))
+    after = env.pose("first").position
+    still = env.pose("third_a").position
+    env.close()
+    assert after[2] > before[2] + 0.02
+    assert np.allclose(still, (0.75, 0.075, 0.7))
+
+
+def test_decimation_leaves_the_model_as_it_was() -> None:
+    import mujoco
+
+    from madviz.envs.metaworld_meshes import TRIANGLES, lighter_meshes
+
+    model: mujoco.MjModel = MetaWorld("push")._simulation.model
+    before = model.mesh_vert.copy(), model.mesh_facenum.copy()
+    with lighter_meshes(model):
+        untextured = model.mesh_texcoordadr < 0
+        assert model.mesh_facenum[untextured].max() <= TRIANGLES + 2
+    assert np.array_equal(before[0], model.mesh_vert)
+    assert np.array_equal(before[1], model.mesh_facenum)
+
+
+def test_full_profile_casts_shadows_that_fast_leaves_out() -> None:
+    pictures = {}
+    for profile in ("fast", "full"):
+        env = make_env("metaworld/hammer", profile)
+        env.reset(3)
+        pictures[profile] = env.view("third_b").rgb.astype(int)
+        env.close()
+    difference = np.abs(pictures["fast"] - pictures["full"]).mean()
+    assert 1 < difference < 40
+
+
+def test_the_papers_state_has_four_numbers() -> None:
+    env = MetaWorld("push", state="paper")
+    assert env.reset(0).state.shape == (4,) == (env.spec.state_dim,)
