@@ -84,6 +84,12 @@ def test_every_third_party_is_declared() -> None:
         assert owners & declared, f"pyproject.toml does not declare {owners}, which has {name}"
 
 
+def test_the_readme_has_a_line_for_every_file() -> None:
+    readme = (PACKAGE.parent / "README.md").read_text()
+    lines = {line.split()[0] for line in readme.splitlines() if line.startswith("      ")}
+    assert {path.name for path in FILES if path.name[0] != "_"} <= lines
+
+
 @pytest.mark.parametrize("module", MODULES)
 def test_files_and_functions_stay_short(module: str) -> None:
     text = MODULES[module].read_text()
