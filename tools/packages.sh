@@ -9,8 +9,8 @@ have_uv=$(command -v uv || true)
 if [ ! -x .venv/bin/python ]; then
   cat <<'NOTICE'
 Packages come next, into .venv here. Python's default torch brings CUDA libraries along: about 3 GB
-to download, 6.5 GB on the disk, 5 of them for GPUs. On a machine without one, the smaller CPU build
-(about 2 GB on the disk) does the same. To take it, stop now (Ctrl-C) and run
+to download, 6 GB on the disk, most of it for GPUs. On a machine without one, the smaller CPU build
+(roughly 2 GB on the disk) does the same. To take it, stop now (Ctrl-C) and run
     make setup TORCH_INDEX=ADDRESS     with the index of torch's CPU builds (see pytorch.org), or
     UV_TORCH_BACKEND=cpu make setup    where uv is installed
 NOTICE
