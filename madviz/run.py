@@ -43,6 +43,8 @@ class RunFolder:
         self._listener = listener
         described = json.dumps(dataclasses.asdict(config), indent=1, sort_keys=True)
         file = self.resume / "run.json"
+        if self.path.exists() and not self.path.is_dir():
+            raise UserError(f"expected a folder, found the file {self.path}; choose another --out")
         if resume and not file.exists():
             raise UserError(f"nothing to resume: expected a run in {self.path}, found none")
         if file.exists() and not resume:

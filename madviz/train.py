@@ -75,6 +75,8 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
             f"method {config.method!r} has the recipes {', '.join(chosen.recipes)}, "
             f"not {config.recipe!r}"
         )
+    setting(config.setting)
+    make_env(config.task, config.render_profile).close()
     torch.set_num_threads(config.threads)
     out = config.out or Path("runs") / config.policy_name()
     described = replace(config, out=None, resume=False)

@@ -203,3 +203,9 @@ def test_a_folder_holds_one_run(tmp_path: Path) -> None:
         RunFolder(tmp_path, replace(TINY, rounds=5), resume=True, listener=None)
     with pytest.raises(UserError, match="nothing to resume"):
         RunFolder(tmp_path / "other", TINY, resume=True, listener=None)
+
+
+def test_a_file_is_not_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match="expected a folder"):
+        RunFolder(tmp_path / "file", TINY, resume=False, listener=None)
