@@ -153,8 +153,8 @@ def _agent(path: Path, networks: dict[str, Any], weights: bytes) -> Agent:
     from madviz.agent.networks import NetworkConfig
 
     try:
-        bounds = tuple(networks.get("log_std_bounds", (-10.0, 2.0)))
-        network = NetworkConfig(**{**networks, "log_std_bounds": bounds})  # type: ignore[arg-type]
+        listed = {k: tuple(v) if isinstance(v, list) else v for k, v in networks.items()}
+        network = NetworkConfig(**listed)
         # Without memory at first: shapes are known before anything is initialised or allocated.
         with torch.device("meta"):
             agent = Agent(network)

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import torch
 
@@ -48,6 +49,9 @@ class TrainConfig:
     """The run's folder; runs/NAME if not given."""
     seed: int = 1
     """Of networks, data and noise; the same seed repeats a run."""
+    state: Literal["code", "paper"] = "code"
+    """Proprioception: ``code`` is all the environment gives (Meta-World: 24 numbers, as in the
+    paper's code), ``paper`` the 4 of its table."""
     render_profile: str = "fast"
     """What the policy sees, now and for ever."""
     resume: bool = False
@@ -56,6 +60,10 @@ class TrainConfig:
     """Threads of the learner; the light recipe's recorder uses the other core."""
     light: LightConfig = field(default_factory=LightConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
+
+    def state_columns(self, env: EnvSpec) -> tuple[int, ...]:
+        """Which of the environment's state numbers the heads read; all if empty."""
+        return env.paper_state if self.state == "paper" else ()
 
     def policy_name(self) -> str:
         """{suite}-{task}-{method}[-{setting}]-{recipe}."""
@@ -94,7 +102,11 @@ def _train_light(config: TrainConfig, folder: RunFolder) -> None:
     env.close()
     streams = setting(config.setting).streams
     chosen = method(config.method)
-    networks = NetworkConfig(facts.state_dim, facts.action_dim, hidden_dim=config.light.hidden_dim)
+    networks = NetworkConfig(
+        *(facts.state_dim, facts.action_dim),
+        hidden_dim=config.light.hidden_dim,
+        state_columns=config.state_columns(facts),
+    )
     torch.manual_seed(config.seed)
     spec = PolicySpec(
         *(config.policy_name(), config.task, config.method, config.setting, config.recipe),
@@ -162,7 +174,7 @@ def command(config: TrainConfig) -> str:
     default = TrainConfig()
     words = ["madviz", "train", "--task", config.task, "--method", config.method]
     words += ["--recipe", config.recipe]
-    for name in ("setting", "seed", "render_profile", "threads"):
+    for name in ("setting", "seed", "state", "render_profile", "threads"):
         if getattr(config, name) != getattr(default, name):
             words += [f"--{name.replace('_', '-')}", str(getattr(config, name))]
     recipe, standard = getattr(config, config.recipe), getattr(default, config.recipe)

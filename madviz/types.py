@@ -78,6 +78,8 @@ class EnvSpec:
     action_repeat: int = 1
     """Simulator steps for one decision."""
     render_profile: str = "fast"
+    paper_state: tuple[int, ...] = ()
+    """The state numbers that the paper's table counts, where its code has more."""
     success: str = "at the last step"
     """The task's own success condition, in words."""
 

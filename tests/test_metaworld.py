@@ -84,6 +84,9 @@ def test_full_profile_casts_shadows_that_fast_leaves_out() -> None:
     assert 1 < difference < 40
 
 
-def test_the_papers_state_has_four_numbers() -> None:
-    env = MetaWorld("push", state="paper")
-    assert env.reset(0).state.shape == (4,) == (env.spec.state_dim,)
+def test_the_papers_four_numbers_are_the_hand_and_gripper_of_now() -> None:
+    env = MetaWorld("push")
+    env.reset(0)
+    state = env.step(np.array([1, 0, 0, 1])).state[list(env.spec.paper_state)]
+    assert np.allclose(state[:3], env._simulation.data.body("hand").xpos, atol=0.02)
+    assert np.allclose(state, env._observation[:4], atol=1e-6)

@@ -66,6 +66,16 @@ def test_squash_stays_finite_where_tanh_saturates() -> None:
     assert torch.isfinite(log_prob).all()
 
 
+def test_heads_read_the_chosen_state_numbers_alone() -> None:
+    actor = Actor(NetworkConfig(hidden_dim=32, state_columns=(16, 17, 18, 19)))
+    feature, state = torch.rand(2, 3136), torch.rand(2, 24)
+    other = state.clone()
+    other[:, :16] += 1
+    assert torch.equal(actor(feature, state)[0], actor(feature, other)[0])
+    other[:, 17] += 1
+    assert not torch.equal(actor(feature, state)[0], actor(feature, other)[0])
+
+
 def test_log_std_stays_within_its_bounds() -> None:
     actor = Actor(SMALL)
     _, log_std = actor(1e4 * torch.randn(64, 3136), torch.randn(64, 24))

@@ -39,6 +39,17 @@ class NetworkConfig:
     """Width of the heads' two hidden layers (the light recipe uses 512)."""
     log_std_bounds: tuple[float, float] = (-10.0, 2.0)
     """Range of the actor's log standard deviation."""
+    state_columns: tuple[int, ...] = ()
+    """The state numbers the heads read; all of them if empty."""
+
+    @property
+    def state_inputs(self) -> int:
+        """How many state numbers the heads read."""
+        return len(self.state_columns) or self.state_dim
+
+    def read_state(self, state: Tensor) -> Tensor:
+        """(..., S) -> (..., state_inputs)."""
+        return state[..., list(self.state_columns)] if self.state_columns else state
 
 
 class Encoder(nn.Module):
@@ -108,17 +119,18 @@ class Actor(nn.Module):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
-        self.bounds = config.log_std_bounds
+        self.config = config
         self.trunk = Trunk(config)
-        inputs = config.state_dim + config.feature_dim
+        inputs = config.state_inputs + config.feature_dim
         self.mlp = _mlp(inputs, config.hidden_dim, 2 * config.action_dim)
         _orthogonal(self)
 
     def forward(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """(B, Z), (B, S) -> mean and log standard deviation before tanh, (B, A) each."""
-        output = _read(self.mlp, torch.cat([state, self.trunk(feature)], -1))
+        known = self.config.read_state(state)
+        output = _read(self.mlp, torch.cat([known, self.trunk(feature)], -1))
         mean, raw = output.chunk(2, -1)
-        low, high = self.bounds
+        low, high = self.config.log_std_bounds
         return mean, low + 0.5 * (high - low) * (torch.tanh(raw) + 1)
 
     def sample(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -144,8 +156,9 @@ class Critic(nn.Module):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
+        self.config = config
         self.trunk = Trunk(config)
-        inputs = config.feature_dim + config.action_dim + config.state_dim
+        inputs = config.feature_dim + config.action_dim + config.state_inputs
         self.q1 = _mlp(inputs, config.hidden_dim, 1)
         self.q2 = _mlp(inputs, config.hidden_dim, 1)
         _orthogonal(self)
@@ -156,5 +169,5 @@ class Critic(nn.Module):
 
     def heads(self, hidden: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """The part behind the trunk: a feature read for several actions is projected once."""
-        x = torch.cat([hidden, action, state], -1)
+        x = torch.cat([hidden, action, self.config.read_state(state)], -1)
         return _read(self.q1, x).squeeze(-1), _read(self.q2, x).squeeze(-1)

@@ -8,8 +8,8 @@ therefore rolled by half a turn; ``first`` hangs at a constant world offset from
 its orientation in the world.
 
 The state is eight numbers (hand x y z in metres and gripper opening, now and one simulator step
-ago) for each of three decisions: 24. It holds neither object nor goal. ``state="paper"`` gives the
-four numbers of the paper's table instead.
+ago) for each of three decisions: 24, as in the paper's code. It holds neither object nor goal. The
+paper's table says 4; ``EnvSpec.paper_state`` names those, for policies that shall read no more.
 
 Resets draw from a generator of the instance's own. Meta-World would use NumPy's global one, and
 several simulations side by side would then change each other's scenes.
@@ -17,7 +17,7 @@ several simulations side by side would then change each other's scenes.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -57,14 +57,12 @@ CAMERAS = (
 class MetaWorld:
     """One task; see the module. Not thread-safe, and bound to the thread that makes it."""
 
-    def __init__(
-        self, task: str, render_profile: str = "fast", state: Literal["code", "paper"] = "code"
-    ) -> None:
-        self._state_kind = state
+    def __init__(self, task: str, render_profile: str = "fast") -> None:
         self.spec = EnvSpec(
             f"metaworld/{task}",
             CAMERAS,
-            state_dim=24 if state == "code" else 4,
+            state_dim=24,
+            paper_state=(16, 17, 18, 19),
             action_dim=4,
             horizon=HORIZON,
             action_repeat=ACTION_REPEAT,
@@ -134,7 +132,7 @@ class MetaWorld:
         return np.concatenate([self._observation[:4], self._observation[18:22]]).astype(np.float32)
 
     def _state(self) -> Array:
-        return np.concatenate(self._states) if self._state_kind == "code" else self._states[-1][:4]
+        return np.concatenate(self._states)
 
 
 def _scene_cameras(simulation: Any, render_profile: str) -> Any:
