@@ -178,7 +178,7 @@ class Session:
     def _advance(self, now: float) -> None:
         """The next step, or the next episode after the end of one."""
         assert self._simulation is not None
-        if self._phase == "ended":
+        if self._simulation.ended:
             self._phase = "playing"
             self._begin(self._seed + 1, now)
             return
@@ -243,7 +243,7 @@ class Session:
                 self._emit()
 
     def _restart(self, seed: int, now: float) -> None:
-        if self._phase == "ended" or self._error:
+        if self._error or self._simulation is None or self._simulation.ended:
             self._phase = "playing"
         if self._simulation is None:
             self._seed = seed
@@ -252,8 +252,10 @@ class Session:
             self._begin(seed, now)
 
     def _play(self, now: float) -> None:
-        if self._simulation is None or self._phase == "ended":
-            self._restart(self._seed + (self._phase == "ended"), now)
+        if self._simulation is None:
+            self._open(now)
+        elif self._simulation.ended:
+            self._begin(self._seed + 1, now)
         else:
             self._due = now
         self._phase, self._error = "playing", ""
@@ -261,8 +263,7 @@ class Session:
         self._emit()
 
     def _halt(self) -> None:
-        if self._phase == "playing":
-            self._phase = "paused"
+        self._phase = "paused"
         self._forget_rate()
         self._emit()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from madviz.envs.base import SETTINGS
-from madviz.types import Array, Encoded, PolicySpec, Readout
+from madviz.types import Array, Encoded, PolicySpec, Readout, UserError
 
 
 class FakePolicy:
@@ -27,7 +27,7 @@ class FakePolicy:
         )
         rng = np.random.default_rng(seed)
         self._eyes = rng.normal(size=(3 * 21 * 21, width)).astype(np.float32) / 40
-        self._hand = rng.normal(size=(width, 2)).astype(np.float32)
+        self._hand = rng.normal(size=(width, 2)).astype(np.float32) / 8
         self._value = rng.normal(size=width).astype(np.float32)
 
     def encode(self, views: Array, state: Array) -> Encoded:
@@ -43,7 +43,7 @@ class FakePolicy:
 
 
 class NanPolicy(FakePolicy):
-    """Breaks when the streams in ``broken`` are all that is left."""
+    """Breaks when a single stream is left."""
 
     def read(self, encoded: Encoded, masks: Array) -> Readout:
         readout = super().read(encoded, masks)
@@ -57,3 +57,16 @@ class AllOrNothing(FakePolicy):
 
     def supports(self, mask: Array) -> bool:
         return bool(np.all(mask))
+
+
+def policies(name: str) -> FakePolicy:
+    """A ``load_policy`` that knows four fakes."""
+    table = {
+        "toy-mad": FakePolicy,
+        "toy-rgbd": lambda: FakePolicy("toy-rgbd", "three-rgbd"),
+        "toy-other": lambda: FakePolicy("toy-other", seed=1, method="merged-only"),
+        "toy-nan": lambda: NanPolicy("toy-nan"),
+    }
+    if name not in table:
+        raise UserError(f"unknown policy {name!r}")
+    return table[name]()

@@ -24,22 +24,10 @@ from madviz.frame import (
 )
 from madviz.session import FIRST_SEED, HOLD, Session
 from madviz.types import UserError
-from tests.fakes import AllOrNothing, FakePolicy, NanPolicy
+from tests.fakes import AllOrNothing, FakePolicy, policies
 
 OFF = CameraState("off")
 BLACK = CameraState("rgb", occlusion=Occlusion("black"))
-
-
-def policies(name: str) -> FakePolicy:
-    table = {
-        "toy-mad": FakePolicy,
-        "toy-rgbd": lambda: FakePolicy("toy-rgbd", "three-rgbd"),
-        "toy-other": lambda: FakePolicy("toy-other", seed=1),
-        "toy-nan": lambda: NanPolicy("toy-nan"),
-    }
-    if name not in table:
-        raise UserError(f"unknown policy {name!r}")
-    return table[name]()
 
 
 class Recorder(Session):
@@ -142,6 +130,15 @@ def test_pause_step_and_seed(session):
     assert session.ask(SetSeed(7)).seed == 7
     assert session.ask(Play()).phase == "playing"
     assert session.ask(Reset(next_seed=True)).seed == 8
+
+
+def test_pause_holds_an_ended_episode(session):
+    session.steps(25)
+    assert session.ask(Pause()).phase == "paused"
+    assert session.at(session.time + 10 * HOLD) is None
+    assert session.frames[-1].ended
+    assert session.ask(Play()).seed == FIRST_SEED + 1
+    assert session.frames[-1].phase == "playing"
 
 
 def test_a_dropped_camera_leaves_the_sum_at_once(session):

@@ -10,7 +10,7 @@ import viser
 from madviz.ablations import CameraState, Occlusion
 from madviz.app.mosaic import GAP, mosaic
 from madviz.app.panel import Assign
-from madviz.app.toolkit import STYLE, Cell, Choice, grid_style, on_value, remove_all
+from madviz.app.toolkit import STYLE, Cell, Choice, grid, on_value, remove_all
 from madviz.frame import Frame, SetCamera, untouched
 from madviz.subsets import modality_of
 from madviz.types import CameraSpec
@@ -151,7 +151,7 @@ class CamerasPanel:
             cells.append(Cell(control.input.handle, index + 1, label="above"))
             cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="28%"))
             cells += [Cell(slider, index + 1) for slider in control.sliders.values()]
-        return grid_style("cameras", columns, cells)
+        return grid("cameras", columns, cells)
 
     def update(self, frame: Frame) -> list[Assign]:
         changes = [Assign(self._image, "image", mosaic(frame, self._tile))]

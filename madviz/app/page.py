@@ -33,6 +33,7 @@ from madviz.app.toolkit import (
     STYLE,
     commands,
     dock,
+    run_layout,
     window_is_wide,
 )
 from madviz.frame import (
@@ -48,6 +49,9 @@ from madviz.frame import (
 )
 from madviz.session import Session
 
+FASTEST = 1 / 40
+"""Seconds between two frames that are shown: more would be wasted on a browser."""
+
 log = logging.getLogger(__name__)
 
 
@@ -57,7 +61,7 @@ class Shown:
 
     panel: Panel
     period: float
-    """Seconds; 0 for every frame."""
+    """Seconds."""
     done: float = -1e9
     number: int = 0
     """The last frame it showed."""
@@ -115,6 +119,7 @@ class Page:
         self._wake.set()
         if self._thread.is_alive():
             self._thread.join(5.0)
+        self._rates.forget(self.client.client_id)
 
     def clear(self) -> None:
         """Takes everything off the page, after ``close``."""
@@ -162,7 +167,8 @@ class Page:
         self._touched = (frame.change, frame.policy, frame.phase, frame.error)
         due = [s for s in self._shown if s.number != frame.number]
         ready = [s for s in due if urgent or now - s.done >= s.period]
-        for batch in ([s for s in ready if s.period == 0], [s for s in ready if s.period > 0]):
+        first = [s for s in ready if s.period <= FASTEST]
+        for batch in (first, [s for s in ready if s.period > FASTEST]):
             changes = [change for shown in batch for change in shown.panel.update(frame)]
             if not changes:
                 continue
@@ -181,11 +187,13 @@ class Page:
             handle.remove()
         client, gui = self.client, self.client.gui
         send = None if self._readonly else self.session.send
+        visitor = None if self._readonly else client.client_id
         assert self._waiting is not None
         self._waiting.content = waiting_html(self._notice) if self._notice else ""
+        run_layout(client)
         with client.atomic():
             policy = PolicyPanel(gui, send, frame, self._choices)
-            success = SuccessPanel(gui, frame, self._rates, not self._readonly)
+            success = SuccessPanel(gui, frame, self._rates, visitor)
             dockable = dock(client, self._wide)
             with dockable.add_tab("Cameras", viser.Icon.CAMERA):
                 width = (LEFT_WIDTH_WIDE if self._wide else LEFT_WIDTH) - 18
@@ -199,7 +207,7 @@ class Page:
             self._extras = [dockable, *self._shortcuts(frame)]
         scene = ScenePanel(client, frame, None if self._readonly else self._toggle)
         self._shown = [
-            *(Shown(cameras, 0), Shown(policy, 0), Shown(words, 0)),
+            *(Shown(cameras, FASTEST), Shown(policy, FASTEST), Shown(words, FASTEST)),
             *(Shown(features, 0.1), Shown(subsets, 0.25)),
             *(Shown(success, 0.5), Shown(scene, 0.5)),
         ]

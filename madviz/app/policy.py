@@ -12,7 +12,7 @@ import viser
 from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.subsets import action_bars
-from madviz.app.toolkit import Cell, Choice, grid_style, guarded, on_value, remove_all
+from madviz.app.toolkit import Cell, Choice, grid, guarded, on_value, remove_all
 from madviz.frame import (
     Command,
     Frame,
@@ -105,7 +105,7 @@ class PolicyPanel:
         ]
         self._handles = [
             *(cell.handle for cell in cells),
-            gui.add_html(grid_style("run", 8, cells)),
+            gui.add_html(grid("run", 8, cells)),
         ]
 
     def _on_go(self, client: viser.ClientHandle | None) -> None:
@@ -158,29 +158,32 @@ def verdict(frame: Frame) -> tuple[str, str]:
 
 def status_html(frame: Frame) -> str:
     """The episode at a glance. The attributes are there for those who measure the page."""
-    action = ",".join(f"{value:.3f}" for value in frame.action)
+    data = {
+        **{"episode": frame.episode, "step": frame.step, "phase": frame.phase},
+        "setting": escape(str(frame.setting)),
+    }
+    attributes = " ".join(f'data-{name}="{value}"' for name, value in data.items())
+    seed = f'<span class="plain num" style="float:right">seed {frame.seed}</span>'
     return (
-        f'<div class="mv mv-status" data-episode="{frame.episode}" data-step="{frame.step}" '
-        f'data-action="{action}" data-phase="{frame.phase}" data-frame="{frame.number}">'
+        f'<div class="mv mv-status" {attributes}>'
         f'<div class="dim" style="font-size:12px">{escape(policy_words(frame.policy))}</div>'
-        f"{_progress(frame)}{_goal(frame)}<h4>Action and its value Q</h4>"
-        f'<div style="display:flex;gap:8px;align-items:center"><div style="flex:1">'
-        f'{_action(frame)}</div><span class="num">Q <b>{frame.q:.1f}</b></span></div>'
-        f"{_error(frame)}</div>"
+        f"{_progress(frame)}{_goal(frame)}<h4>{seed}Action and its value Q</h4>"
+        '<div style="display:flex;gap:8px;align-items:center">'
+        f'<div class="mv-action" style="flex:1">{_action(frame)}</div>'
+        f'<span class="num">Q <b>{frame.q:.1f}</b></span></div>{_error(frame)}</div>'
     )
 
 
 def _progress(frame: Frame) -> str:
-    """The verdict, how far the episode is, and a bar of that."""
+    """The verdict, how far the episode is, the pace, and a bar."""
     word, colour = verdict(frame)
     done = 100 * frame.step / frame.env.horizon
     big = f"background:{colour};font-size:15px;padding:1px 9px"
     bar = f"height:4px;width:{done:.0f}%;background:{colour}"
     return (
-        '<div style="margin-top:6px;display:flex;gap:8px;align-items:center">'
-        f'<span class="tag" style="{big}">{word}</span>'
+        '<div style="margin-top:6px;display:flex;gap:8px;align-items:center;white-space:nowrap">'
+        f'<span class="tag mv-verdict" style="{big}">{word}</span>'
         f'<span class="num">step <b>{frame.step}</b>/{frame.env.horizon}</span>'
-        f'<span class="dim num">seed {frame.seed}</span>'
         f'<span class="num" style="margin-left:auto">{_pace(frame)}</span></div>'
         f'<div style="height:4px;background:{FAINT};margin:5px 0"><div style="{bar}"></div></div>'
     )
@@ -218,6 +221,3 @@ def _error(frame: Frame) -> str:
         f"<b>Paused: {escape(first)}</b><pre>{escape(rest.strip())}</pre>"
         "Press again to restart the episode, or play to try once more.</div>"
     )
-
-
-__all__ = ["PolicyChoice", "PolicyPanel", "grid_style", "policy_words", "status_html", "verdict"]

@@ -1,5 +1,6 @@
-"""Success so far: what shipped with a policy, and what was measured here while the page was open.
+"""Success so far: what shipped with a policy, and what is measured here while the page is open.
 
+Every visitor wants the setting they look at measured; worker processes take turns among them.
 Episodes are kept by seed, so that the same one seen twice (by a worker and on a page, or on two
 pages) counts once. Listeners are told when something was added; the tables themselves are replaced,
 never changed, so readers need no lock.
@@ -7,13 +8,16 @@ never changed, so readers need no lock.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import threading
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from madviz.ablations import Ablation, CameraState
 from madviz.frame import Setting
+from madviz.live import Evaluator, Tally
 from madviz.statistics import wilson
-from madviz.types import PolicySpec
+from madviz.types import Array, PolicySpec
 
 Shipped = Callable[[PolicySpec], Mapping[str, Mapping[str, Any]]]
 """Policy -> the ``subsets`` of its evaluation.json, empty where it has none."""
@@ -39,15 +43,28 @@ class Rate:
 class Rates:
     """Shared by all visitors: success is a fact about a policy and a setting, not a person."""
 
-    def __init__(self, shipped: Shipped = lambda spec: {}) -> None:
-        self._read = shipped
+    def __init__(
+        self,
+        shipped: Shipped = lambda spec: {},
+        make_evaluator: Callable[[Callable[[Tally], None]], Evaluator] | None = None,
+        reference: Callable[[PolicySpec], str] = lambda spec: spec.name,
+    ) -> None:
+        """``make_evaluator`` gets the listener for its tallies; without one nothing is measured
+        but what runs on pages. ``reference`` is what ``load_policy`` knows a policy by."""
+        self._read, self._reference = shipped, reference
+        self._evaluator = make_evaluator(self._hear) if make_evaluator else None
+        self._keys: dict[str, str] = {}
+        """By reference: the key of that policy here."""
+        self._errors: dict[tuple[str, Setting], str] = {}
+        self._lock = threading.Lock()
+        """Between writers; pages and the evaluator add episodes."""
         self._shipped: dict[str, dict[str, Rate]] = {}
         self._live: dict[tuple[str, Setting], dict[int, bool]] = {}
         self._listeners: tuple[Callable[[], None], ...] = ()
 
     def shipped(self, spec: PolicySpec) -> dict[str, Rate]:
         """By subset, without occlusions: what the policy's own evaluation says."""
-        key = spec.name + spec.digest
+        key = key_of(spec)
         if key not in self._shipped:
             table = {
                 subset: Rate(round(row["success"] * row["n"]), row["n"])
@@ -58,7 +75,7 @@ class Rates:
 
     def live(self, spec: PolicySpec, setting: Setting) -> Rate:
         """What was measured here."""
-        seen = self._live.get((spec.name + spec.digest, setting), {})
+        seen = self._live.get((key_of(spec), setting), {})
         return Rate(sum(seen.values()), len(seen))
 
     def best(self, spec: PolicySpec, setting: Setting) -> Rate:
@@ -69,16 +86,57 @@ class Rates:
 
     def add(self, spec: PolicySpec, setting: Setting, outcomes: Mapping[int, bool]) -> None:
         """Takes outcomes by seed; tells the listeners if one of them is new."""
-        key = (spec.name + spec.digest, setting)
-        before = self._live.get(key, {})
-        if outcomes.items() <= before.items():
-            return
-        self._live = {**self._live, key: {**before, **outcomes}}
-        for listener in self._listeners:
-            listener()
+        self._add((key_of(spec), setting), outcomes)
+
+    def _add(self, key: tuple[str, Setting], outcomes: Mapping[int, bool], error: str = "") -> None:
+        with self._lock:
+            before = self._live.get(key, {})
+            news = not outcomes.items() <= before.items() or self._errors.get(key, "") != error
+            self._live = {**self._live, key: {**before, **outcomes}}
+            self._errors = {**self._errors, key: error}
+        if news:
+            for listener in self._listeners:
+                listener()
+
+    @property
+    def measures(self) -> bool:
+        """Whether there are workers at all."""
+        return self._evaluator is not None
+
+    def want(self, visitor: Hashable, spec: PolicySpec, mask: Array, ablation: Ablation) -> None:
+        """Has the setting of ``visitor`` measured from now on, and not their last one."""
+        if self._evaluator is not None:
+            reference = self._reference(spec)
+            self._keys = {**self._keys, reference: key_of(spec)}
+            self._hear(self._evaluator.request(visitor, reference, mask, ablation.occlusions()))
+
+    def forget(self, visitor: Hashable) -> None:
+        """This visitor wants nothing measured any more."""
+        if self._evaluator is not None:
+            self._evaluator.forget(visitor)
+
+    def error(self, spec: PolicySpec, setting: Setting) -> str:
+        """Why a setting cannot be measured; empty while it can."""
+        return self._errors.get((key_of(spec), setting), "")
+
+    def close(self) -> None:
+        """Ends the worker processes."""
+        if self._evaluator is not None:
+            self._evaluator.close()
+
+    def _hear(self, tally: Tally) -> None:
+        occluded = {camera: CameraState(occlusion=o) for camera, o in tally.setting.occlusions}
+        setting = Setting(tally.setting.subset, Ablation(occluded).key())
+        outcomes = {result.seed: result.success for result in tally.results}
+        self._add((self._keys[tally.setting.policy], setting), outcomes, tally.error)
 
     def subscribe(self, listener: Callable[[], None]) -> None:
         self._listeners = (*self._listeners, listener)
 
     def unsubscribe(self, listener: Callable[[], None]) -> None:
         self._listeners = tuple(one for one in self._listeners if one != listener)
+
+
+def key_of(spec: PolicySpec) -> str:
+    """What episodes of a policy are kept under: its version, or its name where it has none."""
+    return spec.digest or spec.name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,9 @@ from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.users import Users
 from madviz.envs.base import make_env
+from madviz.live import Evaluator, Tally
 from madviz.session import EnvFactory, Session
+from madviz.store import Store
 from madviz.types import Policy, PolicySpec, UserError
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"
@@ -58,6 +61,8 @@ class App:
     ) -> None:
         """``port`` 0 takes a free one. Raises UserError if the port is taken."""
         check_port(host, port)
+        # A browser may leave while a frame is on its way to it; viser would warn about each.
+        warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
         self.rates = rates or Rates()
         self.server = viser.ViserServer(host=host, port=port, label="madviz", verbose=False)
         self.server.gui.configure_theme(
@@ -78,6 +83,7 @@ class App:
     def stop(self) -> None:
         self.users.close()
         self.server.stop()
+        self.rates.close()
 
 
 def explore(config: ExploreConfig | None = None) -> None:
@@ -103,6 +109,12 @@ def open_app(config: ExploreConfig) -> App:
             loaded[wanted] = checkpoint.load_policy(wanted)
         return loaded[wanted]
 
+    def reference(spec: PolicySpec) -> str:
+        return next((key for key, one in loaded.items() if one.spec == spec), spec.name)
+
+    def evaluator(listener: Callable[[Tally], None]) -> Evaluator:
+        return Evaluator(config.workers, Store(), listener)
+
     policy = loaded[name]
     if name not in [choice.name for choice in choices]:
         choices = [PolicyChoice(name, policy.spec.name), *choices]
@@ -110,7 +122,7 @@ def open_app(config: ExploreConfig) -> App:
         policy,
         choices,
         load,
-        rates=Rates(shipped_rates),
+        rates=Rates(shipped_rates, evaluator if config.workers else None, reference),
         host=config.host,
         port=config.port,
         visitors=config.visitors,

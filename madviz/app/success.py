@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Hashable
 from html import escape
 
 import numpy as np
@@ -14,11 +15,15 @@ from madviz.app.features import NO_POINTS, small_axes
 from madviz.app.panel import Assign
 from madviz.app.rates import Rate, Rates
 from madviz.app.subsets import is_trained, presence, subset_label
-from madviz.app.toolkit import remove_all
+from madviz.app.toolkit import on_value, remove_all
 from madviz.frame import Change, Frame, Outcome, Setting, words
 from madviz.subsets import mask_of, single_streams
 from madviz.types import PolicySpec
 
+MEASURE_HINT = (
+    "Worker processes play episodes under the present setting, for the bars. Their last frames "
+    "count as here; switch this off to give the page the whole machine."
+)
 HISTORY = 200
 """Points of the success curve that are kept."""
 
@@ -26,8 +31,12 @@ HISTORY = 200
 class SuccessPanel:
     """Bars (shipped above, measured here below), a curve that marks every change, a strip."""
 
-    def __init__(self, gui: viser.GuiApi, frame: Frame, rates: Rates, owner: bool) -> None:
-        self._rates, self._owner = rates, owner
+    def __init__(
+        self, gui: viser.GuiApi, frame: Frame, rates: Rates, visitor: Hashable | None
+    ) -> None:
+        """``visitor`` has the present setting measured; None only looks on."""
+        self._rates, self._visitor = rates, visitor
+        self._wanted: tuple[PolicySpec, Setting] | None = None
         self._known: tuple[Outcome, ...] = ()
         self._curve = Curve()
         self._bars = gui.add_html(bars_html(frame, rates))
@@ -48,10 +57,15 @@ class SuccessPanel:
             height=84,
             padding=(6, 10, 0, 0),
         )
+        self._switch: viser.GuiCheckboxHandle | None = None
+        if visitor is not None and rates.measures:
+            self._switch = gui.add_checkbox("Measure", True, hint=MEASURE_HINT)
+            on_value(self._switch, lambda _, on: self._set_measuring(bool(on)))
 
     def update(self, frame: Frame) -> list[Assign]:
-        if self._owner:
+        if self._visitor is not None:
             self._keep(frame)
+            self._want(frame)
         setting = frame.setting
         moved = self._curve.add(frame.policy, setting, self._rates.live(frame.policy, setting))
         changes = [
@@ -63,7 +77,22 @@ class SuccessPanel:
         return changes
 
     def remove(self) -> None:
+        self._rates.forget(self._visitor)
         remove_all([self._bars, self._plot, self._strip])
+        remove_all([self._switch] if self._switch else [])
+
+    def _want(self, frame: Frame) -> None:
+        """Has the setting of this moment measured, if it is not the one that already is."""
+        wanted = (frame.policy, frame.setting)
+        measuring = self._switch is not None and self._switch.value
+        if measuring and wanted != self._wanted and frame.probe.supported[frame.row]:
+            self._wanted = wanted
+            self._rates.want(self._visitor, frame.policy, frame.mask, frame.ablation)
+
+    def _set_measuring(self, on: bool) -> None:
+        self._wanted = None
+        if not on:
+            self._rates.forget(self._visitor)
 
     def _keep(self, frame: Frame) -> None:
         """Episodes seen on this page under one setting from start to end are measurements, too."""
@@ -100,9 +129,10 @@ class Curve:
 
     def data(self) -> tuple[np.ndarray, ...]:
         """The columns: episode, low, high, success, change."""
-        if len(self._points) < 2:
+        if not self._points:
             return (np.array([0.0, 10.0]), *(np.full(2, np.nan) for _ in range(4)))
-        return tuple(np.array(self._points).T)
+        points = [*self._points] if len(self._points) > 1 else [*self._points] * 2
+        return tuple(np.array(points).T)
 
 
 def bar_rows(frame: Frame, rates: Rates) -> list[Setting]:
@@ -129,7 +159,7 @@ def bars_html(frame: Frame, rates: Rates) -> str:
     )
     return (
         f'<div class="mv"><h4>Success at the last step</h4><div class="dim">{key}'
-        f"</div>{''.join(rows)}</div>"
+        f"</div>{''.join(rows)}{_trouble(rates.error(spec, frame.setting))}</div>"
     )
 
 
@@ -154,8 +184,12 @@ def _bar_row(frame: Frame, setting: Setting, shipped: Rate, live: Rate) -> str:
         f"{now}{dagger}{escape(label)}</span>"
         '<div style="position:relative;flex:1;height:12px;background:#33363b;border-radius:2px">'
         f"{_interval(shipped, MUTED, 0)}{_interval(live, GOOD, 6)}</div>"
-        f'<span class="num" style="width:74px">{number}</span></div>'
+        f'<span class="num" style="width:82px">{number}</span></div>'
     )
+
+
+def _trouble(error: str) -> str:
+    return f'<div style="color:{NOTE}">not measured: {escape(error)}</div>' if error else ""
 
 
 def _in_words(rate: Rate, source: str) -> str:

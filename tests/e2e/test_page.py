@@ -1,0 +1,183 @@
+"""What a visitor sees and does, in a real browser."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from madviz.app.server import App
+from tests.e2e.conftest import PATIENCE, Visitor, toy_app, wait_until
+
+
+def grey(pixels: list[list[int]]) -> float:
+    """Mean distance from grey, 0 for a picture without colour."""
+    return float(np.ptp(np.array(pixels), axis=1).mean())
+
+
+def test_pictures_come_and_change(visitor: Visitor):
+    visitor.until("document.querySelector('img[src^=blob]')")
+    before, step = (
+        visitor.page.locator("img[src^=blob]").first.get_attribute("src"),
+        visitor.status("step"),
+    )
+    visitor.until(
+        f"document.querySelector('img[src^=blob]').src !== '{before}' && status.step !== '{step}'"
+    )
+
+
+def test_everything_that_matters_is_in_sight(visitor: Visitor):
+    page = visitor.page
+    visitor.until("document.querySelector('img[src^=blob]')?.naturalWidth > 500")
+    mosaic = page.locator("img[src^=blob]").first.bounding_box()
+    assert mosaic["width"] >= 3 * 200
+    buttons = page.get_by_role("button")
+    wanted = [buttons.filter(has_text=word).last for word in ("off", "patch", "next", "max")]
+    wanted += [page.locator(selector) for selector in (".mv-status", ".mv-words")]
+    wanted += [page.get_by_text("merged: their sum"), page.get_by_text("state only")]
+    for element in wanted:
+        box = element.bounding_box()
+        assert box["y"] >= 0 and box["y"] + box["height"] <= 800, element
+        assert box["x"] >= 0 and box["x"] + box["width"] <= 1280, element
+    marked = page.get_by_role("button", name="none").first
+    other = page.get_by_role("button", name="black").first
+    colour = "one => getComputedStyle(one).backgroundColor"
+    assert marked.evaluate(colour) != other.evaluate(colour)
+
+
+def test_switching_a_camera_off_shows_everywhere(visitor: Visitor):
+    visitor.press("pause")
+    visitor.until("status.phase === 'paused'")
+    action = visitor.page.locator(".mv-action").inner_text()
+    assert grey(visitor.tile(1)) > 10
+    visitor.press("off", camera=1)
+    visitor.until("status.setting === 'first+third_b'")
+    said = visitor.until_text(".mv-words", "dropped")
+    assert said.startswith("Third A dropped: action changed by")
+    visitor.until(f"document.querySelector('.mv-action').innerText !== `{action}`")
+    wait_until(lambda: grey(visitor.tile(1)) < 6)
+    assert grey(visitor.tile(0)) > 10
+    assert "Third A · dropped" in visitor.page.content()
+
+
+def test_dropped_does_not_look_like_black(visitor: Visitor):
+    visitor.press("pause")
+    visitor.press("off", camera=2)
+    visitor.until("status.setting === 'first+third_a'")
+    wait_until(lambda: grey(visitor.tile(2)) < 6)
+    dropped = np.array(visitor.tile(2), float)
+    visitor.press("RGB", camera=2)
+    visitor.press("black", camera=2)
+    visitor.until("status.setting.includes('third_b:black')")
+    wait_until(lambda: np.max(visitor.tile(2)) < 12)
+    black = np.array(visitor.tile(2), float)
+    assert np.abs(dropped - black).mean() > 10
+    assert dropped.max() > 150  # The stamp is white.
+    assert "sends black" in visitor.until_text(".mv-words", "black")
+
+
+def test_policies_swap_in_mid_episode_and_camera_settings_stay(visitor: Visitor):
+    visitor.press("pause")
+    visitor.press("off", camera=0)
+    visitor.until("status.setting === 'third_a+third_b' && status.phase === 'paused'")
+    before = visitor.status("episode"), visitor.status("step")
+    visitor.pick("toy-other")
+    visitor.until_text(".mv-status", "all cameras together only")
+    assert visitor.status("setting") == "third_a+third_b"
+    visitor.pick("toy-rgbd")
+    visitor.until("document.body.innerText.includes('Third B depth')")
+    assert (visitor.status("episode"), visitor.status("step")) == before
+
+
+def test_depth_is_shown_and_said_to_be_unused(visitor: Visitor):
+    visitor.press("depth", camera=0)
+    visitor.until("status.setting === 'third_a+third_b'")
+    visitor.until("document.body.innerText.includes('does not reach it')")
+    visitor.press("RGB", camera=0)
+    visitor.until("!document.body.innerText.includes('does not reach it')")
+
+
+def test_strength_appears_where_it_matters(visitor: Visitor):
+    strength = visitor.page.get_by_text("strength", exact=True)
+    assert strength.count() == 0
+    visitor.press("noise", camera=1)
+    strength.wait_for()
+    box = strength.bounding_box()
+    assert 220 < box["x"] < 430, "it belongs under the second tile"
+
+
+def test_keys(visitor: Visitor):
+    visitor.page.mouse.click(800, 700)
+    visitor.page.keyboard.press("2")
+    visitor.until("status.setting === 'first+third_b'")
+    visitor.page.keyboard.press("2")
+    visitor.until("status.setting === 'all'")
+    visitor.page.keyboard.press("Space")
+    visitor.until("status.phase === 'paused'")
+    step = int(visitor.status("step"))
+    visitor.page.keyboard.press("s")
+    visitor.until(f"status.step !== '{step}'")
+
+
+def test_nan_pauses_with_a_traceback_and_the_page_lives(visitor: Visitor):
+    visitor.pick("toy-nan")
+    visitor.press("off", camera=0)
+    visitor.press("off", camera=1)
+    said = visitor.until_text(".mv-error", "finite action")
+    assert "Traceback" in said
+    assert visitor.page.locator(".mv-verdict").inner_text() == "STOPPED"
+    visitor.press("RGB", camera=0)
+    visitor.press("again")
+    visitor.until("status.phase === 'playing' && !document.querySelector('.mv-error')")
+    step = visitor.status("step")
+    visitor.until(f"status.step !== '{step}'")
+
+
+def test_absurd_numbers_from_the_page_do_no_harm(visitor: Visitor):
+    visitor.press("noise", camera=0)
+    box = visitor.page.locator("input[inputmode=decimal]").last
+    box.fill("1e9")
+    box.press("Enter")
+    visitor.press("none", camera=0)
+    visitor.until("status.setting === 'all'")
+    step = visitor.status("step")
+    visitor.until(f"status.step !== '{step}'")
+
+
+def test_two_visitors_do_not_disturb_each_other(visitor: Visitor, visit, app: App):
+    other = visit(app.url)
+    visitor.press("off", camera=0)
+    other.press("black", camera=2)
+    visitor.until("status.setting === 'third_a+third_b'")
+    other.until("status.setting.includes('third_b:black')")
+    assert visitor.status("setting") == "third_a+third_b"
+    assert app.users.sessions == 2
+
+
+def test_a_closed_page_frees_its_session(visitor: Visitor, visit, app: App):
+    wait_until(lambda: app.users.sessions == 1)
+    before = our_threads()
+    other = visit(app.url)
+    assert len(our_threads()) == len(before) + 2  # The session's and the page's.
+    other.close()
+    wait_until(lambda: app.users.sessions == 1)
+    wait_until(lambda: our_threads() == before)
+
+
+def our_threads() -> set[threading.Thread]:
+    return {thread for thread in threading.enumerate() if thread.name.startswith("madviz")}
+
+
+def test_over_the_cap_one_watches_and_then_inherits(visit):
+    app = toy_app(visitors=1)
+    owner, watcher = visit(app.url), visit(app.url)
+    assert watcher.page.get_by_text("You are watching").is_visible()
+    assert watcher.page.get_by_role("button", name="off").count() == 0
+    assert (app.users.sessions, app.users.watchers) == (1, 1)
+    owner.press("off", camera=1)
+    watcher.until("status.setting === 'first+third_b'")
+    owner.close()
+    watcher.page.get_by_role("button", name="off").first.wait_for(timeout=PATIENCE)
+    watcher.until("status.setting === 'all'")
+    assert (app.users.sessions, app.users.watchers) == (1, 0)
+    app.stop()
