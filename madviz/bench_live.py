@@ -1,9 +1,9 @@
 """The page under a stop-watch: server, simulator, policy and a real browser on the same cores.
 
 Everything is timed inside the browser, by its own clock: an *update* is a simulator step that was
-not seen before and whose picture has been decoded, a *toggle* runs from the click on a button to the
-moment when the picture shows that camera dropped (its tile has lost all colour) and the text of the
-action has changed. The server is a process of its own, as a user would start it, at full speed.
+not seen before and whose picture has been decoded, a *toggle* runs from the click on a button to
+the moment when the picture shows that camera dropped (its tile has lost all colour) and the text of
+the action has changed. The server is a process of its own, as a user would start it, at full speed.
 """
 
 from __future__ import annotations
@@ -140,13 +140,13 @@ def readout_ms(policy: str, repeats: int = 100) -> float:
     """Median milliseconds to read action and Q of every subset, features given."""
     import numpy as np
 
+    from madviz.app.server import env_in_one_thread
     from madviz.checkpoint import load_policy
-    from madviz.envs.base import make_env
     from madviz.probes import probe
     from madviz.streams import IMAGE_SIZE
 
     loaded = load_policy(policy)
-    env = make_env(loaded.spec.task, loaded.spec.render_profile)
+    env = env_in_one_thread(loaded.spec.task, loaded.spec.render_profile)
     state = env.reset(seed=0).state
     shape = (len(loaded.spec.streams), 3 * loaded.spec.frame_stack, IMAGE_SIZE, IMAGE_SIZE)
     views = np.random.default_rng(0).integers(0, 256, shape, np.uint8)

@@ -208,7 +208,7 @@ class Page:
         scene = ScenePanel(client, frame, None if self._readonly else self._toggle)
         self._shown = [
             *(Shown(cameras, FASTEST), Shown(policy, FASTEST), Shown(words, FASTEST)),
-            *(Shown(features, 0.1), Shown(subsets, 0.25)),
+            *(Shown(features, 0.25), Shown(subsets, 0.25)),
             *(Shown(success, 0.5), Shown(scene, 0.5)),
         ]
         self._built = (frame.env.task, frame.env.cameras)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Sequence
@@ -18,7 +19,7 @@ from madviz.envs.base import make_env
 from madviz.live import Evaluator, Tally
 from madviz.session import EnvFactory, Session
 from madviz.store import Store
-from madviz.types import Policy, PolicySpec, UserError
+from madviz.types import Environment, Policy, PolicySpec, UserError
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"
 
@@ -43,6 +44,17 @@ class ExploreConfig:
     """Decisions per second at the start; None for as fast as it goes."""
 
 
+def env_in_one_thread(task: str, render_profile: str) -> Environment:
+    """``make_env``, called by the thread that will own it; that thread computes on one core, as
+    evaluation workers do. A policy's small matrices are no quicker on two, and on a busy machine a
+    hundred times slower: threads that spin for each other."""
+    if "torch" in sys.modules:
+        import torch
+
+        torch.set_num_threads(1)
+    return make_env(task, render_profile)
+
+
 class App:
     """A running page. ``stop`` frees the port and every simulation."""
 
@@ -52,7 +64,7 @@ class App:
         choices: Sequence[PolicyChoice],
         load_policy: Callable[[str], Policy],
         *,
-        env_factory: EnvFactory = make_env,
+        env_factory: EnvFactory = env_in_one_thread,
         rates: Rates | None = None,
         host: str = "127.0.0.1",
         port: int = 0,

@@ -31,16 +31,16 @@ def test_everything_that_matters_is_in_sight(visitor: Visitor):
     visitor.until("document.querySelector('img[src^=blob]')?.naturalWidth > 500")
     mosaic = page.locator("img[src^=blob]").first.bounding_box()
     assert mosaic["width"] >= 3 * 200
-    buttons = page.get_by_role("button")
-    wanted = [buttons.filter(has_text=word).last for word in ("off", "patch", "next", "max")]
+    names = ("off", "patch", "next", "max")
+    wanted = [page.get_by_role("button", name=name, exact=True).last for name in names]
     wanted += [page.locator(selector) for selector in (".mv-status", ".mv-words")]
-    wanted += [page.get_by_text("merged: their sum"), page.get_by_text("state only")]
+    wanted += [page.get_by_text("merged: their sum"), page.get_by_text("† state only")]
     for element in wanted:
         box = element.bounding_box()
         assert box["y"] >= 0 and box["y"] + box["height"] <= 800, element
         assert box["x"] >= 0 and box["x"] + box["width"] <= 1280, element
-    marked = page.get_by_role("button", name="none").first
-    other = page.get_by_role("button", name="black").first
+    marked = page.get_by_role("button", name="none", exact=True).first
+    other = page.get_by_role("button", name="black", exact=True).first
     colour = "one => getComputedStyle(one).backgroundColor"
     assert marked.evaluate(colour) != other.evaluate(colour)
 

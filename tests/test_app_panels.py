@@ -1,0 +1,331 @@
+"""Panels on a real server without a browser: what they compute, and that they leave nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import viser
+
+from madviz.ablations import Ablation, CameraState, Occlusion
+from madviz.app.cameras import CamerasPanel, unused_note
+from madviz.app.features import FeaturesPanel, curve_point, features_html
+from madviz.app.mosaic import GAP, HEADER, badge, mosaic
+from madviz.app.panel import apply
+from madviz.app.policy import PolicyChoice, PolicyPanel, status_html, verdict
+from madviz.app.rates import Rate, Rates
+from madviz.app.scene import ScenePanel, _focus
+from madviz.app.subsets import SubsetsPanel, presence, subset_label, subsets_html
+from madviz.app.success import Curve, SuccessPanel, WordsPanel, bars_html, sentence, strip_html
+from madviz.envs.base import make_env
+from madviz.frame import Frame, Pause, SetCamera, SetPolicy, Setting
+from madviz.session import Session
+from tests.fakes import FakePolicy, NanPolicy, policies
+
+OFF = CameraState("off")
+TILE = 204
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[viser.ViserServer]:
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server
+    server.stop()
+
+
+def frame_with(*commands, policy: FakePolicy | None = None) -> Frame:
+    """The frame after ``commands``, at the first step of an episode."""
+    session = Session(make_env, policy or FakePolicy(), policies)
+    session.tick(0.0)
+    for command in commands:
+        session.send(command)
+    session.tick(0.0)
+    assert isinstance(session.latest, Frame)
+    return session.latest
+
+
+def tile(picture: np.ndarray, camera: int) -> np.ndarray:
+    left = camera * (TILE + GAP)
+    return picture[HEADER:, left : left + TILE].astype(int)
+
+
+def test_a_tile_enlarges_what_arrives_pixel_by_pixel():
+    frame = frame_with()
+    picture = mosaic(frame, 3 * 84)
+    assert picture.shape == (HEADER + 252, 3 * 252 + 2 * GAP, 3)
+    np.testing.assert_array_equal(picture[HEADER::3, :252:3], frame.arrived["first"])
+
+
+def test_dropped_black_and_intact_tiles_differ():
+    intact = tile(mosaic(frame_with(), TILE), 1)
+    dropped = tile(mosaic(frame_with(SetCamera("third_a", OFF)), TILE), 1)
+    black_state = CameraState("rgb", Occlusion("black"))
+    black = tile(mosaic(frame_with(SetCamera("third_a", black_state)), TILE), 1)
+    assert np.ptp(intact, axis=2).mean() > 10
+    assert np.ptp(dropped, axis=2).max() == 0, "a dropped camera has no colour"
+    assert dropped.max() > 200, "and a stamp"
+    assert black.max() == 0
+    assert intact.mean() > 2 * dropped.mean()
+
+
+def test_a_dropped_camera_shows_its_own_picture_not_its_occlusion():
+    states = (CameraState("off"), CameraState("off", Occlusion("black")))
+    left, right = (tile(mosaic(frame_with(SetCamera("first", s)), TILE), 0) for s in states)
+    np.testing.assert_array_equal(left, right)
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        (CameraState("rgb"), "RGB"),
+        (OFF, "OFF"),
+        (CameraState("rgb", Occlusion("freeze")), "FROZEN"),
+        (CameraState("rgb", Occlusion("noise", 0.7)), "NOISE 70 %"),
+        (CameraState("depth"), "DEPTH (NOT USED)"),
+        (CameraState("both"), "RGB + DEPTH (NOT USED)"),
+    ],
+)
+def test_badges_say_the_state(state, words):
+    assert badge(frame_with(SetCamera("first", state)), "first") == words
+
+
+def test_both_modalities_share_a_tile_and_depth_has_a_scale_in_metres():
+    frame = frame_with(policy=policies("toy-rgbd"))
+    assert badge(frame, "third_b") == "RGB + DEPTH"
+    picture = tile(mosaic(frame, TILE), 2)
+    scale = picture[-10, 60:-60]
+    assert len(np.unique(scale, axis=0)) > 30, "the bottom of the tile is a colour ramp"
+
+
+def test_depth_under_an_rgb_policy_is_shown_and_said_to_be_unused():
+    frame = frame_with(SetCamera("first", CameraState("depth")))
+    assert frame.setting.subset == "third_a+third_b"
+    assert "does not reach it" in unused_note(frame)
+    assert unused_note(frame_with()) == ""
+    assert unused_note(frame_with(policy=policies("toy-rgbd"))) == ""
+    assert len(np.unique(tile(mosaic(frame, TILE), 0).reshape(-1, 3), axis=0)) > 2
+
+
+def test_camera_switches_send_commands_and_never_echo(server):
+    sent: list[SetCamera] = []
+    panel = CamerasPanel(server.gui, sent.append, frame_with(), 622)
+    controls = panel._controls[1]
+    noisy = CameraState("rgb", Occlusion("noise", 0.3))
+    apply(panel.update(frame_with(SetCamera("third_a", noisy))))
+    assert sent == [], "showing a state must not set one"
+    assert controls.sliders["strength"].visible and controls.sliders["strength"].value == 0.3
+    assert not controls.sliders["x"].visible
+    controls._on_input(None, "off")  # type: ignore[arg-type]
+    assert sent == [SetCamera("third_a", CameraState("off", Occlusion("noise", 0.3)))]
+    panel.remove()
+
+
+def test_a_slider_being_dragged_is_not_pulled_back(server):
+    sent: list[SetCamera] = []
+    panel = CamerasPanel(server.gui, sent.append, frame_with(), 622)
+    old = frame_with(SetCamera("first", CameraState("rgb", Occlusion("blur", 0.5))))
+    apply(panel.update(old))
+    slider = panel._controls[0].sliders["strength"]
+    slider.value = 0.8
+    panel._controls[0]._on_fraction("strength", 0.8)
+    apply(panel.update(old))
+    assert slider.value == 0.8
+    apply(panel.update(frame_with(sent[-1])))
+    apply(panel.update(old))
+    assert slider.value == 0.5, "once confirmed, later states are shown again"
+    panel.remove()
+
+
+def test_curves_have_a_gap_where_a_stream_is_dropped():
+    point = curve_point(frame_with(SetCamera("third_a", OFF)))
+    assert np.isnan(point[1]) and np.isfinite(point[0]) and np.isfinite(point[3])
+
+
+def test_features_follow_the_streams_of_another_policy(server):
+    panel = FeaturesPanel(server.gui, frame_with())
+    apply(panel.update(frame_with()))
+    six = frame_with(SetPolicy("toy-rgbd"))
+    apply(panel.update(six))
+    assert len(panel._plot.series) == 8
+    assert "Third B depth" in panel._table.content
+    panel.remove()
+
+
+def test_an_instant_seen_twice_is_one_point(server):
+    panel = FeaturesPanel(server.gui, frame_with())
+    for frame in (frame_with(), frame_with(SetCamera("first", OFF))):
+        apply(panel.update(frame))
+    assert len(panel._history) == 1
+    assert np.isnan(panel._history[0][1])
+    panel.remove()
+
+
+def test_features_table_names_every_stream_and_the_sum():
+    html = features_html(frame_with(SetCamera("third_a", OFF)))
+    for words in ("First person", "Third A · dropped", "Third B", "merged: their sum"):
+        assert words in html
+
+
+def test_every_subset_has_a_row_and_untrained_ones_say_so(server):
+    frame = frame_with(SetCamera("third_a", OFF))
+    html = subsets_html(frame)
+    assert html.count("<tr") == 1 + 8
+    # Three pairs and the empty subset: nobody trained on those.
+    assert html.count("off-training") == 4
+    assert html.index("now") < html.index("state only")
+    six = subsets_html(frame_with(policy=policies("toy-rgbd")))
+    assert six.count("<tr") == 1 + 64
+    SubsetsPanel(server.gui, frame).remove()
+
+
+def test_a_policy_that_breaks_shows_where():
+    html = subsets_html(frame_with(policy=NanPolicy("toy-nan")))
+    assert html.count("cannot act on this") == 3
+
+
+def test_labels_and_squares():
+    frame = frame_with(policy=policies("toy-rgbd"))
+    assert subset_label(frame, "first+third_b.depth") == "First person + Third B depth"
+    assert subset_label(frame, "depth") == "all depth"
+    half = presence(frame, np.array([True, False] + [False] * 4))
+    assert "linear-gradient(90deg,#E69F00 50%,transparent 50%)" in half
+
+
+def test_success_bars_tell_shipped_from_measured(server):
+    rates = Rates(lambda spec: {"all": {"success": 0.94, "n": 100}})
+    frame = frame_with(SetCamera("third_a", OFF))
+    assert rates.best(frame.policy, Setting("all")) == Rate(94, 100)
+    rates.add(frame.policy, frame.setting, {2000: True, 2001: False})
+    rates.add(frame.policy, frame.setting, {2001: False})
+    html = bars_html(frame, rates)
+    assert "shipped 0.94 [0.88, 0.97], n=100; nothing measured here" in html
+    assert "nothing shipped; measured here 0.50 [0.09, 0.91], n=2" in html
+    assert "† First person + Third B" in html
+    panel = SuccessPanel(server.gui, frame, rates, visitor=1)
+    apply(panel.update(frame))
+    panel.remove()
+
+
+def test_rates_tell_their_listeners_only_news():
+    told = []
+    rates = Rates()
+    rates.subscribe(lambda: told.append(1))
+    spec = FakePolicy().spec
+    rates.add(spec, Setting("all"), {1: True})
+    rates.add(spec, Setting("all"), {1: True})
+    assert told == [1]
+
+
+def test_words_join_effect_and_success():
+    frame = frame_with(SetCamera("third_a", OFF))
+    rates = Rates(lambda spec: {"all": {"success": 0.94, "n": 100}})
+    assert frame.change is not None
+    line = sentence(frame.change, frame, rates)
+    assert line.startswith("Third A dropped: action changed by ")
+    assert line.endswith("; success so far 0.94 → not measured yet")
+    outcomes = {seed: seed % 16 > 2 for seed in range(16)}
+    rates.add(frame.policy, frame.setting, outcomes)
+    assert sentence(frame.change, frame, rates).endswith("0.94 → 0.81 (n=16)")
+
+
+def test_words_stay_until_something_else_happens(server):
+    frame = frame_with(SetCamera("third_a", OFF))
+    panel = WordsPanel(server.gui, frame_with(), Rates())
+    assert "Take a camera away" in panel._line.content
+    apply(panel.update(frame))
+    apply(panel.update(frame_with()))
+    assert "Third A dropped" in panel._line.content
+    panel.remove()
+
+
+def test_curve_marks_changes():
+    curve, spec = Curve(), FakePolicy().spec
+    assert curve.add(spec, Setting("all"), Rate(1, 1))
+    assert not curve.add(spec, Setting("all"), Rate(1, 1))
+    assert curve.add(spec, Setting("first"), Rate(0, 0))
+    assert curve.add(spec, Setting("first"), Rate(0, 1))
+    x, low, _, success, change = curve.data()
+    assert list(x) == [1, 1.5, 1.5, 1.5, 2]
+    assert list(np.nan_to_num(change, nan=-1)) == [-1, 0, 1, -1, -1]
+    assert (success[0], success[-1]) == (1, 0) and np.isnan(low[2])
+
+
+def test_the_strip_shows_how_episodes_ended():
+    session = Session(make_env, FakePolicy(), policies, speed=None)
+    session.tick(0.0)
+    session.send(SetCamera("first", OFF))
+    for _ in range(30):
+        session.tick(0.0)
+    assert isinstance(session.latest, Frame)
+    assert "first off" in strip_html(session.latest)
+
+
+def test_verdicts_have_words_and_colours():
+    running, paused = frame_with(), frame_with(Pause())
+    assert [verdict(frame)[0] for frame in (running, paused)] == ["RUNNING", "PAUSED"]
+    broken = frame_with(SetPolicy("nonsense"))
+    assert verdict(broken)[0] == "STOPPED"
+    assert "unknown policy" in status_html(broken) and "Traceback" in status_html(broken)
+
+
+def test_policy_panel_shows_without_sending(server):
+    sent: list = []
+    choices = [PolicyChoice("toy-mad", "MAD"), PolicyChoice("toy-rgbd", "RGB-D")]
+    panel = PolicyPanel(server.gui, sent.append, frame_with(), choices)
+    apply(panel.update(frame_with(SetPolicy("toy-rgbd"))))
+    assert panel._picker.value == "RGB-D" and sent == []
+    panel.remove()
+
+
+def test_frusta_stand_where_the_cameras_are_and_dim_when_dropped(server):
+    clicked: list[str] = []
+    client = FakeClient(server)
+    panel = ScenePanel(client, frame_with(), clicked.append)  # type: ignore[arg-type]
+    frame = frame_with(SetCamera("first", OFF))
+    apply(panel.update(frame))
+    first, third = panel._frusta["first"], panel._frusta["third_a"]
+    np.testing.assert_allclose(first.position, frame.poses["first"].position, atol=1e-6)
+    assert first.color != third.color
+    assert first.image is not None and np.ptp(first.image.astype(int), axis=2).max() == 0
+    panel.remove()
+
+
+def test_lines_of_sight_meet_on_the_table():
+    frame = frame_with()
+    hand = frame.poses["first"].position[:2]
+    focus = _focus(frame)[:2]
+    assert np.abs(focus).max() <= max(1.0, float(np.abs(hand).max()))
+
+
+def test_panels_leave_nothing(server):
+    def widgets() -> int:
+        return len(server.gui._container_handle_from_uuid["root"]._children)
+
+    before, frame, rates = widgets(), frame_with(), Rates()
+    panels = [
+        CamerasPanel(server.gui, lambda command: None, frame, 622),
+        FeaturesPanel(server.gui, frame),
+        SubsetsPanel(server.gui, frame),
+        SuccessPanel(server.gui, frame, rates, None),
+        WordsPanel(server.gui, frame, rates),
+        PolicyPanel(server.gui, lambda command: None, frame, [PolicyChoice("toy-mad", "MAD")]),
+    ]
+    assert widgets() > before
+    for panel in panels:
+        panel.remove()
+    assert widgets() == before
+
+
+class FakeClient:
+    """Enough of a browser's handle for a panel: it draws on the server's own scene."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self.scene, self.gui, self.atomic = server.scene, server.gui, server.atomic
+        self.camera = type("Camera", (), {})()
+
+
+def test_an_ablation_of_cameras_that_are_off_is_no_other_setting():
+    black = CameraState("off", Occlusion("black"))
+    assert frame_with(SetCamera("first", black)).setting == Setting("third_a+third_b")
+    assert Ablation({"first": black}).key() != ""

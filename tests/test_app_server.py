@@ -1,0 +1,149 @@
+"""The server's own rules: ports, policies on offer, and seats, without a browser."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from types import SimpleNamespace
+
+import pytest
+import viser
+
+from madviz.app.policy import PolicyChoice
+from madviz.app.rates import Rates
+from madviz.app.server import App, ExploreConfig, check_port, explore, first_choice
+from madviz.app.users import Users
+from madviz.envs.base import make_env
+from madviz.frame import Frame
+from madviz.session import Session
+from madviz.types import UserError
+from tests.fakes import FakePolicy, policies
+
+
+def test_a_taken_port_is_named_with_the_flag_that_helps():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(UserError, match=f"port {port} .*--port"):
+            explore(ExploreConfig(port=port))
+    check_port("127.0.0.1", port)
+
+
+def test_an_app_frees_its_port():
+    app = App(FakePolicy(), [PolicyChoice("toy-mad", "MAD")], policies)
+    port = app.server.get_port()
+    assert app.url == f"http://127.0.0.1:{port}"
+    with pytest.raises(UserError, match="cannot be served"):
+        check_port("127.0.0.1", port)
+    app.stop()
+    check_port("127.0.0.1", port)
+
+
+def test_without_policies_the_next_move_is_named():
+    with pytest.raises(UserError, match="madviz train"):
+        first_choice([], "metaworld/push")
+    assert first_choice([PolicyChoice("one", "One")], None) == "one"
+
+
+class Browser:
+    """A client that nobody looks through: it draws into the server's own widgets."""
+
+    def __init__(self, number: int, server: viser.ViserServer) -> None:
+        self.client_id, self.gui, self.scene = number, server.gui, server.scene
+        self.atomic, self.flush = server.atomic, server.flush
+        self.camera = SimpleNamespace(image_width=1280)
+        self._websock_connection = SimpleNamespace(queue_message=lambda message: None)
+
+
+class Lobby:
+    """A server whose visitors come and go as a test says."""
+
+    def __init__(self) -> None:
+        self.real = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        self.present: dict[int, Browser] = {}
+
+    def on_client_connect(self, callback) -> None:
+        self.join = callback
+
+    def on_client_disconnect(self, callback) -> None:
+        self.leave = callback
+
+    def get_clients(self) -> dict[int, Browser]:
+        return dict(self.present)
+
+    def come(self, number: int) -> Browser:
+        browser = self.present[number] = Browser(number, self.real)
+        self.join(browser)
+        return browser
+
+    def go(self, number: int) -> None:
+        self.leave(self.present.pop(number))
+
+
+@contextlib.contextmanager
+def users(cap: int):
+    lobby = Lobby()
+    made: list[Session] = []
+
+    def new_session() -> Session:
+        made.append(Session(make_env, FakePolicy(), policies, speed=2.0))
+        return made[-1]
+
+    choices = [PolicyChoice("toy-mad", "MAD")]
+    one = Users(lobby, new_session, choices, Rates(), cap)  # type: ignore[arg-type]
+    yield one, lobby, made
+    one.close()
+    lobby.real.stop()
+
+
+def test_a_simulation_waits_before_anybody_comes():
+    with users(cap=2) as (them, lobby, made):
+        assert len(made) == 1
+        lobby.come(1)
+        assert len(made) == 1 and them.session_of(1) is made[0]
+
+
+def test_everybody_has_their_own_until_the_cap():
+    with users(cap=2) as (them, lobby, made):
+        for number in (1, 2, 3, 4):
+            lobby.come(number)
+        assert (them.sessions, them.watchers, len(made)) == (2, 2, 2)
+        # Watchers are spread over the simulations there are.
+        assert {id(them.session_of(3)), id(them.session_of(4))} == {id(one) for one in made}
+
+
+def test_who_leaves_frees_a_thread_and_watchers_inherit():
+    with users(cap=1) as (them, lobby, made):
+        lobby.come(1)
+        lobby.come(2)
+        lobby.come(3)
+        assert (them.sessions, them.watchers) == (1, 2)
+        lobby.go(1)
+        assert (them.sessions, them.watchers) == (1, 1)
+        assert made[0]._thread is not None and not made[0]._thread.is_alive()
+        assert them.session_of(2) is made[1] and them.session_of(3) is made[1]
+        lobby.go(3)
+        assert (them.sessions, them.watchers) == (1, 0)
+
+
+def test_who_left_before_sitting_down_keeps_no_seat():
+    with users(cap=2) as (them, lobby, made):
+        browser = Browser(7, lobby.real)
+        lobby.join(browser)
+        assert them.sessions == 0
+        lobby.leave(browser)
+        assert not any(session._thread.is_alive() for session in made if session._thread)
+
+
+def test_a_page_that_is_closed_stops_drawing():
+    with users(cap=1) as (_, lobby, made):
+        lobby.come(1)
+        deadline = time.monotonic() + 20
+        while not isinstance(made[0].latest, Frame) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        pages = [t for t in threading.enumerate() if t.name == "madviz-page"]
+        lobby.go(1)
+        assert pages and not any(page.is_alive() for page in pages)
