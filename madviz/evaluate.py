@@ -260,7 +260,8 @@ class EvalConfig:
     json: str | None = None
     """Where to write the result; - is standard output."""
     card: bool = False
-    """Also write evaluation.json and card.md into the policy's folder."""
+    """Also write evaluation.json and card.md into the policy's folder; subsets that were measured
+    there before, and are not now, stay."""
 
 
 def run_eval(config: EvalConfig) -> dict[str, Any]:
@@ -280,9 +281,25 @@ def run_eval(config: EvalConfig) -> dict[str, Any]:
     )
     if config.card:
         folder = checkpoint.find_policy(config.policy)
-        write_json(folder / checkpoint.EVALUATION, evaluation.to_json())
+        known = checkpoint.shipped_evaluation(folder)
+        write_json(folder / checkpoint.EVALUATION, joined(known, evaluation.to_json()))
         write_card(folder)
     return evaluation.to_json()
+
+
+def joined(known: dict[str, Any] | None, new: dict[str, Any]) -> dict[str, Any]:
+    """``new`` and those subsets of ``known`` that it did not measure again, if both are of the same
+    weights, definition and first seed; a card can so be filled in several goes."""
+    same = ("digest", "definition", "seed")
+    if known is None or any(known.get(key) != new[key] for key in same):
+        return new
+    kept = {name: row for name, row in known["subsets"].items() if name not in new["subsets"]}
+    episodes = [e for e in known["episodes"] if e["subset"] in kept]
+    return {
+        **new,
+        "subsets": {**kept, **new["subsets"]},
+        "episodes": [*episodes, *new["episodes"]],
+    }
 
 
 def parse_occlusions(texts: Iterable[str]) -> dict[str, Occlusion]:

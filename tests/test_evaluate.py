@@ -379,6 +379,19 @@ def test_eval_command_computes_and_writes_the_card(folder, tmp_path, capsys):
     assert capsys.readouterr().out == ""
 
 
+def test_a_card_can_be_filled_in_several_goes(folder, tmp_path):
+    copy = tmp_path / "toy"
+    shutil.copytree(folder, copy)
+    (copy / "evaluation.json").unlink(missing_ok=True)
+    for subsets, seed in ((("all", "first"), 5), (("first", "none"), 5)):
+        run_eval(EvalConfig(str(copy), subsets, episodes=2, seed=seed, workers=0, card=True))
+    together = json.loads((copy / "evaluation.json").read_text())
+    assert set(together["subsets"]) == {"all", "first", "none"}
+    assert sorted(e["subset"] for e in together["episodes"]) == sorted(["all", "first", "none"] * 2)
+    run_eval(EvalConfig(str(copy), ("all",), episodes=2, seed=6, workers=0, card=True))
+    assert set(json.loads((copy / "evaluation.json").read_text())["subsets"]) == {"all"}
+
+
 def test_a_card_is_not_written_about_occluded_cameras_or_somebodys_own_code(folder):
     for config in (
         EvalConfig(str(folder), occlude=("first=black",), card=True),
