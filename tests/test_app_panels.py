@@ -161,6 +161,19 @@ def test_an_instant_seen_twice_is_one_point(server):
     panel.remove()
 
 
+def test_curves_have_every_decision_though_they_are_drawn_less_often(server):
+    session = Session(make_env, FakePolicy(), policies, speed=None)
+    session.tick(0.0)
+    panel = FeaturesPanel(server.gui, frame_with())
+    for _ in range(40):  # An episode has 25 decisions, the next one begins with a frame of its own.
+        assert isinstance(session.latest, Frame)
+        panel.note(session.latest)
+        session.tick(0.0)
+    assert set(np.diff([point[0] for point in panel._history])) == {1}
+    assert len(panel._history) == 40
+    panel.remove()
+
+
 def test_features_table_names_every_stream_and_the_sum():
     html = features_html(frame_with(SetCamera("third_a", OFF)))
     for words in ("First person", "Third A · dropped", "Third B", "merged: their sum"):

@@ -53,8 +53,8 @@ class FeaturesPanel:
         self._streams: tuple[str, ...] = ()
         self._plot: viser.GuiUplotHandle
         self._history: deque[tuple[float, ...]] = deque(maxlen=HISTORY)
-        self._last = (0, -1)
-        self._time = 0
+        self._last, self._time = (0, 0), 0
+        """Episode and step of the newest point; decisions seen in all."""
         self._holder = gui.add_folder(None)
         self._rebuild(frame)
         self._table = gui.add_html(features_html(frame))
@@ -62,15 +62,25 @@ class FeaturesPanel:
     def update(self, frame: Frame) -> list[Assign]:
         if frame.policy.streams != self._streams:
             self._rebuild(frame)
+        self.note(frame)
         changes = [Assign(self._table, "content", features_html(frame))]
-        if (frame.episode, frame.step) != self._last:
-            self._last, self._time = (frame.episode, frame.step), self._time + 1
-        elif self._history:
-            self._history.pop()  # The same instant under another setting.
-        self._history.append((self._time, *curve_point(frame)))
         if len(self._history) > 1:
             changes.append(Assign(self._plot, "data", tuple(np.array(self._history).T)))
         return changes
+
+    def note(self, frame: Frame) -> None:
+        """Takes a point for the curves, which are drawn less often than decisions are taken."""
+        if frame.policy.streams != self._streams:
+            return
+        episode, step = self._last
+        if (frame.episode, frame.step) == (episode, step) and self._history:
+            self._history.pop()  # The same instant, perhaps under another setting.
+        elif frame.episode == episode:
+            self._time += max(1, frame.step - step)
+        else:
+            self._time += 1 + frame.step
+        self._last = (frame.episode, frame.step)
+        self._history.append((self._time, *curve_point(frame)))
 
     def remove(self) -> None:
         remove_all([self._table, self._holder])

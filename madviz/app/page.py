@@ -88,6 +88,7 @@ class Page:
         self._shown: list[Shown] = []
         self._built: object = None
         self._reported = ""
+        self._curves: FeaturesPanel | None = None
         self._touched: object = None
         self._newest: Frame | Failure | None = None
         self._wake, self._closing = threading.Event(), threading.Event()
@@ -163,6 +164,8 @@ class Page:
             return None
         if self._built != (frame.env.task, frame.env.cameras):
             self._build(frame)
+        assert self._curves is not None
+        self._curves.note(frame)
         urgent = self._touched != (frame.change, frame.policy, frame.phase, frame.error)
         self._touched = (frame.change, frame.policy, frame.phase, frame.error)
         due = [s for s in self._shown if s.number != frame.number]
@@ -205,10 +208,11 @@ class Page:
             with tabs.add_tab("Every subset", viser.Icon.LIST):
                 subsets = SubsetsPanel(gui, frame)
             self._extras = [dockable, *self._shortcuts(frame)]
+        self._curves = features
         scene = ScenePanel(client, frame, None if self._readonly else self._toggle)
         self._shown = [
             *(Shown(cameras, FASTEST), Shown(policy, FASTEST), Shown(words, FASTEST)),
-            *(Shown(features, 0.25), Shown(subsets, 0.25)),
+            *(Shown(features, 0.25), Shown(subsets, 0.5)),
             *(Shown(success, 0.5), Shown(scene, 0.5)),
         ]
         self._built = (frame.env.task, frame.env.cameras)

@@ -17,13 +17,15 @@ from madviz.app.rates import Rate, Rates
 from madviz.app.subsets import is_trained, presence, subset_label
 from madviz.app.toolkit import on_value, remove_all
 from madviz.frame import Change, Frame, Outcome, Setting, words
-from madviz.subsets import mask_of, single_streams
+from madviz.subsets import mask_of, name_of, single_streams
 from madviz.types import PolicySpec
 
 MEASURE_HINT = (
     "Worker processes play episodes under the present setting, for the bars. Their last frames "
     "count as here; switch this off to give the page the whole machine."
 )
+EDGE = "rgba(77, 182, 255, 0.5)"
+"""The ends of the interval around the success curve."""
 HISTORY = 200
 """Points of the success curve that are kept."""
 
@@ -45,12 +47,11 @@ class SuccessPanel:
             self._curve.data(),
             (
                 uplot.Series(label="episode"),
-                uplot.Series(label="low", stroke="transparent", points=NO_POINTS),
-                uplot.Series(label="high", stroke="transparent", points=NO_POINTS),
+                uplot.Series(label="low", stroke=EDGE, width=1, points=NO_POINTS),
+                uplot.Series(label="high", stroke=EDGE, width=1, points=NO_POINTS),
                 uplot.Series(label="success", stroke=GOOD, width=2, points=NO_POINTS),
                 uplot.Series(label="change", stroke=NOTE, width=1, dash=(3, 3), points=NO_POINTS),
             ),
-            bands=(uplot.Band(series=(2, 1), fill="rgba(77,182,255,0.18)"),),
             scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=(0.0, 1.0))},
             axes=small_axes(30),
             legend=uplot.Legend(show=False),
@@ -136,10 +137,15 @@ class Curve:
 
 
 def bar_rows(frame: Frame, rates: Rates) -> list[Setting]:
-    """The settings that get a bar: all, the single cameras or streams, no camera; and now."""
+    """The settings that get a bar: all, the trained and the shipped ones, each stream alone, no
+    camera; and the present one."""
     spec = frame.policy
+    trained = [
+        name_of(mask_of(subset, spec.streams), spec.streams) for subset in spec.trained_subsets
+    ]
     singles = single_streams(spec.streams)
-    names = [subset for subset in ("all", *rates.shipped(spec), *singles, "none")]
+    names = ["all", *trained, *rates.shipped(spec), *singles, "none"]
+    names.sort(key=lambda name: name == "none")
     rows = [Setting(name) for name in dict.fromkeys(names)]
     return rows if frame.setting in rows else [*rows, frame.setting]
 
@@ -148,10 +154,12 @@ def bars_html(frame: Frame, rates: Rates) -> str:
     """One bar per setting: rate, interval and count, shipped above, measured here below."""
     spec = frame.policy
     rows = []
-    for setting in bar_rows(frame, rates):
+    settings = bar_rows(frame, rates)
+    for setting in settings:
         shipped = rates.shipped(spec).get(setting.subset, Rate())
         shipped = Rate() if setting.occlusions else shipped
-        rows.append(_bar_row(frame, setting, shipped, rates.live(spec, setting)))
+        live = rates.live(spec, setting)
+        rows.append(_bar_row(frame, setting, shipped, live, 20 if len(settings) < 10 else 17))
     key = (
         f'<span class="dot" style="background:{MUTED};height:5px"></span>shipped'
         f'<span class="dot" style="background:{GOOD};height:5px;margin-left:8px"></span>'
@@ -163,7 +171,7 @@ def bars_html(frame: Frame, rates: Rates) -> str:
     )
 
 
-def _bar_row(frame: Frame, setting: Setting, shipped: Rate, live: Rate) -> str:
+def _bar_row(frame: Frame, setting: Setting, shipped: Rate, live: Rate, height: int) -> str:
     mask = mask_of(setting.subset, frame.policy.streams)
     label = subset_label(frame, setting.subset)
     if setting.occlusions:
@@ -176,8 +184,9 @@ def _bar_row(frame: Frame, setting: Setting, shipped: Rate, live: Rate) -> str:
         style = f"border-left:3px solid {NOTE};background:rgba(255,209,102,0.12)"
         now = f'<b style="color:{NOTE}">now</b> '
     title = escape(f"{label}: {_in_words(shipped, 'shipped')}; {_in_words(live, 'measured here')}")
+    style += f";height:{height}px"
     return (
-        f'<div title="{title}" style="display:flex;align-items:center;height:20px;gap:4px;{style};'
+        f'<div title="{title}" style="display:flex;align-items:center;gap:4px;{style};'
         'padding-left:3px;margin-left:-6px;white-space:nowrap">'
         f"<span>{presence(frame, mask)}</span>"
         '<span style="width:104px;overflow:hidden;text-overflow:ellipsis;font-size:12px">'

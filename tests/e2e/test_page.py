@@ -26,19 +26,35 @@ def test_pictures_come_and_change(visitor: Visitor):
     )
 
 
+IN_SIGHT = """() => {
+  const rect = one => {
+    const box = one.getBoundingClientRect();
+    return [box.x, box.y, box.right, box.bottom];
+  };
+  const shown = [...document.querySelectorAll('button, .mv, .mv td, .mv span')]
+    .filter(one => one.checkVisibility());
+  const named = name => shown.filter(one => one.innerText.trim() === name).map(rect);
+  const found = {};
+  for (const name of ['off', 'patch', 'next', 'max', 'merged: their sum', '† state only'])
+    found[name] = named(name);
+  for (const part of ['mv-status', 'mv-words'])
+    found[part] = shown.filter(one => one.classList.contains(part)).map(rect);
+  found.mosaic = [...document.querySelectorAll('img[src^=blob]')].map(rect);
+  return found;
+}"""
+
+
 def test_everything_that_matters_is_in_sight(visitor: Visitor):
     page = visitor.page
     visitor.until("document.querySelector('img[src^=blob]')?.naturalWidth > 500")
-    mosaic = page.locator("img[src^=blob]").first.bounding_box()
-    assert mosaic["width"] >= 3 * 200
-    names = ("off", "patch", "next", "max")
-    wanted = [page.get_by_role("button", name=name, exact=True).last for name in names]
-    wanted += [page.locator(selector) for selector in (".mv-status", ".mv-words")]
-    wanted += [page.get_by_text("merged: their sum"), page.get_by_text("† state only")]
-    for element in wanted:
-        box = element.bounding_box()
-        assert box["y"] >= 0 and box["y"] + box["height"] <= 800, element
-        assert box["x"] >= 0 and box["x"] + box["width"] <= 1280, element
+    found = page.evaluate(IN_SIGHT)
+    assert len(found["off"]) == len(found["patch"]) == 3
+    for name, boxes in found.items():
+        assert boxes, f"{name} is not on the page"
+        for left, top, right, bottom in boxes:
+            assert 0 <= left and right <= 1280 and 0 <= top and bottom <= 800, name
+    left, _, right, _ = found["mosaic"][0]
+    assert right - left >= 3 * 200
     marked = page.get_by_role("button", name="none", exact=True).first
     other = page.get_by_role("button", name="black", exact=True).first
     colour = "one => getComputedStyle(one).backgroundColor"
