@@ -10,7 +10,7 @@ import viser
 from madviz.ablations import CameraState, Occlusion
 from madviz.app.mosaic import GAP, mosaic
 from madviz.app.panel import Assign
-from madviz.app.toolkit import STYLE, Cell, Choice, grid, on_value, remove_all
+from madviz.app.toolkit import STYLE, Cell, Choice, Shown, grid, on_value, remove_all
 from madviz.frame import Frame, SetCamera, untouched
 from madviz.subsets import modality_of
 from madviz.types import CameraSpec
@@ -45,6 +45,7 @@ class CameraControls:
         self.input: Choice
         self.occlusion: Choice
         self.sliders: dict[str, viser.GuiSliderHandle] = {}
+        self._shown: dict[str, Shown] = {}
         self._gui = gui
 
     def add_input(self) -> None:
@@ -67,7 +68,7 @@ class CameraControls:
             hint=HINTS[field],
         )
         on_value(handle, lambda _, value: self._on_fraction(field, value))
-        self.sliders[field] = handle
+        self.sliders[field], self._shown[field] = handle, Shown(handle)
 
     @property
     def handles(self) -> list:
@@ -86,7 +87,7 @@ class CameraControls:
             changes.append(Assign(handle, "visible", state.occlusion.kind in SLIDERS[field]))
             if self._wanted.get(field, value) == value:
                 self._wanted.pop(field, None)
-                changes.append(Assign(handle, "value", value))
+                changes += self._shown[field].show(value)
         return changes
 
     def _ask(self, state: CameraState) -> None:

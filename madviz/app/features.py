@@ -123,8 +123,8 @@ def curve_series(frame: Frame) -> tuple[uplot.Series, ...]:
 
 
 def curve_point(frame: Frame) -> list[float]:
-    """The norms now: a dropped stream's is a gap, because nothing of it is used."""
-    norms = np.where(frame.mask, frame.probe.norms, np.nan)
+    """What every stream adds to the sum now, and the sum: a dropped stream adds nothing."""
+    norms = np.where(frame.mask, frame.probe.norms, 0.0)
     return [*map(float, norms), frame.probe.merged_norm(frame.row)]
 
 

@@ -12,7 +12,7 @@ import viser
 from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.subsets import action_bars
-from madviz.app.toolkit import Cell, Choice, grid, guarded, on_value, remove_all
+from madviz.app.toolkit import Cell, Choice, Shown, grid, guarded, on_value, remove_all
 from madviz.frame import (
     Command,
     Frame,
@@ -73,11 +73,13 @@ class PolicyPanel:
         labels = list(self._names)
         current = self._labels.get(frame.policy.name, frame.policy.name)
         if current not in labels:
-            labels, self._names[current] = [current, *labels], frame.policy.name
+            labels = [current, *labels]
+            self._names[current], self._labels[frame.policy.name] = frame.policy.name, current
         self._picker = gui.add_dropdown(
             "Policy", labels, initial_value=current, hint="Swap the policy in mid-episode."
         )
         on_value(self._picker, lambda _, label: send(SetPolicy(self._names[label])))
+        self._shown_policy = Shown(self._picker)
         self._run = Choice(gui, "Episode", RUNS, self._on_run, "Space, S, R and N do it, too.")
         self._speed = Choice(
             gui,
@@ -94,6 +96,7 @@ class PolicyPanel:
         self._auto = gui.add_checkbox(
             "Auto", True, hint="Start the next seed by itself when an episode is over."
         )
+        self._shown_auto = Shown(self._auto)
         on_value(self._auto, lambda _, on: send(SetAutoNext(bool(on))))
         cells = [
             *(
@@ -132,11 +135,10 @@ class PolicyPanel:
         marks = self._run.style("pause" if frame.phase == "paused" else "play")
         marks += self._speed.style(speed)
         changes.append(Assign(self._style, "content", f"<style>{marks}</style>"))
-        changes.append(Assign(self._auto, "value", frame.auto_next))
-        label = self._labels.get(frame.policy.name)
-        if label is not None:
-            changes.append(Assign(self._picker, "value", label))
-        return changes
+        changes += self._shown_auto.show(frame.auto_next)
+        label = self._labels.get(frame.policy.name, frame.policy.name)
+        # After an error the policy may be another than the one that was picked.
+        return changes + self._shown_policy.show(label, force=bool(frame.error))
 
     def remove(self) -> None:
         remove_all(self._handles)

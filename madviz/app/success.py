@@ -26,6 +26,8 @@ MEASURE_HINT = (
 )
 EDGE = "rgba(77, 182, 255, 0.5)"
 """The ends of the interval around the success curve."""
+BELOW = -1.0
+"""Where the success curve keeps what is not to be seen; its axis ends at 0."""
 HISTORY = 200
 """Points of the success curve that are kept."""
 
@@ -118,22 +120,28 @@ class Curve:
         if key != before:
             self._key, self._n = key, 0
             if before is not None:
-                # A vertical line: two points at the same place, and a gap after them.
+                # A vertical line: up and down again at the same place. The chart knows no gaps, so
+                # the others stay where they were, and the line waits below the visible range.
                 x = self._episodes + 0.5
-                gap = (np.nan, np.nan, np.nan)
-                self._points += [(x, *gap, 0.0), (x, *gap, 1.0), (x, *gap, np.nan)]
+                held = self._points[-1][1:4] if self._points else rate_point(rate)
+                self._points += [(x, *held, BELOW), (x, *held, 1.0), (x, *held, BELOW)]
         if rate.n == self._n:
             return key != before
         self._n, self._episodes = rate.n, self._episodes + 1
-        self._points.append((self._episodes, *rate.interval, rate.mean, np.nan))
+        self._points.append((self._episodes, *rate_point(rate), BELOW))
         return True
 
     def data(self) -> tuple[np.ndarray, ...]:
         """The columns: episode, low, high, success, change."""
         if not self._points:
-            return (np.array([0.0, 10.0]), *(np.full(2, np.nan) for _ in range(4)))
+            return (np.array([0.0, 10.0]), *(np.full(2, BELOW) for _ in range(4)))
         points = [*self._points] if len(self._points) > 1 else [*self._points] * 2
         return tuple(np.array(points).T)
+
+
+def rate_point(rate: Rate) -> tuple[float, float, float]:
+    """Low, high and mean; out of sight where nothing was measured."""
+    return (*rate.interval, rate.mean) if rate.n else (BELOW, BELOW, BELOW)
 
 
 def bar_rows(frame: Frame, rates: Rates) -> list[Setting]:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import viser
 from viser._messages import RunJavascriptMessage
 
+from madviz.app.panel import Assign
 from madviz.types import UserError
 
 LEFT_WIDTH, LEFT_WIDTH_WIDE, RIGHT_WIDTH = 640, 790, 320
@@ -194,6 +195,21 @@ class Choice:
         if disabled:
             rules += f"{row} {{opacity:0.45; pointer-events:none}}"
         return rules
+
+
+class Shown:
+    """Shows a state in an input widget when the state changes, not with every frame: a frame that
+    is a moment old would take back what a visitor has just chosen, before a callback could read
+    it."""
+
+    def __init__(self, handle: Any) -> None:
+        self.handle, self._last = handle, handle.value
+
+    def show(self, value: Any, force: bool = False) -> list[Assign]:
+        if value == self._last and not force:
+            return []
+        self._last = value
+        return [Assign(self.handle, "value", value)]
 
 
 def on_value(handle: Any, work: Callable[[viser.ClientHandle, Any], None]) -> None:

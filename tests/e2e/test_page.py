@@ -83,6 +83,7 @@ def test_dropped_does_not_look_like_black(visitor: Visitor):
     wait_until(lambda: grey(visitor.tile(2)) < 6)
     dropped = np.array(visitor.tile(2), float)
     visitor.press("RGB", camera=2)
+    visitor.until("status.setting === 'all'")
     visitor.press("black", camera=2)
     visitor.until("status.setting.includes('third_b:black')")
     wait_until(lambda: np.max(visitor.tile(2)) < 12)
@@ -137,12 +138,15 @@ def test_keys(visitor: Visitor):
 
 def test_nan_pauses_with_a_traceback_and_the_page_lives(visitor: Visitor):
     visitor.pick("toy-nan")
+    visitor.until_text(".mv-status", "MAD")
     visitor.press("off", camera=0)
+    visitor.until("status.setting === 'third_a+third_b'")
     visitor.press("off", camera=1)
     said = visitor.until_text(".mv-error", "finite action")
     assert "Traceback" in said
     assert visitor.page.locator(".mv-verdict").inner_text() == "STOPPED"
     visitor.press("RGB", camera=0)
+    visitor.until("status.setting === 'first+third_b'")
     visitor.press("again")
     visitor.until("status.phase === 'playing' && !document.querySelector('.mv-error')")
     step = visitor.status("step")
@@ -154,6 +158,7 @@ def test_absurd_numbers_from_the_page_do_no_harm(visitor: Visitor):
     box = visitor.page.locator("input[inputmode=decimal]").last
     box.fill("1e9")
     box.press("Enter")
+    visitor.until("status.setting.includes('noise')")
     visitor.press("none", camera=0)
     visitor.until("status.setting === 'all'")
     step = visitor.status("step")
