@@ -32,7 +32,7 @@ from madviz.agent.networks import NetworkConfig
 from madviz.agent.update import Learner, LearningConfig, Precision
 from madviz.buffer import BufferSpec, ReplayBuffer
 from madviz.checkpoint import save_policy
-from madviz.envs.base import make_env, setting
+from madviz.envs.base import make_env
 from madviz.manifest import policy_config
 from madviz.rollout import Stopped, one_thread, run_episode
 from madviz.run import RunFolder, interruptible
@@ -104,15 +104,18 @@ class PaperRun:
     """One training run: learner, buffer, environment, and where they stand."""
 
     def __init__(
-        self, config: PaperConfig, env: Environment, spec: PolicySpec, seed: int, folder: RunFolder
+        self,
+        config: PaperConfig,
+        env: Environment,
+        spec: PolicySpec,
+        networks: NetworkConfig,
+        seed: int,
+        folder: RunFolder,
     ) -> None:
         """Raises UserError if the replay buffer will not fit."""
         self.config, self.env, self.spec, self.folder = config, env, spec, folder
         facts = env.spec
         torch.manual_seed(seed)
-        networks = NetworkConfig(
-            facts.state_dim, facts.action_dim, spec.frame_stack, hidden_dim=config.hidden_dim
-        )
         self.learner = Learner(
             Agent(networks, config.temperature),
             method(spec.method),
@@ -255,16 +258,10 @@ def train_paper(config: TrainConfig, folder: RunFolder, command: str = "") -> No
     Ctrl-C saves after the decision (or evaluation episode) at hand. Raises UserError for what the
     method or the machine cannot do.
     """
-    streams = setting(config.setting).streams
-    spec = PolicySpec(
-        *(config.policy_name(), config.task, config.method, config.setting, config.recipe),
-        streams=streams,
-        trained_subsets=method(config.method).trained_subsets(streams),
-        render_profile=config.render_profile,
-    )
     env = make_env(config.task, config.render_profile)
     try:
-        run = PaperRun(config.paper, env, spec, config.seed, folder)
+        networks = config.networks(env.spec, config.paper.hidden_dim)
+        run = PaperRun(config.paper, env, config.policy_spec(), networks, config.seed, folder)
         state = folder.load_state()
         if state:
             run.restore(state)

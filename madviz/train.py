@@ -8,6 +8,7 @@ it, copy it to checkpoints/. Ctrl-C finishes the round, saves, and says how to g
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 import time
@@ -56,14 +57,29 @@ class TrainConfig:
     """What the policy sees, now and for ever."""
     resume: bool = False
     """Go on with the run in ``out``."""
-    threads: int = 1
-    """Threads of the learner; the light recipe's recorder uses the other core."""
+    threads: int | None = None
+    """Of the learner; by default 1 for ``light``, whose recorder uses the other core, and one per
+    core for ``paper``. Sums are split between threads, so another number is another run."""
     light: LightConfig = field(default_factory=LightConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
 
-    def state_columns(self, env: EnvSpec) -> tuple[int, ...]:
-        """Which of the environment's state numbers the heads read; all if empty."""
-        return env.paper_state if self.state == "paper" else ()
+    def policy_spec(self) -> PolicySpec:
+        """What the trained policy will say of itself."""
+        streams = setting(self.setting).streams
+        return PolicySpec(
+            *(self.policy_name(), self.task, self.method, self.setting, self.recipe),
+            streams=streams,
+            trained_subsets=method(self.method).trained_subsets(streams),
+            render_profile=self.render_profile,
+        )
+
+    def networks(self, env: EnvSpec, hidden_dim: int) -> NetworkConfig:
+        """Sizes for ``env``, and which of its state numbers the heads read."""
+        return NetworkConfig(
+            *(env.state_dim, env.action_dim),
+            hidden_dim=hidden_dim,
+            state_columns=env.paper_state if self.state == "paper" else (),
+        )
 
     def policy_name(self) -> str:
         """{suite}-{task}-{method}[-{setting}]-{recipe}."""
@@ -85,7 +101,8 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
         )
     setting(config.setting)
     make_env(config.task, config.render_profile).close()
-    torch.set_num_threads(config.threads)
+    everything = os.cpu_count() or 1
+    torch.set_num_threads(config.threads or (1 if config.recipe == "light" else everything))
     out = config.out or Path("runs") / config.policy_name()
     described = replace(config, out=None, resume=False)
     folder = RunFolder(out, described, config.resume, listener or print_event)
@@ -100,26 +117,15 @@ def _train_light(config: TrainConfig, folder: RunFolder) -> None:
     env = make_env(config.task, config.render_profile)
     facts = env.spec
     env.close()
-    streams = setting(config.setting).streams
-    chosen = method(config.method)
-    networks = NetworkConfig(
-        *(facts.state_dim, facts.action_dim),
-        hidden_dim=config.light.hidden_dim,
-        state_columns=config.state_columns(facts),
-    )
+    spec = config.policy_spec()
     torch.manual_seed(config.seed)
-    spec = PolicySpec(
-        *(config.policy_name(), config.task, config.method, config.setting, config.recipe),
-        streams=streams,
-        trained_subsets=chosen.trained_subsets(streams),
-        render_profile=config.render_profile,
-    )
+    networks = config.networks(facts, config.light.hidden_dim)
     run = LightRun(config.light, spec, Agent(networks), facts.horizon, config.seed, folder.resume)
     state = folder.load_state()
     if state:
         run.restore(state)
         folder.truncate_curve("round", run.round)
-    recorder = Recorder(config.task, config.render_profile, streams, config.light.workers)
+    recorder = Recorder(config.task, config.render_profile, spec.streams, config.light.workers)
     started = time.monotonic()
     try:
         train_light(

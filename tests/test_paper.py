@@ -16,6 +16,7 @@ import torch
 
 from madviz import paper
 from madviz.agent.agent import TorchPolicy
+from madviz.agent.networks import NetworkConfig
 from madviz.agent.update import Learner
 from madviz.checkpoint import load_policy
 from madviz.envs.toy import ToyReach
@@ -172,7 +173,9 @@ def stored_discounts(tmp_path: Path, config: PaperConfig) -> list[float]:
     env = ToyReach()
     env.spec = replace(env.spec, horizon=3)
     spec = PolicySpec("x", "toy/reach", "mad", "three", "paper", ("first", "third_a"), ("all",))
-    training = PaperRun(config, env, spec, 0, RunFolder(tmp_path, config, False, None))
+    networks = NetworkConfig(env.spec.state_dim, env.spec.action_dim, hidden_dim=8)
+    folder = RunFolder(tmp_path, config, False, None)
+    training = PaperRun(config, env, spec, networks, 0, folder)
     for _ in range(6):
         training.advance()
     return training.buffer.batch(np.array([0, 1, 2, 4, 5, 6])).discount.tolist()
