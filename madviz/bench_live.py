@@ -53,7 +53,7 @@ STOPWATCH = """
   };
   document.addEventListener('load', event => {
     const image = event.target;
-    if (image.tagName !== 'IMG' || !image.src.startsWith('blob:')) return;
+    if (image.className !== 'mv-mosaic') return;
     const now = performance.now(), seen = status(), p = watch.pending;
     watch.steps.push([now, seen.episode + ':' + seen.step]);
     if (p === null || seen.setting === p.setting || action() === p.action) return;

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import replace
 
+import cv2
 import viser
 
 from madviz.ablations import CameraState, Occlusion
@@ -121,9 +123,7 @@ class CamerasPanel:
         count = len(frame.env.cameras)
         self._tile = (width - (count - 1) * GAP) // count
         self._style = gui.add_html(STYLE)
-        self._image = gui.add_image(
-            mosaic(frame, self._tile), label=None, format="jpeg", jpeg_quality=88
-        )
+        self._image = gui.add_html(picture_html(frame, self._tile))
         self._controls: list[CameraControls] = []
         if send is not None:
             self._build(gui, send, frame.env.cameras)
@@ -155,7 +155,7 @@ class CamerasPanel:
         return grid("cameras", columns, cells)
 
     def update(self, frame: Frame) -> list[Assign]:
-        changes = [Assign(self._image, "image", mosaic(frame, self._tile))]
+        changes = [Assign(self._image, "content", picture_html(frame, self._tile))]
         for control in self._controls:
             changes += control.show(frame.camera(control.name))
         marks = "<style>" + "".join(control.style() for control in self._controls) + "</style>"
@@ -166,6 +166,19 @@ class CamerasPanel:
     def remove(self) -> None:
         remove_all([self._style, self._image, self._grid, self._note])
         remove_all([handle for control in self._controls for handle in control.handles])
+
+
+def picture_html(frame: Frame, tile: int) -> str:
+    """The mosaic as a JPEG inside the page's own text. viser's image widget decodes every picture
+    twice and shows it a frame after the texts that came with it; this one comes with them."""
+    rgb = mosaic(frame, tile)
+    _, jpeg = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
+    source = "data:image/jpeg;base64," + b64encode(jpeg.tobytes()).decode()
+    return (
+        f'<div style="padding:0 10px 6px"><img class="mv-mosaic" decoding="sync" src="{source}" '
+        f'width="{rgb.shape[1]}" height="{rgb.shape[0]}" alt="what every camera sends" '
+        'style="width:100%;height:auto;display:block"></div>'
+    )
 
 
 def unused_note(frame: Frame) -> str:

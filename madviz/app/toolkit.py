@@ -102,7 +102,6 @@ def grid(name: str, columns: int, cells: Sequence[Cell]) -> str:
         f"{here} {{display:grid; grid-template-columns:repeat({columns}, minmax(0, 1fr));"
         "padding-left:7px; padding-right:7px}",
         f"{here} > * {{grid-column:1 / -1; min-width:0; margin-left:-7px; margin-right:-7px}}",
-        f"{here} > * > div > img {{width:100%}}",
     ]
     for cell in cells:
         box = f"{here} > {selector(cell.handle)}"
@@ -142,8 +141,10 @@ const settle = marker => {
   }
 };
 const all = () => document.querySelectorAll('.mv-grid').forEach(settle);
+const matters = record => record.target.dataset?.mvGrid !== undefined
+  || [...record.addedNodes].some(node => node.querySelector?.('.mv-grid'));
 if (!window.madvizLayout) {
-  window.madvizLayout = new MutationObserver(all);
+  window.madvizLayout = new MutationObserver(records => records.some(matters) && all());
   window.madvizLayout.observe(document.body, {childList: true, subtree: true});
 }
 all();

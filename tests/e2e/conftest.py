@@ -107,8 +107,7 @@ class Visitor:
         """The RGB pixels of one camera's tile, as the browser shows it, 20 rows of 20."""
         return self.page.evaluate(
             """camera => {
-              const image = [...document.querySelectorAll('img')].find(
-                one => one.src.startsWith('blob:') && one.naturalWidth > 500);
+              const image = document.querySelector('.mv-mosaic');
               const size = image.naturalWidth / 3, top = image.naturalHeight - size + 8;
               const canvas = document.createElement('canvas').getContext('2d');
               canvas.canvas.width = canvas.canvas.height = 20;

@@ -16,13 +16,13 @@ def grey(pixels: list[list[int]]) -> float:
 
 
 def test_pictures_come_and_change(visitor: Visitor):
-    visitor.until("document.querySelector('img[src^=blob]')")
+    visitor.until("document.querySelector('.mv-mosaic')")
     before, step = (
-        visitor.page.locator("img[src^=blob]").first.get_attribute("src"),
+        visitor.page.locator(".mv-mosaic").first.get_attribute("src"),
         visitor.status("step"),
     )
     visitor.until(
-        f"document.querySelector('img[src^=blob]').src !== '{before}' && status.step !== '{step}'"
+        f"document.querySelector('.mv-mosaic').src !== '{before}' && status.step !== '{step}'"
     )
 
 
@@ -39,14 +39,14 @@ IN_SIGHT = """() => {
     found[name] = named(name);
   for (const part of ['mv-status', 'mv-words'])
     found[part] = shown.filter(one => one.classList.contains(part)).map(rect);
-  found.mosaic = [...document.querySelectorAll('img[src^=blob]')].map(rect);
+  found.mosaic = [...document.querySelectorAll('.mv-mosaic')].map(rect);
   return found;
 }"""
 
 
 def test_everything_that_matters_is_in_sight(visitor: Visitor):
     page = visitor.page
-    visitor.until("document.querySelector('img[src^=blob]')?.naturalWidth > 500")
+    visitor.until("document.querySelector('.mv-mosaic')?.naturalWidth > 500")
     found = page.evaluate(IN_SIGHT)
     assert len(found["off"]) == len(found["patch"]) == 3
     for name, boxes in found.items():
