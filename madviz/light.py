@@ -10,8 +10,7 @@ merged feature and every singular one) stays exactly as it is:
 A run is a sequence of rounds. While round k's updates run on one core, a worker process records
 the episodes of round k+1 on the other, driven by the student as it was when the round began; so
 data and weights of every round are a function of the configuration alone, and a resumed run
-repeats them. At 8 episodes and 300 updates a round, 20 rounds see 16,200 labelled states in seven
-minutes.
+repeats them. At 8 episodes and 300 updates a round, 12 rounds see 9,800 labelled states.
 
 Shipped are an exponential average of the weights and a critic fitted at the end to the recorded
 rewards (``madviz.light_critic``), so that Q can be shown; the critic never shapes the features.
@@ -46,7 +45,7 @@ from madviz.types import PolicySpec, UserError
 class LightConfig:
     """The light recipe's dials; defaults were chosen by measurement on hammer."""
 
-    rounds: int = 20
+    rounds: int = 12
     """Rounds of recording and updates after the first demonstrations."""
     demonstrations: int = 10
     """Episodes driven by the (perturbed) expert before the first update."""
