@@ -37,6 +37,7 @@ from madviz.app.toolkit import (
     window_is_wide,
 )
 from madviz.frame import (
+    Change,
     Failure,
     Frame,
     Pause,
@@ -51,6 +52,9 @@ from madviz.session import Session
 
 FASTEST = 1 / 40
 """Seconds between two frames that are shown: more would be wasted on a browser."""
+GIVE_WAY, AFTER = 0.05, 0.1
+"""Seconds: how long a simulator waits at most for its visitor to see what they did; when tables,
+curves and the scene follow."""
 
 log = logging.getLogger(__name__)
 
@@ -65,6 +69,15 @@ class Shown:
     done: float = -1e9
     number: int = 0
     """The last frame it showed."""
+
+    def patience(self, frame: Frame) -> float:
+        """Seconds between two updates. At full speed, what is not watched all the time waits twice
+        as long: the machine is wanted for the simulator and the pictures."""
+        return self.period * (2 if frame.speed is None and self.period > FASTEST else 1)
+
+    def due(self, frame: Frame) -> float:
+        """When it is brought up to date next."""
+        return self.done + self.patience(frame)
 
 
 class Page:
@@ -90,6 +103,8 @@ class Page:
         self._reported = ""
         self._curves: FeaturesPanel | None = None
         self._touched: object = None
+        self._expected: Change | None = None
+        self._seen = threading.Event()
         self._newest: Frame | Failure | None = None
         self._wake, self._closing = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="madviz-page", daemon=True)
@@ -102,9 +117,20 @@ class Page:
         self._rates.subscribe(self.poke)
 
     def show(self, frame: Frame | Failure) -> None:
-        """Takes a frame, from any thread; an older one that was not shown yet is forgotten."""
+        """Takes a frame, from any thread; an older one that was not shown yet is forgotten.
+
+        If it is the first one since its visitor touched a camera, this lets the page's thread have
+        the machine until they can see the effect: at full speed, the simulator takes all of it.
+        """
+        change = frame.change if isinstance(frame, Frame) else None
+        fresh = change is not None and change is not self._expected and not self._readonly
+        if fresh:
+            self._expected = change
+            self._seen.clear()
         self._newest = frame
         self._wake.set()
+        if fresh:
+            self._seen.wait(GIVE_WAY)
 
     def poke(self) -> None:
         """Shows the newest frame again: something beside it has changed."""
@@ -169,20 +195,20 @@ class Page:
         urgent = self._touched != (frame.change, frame.policy, frame.phase, frame.error)
         self._touched = (frame.change, frame.policy, frame.phase, frame.error)
         due = [s for s in self._shown if s.number != frame.number]
-        ready = [s for s in due if urgent or now - s.done >= s.period]
-        # What somebody waits for goes ahead of the rest; otherwise all comes in one message, as
-        # each message costs the browser a frame.
-        first = [s for s in ready if s.period <= FASTEST or not urgent]
-        for batch in (first, [s for s in ready if s not in first]):
-            changes = [change for shown in batch for change in shown.panel.update(frame)]
-            if not changes:
-                continue
-            with self.client.atomic():
-                apply(changes)
-            self.client.flush()
+        if urgent:  # What somebody waits for goes ahead of the rest.
+            for shown in self._shown:
+                shown.done = now + AFTER - shown.patience(frame)
+        ready = [s for s in due if (urgent and s.period <= FASTEST) or now >= s.due(frame)]
+        # All in one message, because each one costs the browser a frame.
+        changes = [change for shown in ready for change in shown.panel.update(frame)]
+        with self.client.atomic():
+            apply(changes)
+        self.client.flush()
+        if frame.change is self._expected:
+            self._seen.set()
         for shown in ready:
             shown.done, shown.number = now, frame.number
-        later = [s.done + s.period - now for s in due if s not in ready]
+        later = [s.due(frame) - now for s in due if s not in ready]
         return max(0.01, min(later)) if later else None
 
     def _build(self, frame: Frame) -> None:

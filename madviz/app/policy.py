@@ -170,8 +170,8 @@ def status_html(frame: Frame) -> str:
         f'<div class="mv mv-status" {attributes}>'
         f'<div class="dim" style="font-size:12px">{escape(policy_words(frame.policy))}</div>'
         f"{_progress(frame)}{_goal(frame)}<h4>{seed}Action and its value Q</h4>"
-        '<div style="display:flex;gap:8px;align-items:center">'
-        f'<div class="mv-action" style="flex:1">{_action(frame)}</div>'
+        '<div class="mv-action" style="display:flex;gap:8px;align-items:center">'
+        f'<div style="flex:1">{_action(frame)}</div>'
         f'<span class="num">Q <b>{frame.q:.1f}</b></span></div>{_error(frame)}</div>'
     )
 

@@ -112,6 +112,8 @@ def explore(config: ExploreConfig | None = None) -> None:
 
 def open_app(config: ExploreConfig) -> App:
     """The page as configured, running."""
+    # Python threads take turns of 5 ms by default; a visitor's click crosses four of them.
+    sys.setswitchinterval(0.001)
     choices = policy_choices(config.task)
     name = config.policy or first_choice(choices, config.task)
     loaded: dict[str, Policy] = {name: checkpoint.load_policy(name)}
