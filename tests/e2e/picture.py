@@ -16,7 +16,7 @@ from madviz.doctor import find_browser
 
 
 def take(width: int, height: int, file: Path) -> None:
-    """One camera dropped, another with noise, some steps into an episode."""
+    """One camera dropped, another frozen, some steps into an episode."""
     app = open_app(ExploreConfig(port=8137, workers=1))
     try:
         with sync_playwright() as playwright:
@@ -28,7 +28,7 @@ def take(width: int, height: int, file: Path) -> None:
             page.wait_for_selector(".mv-status", timeout=60_000)
             page.wait_for_timeout(9_000)
             page.get_by_role("button", name="off").nth(1).click()
-            page.get_by_role("button", name="patch").nth(2).click()
+            page.get_by_role("button", name="freeze").nth(2).click()
             page.wait_for_timeout(2_500)
             for toast in page.locator("[role=alert] button").all():
                 toast.click()
