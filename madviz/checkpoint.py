@@ -153,7 +153,10 @@ def _agent(path: Path, networks: dict[str, Any], weights: bytes) -> Agent:
     from madviz.agent.networks import NetworkConfig
 
     try:
-        listed = {k: tuple(v) if isinstance(v, list) else v for k, v in networks.items()}
+        listed: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in networks.items()
+        }
         network = NetworkConfig(**listed)
         # Without memory at first: shapes are known before anything is initialised or allocated.
         with torch.device("meta"):
