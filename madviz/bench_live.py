@@ -21,6 +21,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from madviz.doctor import find_browser
 from madviz.types import UserError
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ STOPWATCH = """
     const image = event.target;
     if (image.className !== 'mv-mosaic') return;
     const now = performance.now(), seen = status(), p = watch.pending;
-    watch.steps.push([now, seen.episode + ':' + seen.step]);
+    watch.steps.push([now, image.dataset.step]);
     if (p === null || seen.setting === p.setting || action() === p.action) return;
     if ((colour(image, p.camera, p.cameras) < 6) !== p.off) return;
     watch.toggles.push(performance.now() - p.start);
@@ -86,8 +87,8 @@ class LiveConfig:
     """How many times a camera is switched off or on."""
     workers: int = 1
     """Evaluation workers of the second measurement."""
-    chromium: str = "/usr/bin/chromium"
-    """The browser."""
+    chromium: str | None = None
+    """The browser; by default the Chromium or Chrome of this machine."""
 
 
 def bench_live(config: LiveConfig) -> dict[str, Any]:
@@ -191,19 +192,22 @@ def await_answer(url: str, process: subprocess.Popen[bytes], patience: float = 6
 
 
 @contextmanager
-def opened(url: str, chromium: str) -> Iterator[Page]:
+def opened(url: str, chromium: str | None) -> Iterator[Page]:
     """A headless browser on ``url`` with the page ready. Raises UserError where there is none."""
     try:
         from playwright.sync_api import Error, sync_playwright
     except ImportError as error:
         raise UserError("bench live needs Playwright: pip install playwright") from error
+    chromium = chromium or find_browser()
+    if chromium is None:
+        raise UserError("bench live needs a browser: apt-get install chromium")
     with sync_playwright() as playwright:
         try:
             browser = playwright.chromium.launch(
                 executable_path=chromium, args=list(CHROMIUM_FLAGS)
             )
         except Error as error:
-            raise UserError(f"no browser at {chromium}: apt-get install chromium") from error
+            raise UserError(f"{chromium} is not a browser that starts") from error
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.goto(url)
         page.wait_for_selector(".mv-status", timeout=60_000)

@@ -39,6 +39,9 @@ from madviz.store import EpisodeResult, Store
 from madviz.subsets import name_of
 from madviz.types import Array, PolicySpec
 
+NICENESS = 15
+"""Of worker processes: a visitor's own simulation goes first."""
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -104,7 +107,7 @@ class Evaluator:
     ) -> None:
         """``workers`` None leaves one core to the page. ``episodes`` is enough for a setting."""
         count = max((os.cpu_count() or 2) - 1, 1) if workers is None else workers
-        self._workers = make_workers(count, 10)
+        self._workers = make_workers(count, NICENESS)
         self._store = store
         self._listener = listener
         self._seeds = range(FIRST_SEED, FIRST_SEED + episodes)

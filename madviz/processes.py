@@ -1,4 +1,4 @@
-"""What every worker process does first, before anything heavy is imported.
+"""What every worker process does first, before anything heavy is imported; who goes first.
 
 OpenGL and PyTorch do not survive a fork, so workers are spawned and load what they need themselves.
 Each is meant for one core: Mesa's software renderer would otherwise take them all.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from multiprocessing.connection import wait
 
@@ -20,6 +21,13 @@ def set_up_worker(niceness: int = 0) -> None:
     os.nice(niceness)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business.
     threading.Thread(target=_leave_with_parent, daemon=True).start()
+
+
+def yield_to_others(niceness: int) -> None:
+    """Lets other threads go first when all cores are taken; this one gets what is left. Only Linux
+    counts niceness by thread: elsewhere nothing happens."""
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), niceness)
 
 
 def _leave_with_parent() -> None:

@@ -41,6 +41,7 @@ from madviz.frame import (
     SetSpeed,
     StepOnce,
 )
+from madviz.processes import yield_to_others
 from madviz.simulation import Simulation
 from madviz.types import Environment, Policy, UserError
 
@@ -48,6 +49,8 @@ FIRST_SEED = 2000
 """Live episodes start here: training is below 1000, selection below 2000, cards from 5000."""
 HOLD = 2.0
 """Seconds an ended episode stays on the page before the next one starts; none at full speed."""
+NICENESS = 10
+"""Of the simulating thread, on a scale where 19 is the most modest; workers are at 15."""
 RATE_WINDOW = 20
 """Decisions over which the achieved rate is measured."""
 
@@ -113,7 +116,9 @@ class Session:
             self._thread.join(timeout)
 
     def run(self) -> None:
-        """Ticks when a step is due or a command arrives, until ``close``."""
+        """Ticks when a step is due or a command arrives, until ``close``. At full speed it would
+        take a core for itself, so those who carry its frames to the visitor go first."""
+        yield_to_others(NICENESS)
         while not self._closing.is_set():
             due = self.tick(time.monotonic())
             wait = None if due is None else max(0.0, due - time.monotonic())

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import replace
 
-import cv2
 import viser
 
 from madviz.ablations import CameraState, Occlusion
 from madviz.app.mosaic import GAP, mosaic
 from madviz.app.panel import Assign
+from madviz.app.screen import Screen
 from madviz.app.toolkit import STYLE, Cell, Choice, Shown, grid, on_value, remove_all
 from madviz.frame import Frame, SetCamera, untouched
 from madviz.subsets import modality_of
@@ -123,7 +122,8 @@ class CamerasPanel:
         count = len(frame.env.cameras)
         self._tile = (width - (count - 1) * GAP) // count
         self._style = gui.add_html(STYLE)
-        self._image = gui.add_html(picture_html(frame, self._tile))
+        picture = mosaic(frame, self._tile)
+        self._screen = Screen(gui, picture, step_of(frame), "what every camera sends")
         self._controls: list[CameraControls] = []
         if send is not None:
             self._build(gui, send, frame.env.cameras)
@@ -155,7 +155,7 @@ class CamerasPanel:
         return grid("cameras", columns, cells)
 
     def update(self, frame: Frame) -> list[Assign]:
-        changes = [Assign(self._image, "content", picture_html(frame, self._tile))]
+        changes = [self._screen.show(mosaic(frame, self._tile), step_of(frame))]
         for control in self._controls:
             changes += control.show(frame.camera(control.name))
         marks = "<style>" + "".join(control.style() for control in self._controls) + "</style>"
@@ -164,21 +164,14 @@ class CamerasPanel:
         return changes
 
     def remove(self) -> None:
-        remove_all([self._style, self._image, self._grid, self._note])
+        self._screen.remove()
+        remove_all([self._style, self._grid, self._note])
         remove_all([handle for control in self._controls for handle in control.handles])
 
 
-def picture_html(frame: Frame, tile: int) -> str:
-    """The mosaic as a JPEG inside the page's own text. viser's image widget decodes every picture
-    twice and shows it a frame after the texts that came with it; this one comes with them."""
-    rgb = mosaic(frame, tile)
-    _, jpeg = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
-    source = "data:image/jpeg;base64," + b64encode(jpeg.tobytes()).decode()
-    return (
-        f'<div style="padding:0 10px 6px"><img class="mv-mosaic" decoding="sync" src="{source}" '
-        f'width="{rgb.shape[1]}" height="{rgb.shape[0]}" alt="what every camera sends" '
-        'style="width:100%;height:auto;display:block"></div>'
-    )
+def step_of(frame: Frame) -> str:
+    """Which instant a picture shows; the status line says it too."""
+    return f"{frame.episode}:{frame.step}"
 
 
 def unused_note(frame: Frame) -> str:

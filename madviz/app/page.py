@@ -3,8 +3,10 @@
 Frames come from the session's thread into a slot for one; the page's thread takes the newest, lets
 every panel compute, and assigns all changes in one ``atomic`` block. A slow page skips frames and
 never slows the simulator. What a visitor looks at while switching a camera goes first and at every
-frame: pictures, action, state. Tables and textures follow at a few a second, and at once when
-something was touched.
+frame: pictures, action, state. Tables and textures follow at a few a second.
+
+The first frame after a touch is drawn by the session's own thread, which has it already: every
+change of threads would be a wait for a core, and at full speed all cores are taken.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from madviz.app.features import FeaturesPanel
 from madviz.app.panel import Panel, apply
 from madviz.app.policy import PolicyChoice, PolicyPanel
 from madviz.app.scene import ScenePanel
+from madviz.app.screen import SCREEN_SCRIPT
 from madviz.app.subsets import SubsetsPanel
 from madviz.app.success import Rates, SuccessPanel, WordsPanel
 from madviz.app.toolkit import (
@@ -34,6 +37,7 @@ from madviz.app.toolkit import (
     commands,
     dock,
     run_layout,
+    run_script,
     window_is_wide,
 )
 from madviz.frame import (
@@ -52,9 +56,8 @@ from madviz.session import Session
 
 FASTEST = 1 / 40
 """Seconds between two frames that are shown: more would be wasted on a browser."""
-GIVE_WAY, AFTER = 0.05, 0.1
-"""Seconds: how long a simulator waits at most for its visitor to see what they did; when tables,
-curves and the scene follow."""
+AFTER = 0.1
+"""Seconds after which tables, curves and the scene follow when something was touched."""
 
 log = logging.getLogger(__name__)
 
@@ -104,7 +107,7 @@ class Page:
         self._curves: FeaturesPanel | None = None
         self._touched: object = None
         self._expected: Change | None = None
-        self._seen = threading.Event()
+        self._drawing = threading.Lock()
         self._newest: Frame | Failure | None = None
         self._wake, self._closing = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="madviz-page", daemon=True)
@@ -117,20 +120,16 @@ class Page:
         self._rates.subscribe(self.poke)
 
     def show(self, frame: Frame | Failure) -> None:
-        """Takes a frame, from any thread; an older one that was not shown yet is forgotten.
-
-        If it is the first one since its visitor touched a camera, this lets the page's thread have
-        the machine until they can see the effect: at full speed, the simulator takes all of it.
+        """Takes a frame, from any thread; an older one that was not shown yet is forgotten. If it
+        is the first one since its visitor touched a camera, it is on its way before this returns.
         """
+        self._newest = frame
         change = frame.change if isinstance(frame, Frame) else None
         fresh = change is not None and change is not self._expected and not self._readonly
-        if fresh:
-            self._expected = change
-            self._seen.clear()
-        self._newest = frame
+        self._expected = change
+        if fresh and self._built is not None:
+            self._draw()
         self._wake.set()
-        if fresh:
-            self._seen.wait(GIVE_WAY)
 
     def poke(self) -> None:
         """Shows the newest frame again: something beside it has changed."""
@@ -165,15 +164,19 @@ class Page:
         while not self._closing.is_set():
             self._wake.wait(pause)
             self._wake.clear()
-            frame = self._newest
-            if frame is None or self._closing.is_set():
-                continue
+            if not self._closing.is_set():
+                pause = self._draw()
+
+    def _draw(self) -> float | None:
+        """Pushes the newest frame, in whatever thread. Returns in how many seconds a panel that was
+        left out is due."""
+        with self._drawing:
             try:
-                pause = self._push(frame, time.monotonic())
+                return self._push(self._newest, time.monotonic()) if self._newest else None
             except Exception:
                 # A panel that fails must not take the page down; the next frame may be fine.
-                pause = None
                 self._report(traceback.format_exc())
+                return None
 
     def _report(self, error: str) -> None:
         """Says once, in the log and on the page, that a frame could not be shown."""
@@ -204,8 +207,6 @@ class Page:
         with self.client.atomic():
             apply(changes)
         self.client.flush()
-        if frame.change is self._expected:
-            self._seen.set()
         for shown in ready:
             shown.done, shown.number = now, frame.number
         later = [s.due(frame) - now for s in due if s not in ready]
@@ -222,6 +223,7 @@ class Page:
         assert self._waiting is not None
         self._waiting.content = waiting_html(self._notice) if self._notice else ""
         run_layout(client)
+        run_script(client, SCREEN_SCRIPT)
         with client.atomic():
             policy = PolicyPanel(gui, send, frame, self._choices)
             success = SuccessPanel(gui, frame, self._rates, visitor)

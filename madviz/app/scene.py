@@ -1,7 +1,9 @@
 """Where it happens: camera frusta at their effective poses, with what they send. Click to drop one.
 
-Pictures on frusta are the dearest thing on the page for a browser without a GPU: every new one
-makes it draw the whole scene. So they follow twice a second, and at once when a camera is touched.
+Pictures on frusta are the dearest thing on the page for a browser without a GPU: each new one makes
+it stop until everything before is drawn, some 40 ms, and then draw the whole scene. So they follow
+twice a second; at full speed, when the machine is wanted elsewhere, one camera after the other; and
+that of a camera which is touched at once.
 """
 
 from __future__ import annotations
@@ -12,9 +14,10 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
+from madviz.ablations import CameraState
 from madviz.app.colours import camera_colours, rgb
 from madviz.app.panel import Assign
-from madviz.frame import Change, Frame
+from madviz.frame import Frame
 from madviz.types import Array
 
 PERIOD = 0.5
@@ -32,7 +35,8 @@ class ScenePanel:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._clock, self._drawn = clock, -PERIOD
-        self._change: Change | None = None
+        self._states: dict[str, CameraState] = {}
+        self._next = 0
         self._frusta: dict[str, viser.CameraFrustumHandle] = {}
         self._nodes: list = []
         colours = camera_colours(frame.env.cameras)
@@ -44,15 +48,11 @@ class ScenePanel:
         _look(client, frame)
 
     def update(self, frame: Frame) -> list[Assign]:
-        now = self._clock()
-        if now - self._drawn < PERIOD and frame.change == self._change:
-            return []
-        self._drawn, self._change = now, frame.change
+        names = self._turn(frame)
         colours = camera_colours(frame.env.cameras)
         changes = []
-        for name, handle in self._frusta.items():
-            if name not in frame.poses:
-                continue
+        for name in names:
+            handle = self._frusta[name]
             pose, off = frame.poses[name], frame.camera(name).input == "off"
             changes += [
                 Assign(handle, "image", picture(frame, name)),
@@ -61,6 +61,22 @@ class ScenePanel:
                 Assign(handle, "wxyz", tuple(map(float, pose.wxyz))),
             ]
         return changes
+
+    def _turn(self, frame: Frame) -> list[str]:
+        """The cameras whose frusta are brought up to date with this frame."""
+        now, names = self._clock(), [name for name in self._frusta if name in frame.poses]
+        states = {name: frame.camera(name) for name in names}
+        touched = [name for name in names if states[name] != self._states.get(name)]
+        self._states = states
+        if now - self._drawn < PERIOD:
+            return touched
+        self._drawn = now
+        if touched:
+            return touched
+        if frame.speed is not None:
+            return names
+        self._next = (self._next + 1) % len(names)
+        return [names[self._next]]
 
     def remove(self) -> None:
         for node in self._nodes:

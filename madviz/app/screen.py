@@ -1,0 +1,92 @@
+"""A picture that changes many times a second, and never goes blank or missing.
+
+The problem: a browser loads a picture in the background, even one that came inside the page's own
+text. Where every new frame replaces the element of the last one, a frame that comes before the last
+one has loaded cancels it; at 30 frames a second on a busy machine a visitor saw none for half a
+second, and a camera they had dropped stayed on the page that long.
+
+The idea: the element stays, and frames queue for it, one at a time. The newest frame lies in an
+invisible *feed*; a script takes it over whenever the picture before it has loaded:
+
+    feed    f1  f2  f3  f4          what arrives
+    image   f1 .... f2 . f4         what is shown: always a whole frame, the newest when it is ready
+
+The image carries the step it shows, ``data-step``, so that nothing has to guess it from texts that
+may be a frame ahead.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from itertools import count
+
+import cv2
+import viser
+
+from madviz.app.panel import Assign
+from madviz.app.toolkit import remove_all
+from madviz.types import Array
+
+SCREEN_SCRIPT = """
+const PATIENCE = 1000;  // Milliseconds after which a picture that never loaded is given up.
+const turn = image => {
+  if (!image.next || performance.now() < image.busyUntil) return;
+  const {src, step} = image.next.dataset;
+  image.next = null;
+  image.busyUntil = performance.now() + PATIENCE;
+  image.dataset.step = step;
+  image.src = src;
+};
+const take = feed => {
+  const image = document.getElementById(feed.dataset.screen);
+  if (!image) return;
+  image.busyUntil ??= 0;
+  image.onload = image.onerror = () => { image.busyUntil = 0; turn(image); };
+  image.next = feed;
+  turn(image);
+};
+if (!window.madvizScreen) {
+  window.madvizScreen = new MutationObserver(records => {
+    for (const record of records)
+      for (const node of record.addedNodes)
+        if (node.className === 'mv-feed') take(node);
+  });
+  window.madvizScreen.observe(document.body, {childList: true, subtree: true});
+}
+"""
+
+_number = count()
+
+
+class Screen:
+    """One picture on the page. The page must have run ``SCREEN_SCRIPT``."""
+
+    def __init__(self, gui: viser.GuiApi, rgb: Array, step: str, alt: str) -> None:
+        """``rgb`` (H, W, 3) uint8, the first picture. ``step`` names what it shows."""
+        self._id = f"mv-screen-{next(_number)}"
+        height, width = rgb.shape[:2]
+        self._image = gui.add_html(
+            f'<div style="padding:0 10px 6px"><img id="{self._id}" class="mv-mosaic" alt="{alt}" '
+            f'width="{width}" height="{height}" style="width:100%;height:auto;display:block" '
+            f'fetchpriority="high" decoding="sync" data-step="{step}" src="{jpeg_url(rgb)}"></div>'
+        )
+        self._feed = gui.add_html("")
+
+    def show(self, rgb: Array, step: str) -> Assign:
+        """Another picture of the same size."""
+        feed = (
+            f'<i class="mv-feed" data-screen="{self._id}" data-step="{step}" '
+            f'data-src="{jpeg_url(rgb)}"></i>'
+        )
+        return Assign(self._feed, "content", feed)
+
+    def remove(self) -> None:
+        """Takes it off the page."""
+        remove_all([self._image, self._feed])
+
+
+def jpeg_url(rgb: Array) -> str:
+    """(H, W, 3) uint8 as text for an image's address. It travels with the texts it belongs to;
+    viser's own image widget decodes every picture twice and shows it a frame later."""
+    _, jpeg = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
+    return "data:image/jpeg;base64," + b64encode(jpeg.tobytes()).decode()
