@@ -2,8 +2,8 @@
 
 Pictures on frusta are the dearest thing on the page for a browser without a GPU: each new one makes
 it stop until everything before is drawn, some 40 ms, and then draw the whole scene. So they follow
-twice a second; at full speed, when the machine is wanted elsewhere, one camera after the other; and
-that of a camera which is touched at once.
+twice a second, and at once when their camera is touched; at full speed, when the machine is wanted
+elsewhere, one every two seconds, those that were touched first. Colours follow at once.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ from madviz.app.panel import Assign
 from madviz.frame import Frame
 from madviz.types import Array
 
-PERIOD = 0.5
-"""Seconds between two pictures on a frustum while nothing else happens."""
+PERIOD, PERIOD_AT_FULL_SPEED = 0.5, 2.0
+"""Seconds between two times that pictures change; at full speed, one of them."""
+OFF = (110, 112, 116)
+"""The colour of a dropped camera."""
 
 
 class ScenePanel:
@@ -39,7 +41,7 @@ class ScenePanel:
         self._next = 0
         self._frusta: dict[str, viser.CameraFrustumHandle] = {}
         self._nodes: list = []
-        colours = camera_colours(frame.env.cameras)
+        self._colours = colours = camera_colours(frame.env.cameras)
         self._size = _extent(frame)
         with client.atomic():
             self._ground(client, frame)
@@ -48,35 +50,34 @@ class ScenePanel:
         _look(client, frame)
 
     def update(self, frame: Frame) -> list[Assign]:
-        names = self._turn(frame)
-        colours = camera_colours(frame.env.cameras)
-        changes = []
-        for name in names:
-            handle = self._frusta[name]
-            pose, off = frame.poses[name], frame.camera(name).input == "off"
-            changes += [
-                Assign(handle, "image", picture(frame, name)),
-                Assign(handle, "color", (110, 112, 116) if off else rgb(colours[name])),
-                Assign(handle, "position", tuple(map(float, pose.position))),
-                Assign(handle, "wxyz", tuple(map(float, pose.wxyz))),
-            ]
+        pictures, changes = self._turn(frame), []
+        for name, handle in self._frusta.items():
+            off = frame.camera(name).input == "off"
+            changes.append(Assign(handle, "color", OFF if off else rgb(self._colours[name])))
+            if name in pictures:
+                pose = frame.poses[name]
+                changes += [
+                    Assign(handle, "image", picture(frame, name)),
+                    Assign(handle, "position", tuple(map(float, pose.position))),
+                    Assign(handle, "wxyz", tuple(map(float, pose.wxyz))),
+                ]
         return changes
 
     def _turn(self, frame: Frame) -> list[str]:
-        """The cameras whose frusta are brought up to date with this frame."""
-        now, names = self._clock(), [name for name in self._frusta if name in frame.poses]
-        states = {name: frame.camera(name) for name in names}
-        touched = [name for name in names if states[name] != self._states.get(name)]
-        self._states = states
-        if now - self._drawn < PERIOD:
-            return touched
+        """The cameras whose picture and pose are brought up to date with this frame."""
+        states = {name: frame.camera(name) for name in self._frusta if name in frame.poses}
+        stale = [name for name in states if states[name] != self._states.get(name)]
+        slow, now = frame.speed is not None, self._clock()
+        if now - self._drawn < (PERIOD if slow else PERIOD_AT_FULL_SPEED) and not (slow and stale):
+            return []
         self._drawn = now
-        if touched:
-            return touched
-        if frame.speed is not None:
-            return names
-        self._next = (self._next + 1) % len(names)
-        return [names[self._next]]
+        if not slow:  # One only, and first those that look different from what is the case.
+            self._next = (self._next + 1) % len(states)
+            stale = stale[:1] or [list(states)[self._next]]
+        elif not stale:
+            stale = list(states)
+        self._states.update({name: states[name] for name in stale})
+        return stale
 
     def remove(self) -> None:
         for node in self._nodes:
