@@ -57,7 +57,8 @@ from madviz.session import Session
 FASTEST = 1 / 40
 """Seconds between two frames that are shown: more would be wasted on a browser."""
 AFTER = 0.1
-"""Seconds after which tables, curves and the scene follow when something was touched."""
+"""Seconds after which tables, curves and the scene follow when something was touched; at full speed
+they keep to their own times, or they would be in the way of the next touch."""
 
 log = logging.getLogger(__name__)
 
@@ -198,7 +199,7 @@ class Page:
         urgent = self._touched != (frame.change, frame.policy, frame.phase, frame.error)
         self._touched = (frame.change, frame.policy, frame.phase, frame.error)
         due = [s for s in self._shown if s.number != frame.number]
-        if urgent:  # What somebody waits for goes ahead of the rest.
+        if urgent and frame.speed is not None:  # What somebody waits for goes ahead of the rest.
             for shown in self._shown:
                 shown.done = now + AFTER - shown.patience(frame)
         ready = [s for s in due if (urgent and s.period <= FASTEST) or now >= s.due(frame)]
