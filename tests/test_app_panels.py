@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
 from collections.abc import Iterator
 
+import cv2
 import numpy as np
 import pytest
 import viser
@@ -16,6 +18,7 @@ from madviz.app.panel import apply
 from madviz.app.policy import PolicyChoice, PolicyPanel, status_html, verdict
 from madviz.app.rates import Rate, Rates
 from madviz.app.scene import ScenePanel, _focus
+from madviz.app.screen import Screen
 from madviz.app.subsets import SubsetsPanel, presence, subset_label, subsets_html
 from madviz.app.success import Curve, SuccessPanel, WordsPanel, bars_html, sentence, strip_html
 from madviz.envs.base import make_env
@@ -315,6 +318,40 @@ def test_frusta_stand_where_the_cameras_are_and_dim_when_dropped(server):
     assert first.color != third.color
     assert first.image is not None and np.ptp(first.image.astype(int), axis=2).max() == 0
     panel.remove()
+
+
+def test_at_full_speed_frusta_change_one_picture_at_a_time(server):
+    now, session = [0.0], Session(make_env, FakePolicy(), policies, speed=None)
+    session.tick(0.0)
+    frame = session.latest
+    assert isinstance(frame, Frame)
+    panel = ScenePanel(FakeClient(server), frame, None, lambda: now[0])  # type: ignore[arg-type]
+
+    def pictures() -> list[str]:
+        names = {id(handle): name for name, handle in panel._frusta.items()}
+        return [names[id(a.handle)] for a in panel.update(frame) if a.name == "image"]
+
+    drawn = []
+    for second in range(0, 12, 2):
+        now[0] = float(second)
+        drawn += pictures()
+        assert pictures() == []  # At the same instant there is nothing more to do.
+    assert sorted(drawn) == sorted(2 * list(panel._frusta))
+    panel.remove()
+
+
+def test_a_screen_keeps_its_element_and_feeds_it(server):
+    black = np.zeros((8, 12, 3), np.uint8)
+    screen = Screen(server.gui, black, "1:0", "a picture")
+    element = screen._image.content
+    change = screen.show(black + 255, "1:1")
+    apply([change])
+    assert screen._image.content == element and 'data-step="1:0"' in element
+    feed = screen._feed.content
+    assert f'data-screen="{screen._id}"' in feed and 'data-step="1:1"' in feed
+    jpeg = b64decode(feed.split("base64,")[1].split('"')[0])
+    assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1).min() > 250
+    screen.remove()
 
 
 def test_lines_of_sight_meet_on_the_table():

@@ -7,6 +7,7 @@ import pytest
 
 from madviz.envs.base import METAWORLD_TASKS, make_env
 from madviz.envs.metaworld import MetaWorld
+from madviz.envs.metaworld_scripts import RUN_ON, Scene, pick
 
 
 @pytest.mark.parametrize("task", METAWORLD_TASKS)
@@ -90,3 +91,47 @@ def test_the_papers_four_numbers_are_the_hand_and_gripper_of_now() -> None:
     state = env.step(np.array([1, 0, 0, 1])).state[list(env.spec.paper_state)]
     assert np.allclose(state[:3], env._simulation.data.body("hand").xpos, atol=0.02)
     assert np.allclose(state, env._observation[:4], atol=1e-6)
+
+
+def success_at_the_end(task: str, seed: int) -> bool:
+    """Whether the expert's episode counts: its condition holds at the last of 100 decisions."""
+    env = MetaWorld(task)
+    now = env.reset(seed)
+    while not now.last:
+        now = env.step(env.expert())
+    return now.success
+
+
+@pytest.mark.parametrize(
+    ("task", "seed"),
+    [("pick-out-of-hole", 5002), ("sweep-into", 5000), ("stick-pull", 5006), ("soccer", 5000)],
+)
+def test_our_scripts_hold_where_metaworlds_fail(task: str, seed: int) -> None:
+    assert success_at_the_end(task, seed)
+
+
+def test_a_hand_comes_to_rest_where_the_scripts_think_it_will() -> None:
+    env = MetaWorld("soccer")
+    env.reset(0)
+    for _ in range(8):
+        env.step(np.array([1, 0, 0, -1]))
+    scene = Scene(env._observation)
+    expected = scene.hand + RUN_ON * scene.velocity
+    for _ in range(10):
+        env.step(np.array([0, 0, 0, -1]))
+    assert np.linalg.norm(scene.hand - env._observation[:3]) > 0.02
+    assert np.allclose(env._observation[:3], expected, atol=0.006)
+
+
+def test_a_hand_that_still_closes_does_not_lift() -> None:
+    observation = np.zeros(39)
+    observation[[2, 3, 20, 21]] = 0.05, 0.6, 0.05, 0.67  # Over the object, fingers moving.
+    assert pick(Scene(observation), np.array([0, 0, 0.05])) is not None
+    observation[21] = 0.6
+    assert pick(Scene(observation), np.array([0, 0, 0.05])) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", METAWORLD_TASKS)
+def test_experts_succeed_at_the_last_step(task: str) -> None:
+    assert np.mean([success_at_the_end(task, seed) for seed in range(6000, 6020)]) >= 0.9

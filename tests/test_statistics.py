@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import binom, binomtest
 
-from madviz.statistics import Paired, newcombe, pair, wilson
+from madviz.statistics import (
+    Paired,
+    difference_interval,
+    mean_interval,
+    newcombe,
+    pair,
+    wilson,
+)
 from madviz.types import UserError
 
 
@@ -69,3 +76,41 @@ def test_pair_uses_common_seeds_only():
     first = {1: True, 2: True, 3: False, 4: False, 5: True}
     second = {4: False, 3: True, 2: False, 1: True, 6: True}
     assert pair(first, second) == Paired(1, 1, 1, 1)
+
+
+def test_a_mean_over_subsets_is_worth_more_seeds_only_where_they_are_independent():
+    alike = [1.0] * 80 + [0.0] * 20
+    assert mean_interval(alike, 4) == pytest.approx(wilson(80, 100))
+    # Independent subsets: four times as many episodes, half the width.
+    rng = np.random.default_rng(0)
+    shares = list((rng.random((2000, 4)) < 0.8).mean(1))
+    low, high = mean_interval(shares, 4)
+    mean = sum(shares) / len(shares)
+    assert (low, high) == pytest.approx(wilson(round(mean * 8000), 8000), abs=2e-3)
+    # Always three of four: no scatter between seeds is no proof of more than the seeds.
+    assert mean_interval([0.75] * 100, 4) == pytest.approx(wilson(75, 100))
+    assert mean_interval([1.0] * 10, 4) == wilson(10, 10) and mean_interval([], 4) == (0.0, 1.0)
+    assert mean_interval([0.0] * 10, 4) == wilson(0, 10)
+
+
+def test_the_interval_of_a_mean_over_subsets_covers_the_truth():
+    rng = np.random.default_rng(1)
+    covered = 0
+    for _ in range(400):
+        scene = rng.random((60, 1)) < 0.5  # Half of all seeds are hard for every subset.
+        shares = (rng.random((60, 4)) < np.where(scene, 0.95, 0.6)).mean(1)
+        low, high = mean_interval(list(shares), 4)
+        covered += low <= 0.775 <= high
+    assert 0.91 < covered / 400 < 0.99
+
+
+def test_the_interval_of_paired_differences_is_agresti_and_min():
+    # 70 both, 10 first only, 2 second only, 18 neither: their formula with 1/2 added to each cell.
+    differences = [0.0] * 88 + [1.0] * 10 + [-1.0] * 2
+    b, c, n = 10.5, 2.5, 102
+    half = 1.959964 * ((b + c) - (b - c) ** 2 / n) ** 0.5 / n
+    expected = ((b - c) / n - half, (b - c) / n + half)
+    assert difference_interval(differences) == pytest.approx(expected, abs=1e-6)
+    low, high = difference_interval([1.0] * 100)
+    assert 0.9 < low < high == 1.0
+    assert difference_interval([]) == (-1.0, 1.0)

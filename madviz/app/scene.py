@@ -14,7 +14,6 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from madviz.ablations import CameraState
 from madviz.app.colours import camera_colours, rgb
 from madviz.app.panel import Assign
 from madviz.frame import Frame
@@ -36,8 +35,8 @@ class ScenePanel:
         on_click: Callable[[str], None] | None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._clock, self._drawn = clock, -PERIOD
-        self._states: dict[str, CameraState] = {}
+        self._clock, self._drawn = clock, -PERIOD_AT_FULL_SPEED
+        self._states = {name: frame.camera(name) for name in frame.poses}
         self._next = 0
         self._frusta: dict[str, viser.CameraFrustumHandle] = {}
         self._nodes: list = []
@@ -72,7 +71,7 @@ class ScenePanel:
             return []
         self._drawn = now
         if not slow:  # One only, and first those that look different from what is the case.
-            self._next = (self._next + 1) % len(states)
+            self._next = (self._next + (not stale)) % len(states)
             stale = stale[:1] or [list(states)[self._next]]
         elif not stale:
             stale = list(states)

@@ -5,8 +5,12 @@ from __future__ import annotations
 import threading
 
 import numpy as np
+import viser
+from scipy.spatial.transform import Rotation
 
 from madviz.app.server import App
+from madviz.frame import Frame
+from madviz.types import CameraPose
 from tests.e2e.conftest import PATIENCE, Visitor, toy_app, wait_until
 
 
@@ -24,6 +28,15 @@ def test_pictures_come_and_change(visitor: Visitor):
     visitor.until(
         f"document.querySelector('.mv-mosaic').src !== '{before}' && status.step !== '{step}'"
     )
+
+
+def test_at_full_speed_the_picture_is_always_whole_and_keeps_up(visitor: Visitor):
+    visitor.page.mouse.click(800, 700)
+    visitor.page.keyboard.press("f")
+    for _ in range(5):
+        step = visitor.page.locator(".mv-mosaic").get_attribute("data-step")
+        visitor.until(f"document.querySelector('.mv-mosaic').dataset.step !== '{step}'")
+        assert grey(visitor.tile(0)) > 10  # A picture that has not loaded draws nothing: black.
 
 
 IN_SIGHT = """() => {
@@ -125,15 +138,38 @@ def test_strength_appears_where_it_matters(visitor: Visitor):
 
 def test_keys(visitor: Visitor):
     visitor.page.mouse.click(800, 700)
+    visitor.page.keyboard.press("Space")
+    visitor.until("status.phase === 'paused'")
     visitor.page.keyboard.press("2")
     visitor.until("status.setting === 'first+third_b'")
     visitor.page.keyboard.press("2")
     visitor.until("status.setting === 'all'")
-    visitor.page.keyboard.press("Space")
-    visitor.until("status.phase === 'paused'")
     step = int(visitor.status("step"))
     visitor.page.keyboard.press("s")
     visitor.until(f"status.step !== '{step}'")
+
+
+def test_a_click_on_a_frustum_drops_its_camera(visitor: Visitor, app: App):
+    (client,) = app.server.get_clients().values()
+    session = app.users.session_of(client.client_id)
+    assert session is not None and isinstance(session.latest, Frame)
+    visitor.press("pause")
+    visitor.until("status.phase === 'paused'")
+    x, y = on_screen(client, session.latest.poses["first"], depth=0.48)  # The picture's middle.
+    visitor.page.mouse.move(x - 2, y)
+    visitor.page.mouse.click(x, y, delay=60)
+    visitor.until("status.setting === 'third_a+third_b'")
+
+
+def on_screen(client: viser.ClientHandle, pose: CameraPose, depth: float) -> tuple[float, float]:
+    """Pixels of the point ``depth`` metres in front of a camera; the scene is 312 x 800 around 800."""
+    point = pose.position + depth * Rotation.from_quat(pose.wxyz, scalar_first=True).apply(
+        [0.0, 0.0, 1.0]
+    )
+    eye = client.camera
+    seen = Rotation.from_quat(eye.wxyz, scalar_first=True).inv().apply(point - eye.position)
+    focal = 400 / np.tan(eye.fov / 2)
+    return 800 + focal * seen[0] / seen[2], 400 + focal * seen[1] / seen[2]
 
 
 def test_nan_pauses_with_a_traceback_and_the_page_lives(visitor: Visitor):

@@ -1,0 +1,151 @@
+"""``compare``: paired by seed, refused where it cannot be."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as xml
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from madviz import cli
+from madviz.compare import CompareConfig, comparison_table, over_trainings, run_compare
+from madviz.evidence import read_evidence
+from madviz.statistics import pair
+from madviz.store import EpisodeResult, ResultKey, Store
+from madviz.types import UserError
+from tests.evidence import rates, write_policy
+
+GOOD, BAD = rates(0.95, 0.9, 0.85, 0.8), rates(0.9, 0.2, 0.1, 0.0)
+
+
+@pytest.fixture
+def two(tmp_path: Path) -> tuple[str, str]:
+    return (
+        str(write_policy(tmp_path, GOOD)),
+        str(write_policy(tmp_path, BAD, method="merged-only")),
+    )
+
+
+def test_differences_are_those_of_the_paired_episodes(two: tuple[str, str]) -> None:
+    result = run_compare(CompareConfig(two))
+    assert [p["method"] for p in result["policies"]] == ["mad", "merged-only"]
+    rows = result["comparisons"][0]["subsets"]
+    assert list(rows) == ["all", "first", "third_a", "third_b"]
+    first, second = read_evidence(two[0]), read_evidence(two[1])
+    paired = pair(first.outcomes["all"], second.outcomes["all"])
+    row = rows["all"]
+    assert (row["first"], row["second"], row["n"]) == (0.95, 0.9, 100)
+    assert row["difference"] == pytest.approx(0.05)
+    assert (tuple(row["ci95"]), row["p"]) == (paired.interval(), paired.mcnemar())
+    assert rows["third_b"]["p"] < 1e-20 and rows["third_b"]["ci95"][0] > 0.6
+    words = comparison_table(result)
+    assert "0.95 - 0.90 = +0.05 [" in words and "n=100   exact p = " in words
+
+
+def test_only_the_subsets_asked_for(two: tuple[str, str]) -> None:
+    result = run_compare(CompareConfig(two, ("first",)))
+    assert list(result["comparisons"][0]["subsets"]) == ["first"]
+    with pytest.raises(UserError, match="expected episodes on 'none' of every policy"):
+        run_compare(CompareConfig(two, ("none",)))
+
+
+@pytest.mark.parametrize("change", [{"episodes": 50}, {"first_seed": 6000}])
+def test_policies_that_met_other_seeds_are_refused(change: dict[str, int], tmp_path: Path) -> None:
+    first = str(write_policy(tmp_path, GOOD))
+    second = str(write_policy(tmp_path, BAD, method="merged-only", **change))
+    with pytest.raises(UserError, match=r"same seeds for all, found 5000-5099 \(100\) of .*eval"):
+        run_compare(CompareConfig((first, second)))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "fact"),
+    [
+        ("task", "metaworld/push", "task"),
+        ("definition", "at any step: it is done", "definition"),
+        ("render_profile", "full", "render profile"),
+    ],
+)
+def test_policies_that_were_measured_otherwise_are_refused(
+    key: str, value: str, fact: str, two: tuple[str, str]
+) -> None:
+    file = Path(two[1]) / "config.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), key: value}))
+    with pytest.raises(UserError, match=f"expected policies measured alike, found {fact}"):
+        run_compare(CompareConfig(two))
+
+
+def test_one_policy_is_nothing_to_compare(two: tuple[str, str]) -> None:
+    with pytest.raises(UserError, match="expected two or more policies, found 1"):
+        run_compare(CompareConfig(two[:1]))
+    with pytest.raises(UserError, match="unknown policy 'no-such-policy'"):
+        run_compare(CompareConfig((two[0], "no-such-policy")))
+
+
+def test_episodes_may_come_from_a_store(
+    two: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from madviz import checkpoint
+
+    class Described:
+        def __init__(self, path: str | Path) -> None:
+            self.spec = self
+            self.digest = Path(path).name
+
+    monkeypatch.setattr(checkpoint, "describe", Described)
+    store, facts = Store(tmp_path / "store.sqlite"), ("fast", "", "none")
+    for policy, successes in zip(two, (3, 1), strict=True):
+        evidence = read_evidence(policy)
+        key = ResultKey(Path(policy).name, evidence.task, evidence.definition, *facts)
+        for seed in range(4):
+            store.put(key, EpisodeResult("none", seed, seed < successes, True, 0.0))
+    store.close()
+    result = run_compare(CompareConfig(two, ("none",), store=str(tmp_path / "store.sqlite")))
+    assert result["comparisons"][0]["subsets"]["none"]["difference"] == 0.5
+    with pytest.raises(UserError, match="expected a store of results"):
+        run_compare(CompareConfig(two, store=str(tmp_path / "none.sqlite")))
+
+
+def test_the_figure_has_a_bar_for_a_method_and_a_dot_for_a_training(tmp_path: Path) -> None:
+    policies = [
+        str(write_policy(tmp_path, {"all": 0.5 + seed / 10}, seed=seed, folder=f"mad{seed}"))
+        for seed in (1, 2, 3)
+    ]
+    policies.append(str(write_policy(tmp_path, {"all": 0.4}, method="merged-only")))
+    figure = tmp_path / "figure.svg"
+    result = run_compare(CompareConfig(tuple(policies), figure=figure))
+    assert len(result["comparisons"]) == 3
+    drawn = figure.read_text()
+    xml.fromstring(drawn)
+    assert drawn.count("<circle") == 3 and "merged-only (three, light, alpha 0.5)" in drawn
+    run_compare(CompareConfig(tuple(policies), figure=figure))
+    assert figure.read_text() == drawn
+
+
+def test_an_interval_over_trainings_is_students() -> None:
+    # Mean 0.7, standard deviation 0.1, t(0.975, 2) = 4.302653.
+    low, high = over_trainings([0.6, 0.7, 0.8])
+    assert (low, high) == pytest.approx((0.7 - 0.248414, 0.7 + 0.248414), abs=1e-5)
+
+
+def test_curves_need_success_by_subset(two: tuple[str, str], tmp_path: Path) -> None:
+    figure = tmp_path / "curves.svg"
+    (Path(two[0]) / "curve.csv").write_text("round,student_success\n1,0.5\n")
+    with pytest.raises(UserError, match="only the recipe `paper` measures it"):
+        run_compare(CompareConfig(two, curves=figure))
+    for policy in two:
+        (Path(policy) / "curve.csv").write_text(
+            "env_steps,success_all,success_first,return_all\n0,0.0,0.0,1\n100,1.0,0.5,9\n"
+        )
+    run_compare(CompareConfig(two, curves=figure))
+    drawn = figure.read_text()
+    assert drawn.count("<polyline") == 6  # Two methods; all, first and their average.
+    assert ">average<" in drawn and ">100 steps<" in drawn
+
+
+def test_the_command(two: tuple[str, str], capsys: Any) -> None:
+    assert cli.main(["compare", *two, "--subset", "all", "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["schema"] == 1
+    assert cli.main(["compare", *two]) == 0
+    assert "paired by seed" in capsys.readouterr().out

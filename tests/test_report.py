@@ -1,0 +1,276 @@
+"""``report``: tables that say what the files say, words that follow from the numbers."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as xml
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from madviz import cli, svg
+from madviz.evidence import find_evidence, read_evidence
+from madviz.report import ReportConfig, judge, run_report
+from madviz.report_claims import claims, same, verdict
+from madviz.report_tables import LAYOUTS, THREE, Table, build, difference, usual_alphas
+from madviz.types import UserError
+from tests.evidence import rates, write_policy
+
+GOOD = rates(0.95, 0.90, 0.85, 0.80)
+
+
+def table(root: Path, key: str, suite: str = "metaworld") -> Table:
+    layout = next(layout for layout in LAYOUTS if layout.key == key)
+    return next(t for t in build(layout, find_evidence(root)) if t.suite == suite)
+
+
+def report(root: Path) -> tuple[dict[str, Any], str]:
+    result = run_report(ReportConfig(root))
+    return result, Path(result["path"]).read_text()
+
+
+# --- What is read ---
+
+
+def test_a_rate_that_is_not_that_of_its_episodes_is_refused(tmp_path: Path) -> None:
+    path = write_policy(tmp_path, GOOD)
+    file = path / "evaluation.json"
+    document = json.loads(file.read_text())
+    document["subsets"]["all"]["success"] = 0.99
+    file.write_text(json.dumps(document))
+    with pytest.raises(UserError, match="rate of all to be that of its episodes, found 0.99"):
+        read_evidence(path)
+    del document["episodes"]
+    file.write_text(json.dumps(document))
+    with pytest.raises(UserError, match="expected what `madviz eval` writes"):
+        read_evidence(path)
+
+
+def test_an_evaluation_of_other_weights_is_refused(tmp_path: Path) -> None:
+    path = write_policy(tmp_path, GOOD)
+    (path / "weights.safetensors").write_bytes(b"other")
+    with pytest.raises(UserError, match="expected an evaluation of these weights"):
+        run_report(ReportConfig(tmp_path))
+
+
+def test_one_camera_goes_by_two_names(tmp_path: Path) -> None:
+    path = write_policy(tmp_path, {"all": 0.5}, method="single", streams=("third_a",))
+    evidence = read_evidence(path)
+    assert evidence.of("third_a") == evidence.of("all") and evidence.of("first") is None
+    assert (evidence.first_seed, evidence.episodes, evidence.seed) == (5000, 100, 1)
+
+
+def test_a_folder_without_policies_is_a_mistake(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="expected policy folders with evaluation.json"):
+        run_report(ReportConfig(tmp_path))
+
+
+# --- The bar ---
+
+
+@pytest.mark.parametrize(
+    ("measured", "change", "expected"),
+    [
+        (rates(0.92, 0.76, 0.76, 0.76), {}, "met"),
+        (rates(0.91, 0.9, 0.9, 0.9), {}, "not met: all 0.91 is below 0.92"),
+        (rates(0.92, 0.75, 0.75, 0.75), {}, "not met: mean 0.79 is below 0.80"),
+        ({"all": 1.0, "first": 1.0}, {}, "not met: third_a, third_b not measured"),
+        (GOOD, {"episodes": 20}, "not met: 20 episodes, 100 are needed"),
+        (GOOD, {"first_seed": 4999}, "not met: seeds below 5000"),
+        (rates(0.95, 0.0, 0.9, 0.9), {"task": "maniskill/poke-cube"}, "met"),
+        (rates(0.95, 0.0, 0.9, 0.9), {"task": "maniskill/push-cube"}, "mean 0.69 is below 0.80"),
+        (GOOD, {"method": "merged-only"}, "not trained"),
+        (GOOD, {"setting": "three-rgbd"}, "not trained"),
+    ],
+)
+def test_a_task_meets_the_bar_or_the_table_says_why_not(
+    measured: dict[str, float], change: dict[str, Any], expected: str, tmp_path: Path
+) -> None:
+    write_policy(tmp_path, measured, **change)
+    task = change.get("task", "metaworld/hammer")
+    assert expected in judge(task, find_evidence(tmp_path)).words
+
+
+def test_the_bar_has_twenty_tasks_and_the_page_counts_them(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD)
+    write_policy(tmp_path, rates(0.5, 0.5, 0.5, 0.5), task="maniskill/push-cube")
+    result, text = report(tmp_path)
+    assert len(result["bar"]) == 20
+    assert "1 of 20 tasks meet it, 1 do not, 18 have no policy yet" in text
+    assert "| metaworld/hammer | `metaworld-hammer-mad-light` | 0.95 [0.89, 0.98] n=100 |" in text
+    assert "| metaworld/push | – | – |" in text
+
+
+# --- Tables ---
+
+
+def test_the_report_comes_out_the_same_to_the_byte(tmp_path: Path) -> None:
+    for method, measured in (("mad", GOOD), ("merged-only", rates(0.95, 0.1, 0.0, 0.0))):
+        write_policy(tmp_path, measured, method=method)
+    result, text = report(tmp_path)
+    pictures = [Path(name).read_bytes() for name in result["pictures"]]
+    assert result["tables"] == ["overall-metaworld", "components-metaworld"]
+    (tmp_path / "results" / "five-maniskill.svg").write_text("of a table that is gone")
+    again, same_text = report(tmp_path)
+    assert (again, same_text) == (result, text)
+    assert [Path(name).read_bytes() for name in again["pictures"]] == pictures
+    assert len(list((tmp_path / "results").iterdir())) == len(pictures) == 2
+    for picture in pictures:
+        xml.fromstring(picture.decode())
+    for name in result["pictures"]:
+        assert f"](results/{Path(name).name})" in text
+    assert "madviz train --task metaworld/hammer --method merged-only --seed 1\n" in text
+    assert "--subsets all first third_a third_b --episodes 100 --seed 5000 --card" in text
+
+
+def test_tables_without_files_are_left_out(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD)
+    assert report(tmp_path)[0]["tables"] == ["overall-metaworld"]
+    write_policy(tmp_path, {"all": 0.9, "rgb": 0.9, "depth": 0.8}, setting="three-rgbd", folder="x")
+    result, text = report(tmp_path)
+    assert result["tables"] == ["overall-metaworld", "modality-metaworld"]
+    assert "| metaworld/hammer | mad, three-rgbd | 1 | 0.90 [0.83, 0.94] n=100 |" in text
+
+
+def test_trainings_of_several_seeds_pool_and_tasks_average(tmp_path: Path) -> None:
+    for seed, rate in ((1, 1.0), (2, 0.5)):
+        write_policy(tmp_path, {"all": rate}, seed=seed, folder=f"hammer{seed}")
+    write_policy(tmp_path, {"all": 0.3}, task="metaworld/push")
+    overall = table(tmp_path, "overall")
+    hammer = overall.rows[0][1]
+    found = hammer.rate("all")
+    assert found is not None and (hammer.trainings, found.value, found.n) == (2, 0.75, 200)
+    whole = overall.averages[0]
+    assert whole.tasks == ("metaworld/hammer", "metaworld/push")
+    assert "| average of 2 | mad | 2 | 0.60 [0.54, 0.65] n=300 |" in report(tmp_path)[1]
+
+
+def test_single_camera_is_three_trainings_in_one_row(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD)
+    for camera, rate in (("first", 0.9), ("third_a", 0.4), ("third_b", 0.2)):
+        write_policy(
+            tmp_path, {"all": rate}, method="single", streams=(camera,), folder=f"single-{camera}"
+        )
+    overall = table(tmp_path, "overall")
+    single = overall.average("single")
+    assert single is not None and single.rate("all") is None
+    found = single.mean(THREE)
+    assert found is not None and found.value == pytest.approx(0.5)
+    assert "0.50 [" in report(tmp_path)[1] and "(first, third_a, third_b) |" in report(tmp_path)[1]
+    gap = difference(overall.averages[0], single, THREE)
+    assert gap is not None and gap.columns == ("first", "third_a", "third_b")
+    assert gap.value == pytest.approx(0.85 - 0.5)
+
+
+def test_an_alpha_ablation_stays_out_of_the_other_tables(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD)
+    for alpha in (0.2, 0.8):
+        write_policy(tmp_path, rates(1, 1, 1, 1), alpha=alpha, folder=f"alpha{alpha}")
+    evidence = find_evidence(tmp_path)
+    assert [each.alpha for each in usual_alphas(evidence)] == [0.5]
+    assert [row.label for row in table(tmp_path, "alpha").averages] == [
+        *("alpha 0.2", "alpha 0.5", "alpha 0.8"),
+    ]
+    found = table(tmp_path, "overall").averages[0].rate("all")
+    assert found is not None and found.value == 0.95
+
+
+def test_recipes_are_never_pooled(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD)
+    write_policy(tmp_path, rates(0.1, 0.1, 0.1, 0.1), recipe="paper", alpha=0.8)
+    assert [row.label for row in table(tmp_path, "overall").averages] == ["mad", "mad, paper"]
+
+
+# --- Sentences ---
+
+
+@pytest.mark.parametrize(
+    ("interval", "words"),
+    [
+        ((0.4, 0.6), "agrees in direction; the lead is larger"),
+        ((0.2, 0.45), "agrees, in direction and size"),
+        ((0.02, 0.15), "agrees in direction; the lead is smaller"),
+        ((-0.05, 0.1), "undecided"),
+        ((-0.3, -0.1), "does not agree"),
+    ],
+)
+def test_a_verdict_follows_from_where_the_interval_lies(
+    interval: tuple[float, float], words: str
+) -> None:
+    assert verdict(interval, 0.3).startswith(words)
+
+
+def test_alike_takes_an_interval_that_is_narrow() -> None:
+    assert same((-0.05, 0.09)).startswith("agrees")
+    assert same((-0.2, 0.1)).startswith("undecided")
+    assert same((0.01, 0.2)).startswith("does not agree")
+
+
+def test_the_lead_is_held_against_the_closest_baseline(tmp_path: Path) -> None:
+    write_policy(tmp_path, rates(1, 1, 1, 1))
+    write_policy(tmp_path, rates(0.2, 0.2, 0.2, 0.2), method="mvd")
+    write_policy(tmp_path, rates(0.6, 0.8, 0.6, 0.6), method="vib")
+    write_policy(tmp_path, rates(0.9, 0.9, 0.9, 0.9), method="merged-only")
+    said = "\n".join(claims(table(tmp_path, "overall")))
+    assert "MAD minus mvd: +80 points" in said and "MAD minus merged-only: +10 points" in said
+    assert "+30 points over its baselines" in said
+    assert "Against the closest of ours, vib: agrees, in direction and size" in said
+    components = "\n".join(claims(table(tmp_path, "components")))
+    assert "closest of ours, merged-only: agrees in direction; the lead is smaller" in components
+
+
+def test_nothing_is_claimed_about_baselines_that_were_not_measured(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD, task="maniskill/pull-cube")
+    said = claims(table(tmp_path, "overall", "maniskill"))
+    assert (
+        len(said) == 1 and "+36 points" in said[0] and "nothing to hold against it yet" in said[0]
+    )
+
+
+def test_the_best_alpha_is_said_with_its_difference(tmp_path: Path) -> None:
+    for alpha, rate in ((0.2, 0.9), (0.8, 0.5)):
+        write_policy(tmp_path, rates(rate, rate, rate, rate), alpha=alpha, folder=f"alpha{alpha}")
+    said = claims(table(tmp_path, "alpha"))
+    assert "Best here is alpha 0.2" in said[0] and said[0].endswith("does not agree.")
+
+
+def test_merges_and_modalities_are_held_against_their_sentences(tmp_path: Path) -> None:
+    write_policy(tmp_path, {"all": 1.0}, method="merged-only")
+    write_policy(tmp_path, {"all": 1.0}, method="concat", merge="concat")
+    write_policy(tmp_path, {"all": 0.6}, method="q-mean", merge="q-mean")
+    said = claims(table(tmp_path, "merging"))
+    assert "concat minus sum: +0 points" in said[0] and "agrees: within 10 points" in said[0]
+    assert said[1].endswith("agrees: it is behind.")
+    streams = ("third_a.rgb", "third_a.depth")
+    write_policy(
+        *(tmp_path, {"all": 0.9, "rgb": 0.9, "depth": 0.9}),
+        **{"setting": "one-rgbd", "streams": streams, "folder": "mad-both"},
+    )
+    write_policy(
+        *(tmp_path, {"all": 0.3}),
+        **{"setting": "one-depth", "streams": streams[1:], "method": "single", "folder": "depth"},
+    )
+    said = claims(table(tmp_path, "modality"))
+    assert len(said) == 1 and "on depth alone: +60 points" in said[0]
+    assert said[0].endswith("agrees: MAD is ahead.")
+
+
+# --- Pictures and the command ---
+
+
+def test_pictures_show_values_intervals_and_escape_words() -> None:
+    drawn = svg.bars("a < b", ["all"], {"mad": [svg.Bar(0.5, 0.25, 1.0, (0.4,))], "none": [None]})
+    root = xml.fromstring(drawn)
+    assert "a &lt; b" in drawn and drawn.count("<circle") == 1
+    heights = [r.get("height") for r in root.iter("{http://www.w3.org/2000/svg}rect")]
+    assert "85.0" in heights  # Half of the plot.
+    curve = svg.Line([0, 10], [0.0, 1.0], [0.0, 0.8], [0.2, 1.0])
+    assert xml.fromstring(svg.lines("t", "steps", {"all": {"mad": curve}})) is not None
+
+
+def test_the_command_writes_beside_the_folder_and_prints_json(tmp_path: Path, capsys: Any) -> None:
+    write_policy(tmp_path, GOOD)
+    assert cli.main(["report", "--folder", str(tmp_path)]) == 0
+    assert "1 of 20 tasks meet the bar" in capsys.readouterr().out
+    assert cli.main(["report", "--folder", str(tmp_path / "nothing")]) == 2
