@@ -118,9 +118,36 @@ def bench_update(words: Sequence[str]) -> int:
     return 0
 
 
+def sweep(words: Sequence[str]) -> int:
+    """Trains and evaluates every combination in a small file; goes on after a kill."""
+    from madviz.sweep import SweepConfig, run_sweep, sweep_table
+
+    config = parse(SweepConfig, "sweep", words, positional=True)
+    return 1 if deliver(config, lambda: run_sweep(config), sweep_table)["failed"] else 0
+
+
+def compare(words: Sequence[str]) -> int:
+    """Compares policies on the seeds they all met: difference, interval, exact p."""
+    from madviz.compare import CompareConfig, comparison_table, run_compare
+
+    config = parse(CompareConfig, "compare", words, positional=True)
+    deliver(config, lambda: run_compare(config), comparison_table)
+    return 0
+
+
+def report(words: Sequence[str]) -> int:
+    """Writes RESULTS.md: tables and pictures of all evaluated policies, held against the paper."""
+    from madviz.report import ReportConfig, report_words, run_report
+
+    config = parse(ReportConfig, "report", words)
+    deliver(config, lambda: run_report(config), report_words)
+    return 0
+
+
 VERBS: dict[str, Verb] = {
     **{"explore": explore, "train": train, "eval": evaluate, "list": list_},
     **{"doctor": doctor, "bench": bench},
+    **{"sweep": sweep, "compare": compare, "report": report},
 }
 BENCHMARKS: dict[str, Verb] = {
     **{"render": bench_render, "live": bench_live, "update": bench_update},
@@ -160,11 +187,15 @@ def usage(verbs: Mapping[str, Verb], prog: str) -> str:
     return "\n".join(lines)
 
 
-def parse(config: type[Config], command: str, words: Sequence[str]) -> Config:
-    """The dataclass ``config`` filled from the command line; leaves with code 2 if that fails."""
+def parse(
+    config: type[Config], command: str, words: Sequence[str], positional: bool = False
+) -> Config:
+    """The dataclass ``config`` filled from the command line; leaves with code 2 if that fails.
+    With ``positional``, what has no default is given without its name: ``madviz sweep FILE``."""
     import tyro
 
-    return tyro.cli(config, prog=f"madviz {command}", args=list(words))
+    markers = (tyro.conf.PositionalRequiredArgs,) if positional else ()
+    return tyro.cli(config, prog=f"madviz {command}", args=list(words), config=markers)
 
 
 def deliver(

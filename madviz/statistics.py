@@ -14,7 +14,7 @@ the two Wilson intervals.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from statistics import NormalDist
@@ -22,6 +22,7 @@ from statistics import NormalDist
 from madviz.types import UserError
 
 Interval = tuple[float, float]
+Z95 = NormalDist().inv_cdf(0.975)
 
 
 def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:
@@ -32,8 +33,11 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:
     """
     if not 0 <= successes <= n:
         raise UserError(f"expected 0 <= successes <= n, found {successes} of {n}")
-    if n == 0:
-        return 0.0, 1.0
+    return _wilson(successes, n, confidence) if n else (0.0, 1.0)
+
+
+def _wilson(successes: float, n: float, confidence: float) -> Interval:
+    """Also for counts that are not whole, n above 0."""
     z = NormalDist().inv_cdf(0.5 + confidence / 2)
     rate, shrink = successes / n, 1 / (1 + z * z / n)
     centre = shrink * (rate + z * z / (2 * n))
@@ -105,6 +109,40 @@ def pair(first: Mapping[int, bool], second: Mapping[int, bool]) -> Paired:
         second_only=outcomes.count((False, True)),
         neither=outcomes.count((False, False)),
     )
+
+
+def mean_interval(shares: Sequence[float], parts: int) -> Interval:
+    """95% interval of a mean over ``parts`` success rates that were measured on the same seeds.
+
+    ``shares`` has one number for each seed: the share of its ``parts`` episodes that succeeded.
+    Episodes of one seed resemble each other, so 4 x 100 of them are worth between 100 and 400:
+    Wilson's interval at the number of independent episodes whose mean would scatter as much.
+    """
+    n = len(shares)
+    if n == 0:
+        return 0.0, 1.0
+    mean = sum(shares) / n
+    scatter = sum((share - mean) ** 2 for share in shares) / n
+    worth = min(max(mean * (1 - mean) / scatter, 1.0), parts) if scatter > 0 else 1.0
+    # The ends must be the ends also where a sum of thirds is a hair off.
+    count = n * worth * (0.0 if max(shares) == 0 else 1.0 if min(shares) == 1 else mean)
+    return _wilson(count, n * worth, 0.95)
+
+
+def difference_interval(differences: Sequence[float]) -> Interval:
+    """95% interval of a mean of paired differences, each in [-1, 1].
+
+    Agresti and Min (2005): the usual interval after adding half a pair to each of the four ways in
+    which two episodes can come out together, so that it neither shrinks to nothing where all
+    differences are equal nor needs many seeds. Theirs is for 0, 1 and -1; shares lie between.
+    """
+    n = len(differences)
+    if n == 0:
+        return -1.0, 1.0
+    mean = sum(differences) / (n + 2)
+    squares = sum(difference**2 for difference in differences) + 1
+    half = Z95 * sqrt(max(squares / (n + 2) - mean**2, 0.0) / (n + 2))
+    return max(mean - half, -1.0), min(mean + half, 1.0)
 
 
 def _hybrid(first: int, first_n: int, second: int, second_n: int, correlation: float) -> Interval:

@@ -52,7 +52,7 @@ def test_only_the_subsets_asked_for(two: tuple[str, str]) -> None:
 
 
 @pytest.mark.parametrize("change", [{"episodes": 50}, {"first_seed": 6000}])
-def test_policies_that_met_other_seeds_are_refused(change: dict[str, int], tmp_path: Path) -> None:
+def test_policies_that_met_other_seeds_are_refused(change: dict[str, Any], tmp_path: Path) -> None:
     first = str(write_policy(tmp_path, GOOD))
     second = str(write_policy(tmp_path, BAD, method="merged-only", **change))
     with pytest.raises(UserError, match=r"same seeds for all, found 5000-5099 \(100\) of .*eval"):

@@ -19,12 +19,12 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in FILES}
 
 LAYERS = (
-    "types subsets files statistics processes",
+    "types subsets files statistics processes svg",
     "envs agent ablations streams",
-    "buffer manifest checkpoint store rollout evaluate live probes demonstrations run card",
+    "buffer manifest checkpoint store rollout evaluate live probes demonstrations run card evidence",
     "light paper train naive",
     "frame simulation session",
-    "app bench doctor",
+    "app bench doctor compare report sweep",
     "cli main",
 )
 """A module imports from its own line and those above. ``agent`` stands for all of its modules, and
@@ -35,6 +35,7 @@ CONFINED = {
     "viser": "app.*",
     **dict.fromkeys(("mujoco", "metaworld"), "envs.metaworld*"),
     "playwright": "bench_live",
+    "ray": "sweep_ray",
     "tyro": "cli",
 }
 

@@ -209,8 +209,8 @@ def test_alike_takes_an_interval_that_is_narrow() -> None:
 
 def test_the_lead_is_held_against_the_closest_baseline(tmp_path: Path) -> None:
     write_policy(tmp_path, rates(1, 1, 1, 1))
-    write_policy(tmp_path, rates(0.2, 0.2, 0.2, 0.2), method="mvd")
-    write_policy(tmp_path, rates(0.6, 0.8, 0.6, 0.6), method="vib")
+    write_policy(tmp_path, rates(0.2, 0.2, 0.2, 0.2), method="mvd", merge="mvd")
+    write_policy(tmp_path, rates(0.6, 0.8, 0.6, 0.6), method="vib", merge="vib")
     write_policy(tmp_path, rates(0.9, 0.9, 0.9, 0.9), method="merged-only")
     said = "\n".join(claims(table(tmp_path, "overall")))
     assert "MAD minus mvd: +80 points" in said and "MAD minus merged-only: +10 points" in said

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,7 +19,8 @@ import pytest
 from madviz import cli, sweep
 from madviz.sweep import LocalBackend, SweepConfig, Watch, carry_all_out, run_sweep
 from madviz.sweep_plan import read_plan
-from madviz.sweep_run import Outcome, Run, carry_out, claimed
+from madviz.sweep_ray import RayBackend
+from madviz.sweep_run import Outcome, Run, carry_out, claimed, expected_seconds
 from madviz.types import UserError
 
 PROGRAM = """
@@ -309,8 +311,8 @@ def test_a_run_that_somebody_else_works_on_waits_its_turn(
 
 
 def test_the_time_left_counts_what_runs_and_what_waits() -> None:
-    clock = Clock()
-    watch = Watch(6, 5, now=clock)
+    clock, expected = Clock(), {}
+    watch = Watch(6, 5, lambda run: expected.get(run.name), now=clock)
     first, second = Run("a", (), ()), Run("b", (), ())
     watch.began(first)
     assert watch.seconds_left() is None
@@ -321,6 +323,19 @@ def test_the_time_left_counts_what_runs_and_what_waits() -> None:
     clock.time = 40.0
     # 3 waiting runs of 100 s and 70 s of the one that runs, two at a time.
     assert watch.seconds_left() == pytest.approx((3 * 100 + 70) / 2)
+    # The running one says that it will take 140 s in all: the mean is 120.
+    expected["b"] = 140.0
+    assert watch.seconds_left() == pytest.approx((3 * 120 + 90) / 2)
+
+
+def test_a_training_says_how_long_it_will_take(tmp_path: Path) -> None:
+    assert expected_seconds(tmp_path) is None
+    (tmp_path / "policy").mkdir()
+    curve = tmp_path / "policy" / "curve.csv"
+    curve.write_text("round,seconds,seconds_left\n1,10.0,90.0\n2,30.0,50.0\n")
+    assert expected_seconds(tmp_path) == 80.0
+    curve.write_text("step,success_all\n1,0.5\n")
+    assert expected_seconds(tmp_path) is None
 
 
 class Clock:
@@ -371,12 +386,78 @@ def test_a_sweep_that_is_local_never_imports_ray() -> None:
     assert asked.stdout.strip() == "False"
 
 
+class FakeRay:
+    """Runs a task when it is asked for; the second one is lost with its node for good."""
+
+    function: Any
+    options: dict[str, Any]
+
+    class exceptions:
+        class RayError(Exception):
+            pass
+
+    def __init__(self) -> None:
+        self.calls: list[Any] = []
+        self.cancelled: list[Any] = []
+
+    def is_initialized(self) -> bool:
+        return True
+
+    def nodes(self) -> list[dict[str, Any]]:
+        cores = ((True, 4.0), (True, 3.0), (False, 64.0))
+        return [{"Alive": alive, "Resources": {"CPU": count}} for alive, count in cores]
+
+    def remote(self, **options: Any) -> Any:
+        self.options = options
+
+        def decorate(function: Any) -> Any:
+            self.function = function
+            return SimpleNamespace(remote=self.call)
+
+        return decorate
+
+    def call(self, *arguments: Any) -> int:
+        self.calls.append(arguments)
+        return len(self.calls) - 1
+
+    def wait(self, references: list[int], num_returns: int, timeout: float) -> Any:
+        return references[:num_returns], references[num_returns:]
+
+    def get(self, reference: int) -> Outcome:
+        if reference == 1:
+            raise self.exceptions.RayError("the node died\nand more")
+        return self.function(*self.calls[reference])
+
+    def cancel(self, reference: int, force: bool) -> None:
+        self.cancelled.append(reference)
+
+
+def test_the_ray_backend_hands_runs_over_and_reports_those_that_ray_gave_up(
+    tmp_path: Path, program: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake = FakeRay()
+    monkeypatch.setitem(sys.modules, "ray", fake)
+    with pytest.raises(UserError, match="a node with 8 cores for a run, found 4 at most"):
+        run_sweep(config(tmp_path, backend="ray", cpus=8), program)
+    result = run_sweep(config(tmp_path, backend="ray", cpus=2), program)
+    assert (result["finished"], result["failed"]) == (3, 1)
+    assert fake.options["num_cpus"] == 2 and fake.options["max_retries"] > 0
+    error = next(run["error"] for run in result["runs"] if run["state"] == "failed")
+    assert error == "Ray gave the run up (RayError): the node died"
+    backend = RayBackend(tmp_path, None, cpus=2)
+    assert backend.slots == 2 + 1 and RayBackend(tmp_path, 2, cpus=1).slots == 2
+    backend.submit(Run("a", (), ()))
+    backend.close()
+    assert len(fake.cancelled) == 1
+
+
 @pytest.fixture
-def cluster() -> Iterator[Any]:
+def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Two raylets of one core each on this machine, and a driver that is connected to them."""
     import ray
     from ray.cluster_utils import Cluster
 
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     both = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     second = both.add_node(num_cpus=1)
     ray.init(address=both.address, log_to_driver=False)

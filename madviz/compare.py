@@ -1,0 +1,245 @@
+"""``madviz compare A B``: which policy is better, told from the episodes they have in common.
+
+Two policies that met the same seeds are compared scene by scene: where both succeed or both fail, a
+scene says nothing about which is better. With 100 scenes, 12 of which only A solves and 2 only B,
+
+    A - B   +0.10   95% interval [+0.03, +0.18]   exact p = 0.013
+
+(Newcombe's interval for paired rates, McNemar's test). Policies that did not meet the same seeds
+are refused: nothing would tell a better policy from easier scenes. Several policies are each
+compared with the first. The figure shows every method with its trainings: bars are means, dots are
+trainings; with ``--curves``, success against environment steps where the recipe measured it on the
+way.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
+from pathlib import Path
+from typing import Any
+
+from madviz import checkpoint, svg
+from madviz.evidence import Evidence, Outcomes, read_evidence
+from madviz.files import write_bytes
+from madviz.statistics import Interval, pair, wilson
+from madviz.store import ResultKey, Store
+from madviz.types import UserError
+
+
+@dataclass(frozen=True)
+class CompareConfig:
+    """Compares policies with the first one, on the seeds they all met."""
+
+    policies: tuple[str, ...]
+    """Two or more: names from ``madviz list``, or folders."""
+    subset: tuple[str, ...] = ()
+    """For example ``all first``; by default every subset that all of them were measured on."""
+    store: str | None = None
+    """Take episodes from this store of results and not from evaluation.json."""
+    figure: Path | None = None
+    """Write success by method and subset to this SVG file."""
+    curves: Path | None = None
+    """Write success against environment steps to this SVG file; recipe ``paper`` measures it."""
+    json: str | None = None
+    """Where to write the result; - is standard output."""
+
+
+def run_compare(config: CompareConfig) -> dict[str, Any]:
+    """``madviz compare``. Raises UserError for policies that cannot be compared."""
+    if len(config.policies) < 2:
+        raise UserError(f"expected two or more policies, found {len(config.policies)}")
+    found = [read_evidence(checkpoint.find_policy(name)) for name in config.policies]
+    first = found[0]
+    for other in found[1:]:
+        _same_terms(first, other)
+    table = _outcomes(found, config)
+    for name, rows in table.items():
+        for other, outcomes in zip(found, rows, strict=True):
+            _same_seeds(name, first, rows[0], other, outcomes)
+    if config.figure is not None:
+        title = f"{first.task}: success by subset"
+        write_bytes(config.figure, svg.bars(title, list(table), _bars(found, table)).encode())
+    if config.curves is not None:
+        write_bytes(config.curves, curves(found).encode())
+    return {
+        "schema": 1,
+        **{"task": first.task, "definition": first.definition},
+        "policies": [
+            {"name": e.name, "path": str(e.path), "method": e.method, "seed": e.seed} for e in found
+        ],
+        "comparisons": [
+            {
+                **{"first": config.policies[0], "second": config.policies[index]},
+                "subsets": {name: _row(rows[0], rows[index]) for name, rows in table.items()},
+            }
+            for index in range(1, len(found))
+        ],
+    }
+
+
+def _row(first: Outcomes, second: Outcomes) -> dict[str, Any]:
+    paired = pair(first, second)
+    return {
+        "first": (paired.both + paired.first_only) / paired.n,
+        "second": (paired.both + paired.second_only) / paired.n,
+        "n": paired.n,
+        "first_only": paired.first_only,
+        "second_only": paired.second_only,
+        "difference": paired.difference,
+        "ci95": list(paired.interval()),
+        "p": paired.mcnemar(),
+    }
+
+
+def _same_terms(first: Evidence, other: Evidence) -> None:
+    for fact in ("task", "definition", "render_profile", "occlusions"):
+        mine, theirs = getattr(first, fact), getattr(other, fact)
+        if mine != theirs:
+            raise UserError(
+                f"expected policies measured alike, found {fact.replace('_', ' ')} {mine!r} of "
+                f"{first.path} and {theirs!r} of {other.path}; nothing could be compared"
+            )
+
+
+def _same_seeds(
+    subset: str, first: Evidence, mine: Outcomes, other: Evidence, theirs: Outcomes
+) -> None:
+    if mine.keys() != theirs.keys():
+        raise UserError(
+            f"expected the same seeds for {subset}, found {spans(mine)} of {first.path} and "
+            f"{spans(theirs)} of {other.path}; run `madviz eval --card` on both with the same "
+            "--seed and --episodes"
+        )
+
+
+def spans(seeds: Outcomes) -> str:
+    """``5000-5099 (100)``."""
+    return f"{min(seeds)}-{max(seeds)} ({len(seeds)})" if seeds else "none"
+
+
+def _outcomes(found: Sequence[Evidence], config: CompareConfig) -> dict[str, list[Outcomes]]:
+    """Outcomes of every policy by subset. Raises UserError where one was not measured."""
+    table: dict[str, list[Outcomes]] = {}
+    store = None if config.store is None else _opened(config.store)
+    for name in config.subset or found[0].outcomes:
+        rows = [e.of(name) if store is None else _stored(store, e, name) for e in found]
+        lacking = [str(e.path) for e, row in zip(found, rows, strict=True) if not row]
+        if not lacking:
+            table[name] = [row for row in rows if row]
+        elif config.subset:
+            raise UserError(
+                f"expected episodes on {name!r} of every policy, found none of "
+                f"{', '.join(lacking)}; run `madviz eval --policy {lacking[0]} --subsets {name}"
+                " --card`"
+            )
+    if not table:
+        raise UserError("expected a subset that all policies were measured on, found none")
+    return table
+
+
+def _opened(path: str) -> Store:
+    if not Path(path).is_file():
+        raise UserError(f"expected a store of results, found no file {path}; leave --store out")
+    return Store(path)
+
+
+def _stored(store: Store, evidence: Evidence, subset: str) -> Outcomes:
+    digest = checkpoint.describe(evidence.path).spec.digest
+    facts = (evidence.task, evidence.definition, evidence.render_profile, "", subset)
+    results = store.results(ResultKey(digest, *facts))
+    return {seed: result.success for seed, result in results.items()}
+
+
+# --- Figures --------------------------------------------------------------------------------
+
+
+def _label(evidence: Evidence) -> str:
+    alpha = "" if evidence.alpha is None else f", alpha {evidence.alpha:g}"
+    return f"{evidence.method} ({evidence.setting}, {evidence.recipe}{alpha})"
+
+
+def _grouped(found: Sequence[Evidence]) -> dict[str, list[int]]:
+    """Places in ``found`` of every method's trainings."""
+    groups: dict[str, list[int]] = {}
+    for index, evidence in enumerate(found):
+        groups.setdefault(_label(evidence), []).append(index)
+    return groups
+
+
+def over_trainings(rates: Sequence[float]) -> Interval:
+    """95% interval of the mean over independent trainings (Student's t), inside [0, 1]."""
+    from scipy.stats import t
+
+    n, mean = len(rates), sum(rates) / len(rates)
+    spread = sqrt(sum((rate - mean) ** 2 for rate in rates) / (n - 1))
+    half = float(t.ppf(0.975, n - 1)) * spread / sqrt(n)
+    return max(mean - half, 0.0), min(mean + half, 1.0)
+
+
+def _bars(
+    found: Sequence[Evidence], table: dict[str, list[Outcomes]]
+) -> dict[str, list[svg.Bar | None]]:
+    series: dict[str, list[svg.Bar | None]] = {}
+    for label, places in _grouped(found).items():
+        series[label] = []
+        for rows in table.values():
+            rates = [sum(rows[i].values()) / len(rows[i]) for i in places]
+            mean = sum(rates) / len(rates)
+            counted = wilson(sum(rows[places[0]].values()), len(rows[places[0]]))
+            ends = over_trainings(rates) if len(rates) > 1 else counted
+            series[label].append(svg.Bar(mean, *ends, tuple(rates) if len(rates) > 1 else ()))
+    return series
+
+
+def curves(found: Sequence[Evidence]) -> str:
+    """The paper's figure as SVG: all, each single and their average against environment steps.
+
+    Raises UserError for a policy whose curve.csv has no success by subset.
+    """
+    panels: dict[str, dict[str, svg.Line]] = {}
+    for label, places in _grouped(found).items():
+        tables = [_curve(found[index]) for index in places]
+        common = sorted(set.intersection(*(set(table) for table in tables)))
+        names = list(tables[0][common[0]]) if common else []
+        for name in names:
+            line = [[table[step].get(name, 0.0) for table in tables] for step in common]
+            means = [sum(rates) / len(rates) for rates in line]
+            ends = [over_trainings(r) if len(r) > 1 else (r[0], r[0]) for r in line]
+            lows, highs = [low for low, _ in ends], [high for _, high in ends]
+            panels.setdefault(name, {})[label] = svg.Line(common, means, lows, highs)
+    return svg.lines(f"{found[0].task}: success while training", "steps", panels)
+
+
+def _curve(evidence: Evidence) -> dict[float, dict[str, float]]:
+    """Success by subset, and on average, at every environment step that was measured."""
+    file, table = evidence.path / "curve.csv", {}
+    rows = csv.DictReader(file.read_text().splitlines()) if file.is_file() else []
+    for row in rows:
+        rates = {
+            k.removeprefix("success_"): float(v) for k, v in row.items() if k.startswith("success_")
+        }
+        if "env_steps" in row and rates:
+            table[float(row["env_steps"])] = {**rates, "average": sum(rates.values()) / len(rates)}
+    if not table:
+        raise UserError(
+            f"{file}: expected success by subset against environment steps, found none; only the "
+            "recipe `paper` measures it while it trains: leave --curves out"
+        )
+    return table
+
+
+def comparison_table(result: dict[str, Any]) -> str:
+    """A comparison as lines."""
+    lines = [f"{result['task']}: success {result['definition']}"]
+    for each in result["comparisons"]:
+        lines.append(f"{each['first']} minus {each['second']}, paired by seed")
+        for name, row in each["subsets"].items():
+            low, high = row["ci95"]
+            lines.append(
+                f"  {name:24} {row['first']:.2f} - {row['second']:.2f} = {row['difference']:+.2f} "
+                f"[{low:+.2f}, {high:+.2f}] n={row['n']}   exact p = {row['p']:.2g}"
+            )
+    return "\n".join(lines)

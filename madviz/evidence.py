@@ -1,0 +1,136 @@
+"""What was measured, read from policy folders: config.json and evaluation.json, nothing else.
+
+Weights may be missing (a policy that only serves a table leaves them out), so this is not the way
+to load a policy. Where they are there, the evaluation must be of them; and always its rates must be
+those of its own episodes, so that a number that somebody typed is noticed.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from madviz import checkpoint
+from madviz.files import read_json
+from madviz.manifest import check_config
+from madviz.subsets import mask_of
+from madviz.types import UserError
+
+Outcomes = Mapping[int, bool]
+"""Success at the last step, by seed."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One trained policy and how its episodes went."""
+
+    path: Path
+    name: str
+    task: str
+    method: str
+    setting: str
+    recipe: str
+    merge: str
+    alpha: float | None
+    """Weight of the merged feature; None where the config does not say."""
+    seed: int
+    """Of the training."""
+    streams: tuple[str, ...]
+    command: str
+    """That trains it again; '' where the config does not say."""
+    definition: str
+    render_profile: str
+    occlusions: str
+    outcomes: Mapping[str, Outcomes]
+    """By subset, as the evaluation file names them."""
+
+    def of(self, subset: str) -> Outcomes | None:
+        """Outcomes of ``subset`` under whatever name: for a policy with one camera, that camera's
+        name is ``all``. None if it was not measured."""
+        if subset in self.outcomes:
+            return self.outcomes[subset]
+        try:
+            mask = mask_of(subset, self.streams)
+            for name, found in self.outcomes.items():
+                if np.array_equal(mask, mask_of(name, self.streams)):
+                    return found
+        except UserError:
+            pass  # A camera that this policy does not have.
+        return None
+
+    @property
+    def first_seed(self) -> int:
+        return min(seed for found in self.outcomes.values() for seed in found)
+
+    @property
+    def episodes(self) -> int:
+        """Of each subset; the largest number where they differ."""
+        return max(len(found) for found in self.outcomes.values())
+
+
+def read_evidence(folder: str | Path) -> Evidence:
+    """Raises UserError for files that are missing, or contradict each other."""
+    path = Path(folder)
+    config = check_config(read_json(path / checkpoint.CONFIG), path / checkpoint.CONFIG)
+    file = path / checkpoint.EVALUATION
+    evaluation = read_json(file)
+    if (path / checkpoint.WEIGHTS).is_file():
+        digest = checkpoint.describe(path).spec.digest
+        if evaluation.get("digest") != digest:
+            raise UserError(
+                f"{file}: expected an evaluation of these weights, found one of others; "
+                f"run `madviz eval --policy {path} --card`"
+            )
+    training = config["training"]
+    return Evidence(
+        path,
+        **{key: config[key] for key in ("name", "task", "method", "setting", "recipe", "merge")},
+        alpha=training.get("alpha"),
+        seed=_seed(training.get("command", "")),
+        streams=tuple(config["streams"]),
+        command=training.get("command", ""),
+        definition=config["definition"],
+        render_profile=config["render_profile"],
+        occlusions=evaluation.get("occlusions", ""),
+        outcomes=_outcomes(file, evaluation),
+    )
+
+
+def find_evidence(root: str | Path) -> list[Evidence]:
+    """Every policy under ``root``, at any depth, that was evaluated; in the order of paths."""
+    folders = sorted(file.parent for file in Path(root).rglob(checkpoint.CONFIG))
+    return [read_evidence(f) for f in folders if (f / checkpoint.EVALUATION).is_file()]
+
+
+def _outcomes(file: Path, evaluation: dict[str, Any]) -> dict[str, dict[int, bool]]:
+    try:
+        found: dict[str, dict[int, bool]] = {name: {} for name in evaluation["subsets"]}
+        for episode in evaluation["episodes"]:
+            found[episode["subset"]][int(episode["seed"])] = bool(episode["success"])
+        rows = {n: (r["n"], float(r["success"])) for n, r in evaluation["subsets"].items()}
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(
+            f"{file}: expected what `madviz eval` writes, found something else ({error!r})"
+        ) from error
+    for name, (n, rate) in rows.items():
+        counted = sum(found[name].values()) / len(found[name]) if found[name] else None
+        if n != len(found[name]) or counted is None or abs(counted - rate) > 1e-9:
+            raise UserError(
+                f"{file}: expected the rate of {name} to be that of its episodes, found {rate} "
+                f"(n={n}) and {counted} (n={len(found[name])}); evaluate again"
+            )
+    return found
+
+
+def _seed(command: str) -> int:
+    """The training seed in a command line; 1 is what it is when nothing is said."""
+    words = shlex.split(command)
+    try:
+        return int(words[words.index("--seed") + 1])
+    except (ValueError, IndexError):
+        return 1

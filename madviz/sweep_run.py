@@ -1,0 +1,230 @@
+"""One run of a sweep: train, then evaluate, in a folder that says how far it got.
+
+    OUT/NAME/run.json        the words of its two commands; another sweep file must not mix in
+    OUT/NAME/policy/         the policy folder, and what its training needs to be resumed
+    OUT/NAME/log.txt         everything the two commands printed
+    OUT/NAME/claim           locked while somebody works here
+    OUT/NAME/result.json     written last, whole or not at all: who finds it leaves the run alone
+
+The folder is the only memory, so anybody may carry a run out at any time: the same sweep again
+after a kill, a second sweep beside it, another machine that shares the folder. The claim is an
+advisory lock of the operating system and is handed on to the commands themselves. It ends when the
+last process that holds it ends, whichever way: if the supervisor is killed and its training lives
+on for a moment, the next supervisor finds the claim taken, comes back later, and then resumes.
+Commands are also told to stop politely when their supervisor dies, so that moment is short (on
+Linux; elsewhere they finish, and their claim keeps others away meanwhile).
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from madviz.checkpoint import CONFIG, EVALUATION
+from madviz.files import read_json, write_json
+from madviz.types import UserError
+
+RESULT, WORDS, LOG, CLAIM = "result.json", "run.json", "log.txt", "claim"
+State = Literal["finished", "failed", "busy", "stopped"]
+POLL_SECONDS = 0.1
+
+LEASH = (
+    "import ctypes, os, signal, sys\n"
+    "if sys.platform == 'linux': ctypes.CDLL(None).prctl(1, int(signal.SIGTERM))\n"
+    "if os.getppid() != int(sys.argv[1]): sys.exit(143)\n"
+    "os.execvp(sys.argv[2], sys.argv[2:])"
+)
+"""Asks Linux for SIGTERM at the death of the parent (PR_SET_PDEATHSIG is 1), checks that it is not
+dead already, and becomes the command. The request survives the exec."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One line of a sweep. Same run, same words, wherever it is carried out."""
+
+    name: str
+    train: tuple[str, ...]
+    """The words after ``madviz train``, without ``--out`` and ``--resume``."""
+    evaluate: tuple[str, ...]
+    """The words after ``madviz eval``, without ``--policy``."""
+
+    def words(self) -> dict[str, Any]:
+        return {"train": list(self.train), "eval": list(self.evaluate)}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How an attempt at a run ended."""
+
+    state: State
+    """``busy``: somebody else works on it; ``stopped``: we were asked to stop."""
+    error: str = ""
+    seconds: float = 0.0
+    """Of work in this attempt."""
+
+
+def finished(folder: Path) -> bool:
+    """Whether the run in ``folder`` needs no more work."""
+    return (folder / RESULT).is_file()
+
+
+def check_same(folder: Path, run: Run) -> None:
+    """Raises UserError if ``folder`` holds a run of that name with other options."""
+    file = folder / WORDS
+    if not file.is_file():
+        return
+    before = read_json(file)
+    for command, words in run.words().items():
+        if before.get(command) != words:
+            raise UserError(
+                f"{folder}: expected a run of `madviz {command} {shlex.join(words)}`, found one of "
+                f"`madviz {command} {shlex.join(before.get(command, []))}`; choose another --out"
+            )
+
+
+def carry_out(
+    run: Run,
+    out: Path,
+    program: Sequence[str] = (),
+    workers: int | None = None,
+    stop: threading.Event | None = None,
+) -> Outcome:
+    """Does what is left of ``run`` in ``out/run.name``. Never raises for what goes wrong inside.
+
+    ``program`` stands for ``madviz`` (by default this Python's), ``workers`` for the processes of
+    its evaluation, which change no result. ``stop`` ends the commands politely.
+    """
+    folder, began = out / run.name, time.monotonic()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if finished(folder):
+            return Outcome("finished")
+        with claimed(folder) as claim:
+            if claim is None:
+                return Outcome("busy")
+            if not finished(folder):
+                commands = _Commands(folder, program, claim, stop or threading.Event())
+                _work(run, folder, commands, workers)
+    except _Stopped:
+        return Outcome("stopped", seconds=time.monotonic() - began)
+    except (UserError, OSError) as error:
+        return Outcome("failed", str(error), time.monotonic() - began)
+    return Outcome("finished", seconds=time.monotonic() - began)
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[int | None]:
+    """The descriptor of the locked claim; None if somebody else holds it."""
+    descriptor = os.open(folder / CLAIM, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield None
+        else:
+            yield descriptor
+    finally:
+        # Closed, not unlocked: a command that outlives us must keep holding the claim.
+        os.close(descriptor)
+
+
+def _work(run: Run, folder: Path, commands: _Commands, workers: int | None) -> None:
+    check_same(folder, run)
+    write_json(folder / WORDS, run.words())
+    policy = folder / "policy"
+    if not trained(policy):
+        resume = ["--resume"] if (policy / "resume" / "run.json").is_file() else []
+        commands.run("train", *run.train, "--out", str(policy), *resume)
+        if not trained(policy):
+            raise UserError(f"training ended before it was finished; see {folder / LOG}")
+    extra = [] if workers is None else ["--workers", str(workers)]
+    commands.run("eval", "--policy", str(policy), *run.evaluate, "--card", *extra)
+    evaluation = read_json(policy / EVALUATION)
+    result = {"schema": 1, "name": run.name, **run.words(), "subsets": evaluation["subsets"]}
+    write_json(folder / RESULT, result)
+
+
+def trained(policy: Path) -> bool:
+    """Whether the policy's config says that its training reached the end."""
+    if not (policy / CONFIG).is_file():
+        return False
+    return bool(read_json(policy / CONFIG).get("training", {}).get("finished", True))
+
+
+def expected_seconds(folder: Path) -> float | None:
+    """What the run's training says it will take in all; None before it says so."""
+    file = folder / "policy" / "curve.csv"
+    try:
+        *_, last = csv.DictReader(file.read_text().splitlines())
+        return float(last["seconds"]) + float(last["seconds_left"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None  # Not begun, half a row, or a recipe that does not know.
+
+
+class _Stopped(Exception):
+    """We were asked to stop, and the command has ended."""
+
+
+class _Commands:
+    """Runs commands one after another with their output in the log."""
+
+    def __init__(
+        self, folder: Path, program: Sequence[str], claim: int, stop: threading.Event
+    ) -> None:
+        self._folder, self._claim, self._stop = folder, claim, stop
+        self._program = list(program) or [sys.executable, "-m", "madviz"]
+
+    def run(self, verb: str, *words: str) -> None:
+        """Raises UserError with the command's last line if it fails, _Stopped when asked to."""
+        if self._stop.is_set():
+            raise _Stopped
+        leash = [sys.executable, "-I", "-S", "-c", LEASH, str(os.getpid())]
+        log = self._folder / LOG
+        with log.open("ab") as file:
+            file.write(f"$ {shlex.join(['madviz', verb, *words])}\n".encode())
+            file.flush()
+            process = subprocess.Popen(
+                [*leash, *self._program, verb, *words],
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                pass_fds=(self._claim,),
+                start_new_session=True,  # Ctrl-C reaches it through us, once.
+            )
+            code = self._wait(process)
+        if self._stop.is_set():
+            raise _Stopped
+        if code != 0:
+            raise UserError(f"madviz {verb} {_how(code)}: {_last_line(log)}; see {log}")
+
+    def _wait(self, process: subprocess.Popen[bytes]) -> int:
+        asked = False
+        while True:
+            if self._stop.is_set() and not asked:
+                process.terminate()
+                asked = True
+            try:
+                return process.wait(POLL_SECONDS)
+            except subprocess.TimeoutExpired:
+                continue
+
+
+def _how(code: int) -> str:
+    return f"ended with {code}" if code > 0 else f"was ended by {signal.Signals(-code).name}"
+
+
+def _last_line(log: Path) -> str:
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    return lines[-1].strip() if lines else "it printed nothing"
