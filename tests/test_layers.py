@@ -21,7 +21,8 @@ MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in FI
 LAYERS = (
     "types subsets files statistics processes svg",
     "envs agent ablations streams",
-    "buffer manifest checkpoint store rollout evaluate live probes demonstrations run card evidence",
+    "buffer manifest checkpoint store rollout evaluate live probes demonstrations run card "
+    "evidence",
     "light paper train naive",
     "frame simulation session",
     "app bench doctor compare report sweep",
@@ -34,6 +35,7 @@ APART = (("envs", "agent"), ("agent", "envs"))
 CONFINED = {
     "viser": "app.*",
     **dict.fromkeys(("mujoco", "metaworld"), "envs.metaworld*"),
+    **dict.fromkeys(("mani_skill", "sapien"), "envs.maniskill*"),
     "playwright": "bench_live",
     "ray": "sweep_ray",
     "tyro": "cli",

@@ -162,7 +162,7 @@ def test_a_click_on_a_frustum_drops_its_camera(visitor: Visitor, app: App):
 
 
 def on_screen(client: viser.ClientHandle, pose: CameraPose, depth: float) -> tuple[float, float]:
-    """Pixels of the point ``depth`` metres in front of a camera; the scene is 312 x 800 around 800."""
+    """Pixels of a point ``depth`` metres in front of a camera; the scene is 312 wide around 800."""
     point = pose.position + depth * Rotation.from_quat(pose.wxyz, scalar_first=True).apply(
         [0.0, 0.0, 1.0]
     )
