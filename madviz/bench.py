@@ -11,7 +11,8 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from importlib import import_module
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -19,16 +20,21 @@ from madviz.envs.base import make_env
 from madviz.types import UserError
 
 OUR_FLAGS = "profile fast: no shadows, reflections or samples, lighter meshes; colour and depth"
+STOCK = {"metaworld": "MuJoCo's and the model's", "maniskill": "ManiSkill's"}
+"""Suites that have a stock renderer to be measured against, and whose settings that has."""
+SUITE_TASK = {"metaworld": "metaworld/hammer", "maniskill": "maniskill/push-cube"}
 
 
 @dataclass(frozen=True)
 class RenderConfig:
-    """Times a three-view Meta-World frame against stock MuJoCo flags."""
+    """Times a three-view frame against the simulator as its users draw it."""
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
     task: str = "metaworld/hammer"
-    """A Meta-World task."""
+    """A task of Meta-World or ManiSkill."""
+    suite: Literal["metaworld", "maniskill"] | None = None
+    """Short for a task of this suite: ``metaworld/hammer``, ``maniskill/push-cube``."""
     size: int = 84
     """Rows and columns of a view, pixels."""
     rounds: int = 15
@@ -78,27 +84,30 @@ def alternate(
 
 def bench_render(config: RenderConfig) -> dict[str, Any]:
     """``ours_ms``, ``stock_ms`` and their ``ratio``, with the flags of both sides."""
-    if not config.task.startswith("metaworld/"):
-        raise UserError(f"expected a task metaworld/…, found {config.task!r}; see `madviz list`")
+    task = SUITE_TASK[config.suite] if config.suite else config.task
+    suite = task.split("/")[0]
+    if suite not in STOCK:
+        raise UserError(
+            f"expected a task metaworld/… or maniskill/…, found {task!r}; see `madviz list`"
+        )
     if config.rounds < 1:
         raise UserError(f"expected at least 1 round, found {config.rounds}")
-    ours = OurFrames(config.task, config.size)
+    ours = OurFrames(task, config.size)
     ours.draw()  # Complains about missing OpenGL in words of its own, before MuJoCo can.
     # MuJoCo loads an OpenGL library when it is imported, so this waits until ours has checked it.
-    from madviz.envs.metaworld_stock import StockFrames
-
-    stock = StockFrames(config.task.split("/")[1], config.size)
+    kind: Any = import_module(f"madviz.envs.{suite}_stock").StockFrames
+    stock = kind(task.split("/")[1], config.size)
     times = alternate({"ours": ours, "stock": stock}, config.rounds)
     result = {
         "schema": 1,
         "ours_ms": round(times["ours"], 2),
         "stock_ms": round(times["stock"], 2),
         "ratio": round(times["stock"] / times["ours"], 2),
-        "task": config.task,
+        "task": task,
         "size": config.size,
         "rounds": config.rounds,
         "ours_flags": OUR_FLAGS,
-        "stock_flags": f"{stock.flags()} (MuJoCo's and the model's own); colour only",
+        "stock_flags": f"{stock.flags()} ({STOCK[suite]} own); colour only",
     }
     ours.close()
     stock.close()

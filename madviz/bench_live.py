@@ -147,7 +147,7 @@ def readout_ms(policy: str, repeats: int = 100) -> float:
     from madviz.streams import IMAGE_SIZE
 
     loaded = load_policy(policy)
-    env = env_in_one_thread(loaded.spec.task, loaded.spec.render_profile)
+    env = env_in_one_thread(loaded.spec.task, loaded.spec.render_profile, loaded.spec.cameras)
     state = env.reset(seed=0).state
     shape = (len(loaded.spec.streams), 3 * loaded.spec.frame_stack, IMAGE_SIZE, IMAGE_SIZE)
     views = np.random.default_rng(0).integers(0, 256, shape, np.uint8)

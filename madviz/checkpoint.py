@@ -139,12 +139,12 @@ def load_policy(policy: str | Path) -> Policy:
         raise UserError(
             f"{path / CONFIG}: unknown merge {config['merge']!r}; known: {list(MERGES)}"
         )
-    agent = _agent(path, config["networks"], weights)
+    agent = _agent(path, config, weights)
     spec = policy_spec(config, hashlib.sha256(weights).hexdigest())
-    return TorchPolicy(spec, agent, config["merge"], config["reward_scale"])
+    return TorchPolicy(spec, agent, config["reward_scale"])
 
 
-def _agent(path: Path, networks: dict[str, Any], weights: bytes) -> Agent:
+def _agent(path: Path, config: dict[str, Any], weights: bytes) -> Agent:
     import torch
     from safetensors import SafetensorError
     from safetensors.torch import load
@@ -155,12 +155,12 @@ def _agent(path: Path, networks: dict[str, Any], weights: bytes) -> Agent:
     try:
         listed: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
-            for name, value in networks.items()
+            for name, value in config["networks"].items()
         }
         network = NetworkConfig(**listed)
         # Without memory at first: shapes are known before anything is initialised or allocated.
         with torch.device("meta"):
-            agent = Agent(network)
+            agent = Agent(network, merge=config["merge"], streams=tuple(config["streams"]))
     except (TypeError, ValueError, RuntimeError) as error:
         raise UserError(f"{path / CONFIG}: networks that cannot be built: {error}") from error
     try:
@@ -253,6 +253,7 @@ def _listed(name: str, path: Path) -> dict[str, Any]:
     return {
         **{"name": name, "path": str(path)},
         **{k: folder.config[k] for k in ("task", "method", "setting", "recipe", "definition")},
+        **{"merge": folder.config["merge"], "camera": folder.config.get("camera", "")},
         "trained_subsets": list(folder.spec.trained_subsets),
         "digest": folder.spec.digest,
         "success": {
@@ -263,18 +264,27 @@ def _listed(name: str, path: Path) -> dict[str, Any]:
 
 
 def list_everything() -> dict[str, Any]:
-    """What ``madviz list --json`` prints: tasks, settings, methods, policies."""
+    """What ``madviz list --json`` prints: tasks, settings, methods, merges, policies.
+
+    A method ``supports`` what its own merge does; ``merges`` lists all of them.
+    """
     from madviz.agent.methods import METHODS
+    from madviz.agent.supports import SUPPORTS
     from madviz.envs.base import SETTINGS, TASKS
 
     policies, broken = list_policies()
     methods = {
-        name: {"recipes": list(method.recipes), "needs": list(method.needs)}
+        name: {
+            **{"recipes": list(method.recipes), "needs": list(method.needs)},
+            **{"summary": method.summary, "merge": method.merge},
+            "supports": SUPPORTS[method.merge].words,
+        }
         for name, method in METHODS.items()
     }
     return {
         "schema": 1,
         **{"tasks": list(TASKS), "settings": list(SETTINGS), "methods": methods},
+        "merges": {name: {"supports": support.words} for name, support in SUPPORTS.items()},
         **{"policies": policies, "broken": broken},
     }
 

@@ -20,11 +20,11 @@ import torch
 from torch import Tensor
 
 from madviz.ablations import Ablation
-from madviz.envs.base import make_env
+from madviz.envs.base import make_env, sees
 from madviz.rollout import one_thread
 from madviz.streams import StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of
-from madviz.types import Array, Environment, Policy
+from madviz.types import Array, CameraSpec, Environment, Policy
 
 
 @dataclass(frozen=True)
@@ -158,11 +158,17 @@ _env: Environment | None = None  # A worker process keeps its environment betwee
 
 
 def record_in_worker(
-    task: str, render_profile: str, streams: tuple[str, ...], driver: Driver, seed: int
+    task: str,
+    render_profile: str,
+    cameras: tuple[CameraSpec, ...],
+    streams: tuple[str, ...],
+    driver: Driver,
+    seed: int,
 ) -> Episode:
     """``record_episode`` for a process pool; PyTorch on one thread, so that results repeat."""
     global _env
-    if _env is None or (_env.spec.task, _env.spec.render_profile) != (task, render_profile):
-        _env = make_env(task, render_profile)
+    same = _env is not None and (_env.spec.task, _env.spec.render_profile) == (task, render_profile)
+    if _env is None or not same or not sees(_env.spec, cameras):
+        _env = make_env(task, render_profile, cameras)
     with one_thread():
         return record_episode(_env, streams, driver, seed)

@@ -26,7 +26,10 @@ from typing import Any, get_args
 from madviz.envs.base import RenderProfile, make_env
 from madviz.types import Environment, UserError
 
-PACKAGES = ("torch", "metaworld", "mujoco", "gymnasium", "viser", "numpy")
+PACKAGES = (
+    *("torch", "metaworld", "mujoco", "mani-skill", "sapien"),
+    *("gymnasium", "viser", "numpy"),
+)
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 EXTENSIONS = ("avx2", "avx512f", "avx512_bf16", "amx_bf16", "amx_int8", "bf16")
 """What makes a CPU quick here; ``bf16`` is what ARM calls it."""
@@ -49,7 +52,7 @@ class DoctorConfig:
     json: str | None = None
     """Write the report to this file; ``-`` is standard output, and then nothing else goes there."""
     task: str = "metaworld/hammer"
-    """The task whose frames are timed."""
+    """The task whose frames are timed; ``maniskill/push-cube`` times Vulkan's."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +107,16 @@ def mesa_version(gl_version: str) -> str:
 def probe_opengl(backend: str) -> dict[str, str] | None:
     """Version and renderer under ``MUJOCO_GL=backend``, asked of another process; None if that
     process found nothing, hung or did not survive."""
-    command = [sys.executable, "-m", "madviz.envs.metaworld_gl"]
-    environment = {**os.environ, "MUJOCO_GL": backend}
+    return _ask("madviz.envs.metaworld_gl", {"MUJOCO_GL": backend})
+
+
+def probe_vulkan() -> dict[str, str] | None:
+    """The device SAPIEN draws with, asked of another process; None as for ``probe_opengl``."""
+    return _ask("madviz.envs.maniskill_vulkan", {})
+
+
+def _ask(module: str, variables: dict[str, str]) -> dict[str, str] | None:
+    command, environment = [sys.executable, "-m", module], {**os.environ, **variables}
     try:
         asked = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     except subprocess.TimeoutExpired:
@@ -113,12 +124,20 @@ def probe_opengl(backend: str) -> dict[str, str] | None:
     return json.loads(asked.stdout) if asked.returncode == 0 else None
 
 
-def check_vulkan(folders: tuple[str, ...] = ("/usr/share/vulkan", "/etc/vulkan")) -> Check:
-    """The loader and the drivers it would find; only simulators that draw with Vulkan need them."""
+def check_vulkan(
+    probe: Callable[[], dict[str, str] | None] = probe_vulkan,
+    folders: tuple[str, ...] = ("/usr/share/vulkan", "/etc/vulkan"),
+) -> Check:
+    """Whether ManiSkill can draw: the loader, the drivers it would find, and a device that has what
+    SAPIEN needs. Without one, everything but ManiSkill's tasks works."""
     drivers = [path.stem for f in folders for path in sorted(Path(f, "icd.d").glob("*.json"))]
-    if find_library("vulkan") and drivers:
-        return Check("Vulkan", "loader, drivers " + " ".join(drivers), needed=False)
-    return Check("Vulkan", "", needed=False, mend=install_line("vulkan"))
+    if not (find_library("vulkan") and drivers):
+        return Check("Vulkan", "", needed=False, mend=install_line("vulkan"))
+    answer = probe()
+    if answer is None:
+        found = f"drivers {' '.join(drivers)}, none that SAPIEN can use (Mesa 24.3 or newer)"
+        return Check("Vulkan", found, needed=False, mend="python3 tools/system.py")
+    return Check("Vulkan", answer["device"], needed=False)
 
 
 def check_packages(names: tuple[str, ...] = PACKAGES) -> list[Check]:

@@ -12,6 +12,11 @@ the episodes of round k+1 on the other, driven by the student as it was when the
 data and weights of every round are a function of the configuration alone, and a resumed run
 repeats them. At 8 episodes and 300 updates a round, 12 rounds see 9,800 labelled states.
 
+The other methods learn from the same episodes and labels, each with its own rows (``methods.py``).
+VIB adds its bottleneck's cost to the loss; its Gaussians have 64 numbers, and beta is 0.01, because
+errors of actions are about a thousandth of the squared errors of Q that the paper's 10 stands
+beside. MVD's contrastive losses have an Adam of their own, as in the paper's code.
+
 Shipped are an exponential average of the weights and a critic fitted at the end to the recorded
 rewards (``madviz.light_critic``), so that Q can be shown; the critic never shapes the features.
 """
@@ -33,12 +38,15 @@ from torch import Tensor
 
 from madviz.agent.agent import Agent, TorchPolicy, autocast
 from madviz.agent.augment import random_shift
-from madviz.agent.merge import merge_sum
+from madviz.agent.bottleneck import BottleneckEncoder, kl_loss
+from madviz.agent.contrast import TwoPartEncoder, contrastive_loss
+from madviz.agent.merge import each_stream
 from madviz.agent.methods import method
 from madviz.demonstrations import Dataset, Driver, Episode, record_in_worker
 from madviz.processes import set_up_worker
 from madviz.run import RunFolder, interruptible
-from madviz.types import PolicySpec, UserError
+from madviz.subsets import mask_of
+from madviz.types import Array, CameraSpec, PolicySpec, UserError
 
 
 @dataclass(frozen=True)
@@ -74,20 +82,29 @@ class LightConfig:
     """Gradient steps of the critic at the end."""
     workers: int = 1
     """Recording processes."""
+    bottleneck_dim: int = 64
+    """VIB alone: numbers in the Gaussian of a third-person view (the paper has 3136)."""
+    kl_weight: float = 0.01
+    """VIB alone: weight of the bottleneck's cost, a mean over its numbers."""
 
 
 def imitation_loss(
     agent: Agent, views: Tensor, state: Tensor, label: Tensor, masks: Tensor, weights: Tensor
 ) -> Tensor:
-    """Weighted squared error of every row's deterministic action to the expert's.
+    """Weighted squared error of every row's deterministic action to the expert's, for merges
+    without luck.
 
     views (B, V, C, H, W), state (B, S), label (B, A), masks (N, V), weights (N,) -> scalar.
     """
-    merged = merge_sum(agent.encode(views), masks)  # (N, B, Z)
+    return (row_errors(agent, agent.look(views, masks)[1], state, label) * weights).sum()
+
+
+def row_errors(agent: Agent, merged: Tensor, state: Tensor, label: Tensor) -> Tensor:
+    """(N,) mean squared errors of the actions on ``merged`` (N, B, ...)."""
     rows, batch = merged.shape[:2]
     mean, _ = agent.actor(merged.flatten(0, 1), state.repeat(rows, 1))
     error = (torch.tanh(mean).unflatten(0, (rows, batch)) - label).square()
-    return (error.mean((1, 2)) * weights).sum()
+    return error.mean((1, 2))
 
 
 class LightRun:
@@ -103,13 +120,20 @@ class LightRun:
         folder: Path,
     ) -> None:
         self.config, self.spec, self.agent, self.seed = config, spec, agent, seed
-        chosen = method(spec.method)
-        self.rows = chosen.rows(spec.streams)
-        self.masks = chosen.masks(spec.streams)
+        self.method = chosen = method(spec.method)
+        self.masks = torch.from_numpy(chosen.masks(spec.streams))
+        self.driven = [mask_of(name, spec.streams) for name in spec.trained_subsets]
         self.weights = torch.from_numpy(chosen.row_weights(spec.streams, config.alpha))
         self.average = copy.deepcopy(agent).eval().requires_grad_(False)
         learned = [*agent.encoder.parameters(), *agent.actor.parameters()]
-        self.optimiser = torch.optim.Adam(learned, lr=config.learning_rate, fused=True)
+        self.optimisers = {
+            "optimiser": torch.optim.Adam(learned, lr=config.learning_rate, fused=True)
+        }
+        if chosen.extra == "contrast":
+            encoder = agent.encoder.parameters()
+            self.optimisers["contrast"] = torch.optim.Adam(
+                encoder, lr=config.learning_rate, fused=True
+            )
         total = config.demonstrations + config.rounds * config.episodes_per_round
         self.data = Dataset(spec.streams, total, horizon)
         self.rng = np.random.default_rng(seed)
@@ -132,8 +156,8 @@ class LightRun:
         first = config.demonstrations + (round_index - 1) * config.episodes_per_round
         planned = []
         for number in range(first, first + config.episodes_per_round):
-            row = number % len(self.masks)
-            driver = Driver(share, config.noise_share, student, self.masks[row])
+            mask = self.driven[number % len(self.driven)]
+            driver = Driver(share, config.noise_share, student, mask)
             planned.append((driver, self._train_seed(number)))
         return planned
 
@@ -154,24 +178,58 @@ class LightRun:
 
     def _update(self) -> float:
         config = self.config
-        progress = self.updates / (config.rounds * config.updates_per_round)
-        for group in self.optimiser.param_groups:
-            group["lr"] = config.learning_rate * (1 - progress)
         index = self.rng.integers(0, len(self.data), config.batch_size)
+        # Of this update alone, so that a resumed run draws the same; unused by merges without luck.
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.updates)
+        luck = self.agent.luck(config.batch_size, generator)
         views = random_shift(self.data.views(index), self.rng, pad=config.shift)
         state, label = self.data.column("states", index), self.data.column("labels", index)
-        masks = torch.from_numpy(self.masks)
         with autocast():
-            loss = imitation_loss(self.agent, views, state, label, masks, self.weights)
-        self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        self.optimiser.step()
+            features, merged = self.agent.look(views, self.masks, luck)
+            loss = (row_errors(self.agent, merged, state, label) * self.weights).sum()
+        self._step("optimiser", loss + self._bottleneck_cost(features))
+        if self.method.extra == "contrast":
+            self._contrast(index, generator)
         decay = min(config.average, (1 + self.updates) / (10 + self.updates))
         with torch.no_grad():
             pairs = zip(self.average.parameters(), self.agent.parameters(), strict=True)
             for slow, fast in pairs:
                 slow.lerp_(fast, 1 - decay)
         return loss.item()
+
+    def _bottleneck_cost(self, features: Tensor) -> Tensor | float:
+        if self.method.extra != "kl":
+            return 0.0
+        assert isinstance(self.agent.encoder, BottleneckEncoder)
+        return self.config.kl_weight * kl_loss(*self.agent.encoder.gaussian(features))
+
+    def _contrast(self, index: Array, generator: torch.Generator) -> None:
+        """MVD's own step, on freshly shifted pictures; the last decision of an episode has no
+        next one and is its own."""
+        horizon, shift = self.data.horizon, self.config.shift
+        following = np.minimum(index + 1, index - index % horizon + horizon - 1)
+        now, then = (
+            random_shift(self.data.views(i), self.rng, pad=shift) for i in (index, following)
+        )
+        positive = int(torch.randint(now.shape[1], (), generator=generator))
+        encoder = self.agent.encoder
+        assert isinstance(encoder, TwoPartEncoder)
+        with autocast():
+            features = self.agent.encode(now)
+        # Keys carry no gradient. A context of their own: it remembers weights as it met them.
+        with torch.no_grad(), autocast():
+            keys = each_stream(encoder.private, then)
+        self._step("contrast", contrastive_loss(features, keys, positive))
+
+    def _step(self, name: str, loss: Tensor) -> None:
+        config, optimiser = self.config, self.optimisers[name]
+        progress = self.updates / (config.rounds * config.updates_per_round)
+        for group in optimiser.param_groups:
+            group["lr"] = config.learning_rate * (1 - progress)
+        for every in self.optimisers.values():
+            every.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
 
     def _train_seed(self, number: int) -> int:
         # Training seeds stay below 1000; a run with more episodes meets scenes again.
@@ -182,7 +240,7 @@ class LightRun:
         return {
             "agent": self.agent.state_dict(),
             "average": self.average.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
+            **{name: optimiser.state_dict() for name, optimiser in self.optimisers.items()},
             "rng": _plain(self.rng.bit_generator.state),
             "round": self.round,
             "updates": self.updates,
@@ -193,7 +251,8 @@ class LightRun:
         """Continues from ``state``; episodes come back from the run folder."""
         self.agent.load_state_dict(state["agent"])
         self.average.load_state_dict(state["average"])
-        self.optimiser.load_state_dict(state["optimiser"])
+        for name, optimiser in self.optimisers.items():
+            optimiser.load_state_dict(state[name])
         self.rng.bit_generator.state = _unplain(state["rng"])
         self.round, self.updates, self.seconds = (state[k] for k in ("round", "updates", "seconds"))
         for file in sorted(self._episodes.glob("*.npz")):
@@ -205,9 +264,14 @@ class Recorder:
     """Records a round's episodes in worker processes while the caller does something else."""
 
     def __init__(
-        self, task: str, render_profile: str, streams: tuple[str, ...], workers: int
+        self,
+        task: str,
+        render_profile: str,
+        cameras: tuple[CameraSpec, ...],
+        streams: tuple[str, ...],
+        workers: int,
     ) -> None:
-        self._fixed = (task, render_profile, streams)
+        self._fixed = (task, render_profile, cameras, streams)
         context = multiprocessing.get_context("spawn")
         self._pool = ProcessPoolExecutor(workers, mp_context=context, initializer=set_up_worker)
 

@@ -2,7 +2,8 @@
 
 The actor learned by imitation and needed no critic; the page wants to show Q. So after the last
 round the recorded episodes are encoded once, and the twin critic is fitted to the rewards in them
-with MAD's critic loss: every row regressed on one target that is read from merged features,
+with the method's critic loss. For MAD every row is regressed on one target, read from merged
+features,
 
     y_t = r_t + g r_{t+1} + ... + g^9 r_{t+9} + g^10 min Q'(M_{t+10}, pi(M_{t+10}))
 
@@ -18,7 +19,7 @@ import torch
 from torch import Tensor
 
 from madviz.agent.agent import Agent, autocast
-from madviz.agent.merge import merge_sum
+from madviz.agent.merge import Luck
 from madviz.agent.methods import Method
 from madviz.agent.objectives import Batch, critic_losses, weighted
 from madviz.demonstrations import Dataset
@@ -62,17 +63,20 @@ def fit_critic(
     sums, ahead, discount = n_step_returns(rewards, data.horizon)
     state, action = data.column("states", index), data.column("actions", index)
     masks, weights = torch.from_numpy(method.masks(streams)), method.weights(alpha)
+    reads = masks[:1] if method.targets == "merged" else masks
+    luck = torch.Generator().manual_seed(seed)
     critic, target = agent.critic.requires_grad_(True).train(), agent.target
     target.load_state_dict(critic.state_dict())
     optimiser = torch.optim.Adam(critic.parameters(), lr=_LEARNING_RATE, fused=True)
     losses = []
     for _ in range(updates):
         rows = rng.integers(0, len(index), _BATCH)
-        next_value = _value(agent, features[ahead[rows]], state[ahead[rows]])
+        drawn = agent.luck(_BATCH, luck)
+        next_value = _value(agent, features[ahead[rows]], state[ahead[rows]], reads, drawn)
         y = torch.from_numpy(sums[rows]) + torch.from_numpy(discount[rows]) * next_value
         batch = _batch(state[rows], action[rows])
         with autocast():
-            merged = merge_sum(features[rows], masks)
+            merged = agent.rows(features[rows], masks, drawn)
             loss = weighted(critic_losses(agent, merged, batch, y), weights)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -86,19 +90,20 @@ def fit_critic(
 
 
 @torch.no_grad()
-def _value(agent: Agent, features: Tensor, state: Tensor) -> Tensor:
-    """(B, V, Z), (B, S) -> (B,) min of the target twins on the merged feature, actor's mean
-    action.
-    """
+def _value(agent: Agent, features: Tensor, state: Tensor, reads: Tensor, luck: Luck) -> Tensor:
+    """Features of B samples, (B, S), masks (R, V) -> (R, B) min of the target twins for the actor's
+    mean action, on each of the R rows."""
     with autocast():
-        merged = features.sum(1)
-        action = torch.tanh(agent.actor(merged, state)[0])
-        return torch.minimum(*agent.target(merged, state, action))
+        rows = agent.rows(features, reads, luck)
+        states = state.expand(len(rows), *state.shape)
+        action = torch.tanh(agent.actor(rows, states)[0])
+        return torch.minimum(*agent.target(rows, states, action))
 
 
 @torch.no_grad()
 def _encode(agent: Agent, data: Dataset, index: Array) -> Tensor:
-    """(T, V, Z) features of the decisions ``index``, in bfloat16 where that is fast."""
+    """Features of the decisions ``index`` in the merge's layout, (T, V, Z) for a sum; in bfloat16
+    where that is fast."""
     chunks = []
     for start in range(0, len(index), 64):
         with autocast():

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 from madviz.streams import IMAGE_SIZE
 from madviz.subsets import camera_of, cameras_of, mask_of
-from madviz.types import EnvSpec, PolicySpec, UserError
+from madviz.types import CameraSpec, EnvSpec, PolicySpec, UserError
 
 if TYPE_CHECKING:
     from madviz.agent.networks import NetworkConfig
@@ -66,9 +66,11 @@ def policy_config(
     trained_subsets: tuple[str, ...],
     training: dict[str, Any],
     merge: str = "sum",
+    camera: str = "",
     reward_scale: float = 1.0,
 ) -> dict[str, Any]:
     """The config of a policy trained on ``env``; ``training`` is free, and goes on the card.
+    ``camera`` is the one that was picked from the setting, where a method takes only one.
 
     Say there at least: command (how to train it again), steps, updates, seeds, wall_time_s.
     Hardware and package versions are added.
@@ -85,6 +87,7 @@ def policy_config(
         **{"horizon": env.horizon, "action_repeat": env.action_repeat},
         "render_profile": env.render_profile,
         **{"merge": merge, "reward_scale": reward_scale},
+        **({"camera": camera} if camera else {}),
         "networks": asdict(networks),
         "training": {**training, "hardware": _hardware(), "versions": _versions()},
     }
@@ -99,8 +102,19 @@ def policy_spec(config: dict[str, Any], weights_sha256: str) -> PolicySpec:
         trained_subsets=tuple(config["trained_subsets"]),
         frame_stack=config["networks"].get("frame_stack", 3),
         render_profile=config["render_profile"],
+        cameras=tuple(_camera(camera) for camera in config["cameras"]),
         digest=hashlib.sha256((weights_sha256 + canonical(config)).encode()).hexdigest(),
     )
+
+
+def _camera(described: dict[str, Any]) -> CameraSpec:
+    """A camera as JSON wrote it, lists for tuples."""
+    try:
+        return CameraSpec(
+            **{k: tuple(v) if isinstance(v, list) else v for k, v in described.items()}
+        )
+    except TypeError as error:
+        raise UserError(f"expected a camera, found {described!r:.60}; restore the file") from error
 
 
 def check_config(config: Any, where: Path) -> dict[str, Any]:
@@ -186,7 +200,7 @@ def _hardware() -> str:
 
 
 def _versions() -> dict[str, str]:
-    packages = ("madviz", "numpy", "torch", "mujoco", "metaworld", "opencv-python-headless")
+    packages = ("madviz", "numpy", "torch", "mujoco", "metaworld", "opencv-python")
     installed = {d.metadata["Name"] for d in metadata.distributions()}
     found = {name: metadata.version(name) for name in packages if name in installed}
     return {"python": platform.python_version(), **found}

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from madviz.agent.agent import Agent
-from madviz.agent.networks import squash
+from madviz.agent.networks import Encoder, squash
 from madviz.agent.objectives import Batch
 from madviz.agent.update import Draw, LearningConfig
 
@@ -26,7 +26,7 @@ class NaiveLearner:
     def __init__(self, agent: Agent, config: LearningConfig | None = None) -> None:
         """Learns from a copy of ``agent``."""
         self.agent = copy.deepcopy(agent)
-        self.agent.encoder.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
+        self._encoder.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
         self.config = config or LearningConfig()
         parts = (self.agent.encoder, self.agent.actor, self.agent.critic)
         lr = self.config.learning_rate
@@ -64,15 +64,21 @@ class NaiveLearner:
             slow.data.copy_(rate * online.data + (1 - rate) * slow.data)
         return {"critic_loss": critic_loss.item(), "actor_loss": actor_loss.item()}
 
+    @property
+    def _encoder(self) -> Encoder:
+        """A sum's encoder is the CNN itself."""
+        assert isinstance(self.agent.encoder, Encoder)
+        return self.agent.encoder
+
     def _encode(self, views: Tensor, shifts: object) -> list[Tensor]:
         """(B, V, C, H, W) -> the features (B, Z) of every view."""
         moved = torch.as_tensor(shifts)
-        dtype = self.agent.encoder.conv1.weight.dtype
+        dtype = self._encoder.conv1.weight.dtype
         count = views.shape[1]
         return [self._cnn(_shift(views[:, v].to(dtype), moved[:, v])) for v in range(count)]
 
     def _cnn(self, pixels: Tensor) -> Tensor:
-        cnn = self.agent.encoder
+        cnn = self._encoder
         x = F.relu(cnn.conv1(pixels / 255 - 0.5))
         x = F.relu(cnn.conv3(F.relu(cnn.conv2(x))))
         return x.flatten(1)

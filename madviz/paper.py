@@ -3,6 +3,7 @@
     for step in 0, 1, 2, ... 499,999:                          an agent step is one decision
         from step 2,000 on, every second step: one full update on 256 transitions
         act: uniformly before step 2,000, then drawn from the policy on all streams
+             (Singular Only, which never learns to act on all: on one of its streams)
 
 That is 249,000 updates and, where a decision lasts two simulator steps (Meta-World), a million of
 those. Every 25,000 *simulator* steps (the paper's words; its code counts decisions), at the next
@@ -28,7 +29,7 @@ from madviz.ablations import Ablation
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.augment import random_shift
 from madviz.agent.methods import method
-from madviz.agent.networks import NetworkConfig
+from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.agent.update import Learner, LearningConfig, Precision
 from madviz.buffer import BufferSpec, ReplayBuffer
 from madviz.checkpoint import save_policy
@@ -70,6 +71,10 @@ class PaperConfig:
     """Whether the last step of an episode still expects a future; nothing really ends there."""
     hidden_dim: int = 1024
     """Width of the heads' hidden layers."""
+    bottleneck_dim: int = FEATURE_SIZE
+    """VIB alone: numbers in the Gaussian of a third-person view."""
+    kl_weight: float = 10.0
+    """VIB alone: beta, the weight of the bottleneck's cost, a mean over its numbers."""
     temperature: float = 0.1
     """Of the entropy bonus, at the start; learned from then on."""
     alpha: float = 0.8
@@ -97,6 +102,7 @@ class PaperConfig:
             *(self.alpha, self.learning_rate, self.target_rate),
             same_shift_for_views=self.same_shift_for_views,
             precision=self.precision,
+            kl_weight=self.kl_weight,
         )
 
 
@@ -111,14 +117,18 @@ class PaperRun:
         networks: NetworkConfig,
         seed: int,
         folder: RunFolder,
+        merge: str = "",
     ) -> None:
-        """Raises UserError if the replay buffer will not fit."""
+        """``merge`` is the method's own if empty. Raises UserError if the replay buffer will not
+        fit, and for a merge that the method cannot use."""
         self.config, self.env, self.spec, self.folder = config, env, spec, folder
         facts = env.spec
+        chosen = method(spec.method)
+        merge = chosen.merge_for(spec.streams, merge)
         torch.manual_seed(seed)
         self.learner = Learner(
-            Agent(networks, config.temperature),
-            method(spec.method),
+            Agent(networks, config.temperature, merge, spec.streams),
+            chosen,
             spec.streams,
             config.learning(),
             seed,
@@ -172,7 +182,8 @@ class PaperRun:
         return regular or (self.finished and self.evaluated_step != self.step)
 
     def evaluate(self, stop: Callable[[], bool]) -> dict[str, float]:
-        """Success and return on all streams and on each alone. Raises Stopped if ``stop`` says so.
+        """Success and return on all streams and on each alone, where the policy supports it.
+        Raises Stopped if ``stop`` says so.
 
         The environment is between two episodes; the next one begins with a reset anyway.
         """
@@ -180,8 +191,10 @@ class PaperRun:
         if self.config.shift_when_acting:
             policy = _Shifting(self.spec, self.learner.agent)
         row: dict[str, float] = {}
-        for subset in ("all", *single_streams(self.spec.streams)):
+        for subset in dict.fromkeys(("all", *single_streams(self.spec.streams))):
             mask = mask_of(subset, self.spec.streams)
+            if not policy.supports(mask):
+                continue
             with one_thread():
                 results = [
                     run_episode(policy, self.env, mask, Ablation(), SELECTION_SEED + i, stop)
@@ -258,10 +271,11 @@ def train_paper(config: TrainConfig, folder: RunFolder, command: str = "") -> No
     Ctrl-C saves after the decision (or evaluation episode) at hand. Raises UserError for what the
     method or the machine cannot do.
     """
-    env = make_env(config.task, config.render_profile)
+    env = make_env(config.task, config.render_profile, config.drawn())
     try:
-        networks = config.networks(env.spec, config.paper.hidden_dim)
-        run = PaperRun(config.paper, env, config.policy_spec(), networks, config.seed, folder)
+        networks = config.networks(env.spec, config.paper.hidden_dim, config.paper.bottleneck_dim)
+        spec = config.policy_spec()
+        run = PaperRun(config.paper, env, spec, networks, config.seed, folder, config.merge)
         state = folder.load_state()
         if state:
             run.restore(state)
@@ -340,5 +354,7 @@ def _save(run: PaperRun, config: TrainConfig, command: str) -> None:
         streams=run.spec.streams,
         trained_subsets=run.spec.trained_subsets,
         training=training,
+        merge=run.learner.agent.merge_name,
+        camera=config.chosen_camera(),
     )
     save_policy(run.folder.path, run.learner.agent, described)

@@ -130,7 +130,7 @@ class Runner:
     def __init__(self, stop: Callable[[], bool] = lambda: False) -> None:
         self._stop = stop
         self._policies: dict[tuple[str, str], Policy] = {}
-        self._env: tuple[tuple[str, str], Environment] | None = None
+        self._env: tuple[tuple[Any, ...], Environment] | None = None
 
     def run(self, job: Job) -> Finished:
         policy = self._loaded(job.policy, job.digest)
@@ -162,7 +162,7 @@ class Runner:
         return self._policies[key]
 
     def _environment(self, policy: Policy, reference: str) -> Environment:
-        key = (policy.spec.task, policy.spec.render_profile)
+        key = (policy.spec.task, policy.spec.render_profile, policy.spec.cameras)
         if self._env is None or self._env[0] != key:
             self.close()
             self._env = key, make_env(*key)

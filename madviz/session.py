@@ -26,6 +26,7 @@ from collections import deque
 from collections.abc import Callable
 
 from madviz.ablations import Ablation
+from madviz.envs.base import sees
 from madviz.frame import (
     Command,
     Failure,
@@ -43,7 +44,7 @@ from madviz.frame import (
 )
 from madviz.processes import yield_to_others
 from madviz.simulation import Simulation
-from madviz.types import Environment, Policy, UserError
+from madviz.types import CameraSpec, Environment, Policy, UserError
 
 FIRST_SEED = 2000
 """Live episodes start here: training is below 1000, selection below 2000, cards from 5000."""
@@ -54,8 +55,8 @@ NICENESS = 10
 RATE_WINDOW = 20
 """Decisions over which the achieved rate is measured."""
 
-EnvFactory = Callable[[str, str], Environment]
-"""(task, render profile) -> environment, for example ``madviz.envs.base.make_env``."""
+EnvFactory = Callable[[str, str, tuple[CameraSpec, ...]], Environment]
+"""(task, render profile, cameras) -> environment, for example ``madviz.envs.base.make_env``."""
 Listener = Callable[[Frame | Failure], None]
 
 
@@ -163,7 +164,7 @@ class Session:
     def _open(self, now: float) -> None:
         self._shut()
         spec = self._policy.spec
-        env = self._make_env(spec.task, spec.render_profile)
+        env = self._make_env(spec.task, spec.render_profile, spec.cameras)
         self._simulation = Simulation(env, self._policy, Ablation())
         self._begin(self._seed, now)
 
@@ -289,7 +290,7 @@ class Session:
         old, new = self._policy.spec, policy.spec
         self._policy = policy
         same = (old.task, old.render_profile) == (new.task, new.render_profile)
-        if self._simulation is None or not same:
+        if not same or self._simulation is None or not sees(self._simulation.env.spec, new.cameras):
             ablation = self._simulation.ablation if self._simulation else Ablation()
             self._open(now)
             for camera, state in ablation.cameras.items():

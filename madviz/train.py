@@ -21,15 +21,16 @@ import torch
 
 from madviz.agent.agent import Agent
 from madviz.agent.methods import method
-from madviz.agent.networks import NetworkConfig
+from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.checkpoint import save_policy
-from madviz.envs.base import make_env, setting
+from madviz.envs.base import choose, make_env
 from madviz.light import LightConfig, LightRun, Recorder, train_light
 from madviz.light_critic import REWARD_SCALE, fit_critic
 from madviz.manifest import policy_config
 from madviz.paper import PaperConfig, train_paper
 from madviz.run import Event, RunFolder
-from madviz.types import EnvSpec, PolicySpec, UserError, unknown
+from madviz.subsets import camera_of
+from madviz.types import CameraSpec, EnvSpec, PolicySpec, UserError, unknown
 
 RECIPES = ("light", "paper")
 
@@ -46,6 +47,12 @@ class TrainConfig:
     """``light`` (minutes, from a scripted expert) or ``paper`` (reinforcement learning)."""
     setting: str = "three"
     """Cameras and modalities."""
+    cameras: Path | None = None
+    """A file of your own cameras, in place of the setting's (``madviz.envs.cameras``)."""
+    camera: str = ""
+    """For the method ``single``: the camera of the setting it learns from (else its first one)."""
+    merge: str = ""
+    """How streams become one feature, where a method leaves the choice; else the method's own."""
     out: Path | None = None
     """The run's folder; runs/NAME if not given."""
     seed: int = 1
@@ -65,7 +72,7 @@ class TrainConfig:
 
     def policy_spec(self) -> PolicySpec:
         """What the trained policy will say of itself."""
-        streams = setting(self.setting).streams
+        streams = self.streams()
         return PolicySpec(
             *(self.policy_name(), self.task, self.method, self.setting, self.recipe),
             streams=streams,
@@ -73,18 +80,53 @@ class TrainConfig:
             render_profile=self.render_profile,
         )
 
-    def networks(self, env: EnvSpec, hidden_dim: int) -> NetworkConfig:
+    def chosen_camera(self) -> str:
+        """The one camera of a method that takes one; empty for all others.
+
+        Raises UserError for a camera that the setting lacks or the method has no use for.
+        """
+        known = choose(self.task, self.setting, self.cameras)[0].cameras
+        if not method(self.method).one_camera:
+            if self.camera:
+                raise UserError(
+                    f"expected --camera with the method single, found it with {self.method!r}; "
+                    "leave it out: the method takes all cameras of its setting"
+                )
+            return ""
+        if self.camera and self.camera not in known:
+            raise unknown("camera", self.camera, list(known))
+        return self.camera or known[0]
+
+    def streams(self) -> tuple[str, ...]:
+        """What the policy is given: the setting's streams, or those of its one camera."""
+        camera = self.chosen_camera()
+        streams = choose(self.task, self.setting, self.cameras)[0].streams
+        return tuple(s for s in streams if not camera or camera_of(s) == camera)
+
+    def drawn(self) -> tuple[CameraSpec, ...]:
+        """The cameras of the setting, or of the user's file."""
+        return choose(self.task, self.setting, self.cameras)[1]
+
+    def networks(
+        self, env: EnvSpec, hidden_dim: int, bottleneck_dim: int = FEATURE_SIZE
+    ) -> NetworkConfig:
         """Sizes for ``env``, and which of its state numbers the heads read."""
         return NetworkConfig(
             *(env.state_dim, env.action_dim),
             hidden_dim=hidden_dim,
+            bottleneck_dim=bottleneck_dim,
             state_columns=env.paper_state if self.state == "paper" else (),
         )
 
     def policy_name(self) -> str:
-        """{suite}-{task}-{method}[-{setting}]-{recipe}."""
+        """{suite}-{task}-{method}[-{merge}][-{camera}][-{setting}]-{recipe}."""
+        own = method(self.method).merge
         parts = [self.task.replace("/", "-"), self.method]
-        return "-".join([*parts, *([self.setting] if self.setting != "three" else []), self.recipe])
+        parts += [self.merge] if self.merge not in ("", own) else []
+        parts += [self.chosen_camera()] if self.chosen_camera() else []
+        parts += [self.setting] if self.setting != "three" else []
+        parts += [self.cameras.stem] if self.cameras else []
+        return "-".join([*parts, self.recipe])
 
 
 def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) -> Path:
@@ -99,8 +141,8 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
             f"method {config.method!r} has the recipes {', '.join(chosen.recipes)}, "
             f"not {config.recipe!r}"
         )
-    setting(config.setting)
-    make_env(config.task, config.render_profile).close()
+    chosen.merge_for(config.streams(), config.merge)
+    make_env(config.task, config.render_profile, config.drawn()).close()
     everything = os.cpu_count() or 1
     torch.set_num_threads(config.threads or (1 if config.recipe == "light" else everything))
     out = config.out or Path("runs") / config.policy_name()
@@ -114,18 +156,22 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
 
 
 def _train_light(config: TrainConfig, folder: RunFolder) -> None:
-    env = make_env(config.task, config.render_profile)
+    env = make_env(config.task, config.render_profile, config.drawn())
     facts = env.spec
     env.close()
     spec = config.policy_spec()
     torch.manual_seed(config.seed)
-    networks = config.networks(facts, config.light.hidden_dim)
-    run = LightRun(config.light, spec, Agent(networks), facts.horizon, config.seed, folder.resume)
+    networks = config.networks(facts, config.light.hidden_dim, config.light.bottleneck_dim)
+    merge = method(config.method).merge_for(spec.streams, config.merge)
+    agent = Agent(networks, merge=merge, streams=spec.streams)
+    run = LightRun(config.light, spec, agent, facts.horizon, config.seed, folder.resume)
     state = folder.load_state()
     if state:
         run.restore(state)
         folder.truncate_curve("round", run.round)
-    recorder = Recorder(config.task, config.render_profile, spec.streams, config.light.workers)
+    recorder = Recorder(
+        *(config.task, config.render_profile, config.drawn()), spec.streams, config.light.workers
+    )
     started = time.monotonic()
     try:
         train_light(
@@ -170,6 +216,8 @@ def _save(
         streams=run.spec.streams,
         trained_subsets=run.spec.trained_subsets,
         training=training,
+        merge=run.agent.merge_name,
+        camera=config.chosen_camera(),
         reward_scale=REWARD_SCALE,
     )
     save_policy(folder.path, run.average, described)
@@ -180,7 +228,7 @@ def command(config: TrainConfig) -> str:
     default = TrainConfig()
     words = ["madviz", "train", "--task", config.task, "--method", config.method]
     words += ["--recipe", config.recipe]
-    for name in ("setting", "seed", "state", "render_profile", "threads"):
+    for name in ("setting", "camera", "merge", "seed", "state", "render_profile", "threads"):
         if getattr(config, name) != getattr(default, name):
             words += [f"--{name.replace('_', '-')}", str(getattr(config, name))]
     recipe, standard = getattr(config, config.recipe), getattr(default, config.recipe)

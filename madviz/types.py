@@ -42,11 +42,12 @@ class CameraSpec:
     fovy: float
     """Vertical field of view, degrees."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Metres; in the world, or relative to ``body`` if one is named."""
+    """Metres; in the world, or relative to ``body`` if one is named (ManiSkill: in its frame)."""
     wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-    """Orientation in the world, OpenGL camera axes: x right, y up, looking along -z."""
+    """Orientation in the world, OpenGL camera axes: x right, y up, looking along -z. A ManiSkill
+    camera on a body turns with it, and this is in the body's frame."""
     body: str | None = None
-    """The body whose position the camera follows (its orientation stays fixed in the world)."""
+    """The body whose position the camera follows; in Meta-World it does not turn with it."""
     depth_range: tuple[float, float] = (0.0, 2.0)
     """Metres that map to 0 and 255 when depth is handed to a policy."""
     size: int = 84
@@ -180,6 +181,8 @@ class PolicySpec:
     """Subsets it was trained to work from; everything else is off-training."""
     frame_stack: int = 3
     render_profile: str = "fast"
+    cameras: tuple[CameraSpec, ...] = ()
+    """Its streams' cameras as they stood in training, for ``make_env``; empty: the suite's own."""
     digest: str = ""
     """SHA-256 of weights and config; the key under which results are cached."""
 

@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 
 from madviz import checkpoint, manifest
 from madviz.agent.agent import Agent, TorchPolicy
-from madviz.agent.networks import NetworkConfig
+from madviz.agent.networks import Encoder, NetworkConfig
 from madviz.checkpoint import describe, load_policy, save_policy
 from madviz.envs.base import SETTINGS
 from madviz.envs.toy import ToyReach
@@ -101,6 +101,7 @@ def test_loading_twice_gives_the_same_bits_and_leaves_the_global_generator_alone
 def test_loading_keeps_the_fast_memory_format(folder):
     policy = load_policy(folder)
     assert isinstance(policy, TorchPolicy)
+    assert isinstance(policy.agent.encoder, Encoder)
     weight = policy.agent.encoder.conv2.weight
     assert weight.is_contiguous(memory_format=torch.channels_last)
 
@@ -305,7 +306,8 @@ def test_a_missing_tensor_and_a_misshapen_one(folder):
 
 def test_diverged_weights_are_not_saved_and_the_old_ones_stay(folder):
     digest, agent = describe(folder).spec.digest, make_agent()
-    agent.actor.trunk.linear.weight.data[0, 0] = 1e9  # Finite, but not in half precision.
+    weight = dict(agent.named_parameters())["actor.trunk.linear.weight"]
+    weight.data[0, 0] = 1e9  # Finite, but not in half precision.
     with pytest.raises(UserError, match="training diverged"):
         save_policy(folder, agent, make_config())
     assert describe(folder).spec.digest == digest

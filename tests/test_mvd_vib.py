@@ -169,8 +169,8 @@ def test_contrast_is_a_step_of_its_own_after_everything_else() -> None:
     whole.update(batch, draw)
     without.update(batch, replace(draw, contrast=None))
     for part in ("actor", "critic", "target"):
-        pairs = zip(getattr(agent, part).parameters(), getattr(other, part).parameters())
-        assert all(torch.equal(a, b) for a, b in pairs), f"{part} has no part in it"
+        one, two = getattr(agent, part).state_dict(), getattr(other, part).state_dict()
+        assert all(torch.equal(one[name], two[name]) for name in one), f"{part} has no part in it"
 
     encoder = other.encoder
     assert isinstance(encoder, TwoPartEncoder)
@@ -217,9 +217,8 @@ def outputs(agent: Agent, slot: int, pictures: Tensor) -> Tensor:
     return feature @ gaussian.weight.T + gaussian.bias  # type: ignore[operator,union-attr]
 
 
-def representation(agent: Agent, slots: list[Tensor], noise: Tensor) -> Tensor:
+def representation(slots: list[Tensor], noise: Tensor) -> Tensor:
     """Third-person samples, then the first person's feature; (B, 2 L + Z)."""
-    del agent
     samples = [s[:, :L] + torch.exp(s[:, L:]) * noise[:, i] for i, s in enumerate(slots[1:])]
     return torch.cat([*samples, slots[0]], 1)
 
@@ -229,7 +228,7 @@ def test_every_mean_keeps_its_own_log_std() -> None:
     noise = numbers(B, 2, L, seed=6)
     slots = [outputs(agent, v, views[:, v]) for v in range(V)]
     features, rows = agent.look(views, torch.ones(1, V), noise)
-    torch.testing.assert_close(rows[0], representation(agent, slots, noise))
+    torch.testing.assert_close(rows[0], representation(slots, noise))
     mean, log_std = bottleneck(agent).gaussian(features)
     for third in (0, 1):
         torch.testing.assert_close(mean[:, third], slots[1 + third][:, :L])
@@ -242,10 +241,10 @@ def test_acting_is_on_means_and_a_lone_view_stands_in_for_all() -> None:
     rows = agent.rows(bottleneck(agent).everywhere(views), masks)
     nothing = torch.zeros(B, 2, L)
     own = [outputs(agent, v, views[:, v]) for v in range(V)]
-    torch.testing.assert_close(rows[0], representation(agent, own, nothing))
+    torch.testing.assert_close(rows[0], representation(own, nothing))
     for view in range(V):
         alone = [outputs(agent, slot, views[:, view]) for slot in range(V)]
-        torch.testing.assert_close(rows[1 + view], representation(agent, alone, nothing))
+        torch.testing.assert_close(rows[1 + view], representation(alone, nothing))
 
 
 def test_the_papers_bottleneck_is_as_large_as_the_facts_say() -> None:
@@ -268,11 +267,10 @@ def test_an_update_adds_ten_times_the_cost_to_the_critics_loss() -> None:
     now, then = shift(batch.views, draw.shifts[0]), shift(batch.next_views, draw.shifts[1])
     slots = [outputs(other, v, now[:, v]) for v in range(V)]
     following = [outputs(other, v, then[:, v]) for v in range(V)]
-    reads = representation(other, following, next_noise)[None]
+    reads = representation(following, next_noise)[None]
     target = td_target(other, reads, batch, draw.target_noise.double())
-    row = representation(other, slots, noise)[None]
-    gaussians = torch.cat([s[:, :L] for s in slots[1:]]), torch.cat([s[:, L:] for s in slots[1:]])
-    m, s = gaussians
+    row = representation(slots, noise)[None]
+    m, s = (torch.cat([x[:, part] for x in slots[1:]]) for part in (slice(L), slice(L, None)))
     cost = 10 * ((m**2 + torch.exp(s) ** 2 - 1) / 2 - s).sum() / (B * 2 * L)
     loss = critic_losses(other, row, batch, target)[0] + cost
     names, parameters = zip(*other.encoder.named_parameters(), strict=True)

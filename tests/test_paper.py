@@ -36,7 +36,7 @@ HORIZON = 6
 def short_toy(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Episodes of six decisions, each of which claims to be two simulator steps."""
 
-    def make(task: str, render_profile: str) -> Environment:
+    def make(task: str, render_profile: str, cameras=()) -> Environment:
         env = ToyReach()
         env.spec = replace(env.spec, horizon=HORIZON, action_repeat=2)
         return env

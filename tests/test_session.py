@@ -181,7 +181,7 @@ def test_camera_commands_are_served_between_renders():
                 session.send(Pause())
             return super().view(camera, size)
 
-    session = Recorder(env_factory=lambda task, profile: Slow())
+    session = Recorder(env_factory=lambda task, profile, cameras: Slow())
     session.at(0.0)
     session.at(0.1)
     preview, arrived = session.frames[-2:]
@@ -204,7 +204,7 @@ def test_a_preview_leaves_no_trace_in_what_the_policy_gets():
                 early.send(SetCamera("first", BLACK))
             return super().view(camera, size)
 
-    early = Recorder(env_factory=lambda task, profile: Early())
+    early = Recorder(env_factory=lambda task, profile, cameras: Early())
     late = Recorder()
     for session in (early, late):
         session.at(0.0)
@@ -307,7 +307,7 @@ def test_a_swapped_policy_gets_the_past_it_would_have_had():
 def test_a_simulator_that_cannot_start_is_reported_and_can_be_retried():
     attempts = []
 
-    def factory(task, profile):
+    def factory(task, profile, cameras):
         attempts.append(task)
         if len(attempts) == 1:
             raise UserError("no OpenGL here")
@@ -339,7 +339,7 @@ def test_thread_closes_its_environment():
         def close(self):
             closed.append(True)
 
-    session = Session(lambda task, profile: Closing(), FakePolicy(), speed=None).start()
+    session = Session(lambda task, profile, cameras: Closing(), FakePolicy(), speed=None).start()
     session.close()
     assert closed == [True]
     assert session._thread is not None and not session._thread.is_alive()

@@ -1,9 +1,8 @@
 """The agent: networks together, and the policy that lets anybody read them.
 
 ``TorchPolicy`` splits acting in two, because the page needs the halves apart: ``encode`` runs the
-CNN once per stream, ``read`` forms the sum for every subset asked for and makes one pass through
-actor and critic. Dropping a camera repeats only ``read`` (well under a millisecond for eight
-subsets)."""
+CNN once per stream, ``read`` merges for every subset asked for and makes one pass through actor and
+critic. Dropping a camera repeats only ``read`` (well under a millisecond for eight sums)."""
 
 from __future__ import annotations
 
@@ -14,31 +13,57 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from madviz.agent.merge import MERGES
-from madviz.agent.networks import Actor, Critic, Encoder, NetworkConfig
-from madviz.types import Array, Encoded, PolicySpec, Readout
-
-_IMAGES_AT_ONCE = 192
-"""Temporaries of this size are recycled by the allocator; larger ones are returned to the system
-and paid for again, page by page: 768 images take half the time in four parts."""
+from madviz.agent.merge import Luck, Merge, merge_called
+from madviz.agent.networks import NetworkConfig
+from madviz.agent.supports import SUPPORTS
+from madviz.subsets import name_of
+from madviz.types import Array, Encoded, PolicySpec, Readout, UserError
 
 
 class Agent(nn.Module):
     """Encoder, actor, twin critic, its target, and the temperature. There is no target encoder."""
 
-    def __init__(self, config: NetworkConfig, temperature: float = 0.1) -> None:
+    def __init__(
+        self,
+        config: NetworkConfig,
+        temperature: float = 0.1,
+        merge: str = "sum",
+        streams: tuple[str, ...] = (),
+    ) -> None:
+        """``merge`` is a row of ``MERGES``; all but ``sum`` and ``attention`` are built for their
+        ``streams``. Raises UserError for an unknown merge."""
         super().__init__()
-        self.config = config
-        self.encoder = Encoder(config.frame_stack)
-        self.actor = Actor(config)
-        self.critic = Critic(config)
+        self.config, self.merge_name, self.streams = config, merge, streams
+        self.encoder = self.merge.networks(config, streams)
+        self.actor, self.critic = self.merge.heads(config, streams)
         self.target = copy.deepcopy(self.critic).requires_grad_(False)
         self.log_temperature = nn.Parameter(torch.tensor(float(np.log(temperature))))
 
+    @property
+    def merge(self) -> Merge:
+        """The functions of this agent's merge; by name, so that an agent can go to a worker."""
+        return merge_called(self.merge_name)
+
     def encode(self, views: Tensor) -> Tensor:
-        """(B, V, C, H, W) uint8 -> (B, V, Z): every stream through the shared CNN, in one pass."""
-        parts = views.flatten(0, 1).split(_IMAGES_AT_ONCE)
-        return torch.cat([self.encoder(part) for part in parts]).unflatten(0, views.shape[:2])
+        """(B, V, C, H, W) uint8 -> features; (B, V, Z) for a sum, else the merge's own layout."""
+        return self.merge.encode(self.encoder, views)
+
+    def rows(self, features: Tensor, masks: Tensor, luck: Luck = None) -> Tensor:
+        """Features, (N, V) masks -> (N, B, width): what the heads read under each subset."""
+        return self.merge.rows(self.encoder, features, masks, luck)
+
+    def look(self, views: Tensor, masks: Tensor, luck: Luck = None) -> tuple[Tensor, Tensor]:
+        """``encode`` and ``rows`` in one, for learning: features, and the rows from them. A merge
+        that draws its views encodes no others, and its rows are all the features there are."""
+        if self.merge.rows_of_pixels is not None:
+            rows = self.merge.rows_of_pixels(self.encoder, views, masks, luck)
+            return rows, rows
+        features = self.encode(views)
+        return features, self.rows(features, masks, luck)
+
+    def luck(self, batch: int, generator: torch.Generator) -> Luck:
+        """The randomness of ``rows`` for ``batch`` samples; None if the merge has none."""
+        return self.merge.luck(self.streams, self.config, batch, generator)
 
     def acting_state(self) -> dict[str, Tensor]:
         """What a policy needs to act and to show Q: no target, no temperature."""
@@ -49,36 +74,54 @@ class Agent(nn.Module):
 class TorchPolicy:
     """A trained agent behind the ``Policy`` protocol; deterministic, in float32."""
 
-    def __init__(
-        self, spec: PolicySpec, agent: Agent, merge: str = "sum", reward_scale: float = 1.0
-    ) -> None:
+    def __init__(self, spec: PolicySpec, agent: Agent, reward_scale: float = 1.0) -> None:
         """``reward_scale`` is what training multiplied rewards by; Q is shown without it."""
         self.spec = spec
         self.agent = agent.eval()
-        self._merge = MERGES[merge]
         self._reward_scale = reward_scale
 
     @torch.inference_mode()
     def encode(self, views: Array, state: Array) -> Encoded:
-        features = self.agent.encode(torch.from_numpy(views)[None])[0]
-        return Encoded(features.float().numpy(), np.asarray(state, np.float32))
+        """Every stream through the networks, once. ``private`` holds the merge's own features and
+        what it draws, where the rows of ``features`` are not all there is."""
+        agent, merge = self.agent, self.agent.merge
+        pictures = torch.from_numpy(views)[None]
+        features = (merge.encode_to_act or merge.encode)(agent.encoder, pictures)
+        shown = merge.shown(agent.encoder, features, self.spec.streams)[0]
+        luck = merge.luck_to_act(self.spec.streams, pictures)
+        private = None if shown.shape == features.shape[1:] and luck is None else (features, luck)
+        return Encoded(shown.float().numpy(), np.asarray(state, np.float32), private)
 
     @torch.inference_mode()
     def read(self, encoded: Encoded, masks: Array) -> Readout:
-        features = torch.from_numpy(encoded.features)[None]
-        merged = self._merge(features, torch.from_numpy(np.atleast_2d(masks)))[:, 0]
-        state = torch.from_numpy(encoded.state).expand(len(merged), -1)
-        action = torch.tanh(self.agent.actor(merged, state)[0])
-        q = torch.minimum(*self.agent.critic(merged, state, action)) / self._reward_scale
-        return Readout(merged.numpy(), action.numpy(), q.numpy())
+        """Raises UserError for a subset that this policy does not support."""
+        masks = np.atleast_2d(masks)
+        for mask in masks:
+            if not self.supports(mask):
+                raise self._cannot(mask)
+        features, luck = encoded.private or (torch.from_numpy(encoded.features)[None], None)
+        rows = self.agent.rows(features, torch.from_numpy(masks), luck)[:, 0]
+        state = torch.from_numpy(encoded.state).expand(len(rows), -1)
+        action = torch.tanh(self.agent.actor(rows, state)[0])
+        q = torch.minimum(*self.agent.critic(rows, state, action)) / self._reward_scale
+        return Readout(self.agent.merge.shown_merged(rows).numpy(), action.numpy(), q.numpy())
 
     def supports(self, mask: Array) -> bool:
-        """A sum can be taken over any subset, the empty one included (state only)."""
-        return len(mask) == len(self.spec.streams)
+        """Whether there is a place for every stream, and the merge can do without the absent."""
+        right_length = len(mask) == len(self.spec.streams)
+        return right_length and SUPPORTS[self.agent.merge_name].allows(mask)
+
+    def _cannot(self, mask: Array) -> UserError:
+        streams = self.spec.streams
+        found = repr(name_of(mask, streams)) if len(mask) == len(streams) else f"{len(mask)} marks"
+        return UserError(
+            f"{self.spec.name} expects {SUPPORTS[self.agent.merge_name].words} of "
+            f"{', '.join(streams)}, found {found}; bring the missing cameras back"
+        )
 
 
 def random_policy(spec: PolicySpec, config: NetworkConfig, seed: int = 0) -> TorchPolicy:
-    """An untrained policy, for tests and for timing."""
+    """An untrained policy that sums, for tests and for timing."""
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         return TorchPolicy(spec, Agent(config))

@@ -41,6 +41,8 @@ class NetworkConfig:
     """Range of the actor's log standard deviation."""
     state_columns: tuple[int, ...] = ()
     """The state numbers the heads read; all of them if empty."""
+    bottleneck_dim: int = FEATURE_SIZE
+    """VIB's Gaussian per third-person view (``light`` uses 64); no other method reads it."""
 
     @property
     def state_inputs(self) -> int:
@@ -82,9 +84,9 @@ class Trunk(nn.Module):
     """Z -> 50: where a head first sees a merged or singular feature. LayerNorm comes after the
     linear layer, so the number of views in a sum still shows in its input."""
 
-    def __init__(self, config: NetworkConfig) -> None:
+    def __init__(self, config: NetworkConfig, width: int = FEATURE_SIZE) -> None:
         super().__init__()
-        self.linear = nn.Linear(FEATURE_SIZE, config.feature_dim)
+        self.linear = nn.Linear(width, config.feature_dim)
         self.norm = nn.LayerNorm(config.feature_dim)
 
     def forward(self, feature: Tensor) -> Tensor:
@@ -107,23 +109,36 @@ def _read(mlp: nn.Sequential, x: Tensor) -> Tensor:
         return last(hidden.to(last.weight.dtype))
 
 
-def _orthogonal(module: nn.Module) -> None:
+def orthogonal(module: nn.Module) -> None:
+    """The paper's start of every linear layer in ``module``: orthogonal weights, zero biases."""
     for layer in module.modules():
         if isinstance(layer, nn.Linear):
             nn.init.orthogonal_(layer.weight)
-            nn.init.zeros_(layer.bias)
+            if layer.bias is not None:
+                nn.init.zeros_(layer.bias)
+
+
+def _trunk(config: NetworkConfig, width: int, projected: bool) -> tuple[nn.Module, int]:
+    """What stands in front of a head's MLP, and how many numbers come out of it."""
+    if projected:
+        return Trunk(config, width), config.feature_dim
+    return nn.Identity(), width
 
 
 class Actor(nn.Module):
     """Feature and state to a tanh-Gaussian over actions."""
 
-    def __init__(self, config: NetworkConfig) -> None:
+    def __init__(
+        self, config: NetworkConfig, width: int = FEATURE_SIZE, projected: bool = True
+    ) -> None:
+        """Reads features of ``width`` numbers: through a trunk, or as they are if they come
+        ``projected=False`` from an encoder that has done it."""
         super().__init__()
         self.config = config
-        self.trunk = Trunk(config)
-        inputs = config.state_inputs + config.feature_dim
+        self.trunk, hidden = _trunk(config, width, projected)
+        inputs = config.state_inputs + hidden
         self.mlp = _mlp(inputs, config.hidden_dim, 2 * config.action_dim)
-        _orthogonal(self)
+        orthogonal(self)
 
     def forward(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """(B, Z), (B, S) -> mean and log standard deviation before tanh, (B, A) each."""
@@ -154,14 +169,17 @@ def squash(mean: Tensor, log_std: Tensor, noise: Tensor) -> tuple[Tensor, Tensor
 class Critic(nn.Module):
     """Twin Q with one trunk between them."""
 
-    def __init__(self, config: NetworkConfig) -> None:
+    def __init__(
+        self, config: NetworkConfig, width: int = FEATURE_SIZE, projected: bool = True
+    ) -> None:
+        """``width`` and ``projected`` as the actor's."""
         super().__init__()
         self.config = config
-        self.trunk = Trunk(config)
-        inputs = config.feature_dim + config.action_dim + config.state_inputs
+        self.trunk, hidden = _trunk(config, width, projected)
+        inputs = hidden + config.action_dim + config.state_inputs
         self.q1 = _mlp(inputs, config.hidden_dim, 1)
         self.q2 = _mlp(inputs, config.hidden_dim, 1)
-        _orthogonal(self)
+        orthogonal(self)
 
     def forward(self, feature: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """(B, Z), (B, S), (B, A) -> Q1, Q2, (B,) each."""

@@ -78,7 +78,8 @@ def actor_losses(
     mean, log_std = agent.actor(rows.detach(), state)
     action, log_prob = squash(mean, log_std, noise)
     # One projection of M serves the N actions that are judged on it.
-    hidden = agent.critic.trunk(reads.detach()).expand(len(rows), -1, -1)
+    hidden = agent.critic.trunk(reads.detach())
+    hidden = hidden.expand(len(rows), *hidden.shape[1:])
     q = torch.minimum(*agent.critic.heads(hidden, state, action))
     temperature = agent.log_temperature.detach().exp()
     return (temperature * log_prob - q).mean(1), log_prob
@@ -100,7 +101,12 @@ def singular(losses: Tensor) -> Tensor:
     return losses[1:].mean()
 
 
-TERMS = {"merged": merged, "singular": singular}
+def every(losses: Tensor) -> Tensor:
+    """Not the paper's formulation: the mean over all rows, merged or not (Naive Both)."""
+    return losses.mean()
+
+
+TERMS = {"merged": merged, "singular": singular, "every": every}
 
 
 def weighted(losses: Tensor, weights: Mapping[str, float]) -> Tensor:

@@ -8,6 +8,9 @@
 The encoder learns from the critic's losses alone. The actor acts on features from before the critic
 and encoder step and is judged by the critic from after it.
 
+Two methods add a loss: VIB its bottleneck's cost, to the critic's; MVD two contrastive losses on
+freshly shifted pictures, after everything else, with an Adam of their own on the encoder.
+
 Speed on a CPU comes from the encoder's memory layout (``networks.py``), from bfloat16 where the
 processor multiplies it natively, from one pass of the heads over all N x B rows, and from asking
 autograd only for the gradients that a step uses: ``backward(inputs=...)``. Weights, optimisers and
@@ -27,7 +30,9 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from madviz.agent.agent import Agent, fast_bfloat16, optimisers
 from madviz.agent.augment import PAD, shift
-from madviz.agent.merge import MERGES
+from madviz.agent.bottleneck import BottleneckEncoder, kl_loss
+from madviz.agent.contrast import TwoPartEncoder, contrastive_loss
+from madviz.agent.merge import Luck, each_stream
 from madviz.agent.methods import Method
 from madviz.agent.networks import squash
 from madviz.agent.objectives import (
@@ -57,6 +62,8 @@ class LearningConfig:
     """The paper shifts all views of a sample alike; its code draws a shift per view."""
     precision: Precision = "auto"
     """Of matrix products: bfloat16 where the CPU has instructions for it, else float32."""
+    kl_weight: float = 10.0
+    """VIB's beta, on a mean over dimensions: 10 / 3136 for every nat of a view's Gaussian."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +76,10 @@ class Draw:
     """(R, B, A) standard normal, for a'."""
     actor_noise: Tensor
     """(N, B, A) standard normal, for the rows' actions."""
+    luck: tuple[Luck, Luck] = (None, None)
+    """What the merge draws for observations and for next observations."""
+    contrast: tuple[Array, int] | None = None
+    """MVD's fresh shifts, (2, B, V, 2) as above, and its positive view."""
 
 
 class Learner:
@@ -84,10 +95,17 @@ class Learner:
     ) -> None:
         self.agent = agent.train()
         self.config = config or LearningConfig()
+        self.method = method
         self.optimisers = optimisers(agent, self.config.learning_rate)
+        if method.extra == "contrast":
+            encoder = agent.encoder.parameters()
+            self.optimisers["contrast"] = torch.optim.Adam(
+                encoder, lr=self.config.learning_rate, fused=True
+            )
         self.weights = method.weights(self.config.alpha)
         self._device = next(agent.parameters()).device
         self._masks = torch.from_numpy(method.masks(streams)).to(self._device)
+        self._trained = np.flatnonzero(method.trained_rows(streams))
         self._reads = 1 if method.targets == "merged" else len(self._masks)
         self._rng = np.random.default_rng(seed)
         self._noise = torch.Generator().manual_seed(seed)
@@ -99,23 +117,31 @@ class Learner:
     def draw(self, batch: int) -> Draw:
         """The next update's randomness, for ``batch`` samples."""
         (rows, count), actions = self._masks.shape, self.agent.config.action_dim
+        shifts = self._draw_shifts(batch)
+        target_noise = torch.randn(self._reads, batch, actions, generator=self._noise)
+        actor_noise = torch.randn(rows, batch, actions, generator=self._noise)
+        luck = (self.agent.luck(batch, self._noise), self.agent.luck(batch, self._noise))
+        contrast = None
+        if self.method.extra == "contrast":
+            contrast = (self._draw_shifts(batch), int(self._rng.integers(count)))
+        return Draw(shifts, target_noise, actor_noise, luck, contrast)
+
+    def _draw_shifts(self, batch: int) -> Array:
+        count = self._masks.shape[1]
         views = 1 if self.config.same_shift_for_views else count
         shifts = self._rng.integers(-PAD, PAD + 1, (2, batch, views, 2))
-        return Draw(
-            np.repeat(shifts, count // views, axis=2),
-            torch.randn(self._reads, batch, actions, generator=self._noise),
-            torch.randn(rows, batch, actions, generator=self._noise),
-        )
+        return np.repeat(shifts, count // views, axis=2)
 
     def update(self, batch: Batch, draw: Draw | None = None) -> dict[str, float]:
         """One step of all four optimisers and of the target; returns named losses."""
         draw = draw or self.draw(len(batch.action))
-        batch = self._shifted(batch, draw)
+        as_stored = batch
+        batch = self._shifted(batch, draw.shifts)
         target = self._target(batch, draw)
         with self._autocast():
-            rows = self._merge(batch.views, len(self._masks))
+            features, rows = self.agent.look(batch.views, self._masks, draw.luck[0])
             critic = weighted(critic_losses(self.agent, rows, batch, target), self.weights)
-        self._step(critic, "critic", "encoder")
+        self._step(critic + self._bottleneck_cost(features), "critic", "encoder")
         with self._autocast():
             noise, reads = draw.actor_noise.to(self._device), rows[: self._reads]
             losses, log_prob = actor_losses(self.agent, rows, batch, noise, reads)
@@ -127,6 +153,8 @@ class Learner:
             self._average(
                 list(self.agent.target.parameters()), list(self.agent.critic.parameters()), 0
             )
+        if draw.contrast is not None:
+            self._contrast(as_stored, *draw.contrast)
         return {
             "critic_loss": critic.item(),
             "actor_loss": actor.item(),
@@ -136,8 +164,14 @@ class Learner:
 
     @torch.inference_mode()
     def act(self, views: Tensor, state: Tensor) -> Array:
-        """(V, C, H, W) uint8 and (S,) to a drawn action (A,), on all streams; for exploration."""
-        merged = self._merge(views[None].to(self._device), 1)[0]
+        """(V, C, H, W) uint8 and (S,) to a drawn action (A,); for exploration.
+
+        On all streams, except by a method that never learns to act on them: it takes one of its
+        rows, drawn anew at every decision.
+        """
+        row = 0 if 0 in self._trained else int(self._rng.choice(self._trained))
+        luck, mask = self.agent.luck(1, self._noise), self._masks[row : row + 1]
+        merged = self.agent.look(views[None].to(self._device), mask, luck)[1][0]
         mean, log_std = self.agent.actor(merged, state[None].to(self._device))
         noise = torch.randn(mean.shape, generator=self._noise).to(self._device)
         return squash(mean, log_std, noise)[0][0].float().cpu().numpy()
@@ -158,10 +192,10 @@ class Learner:
         self._rng.bit_generator.state = json.loads(state["rng"])
         self._noise.set_state(state["noise"])
 
-    def _shifted(self, batch: Batch, draw: Draw) -> Batch:
+    def _shifted(self, batch: Batch, both: Array) -> Batch:
         moved = {
             name: shift(getattr(batch, name), shifts).to(self._device)
-            for name, shifts in zip(("views", "next_views"), draw.shifts, strict=True)
+            for name, shifts in zip(("views", "next_views"), both, strict=True)
         }
         numbers = {
             name: getattr(batch, name).to(self._device)
@@ -174,14 +208,28 @@ class Learner:
         # step, and none made without gradients may be met by a pass that needs them.
         return torch.autocast(self._device.type, torch.bfloat16, enabled=self.low_precision)
 
-    def _merge(self, views: Tensor, count: int) -> Tensor:
-        """(B, V, C, H, W) -> (count, B, Z): the first ``count`` rows of the method."""
-        return MERGES["sum"](self.agent.encode(views), self._masks[:count])
+    def _bottleneck_cost(self, features: Tensor) -> Tensor | float:
+        if self.method.extra != "kl":
+            return 0.0
+        assert isinstance(self.agent.encoder, BottleneckEncoder)
+        return self.config.kl_weight * kl_loss(*self.agent.encoder.gaussian(features))
+
+    def _contrast(self, batch: Batch, both: Array, positive: int) -> None:
+        """MVD's own step on the encoder, on pictures that are shifted anew."""
+        encoder, batch = self.agent.encoder, self._shifted(batch, both)
+        assert isinstance(encoder, TwoPartEncoder)
+        with self._autocast():
+            features = self.agent.encode(batch.views)
+        # Keys carry no gradient; a context of their own, see _autocast.
+        with torch.no_grad(), self._autocast():
+            following = each_stream(encoder.private, batch.next_views)
+        self._step(contrastive_loss(features, following, positive), "contrast")
 
     @torch.no_grad()
     def _target(self, batch: Batch, draw: Draw) -> Tensor:
         with self._autocast():
-            reads = self._merge(batch.next_views, self._reads)
+            masks = self._masks[: self._reads]
+            _, reads = self.agent.look(batch.next_views, masks, draw.luck[1])
             return td_target(self.agent, reads, batch, draw.target_noise.to(self._device))
 
     def _step(self, loss: Tensor, *names: str) -> None:

@@ -34,6 +34,14 @@ METHODS = {
     "merged-only": "Trained on all cameras together only.",
     "singular-only": "Trained on single cameras only.",
     "single": "Trained on one camera.",
+    "naive-both": "Trained on all cameras and each one alone, each its own teacher.",
+    "mvd": "MVD: acts on a shared part of one camera and a private part of another.",
+    "vib": "VIB: third-person cameras pass a noisy bottleneck; all cameras, or one.",
+    "frame-stack": "All cameras' pixels in one encoder: cannot do without any.",
+    "concat": "Features side by side: cannot do without any camera.",
+    "attention": "Cameras' features attend to each other; trained on all together.",
+    "vit": "One token per camera in a transformer layer; trained on all together.",
+    "q-mean": "Every camera judged alone, actions and Q averaged; trained on all together.",
 }
 
 

@@ -19,7 +19,7 @@ from madviz.envs.base import make_env
 from madviz.live import Evaluator, Tally
 from madviz.session import EnvFactory, Session
 from madviz.store import Store
-from madviz.types import Environment, Policy, PolicySpec, UserError
+from madviz.types import CameraSpec, Environment, Policy, PolicySpec, UserError
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"
 
@@ -44,7 +44,9 @@ class ExploreConfig:
     """Decisions per second at the start; None for as fast as it goes."""
 
 
-def env_in_one_thread(task: str, render_profile: str) -> Environment:
+def env_in_one_thread(
+    task: str, render_profile: str, cameras: tuple[CameraSpec, ...] = ()
+) -> Environment:
     """``make_env``, called by the thread that will own it; that thread computes on one core, as
     evaluation workers do. A policy's small matrices are no quicker on two, and on a busy machine a
     hundred times slower: threads that spin for each other."""
@@ -52,7 +54,7 @@ def env_in_one_thread(task: str, render_profile: str) -> Environment:
         import torch
 
         torch.set_num_threads(1)
-    return make_env(task, render_profile)
+    return make_env(task, render_profile, cameras)
 
 
 class App:

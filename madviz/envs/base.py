@@ -1,17 +1,24 @@
 """Which tasks and camera settings there are, and ``make_env``, the one way to build them.
 
 A *setting* is what a policy is given: which cameras, in which modalities. An environment always
-draws colour and depth of every camera, so a setting only picks and names streams.
+draws colour and depth of every camera, so most settings only pick and name streams. Some also say
+what cameras there are: ``five`` has two more, ``turned-away`` moves two, ``mixed-resolution`` draws
+them at other sizes. Where a camera stands is a matter of the suite (``setting_cameras``).
+
+A policy carries its cameras with it, so whoever loads it hands them to ``make_env`` and never needs
+to know its setting, or the file in which a user described cameras of their own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
-from madviz.types import Array, Environment, Modality, UserError, unknown
+from madviz.envs.cameras import read_cameras
+from madviz.types import Array, CameraSpec, Environment, EnvSpec, Modality, UserError, unknown
 
 RenderProfile = Literal["fast", "full"]
 
@@ -22,7 +29,13 @@ METAWORLD_TASKS = (
 )
 """The paper's 15 tasks: five medium, five hard, five very hard."""
 
-TASKS = (*(f"metaworld/{task}" for task in METAWORLD_TASKS), "toy/reach")
+MANISKILL_TASKS = ("push-cube", "pull-cube", "pick-cube", "place-sphere", "poke-cube")
+
+TASKS = (
+    *(f"metaworld/{task}" for task in METAWORLD_TASKS),
+    *(f"maniskill/{task}" for task in MANISKILL_TASKS),
+    "toy/reach",
+)
 
 
 @dataclass(frozen=True)
@@ -44,7 +57,18 @@ THREE = ("first", "third_a", "third_b")
 SETTINGS: dict[str, Setting] = {
     "three": Setting(THREE),
     "three-rgbd": Setting(THREE, ("rgb", "depth")),
+    "five": Setting((*THREE, "third_c", "top")),
+    "mixed-resolution": Setting(THREE),
+    "turned-away": Setting(THREE),
+    "one-rgb": Setting(("third_a",)),
+    "one-depth": Setting(("third_a",), ("depth",)),
+    "one-rgbd": Setting(("third_a",), ("rgb", "depth")),
 }
+"""One camera is Third A, the one the paper leaves untouched where it turns the others away: it
+stands still, and sees the whole table."""
+
+RESOLUTIONS = {"first": 64, "third_a": 96, "third_b": 84}
+"""Rows and columns in ``mixed-resolution``, as in the paper; all are resized to 84 for a policy."""
 
 
 def setting(name: str) -> Setting:
@@ -54,11 +78,86 @@ def setting(name: str) -> Setting:
     return SETTINGS[name]
 
 
-def make_env(task: str, render_profile: str = "fast") -> Environment:
+def setting_cameras(task: str, name: str) -> tuple[CameraSpec, ...]:
+    """The cameras of ``task``'s suite under the setting ``name``, ready for ``make_env``.
+
+    Raises UserError for unknown names, and where the suite has no cameras for that setting.
+    """
+    own, moved = _suite_cameras(task)
+    chosen = {camera.name: camera for camera in (*own, *moved.get(name, ()))}
+    missing = [camera for camera in setting(name).cameras if camera not in chosen]
+    if missing or (name == "turned-away" and name not in moved):
+        raise UserError(
+            f"{task} has no cameras for the setting {name!r}; known there: "
+            f"{', '.join(s for s in SETTINGS if s in moved or _same_cameras(s))}"
+        )
+    if name == "mixed-resolution":
+        return tuple(replace(chosen[c], size=size) for c, size in RESOLUTIONS.items())
+    return tuple(chosen[camera] for camera in setting(name).cameras)
+
+
+def choose(
+    task: str, name: str, file: str | Path | None = None
+) -> tuple[Setting, tuple[CameraSpec, ...]]:
+    """What to train with: a setting and its cameras; or, where there is a ``file``, the user's own
+    cameras in the modalities of that setting. Raises UserError for unknown names and bad files."""
+    if file is None:
+        return setting(name), setting_cameras(task, name)
+    cameras = read_cameras(file)
+    return Setting(tuple(c.name for c in cameras), setting(name).modalities), cameras
+
+
+def standing(own: tuple[CameraSpec, ...], given: tuple[CameraSpec, ...]) -> tuple[CameraSpec, ...]:
+    """What an environment draws: its ``own`` cameras where ``given`` is empty; with ``given`` ones
+    in their places where all of them bear names of its own; otherwise ``given`` and no others."""
+    named = {camera.name: camera for camera in given}
+    if named.keys() <= {camera.name for camera in own}:
+        return tuple(named.get(camera.name, camera) for camera in own)
+    return given
+
+
+def sees(env: EnvSpec, cameras: tuple[CameraSpec, ...]) -> bool:
+    """Whether ``env`` draws all of ``cameras`` as they are described, whatever a page calls them.
+
+    A page uses it to keep an episode going when another policy takes over.
+    """
+    drawn = {camera.name: replace(camera, label="") for camera in env.cameras}
+    return all(drawn.get(camera.name) == replace(camera, label="") for camera in cameras)
+
+
+def _same_cameras(name: str) -> bool:
+    """Whether the setting needs nothing but a suite's three cameras."""
+    return set(SETTINGS[name].cameras) <= set(THREE) and name != "turned-away"
+
+
+def _suite_cameras(
+    task: str,
+) -> tuple[tuple[CameraSpec, ...], dict[str, tuple[CameraSpec, ...]]]:
+    """A suite's own cameras, and by setting those that are added or stand elsewhere."""
+    if task not in TASKS:
+        raise unknown("task", task, list(TASKS))
+    if task.startswith("toy/"):
+        from madviz.envs.toy import CAMERAS as TOY_CAMERAS
+
+        return TOY_CAMERAS, {}
+    if task.startswith("maniskill/"):
+        from madviz.envs import maniskill
+
+        return maniskill.cameras_of(task.split("/")[1]), maniskill.SETTING_CAMERAS
+    from madviz.envs.metaworld import CAMERAS, SETTING_CAMERAS
+
+    return CAMERAS, SETTING_CAMERAS
+
+
+def make_env(
+    task: str, render_profile: str = "fast", cameras: tuple[CameraSpec, ...] = ()
+) -> Environment:
     """Builds ``suite/task``, for example ``metaworld/hammer`` or ``toy/reach``.
 
     ``render_profile`` is ``fast`` (no shadows, reflections or multisampling: 12 to 15 times faster
     on a CPU) or ``full`` (the simulator's stock flags). A policy must see what it was trained on.
+    ``cameras`` are the suite's own unless others are given: ``PolicySpec.cameras`` of a policy,
+    ``setting_cameras`` of a setting, ``envs.cameras.read_cameras`` of a user's file.
     Raises UserError for unknown names and for a machine that cannot draw.
     """
     if render_profile not in get_args(RenderProfile):
@@ -69,10 +168,28 @@ def make_env(task: str, render_profile: str = "fast") -> Environment:
     if suite == "toy":
         from madviz.envs.toy import ToyReach
 
-        return ToyReach()
+        toy = ToyReach()
+        toy.spec = replace(toy.spec, cameras=_toy_cameras(toy.spec, cameras))
+        return toy
+    if suite == "maniskill":
+        from madviz.envs.maniskill import ManiSkill
+
+        return ManiSkill(name, render_profile, cameras)
     from madviz.envs.metaworld import MetaWorld
 
-    return MetaWorld(name, render_profile)
+    return MetaWorld(name, render_profile, cameras)
+
+
+def _toy_cameras(env: EnvSpec, given: tuple[CameraSpec, ...]) -> tuple[CameraSpec, ...]:
+    """The toy world is painted for its own three cameras: only their sizes may differ."""
+    own = {camera.name: camera for camera in env.cameras}
+    for camera in given:
+        if camera.name not in own or replace(own[camera.name], size=camera.size) != camera:
+            raise UserError(
+                f"{env.task} has the cameras {', '.join(own)} where they are, and no others; "
+                f"found {camera.name!r} placed elsewhere: use a Meta-World task"
+            )
+    return standing(env.cameras, given)
 
 
 def check_action(action: Array, action_dim: int) -> None:

@@ -17,15 +17,17 @@ several simulations side by side would then change each other's scenes.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs.base import check_action
+from madviz.envs.base import check_action, standing
+from madviz.envs.cameras import look_at
 from madviz.envs.metaworld_experts import METAWORLD_SUCCESS, Expert
 from madviz.envs.metaworld_gl import check_gl
-from madviz.types import Array, CameraPose, CameraSpec, EnvSpec, TimeStep, View
+from madviz.types import Array, CameraPose, CameraSpec, EnvSpec, TimeStep, View, unknown
 
 ACTION_REPEAT = 2
 HORIZON = 100
@@ -53,14 +55,45 @@ CAMERAS = (
 )
 """The paper's cameras in world terms, with the roll already applied (fact sheet of the method)."""
 
+_FIRST, _, _THIRD_B = CAMERAS
+SETTING_CAMERAS: dict[str, tuple[CameraSpec, ...]] = {
+    "five": (
+        CameraSpec(
+            *("third_c", "Third C", 60),
+            position=(-0.75, 0.8, 0.65),
+            wxyz=look_at((-0.75, 0.8, 0.65), (0.0, 0.68, 0.1)),
+            depth_range=(0.5, 1.7),
+        ),
+        CameraSpec(
+            *("top", "Top", 50),
+            position=(0.0, 0.8, 1.3),
+            wxyz=look_at((0.0, 0.8, 1.3), (0.0, 0.68, 0.0)),
+            depth_range=(0.6, 1.4),
+        ),
+    ),
+    "turned-away": (
+        replace(_FIRST, wxyz=look_at((0, 0, 0), (1.0, 0.0, 0.45))),
+        replace(_THIRD_B, wxyz=look_at((0, 0, 0), (0.87, 0.0, 0.5))),
+    ),
+}
+"""By setting, the cameras added or moved. ``third_c`` looks across the table from the side opposite
+Third A, so that what the arm hides from one the other sees; ``top`` looks down on it from its far
+end.
+end. In ``turned-away`` First looks to the robot's right over the table's edge, and Third B at the
+sky (the paper says "uninformative directions" and gives none); neither sees hand, object or goal,
+but for the thermos of the stick tasks, which stands on First's way."""
+
 
 class MetaWorld:
     """One task; see the module. Not thread-safe, and bound to the thread that makes it."""
 
-    def __init__(self, task: str, render_profile: str = "fast") -> None:
+    def __init__(
+        self, task: str, render_profile: str = "fast", cameras: tuple[CameraSpec, ...] = ()
+    ) -> None:
+        """``cameras`` as in ``make_env``. Raises UserError for one on a body that is not there."""
         self.spec = EnvSpec(
             f"metaworld/{task}",
-            CAMERAS,
+            standing(CAMERAS, cameras),
             state_dim=24,
             paper_state=(16, 17, 18, 19),
             action_dim=4,
@@ -70,6 +103,7 @@ class MetaWorld:
             success=METAWORLD_SUCCESS[task],
         )
         self._simulation = _simulation(task)
+        _check_bodies(self.spec.cameras, self._simulation.model)
         self._expert = Expert(task)
         self._observation = np.zeros(39)
         self._states: list[Array] = []
@@ -133,6 +167,13 @@ class MetaWorld:
 
     def _state(self) -> Array:
         return np.concatenate(self._states)
+
+
+def _check_bodies(cameras: tuple[CameraSpec, ...], model: Any) -> None:
+    bodies = [name for name in (model.body(i).name for i in range(model.nbody)) if name]
+    for camera in cameras:
+        if camera.body is not None and camera.body not in bodies:
+            raise unknown(f"body of the camera {camera.name}", camera.body, bodies)
 
 
 def _scene_cameras(simulation: Any, render_profile: str) -> Any:

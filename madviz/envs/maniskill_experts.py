@@ -1,0 +1,160 @@
+"""Scripted experts of the ManiSkill tasks, in the policy's own actions.
+
+An action moves the tool point by at most 0.1 m a decision in x, y, z and says how far the gripper
+is open (1) or closed (-1). Each expert looks at the true positions of now and nothing else: which
+phase it is in follows from where things are. So it can also label the states of a student, which is
+what the light recipe asks of it, and it recovers from being pushed off its path.
+
+The controller moves the tool point about half of what it is told in one decision, and its inverse
+kinematics fails for large steps near the arm's reach (x = 0.17 m with the hand pointing down): far
+targets are approached in small steps. The gripper cannot be turned; its fingers open along x.
+
+Poking needs a tool: the cube has to go where the arm cannot reach. The peg lies along x and is too
+long to be grasped that way, so the fingers press on it from above and drag it: rubber on peg holds
+1.15 times the pressure, peg on table only 0.3 times.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from madviz.envs.maniskill_tasks import position
+from madviz.types import Array
+
+OPEN, CLOSED = 1.0, -1.0
+FAR_OUT, FAR_OUT_LIMIT = 0.06, 0.3
+"""Metres of x from which on the action outwards stays at the limit: near the arm's reach."""
+STEP = 0.1
+"""Metres of tool point motion that an action of 1 asks for."""
+ABOVE = 0.08
+"""Metres over an object at which the gripper travels to it."""
+ON_PEG = 0.0365
+"""Metres from the peg's middle up to the tool point when the finger tips touch the peg."""
+PRESS = -0.1
+"""The downward action that holds the peg by friction and does not tilt the hand."""
+GRIPPER_IS_OPEN = 0.035
+"""Metres of one finger; 0.04 is all the way."""
+
+
+class Expert:
+    """The script of one task; ``simulation`` is the running one."""
+
+    def __init__(self, task: str) -> None:
+        self._script = _SCRIPTS[task]
+
+    def action(self, simulation: Any) -> Array:
+        """(4,) float32 in [-1, 1]: tool point x, y, z and gripper."""
+        action = np.clip(self._script(simulation), -1, 1).astype(np.float32)
+        if position(simulation.agent.tcp)[0] > FAR_OUT:
+            action[:3] *= min(1.0, FAR_OUT_LIMIT / max(action[0], 1e-9))
+        return action
+
+
+def _towards(error: Array, gripper: float, limit: float = 1.0, gain: float = 1.3) -> Array:
+    """The action that closes ``error`` (3,), metres; its longest component is at most ``limit``,
+    and its direction is kept."""
+    motion = gain * error / STEP
+    return np.append(motion * min(1.0, limit / max(np.abs(motion).max(), 1e-9)), gripper)
+
+
+def _push(simulation: Any) -> Array:
+    return _slide(simulation, 1.0)
+
+
+def _pull(simulation: Any) -> Array:
+    return _slide(simulation, -1.0)
+
+
+def _slide(simulation: Any, sign: float) -> Array:
+    """Moves the cube along ``sign`` x with the closed fingers behind it."""
+    tool, cube = position(simulation.agent.tcp), position(simulation.obj)
+    left = sign * (position(simulation.goal_region) - cube)[0]
+    ahead, aside = sign * (tool - cube)[0], abs(tool - cube)[1]
+    if left < 0.04:
+        return np.array([0, 0, 0, CLOSED])
+    if aside < 0.015 and ahead < -0.02 and tool[2] < 0.035:
+        speed = np.clip(left, 0.03, 0.05)
+        return _towards(np.array([sign * speed, cube[1] - tool[1], 0.02 - tool[2]]), CLOSED, 0.5)
+    behind = cube - [sign * 0.075, 0, 0]
+    if aside < 0.015 and ahead < -0.05:
+        return _towards(behind - tool, CLOSED)
+    if tool[2] < 0.07 and ahead > -0.055:
+        return np.array([0, 0, 1, CLOSED])
+    return _towards(behind + [0, 0, ABOVE] - tool, CLOSED)
+
+
+def _grasp(tool: Array, thing: Array) -> Array:
+    """Over ``thing``, down to it, and close."""
+    error = thing - tool
+    aside = np.hypot(error[0], error[1])
+    if aside < 0.012 and abs(error[2]) < 0.012:
+        return np.array([0, 0, 0, CLOSED])
+    if aside > 0.02:
+        error = error + [0, 0, ABOVE]
+    return _towards(error, OPEN)
+
+
+def _pick(simulation: Any) -> Array:
+    tool, cube = position(simulation.agent.tcp), position(simulation.cube)
+    if simulation.agent.is_grasping(simulation.cube)[0]:
+        return _towards(position(simulation.goal_site) - cube, CLOSED, 0.7)
+    return _grasp(tool, cube)
+
+
+def _place(simulation: Any) -> Array:
+    tool, sphere = position(simulation.agent.tcp), position(simulation.obj)
+    rest = position(simulation.bin) + [0, 0, 0.0225]  # Half a bottom plus the sphere's radius.
+    error = rest - sphere
+    aside = np.hypot(error[0], error[1])
+    if aside < 0.004 and abs(error[2]) < 0.004:
+        opened = float(simulation.agent.robot.get_qpos()[0, -1]) > GRIPPER_IS_OPEN
+        return _towards(np.array([0, 0, 0.15 - tool[2] if opened else 0.0]), OPEN, 0.5)
+    if simulation.agent.is_grasping(simulation.obj)[0]:
+        over = 0.045 if aside > 0.008 else 0.0
+        return _towards(error + [0, 0, over], CLOSED, 0.7)
+    return _grasp(tool, sphere + [0, 0, 0.006])
+
+
+def _poke(simulation: Any) -> Array:
+    tool, peg = position(simulation.agent.tcp), position(simulation.peg)
+    cube, goal = position(simulation.cube), position(simulation.goal_region)
+    if np.hypot(*(goal - cube)[:2]) < 0.035:
+        return np.array([0, 0, 0, OPEN])
+    aside, low = cube[1] - peg[1], tool[2] < 0.045
+    if cube[0] - peg[0] > 0.17 and abs(aside) > (0.006 if low else 0.02):
+        return _line_up(tool, peg, aside)
+    if low:
+        return np.array([0, 0, 1, OPEN])
+    error = peg + [-0.075, 0, ON_PEG] - tool
+    if abs(error[0]) > 0.025 or abs(error[1]) > 0.02:
+        return _towards(error + [0, 0, 0.4 * ABOVE], OPEN)
+    if error[2] < -0.006:
+        return _towards(error, OPEN, 0.4)
+    drag = _towards(np.array([0.05, aside, 0.0]), OPEN, 0.4 if tool[0] < 0.12 else 0.2)
+    drag[2] = PRESS
+    return drag
+
+
+def _line_up(tool: Array, peg: Array, aside: float) -> Array:
+    """Pushes the peg sideways by ``aside`` metres. The open fingers touch its flank at two places,
+    so that it does not turn."""
+    behind = np.sign(aside) * (peg - tool)[1]
+    error = peg - [0, np.sign(aside) * 0.06, 0] - tool
+    if tool[2] < 0.045 and behind > 0.02:
+        return _towards(np.array([error[0], aside, error[2]]), OPEN, 0.6)
+    if behind > 0.045 and abs(error[0]) < 0.03:
+        return _towards(error, OPEN)
+    if tool[2] < 0.07:
+        return np.array([0, 0, 1, OPEN])
+    return _towards(error + [0, 0, ABOVE], OPEN)
+
+
+_SCRIPTS = {
+    "push-cube": _push,
+    "pull-cube": _pull,
+    "pick-cube": _pick,
+    "place-sphere": _place,
+    "poke-cube": _poke,
+}

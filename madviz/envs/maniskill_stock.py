@@ -1,0 +1,87 @@
+"""ManiSkill drawn as its users draw it: the task's own sensors under its own settings.
+
+It is here to be measured against, see ``madviz bench render --task maniskill/push-cube``. Same
+task, same size, sensors at the same places; colour only, where ours reads colour and depth.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+
+from madviz.envs.maniskill import cameras_of
+from madviz.envs.maniskill_tasks import stock_task
+from madviz.types import Array
+
+
+class StockFrames:
+    """A task and its stock sensors. Belongs to the thread that makes it."""
+
+    def __init__(self, task: str, size: int) -> None:
+        kind: Any = type("Stock", (_PaperSensors, stock_task(task)), {"madviz_task": task})
+        logging.getLogger("mani_skill ").setLevel(logging.ERROR)
+        self._simulation = kind(
+            robot_uids="panda_wristcam",
+            obs_mode="rgb",
+            control_mode="pd_ee_delta_pos",
+            reward_mode="normalized_dense",
+            sim_backend="physx_cpu",
+            render_backend="cpu",
+            sensor_configs={"width": size, "height": size},
+        )
+        self._simulation.reset(seed=0)
+
+    def step(self) -> None:
+        """Physics alone: what a step does before it asks for observations."""
+        self._simulation._step_action(np.zeros(4, np.float32))
+
+    def draw(self) -> list[Array]:
+        """One (H, W, 3) uint8 picture of each sensor, through ManiSkill's own observation code."""
+        seen = self._simulation._get_obs_sensor_data()
+        return [np.asarray(each["rgb"][0]) for each in seen.values()]
+
+    def flags(self) -> str:
+        """The settings that cost, read from the scene."""
+        import sapien.render
+
+        count = 0
+        for entity in self._simulation.scene.sub_scenes[0].entities:
+            body = entity.find_component_by_type(sapien.render.RenderBodyComponent)
+            for shape in body.render_shapes if body else ():
+                count += sum(len(part.triangles) for part in getattr(shape, "parts", ()))
+        return f"shadows {int(self._simulation.enable_shadow)}, {count} triangles"
+
+    def close(self) -> None:
+        self._simulation.close()
+
+
+class _PaperSensors:
+    """Goes before a stock task: the paper's standing cameras in place of the task's own sensor. The
+    wrist camera is the robot's."""
+
+    madviz_task: str
+    SUPPORTED_ROBOTS = None  # Any; the stock lists lack the wrist camera's Panda.
+
+    @property
+    def _default_sensor_configs(self) -> list[Any]:
+        import sapien
+        from mani_skill.sensors.camera import CameraConfig
+        from mani_skill.utils.structs.pose import Pose
+
+        from madviz.envs.maniskill_render import FAR, NEAR, sapien_pose
+
+        return [
+            CameraConfig(
+                uid=camera.name,
+                pose=Pose.create(sapien.Pose(sapien_pose(camera.position, camera.wxyz))),
+                width=camera.size,
+                height=camera.size,
+                fov=float(np.radians(camera.fovy)),
+                near=NEAR,
+                far=FAR,
+            )
+            for camera in cameras_of(self.madviz_task)
+            if camera.body is None
+        ]

@@ -1,0 +1,105 @@
+"""ManiSkill3's five tasks of the paper: how one is built, and what is read from it.
+
+The simulations are ManiSkill's own classes with the wrist-camera Panda, one at a time, physics on
+the CPU. They are built directly and not through gymnasium's registry: the paper's own ids
+(``PushCube-v2`` and so on) are used by others for different tasks, and nothing here may clash.
+
+An episode shall depend on its seed alone, but PhysX keeps contacts from before a reset: of ten
+PlaceSphere episodes in one simulation, three ended elsewhere than in a fresh one. Every reset
+therefore builds the physics anew, which takes 0.1 to 0.2 s. That would take seconds if no renderer
+were alive (materials would set up Vulkan each time), so ``renderer`` is called first and kept.
+
+The state is joint positions (9), joint speeds (9) and what the task adds, 28 or 29 numbers:
+
+    push-cube, pull-cube      tool point's pose 7, middle of the target 3
+    pick-cube, place-sphere   whether the object is grasped 1, tool point's pose 7, goal or bin 3
+    poke-cube                 tool point's pose 7, *the peg's present position* 3
+
+The last one is called goal in the paper's code and in ManiSkill, but it is privileged: it tells a
+policy where the peg is, whatever its cameras show. It is kept, to be comparable. PushCube's target
+is where the cube started plus 0.2 m, and PullCube's minus 0.2 m, so they tell that as well.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+
+from madviz.types import Array
+
+MANISKILL_SUCCESS = {
+    "push-cube": "the cube's middle is within 0.1 m of the target's and the cube is on the table",
+    "pull-cube": "the cube's middle is within 0.1 m of the target's, seen from above",
+    "pick-cube": "the cube is within 0.025 m of the goal and no joint is faster than 0.2 rad/s",
+    "place-sphere": "the sphere rests in the bin, at most 5 mm from its middle, and is let go",
+    "poke-cube": "the cube is within 0.05 m of the target and no joint is faster than 0.2 rad/s",
+}
+"""Each task's condition in the pinned version, in words for cards and pages."""
+
+STATE_DIM = {"pick-cube": 29, "place-sphere": 29}
+"""Of the tasks that also say whether the object is grasped; the others have 28."""
+
+
+def build(task: str, render_backend: str = "none") -> Any:
+    """ManiSkill's simulation of ``task``. ``render_backend`` is ``none`` for physics, ``cpu`` for a
+    scene that can be drawn; neither has cameras of its own."""
+    kind: Any = type("Simulation", (_Bare, stock_task(task)), {})
+    # Otherwise it warns at every construction that this robot is not on the task's list. (The odd
+    # name is its own, and importing it has just set the level.)
+    logging.getLogger("mani_skill ").setLevel(logging.ERROR)
+    return kind(
+        robot_uids="panda_wristcam",
+        obs_mode="none",
+        control_mode="pd_ee_delta_pos",
+        reward_mode="normalized_dense",
+        sim_backend="physx_cpu",
+        render_backend=render_backend,
+    )
+
+
+class _Bare:
+    """Goes before a stock task: no cameras, and no garbage collection on every reset."""
+
+    SUPPORTED_ROBOTS = None  # Any; the stock lists lack the wrist camera's Panda.
+
+    def _setup_sensors(self, options: dict) -> None:
+        self.scene: Any
+        self._sensors = self._human_render_cameras = {}
+        self.scene.sensors = self.scene.human_render_cameras = {}
+
+    def _clear(self) -> None:
+        self.agent = self.scene = None
+        self._sensors, self._human_render_cameras, self._hidden_objects = {}, {}, []
+
+
+def stock_task(task: str) -> Any:
+    """ManiSkill's own class of ``task``."""
+    from mani_skill.envs.tasks import tabletop
+
+    return {
+        "push-cube": tabletop.PushCubeEnv,
+        "pull-cube": tabletop.PullCubeEnv,
+        "pick-cube": tabletop.PickCubeEnv,
+        "place-sphere": tabletop.PlaceSphereEnv,
+        "poke-cube": tabletop.PokeCubeEnv,
+    }[task]
+
+
+def state(task: str, simulation: Any, info: dict[str, Any]) -> Array:
+    """(S,) float32, see the module; ``info`` is what the task's ``evaluate`` said."""
+    robot = simulation.agent.robot
+    numbers = [robot.get_qpos()[0], robot.get_qvel()[0]]
+    if task in STATE_DIM:
+        grasped = info["is_grasped" if task == "pick-cube" else "is_obj_grasped"]
+        numbers.append(grasped.float())
+    numbers.append(simulation.agent.tcp.pose.raw_pose[0])
+    told = {"pick-cube": "goal_site", "place-sphere": "bin", "poke-cube": "peg"}
+    numbers.append(getattr(simulation, told.get(task, "goal_region")).pose.p[0])
+    return np.concatenate([np.asarray(each, np.float32) for each in numbers])
+
+
+def position(thing: Any) -> Array:
+    """(3,) float64, metres, world frame, of an actor or a link."""
+    return np.asarray(thing.pose.p[0], float)

@@ -1,0 +1,207 @@
+"""ManiSkill: cameras, state, experts, lighter meshes, and machines that cannot draw it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from madviz.doctor import check_vulkan
+from madviz.envs import maniskill_meshes, maniskill_vulkan
+from madviz.envs.base import MANISKILL_TASKS, SETTINGS, make_env, setting_cameras
+from madviz.envs.maniskill import ManiSkill, cameras_of
+from madviz.envs.maniskill_tasks import MANISKILL_SUCCESS, position
+from madviz.types import Array, UserError
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:mani_skill")
+
+
+@pytest.fixture(scope="module")
+def push() -> Iterator[ManiSkill]:
+    env = ManiSkill("push-cube")
+    yield env
+    env.close()
+
+
+def pixel(env: ManiSkill, camera: str, point: Array, size: int = 84) -> tuple[int, int]:
+    """Row and column at which ``camera`` should see ``point`` (3,), metres, by its pose."""
+    pose = env.pose(camera)
+    right, down, ahead = (
+        Rotation.from_quat(pose.wxyz, scalar_first=True).inv().apply(point - pose.position)
+    )
+    scale = size / 2 / np.tan(np.radians(pose.fovy) / 2)
+    return int(size / 2 + scale * down / ahead), int(size / 2 + scale * right / ahead)
+
+
+def test_pictures_are_the_stock_ones_where_poses_say(push: ManiSkill) -> None:
+    """Stock sensors at the same places; the wrist camera's pictures turned as the paper does."""
+    from madviz.envs.maniskill_stock import StockFrames
+
+    stock, full = StockFrames("push-cube", 84), ManiSkill("push-cube", "full")
+    full.reset(0)
+    push.reset(0)
+    third_a, third_b, hand = stock.draw()
+    for name, wanted in {"first": np.rot90(hand), "third_a": third_a, "third_b": third_b}.items():
+        assert np.abs(full.view(name).rgb.astype(float) - wanted).mean() < 0.2, name
+        lighter = push.view(name)
+        assert np.abs(lighter.rgb.astype(float) - wanted).mean() < 1.5, name
+        nearer = np.minimum(lighter.depth, 2) - np.minimum(full.view(name).depth, 2)
+        assert np.abs(nearer).mean() < 0.01, name
+    full.close()
+    stock.close()
+
+
+def test_the_cube_is_where_the_poses_put_it(push: ManiSkill) -> None:
+    push.reset(0)
+    cube = position(push._simulation.obj)
+    for camera in push.spec.cameras:
+        view, (row, column) = push.view(camera.name), pixel(push, camera.name, cube)
+        red, green, blue = view.rgb[row, column].astype(int)
+        assert blue > red + 40 and blue > green + 40, f"{camera.name} has no cube at {row, column}"
+        away = np.linalg.norm(cube - push.pose(camera.name).position)
+        assert abs(view.depth[row, column] - away) < 0.1
+
+
+def test_the_wrist_camera_goes_where_the_hand_goes(push: ManiSkill) -> None:
+    push.reset(1)
+    before, still = push.pose("first").position, push.pose("third_a").position
+    for _ in range(4):
+        push.step(np.array([0, 0.5, 0, 0]))
+    assert push.pose("first").position[1] - before[1] > 0.05
+    assert np.array_equal(push.pose("third_a").position, still)
+
+
+def test_the_state_is_joints_speeds_and_what_the_task_adds(push: ManiSkill) -> None:
+    state = push.reset(2).state
+    cube = position(push._simulation.obj)
+    assert state.shape == (28,) and np.allclose(state[7:9], 0.04) and not state[9:18].any()
+    assert np.allclose(state[18:21], position(push._simulation.agent.tcp), atol=1e-5)
+    assert np.allclose(state[25:27], cube[:2] + [0.2, 0], atol=1e-5)
+
+
+def test_poke_cubes_goal_is_the_peg() -> None:
+    env = ManiSkill("poke-cube")
+    state = env.reset(3).state
+    assert np.allclose(state[25:], position(env._simulation.peg), atol=1e-5)
+    assert env.spec.cameras[1] != cameras_of("push-cube")[1]
+
+
+@pytest.mark.parametrize("task", MANISKILL_TASKS)
+def test_experts_succeed_and_stay(task: str) -> None:
+    env = ManiSkill(task)
+    assert env.spec.success == MANISKILL_SUCCESS[task]
+    for seed in (100, 101):
+        now = env.reset(seed)
+        assert not now.success
+        while not now.last:
+            now = env.step(env.expert())
+        assert now.success and now.reward == pytest.approx(1.0), f"seed {seed}"
+        assert now.state.shape == (env.spec.state_dim,)
+
+
+def test_settings_have_their_cameras() -> None:
+    for name, setting in SETTINGS.items():
+        cameras = setting_cameras("maniskill/poke-cube", name)
+        assert tuple(camera.name for camera in cameras) == setting.cameras
+    away = setting_cameras("maniskill/push-cube", "turned-away")
+    env = make_env("maniskill/push-cube", cameras=away)
+    env.reset(0)
+    assert (env.view("third_b").depth > 5).mean() > 0.9
+    env.close()
+
+
+def test_a_body_that_is_not_there_is_named() -> None:
+    from dataclasses import replace
+
+    astray = replace(cameras_of("push-cube")[0], body="elbow")
+    with pytest.raises(UserError, match="elbow.*camera_link"):
+        ManiSkill("push-cube", cameras=(astray,))
+
+
+def test_a_heavy_mesh_gets_light_and_keeps_its_shape() -> None:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(5)  # 20,480 triangles, radius 1.
+    loose = np.asarray(ball.vertices, np.float32)[ball.faces].reshape(-1, 3)
+    faces = np.arange(len(loose)).reshape(-1, 3)
+    vertices, triangles, normals, uvs = maniskill_meshes.shade(
+        *maniskill_meshes.decimate(loose, faces)
+    )
+    limit = maniskill_meshes.ENOUGH * maniskill_meshes.TRIANGLES
+    assert 200 < len(triangles) <= limit and len(uvs) == len(vertices)
+    assert np.abs(np.linalg.norm(vertices, axis=1) - 1).max() < 0.05
+    assert (normals * vertices).sum(1).min() > 0.95  # Smooth, and outwards.
+
+
+def test_a_level_textured_rectangle_becomes_two_triangles() -> None:
+    x, y = np.meshgrid(np.arange(11.0), np.arange(6.0))
+    vertices = np.c_[x.ravel(), y.ravel(), np.full(66, -1.0)].astype(np.float32)
+    corner = (np.arange(5)[:, None] * 11 + np.arange(10)).ravel()
+    triangles = np.concatenate(
+        [np.c_[corner, corner + 1, corner + 12], np.c_[corner, corner + 12, corner + 11]]
+    )
+    normals, uvs = np.tile([0, 0, 1.0], (66, 1)), vertices[:, :2] / 4
+    mesh = (vertices, triangles, normals, uvs)
+    light = maniskill_meshes.flat_rectangle(mesh)
+    assert light is not None and len(light[1]) == 2
+    assert np.allclose(light[3], light[0][:, :2] / 4, atol=1e-5)
+    assert maniskill_meshes.flat_rectangle((vertices, triangles[1:], normals, uvs)) is None
+
+
+def test_what_was_decimated_once_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    import trimesh
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    ball = trimesh.creation.icosphere(4)
+    vertices = np.asarray(ball.vertices, np.float32)
+    mesh = (vertices, np.asarray(ball.faces, np.uint32), vertices, vertices[:, :2])
+    first = maniskill_meshes.lighter(mesh, textured=False)
+    assert len(list((tmp_path / "madviz" / "meshes").glob("*.npz"))) == 1
+    monkeypatch.setattr(maniskill_meshes, "decimate", None)
+    again = maniskill_meshes.lighter(mesh, textured=False)
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+
+
+def test_without_vulkan_one_sentence_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sapien.render
+
+    def fails(device: object) -> None:
+        raise RuntimeError("vk::PhysicalDevice::createDeviceUnique: ErrorFeatureNotPresent")
+
+    monkeypatch.setattr(sapien.render, "RenderSystem", fails)
+    maniskill_vulkan.renderer.cache_clear()
+    try:
+        with pytest.raises(UserError, match="24.3.*ErrorFeatureNotPresent.*make setup"):
+            make_env("maniskill/push-cube")
+    finally:
+        maniskill_vulkan.renderer.cache_clear()
+
+
+def test_the_doctor_tells_a_driver_from_one_that_works(tmp_path: Path) -> None:
+    (tmp_path / "icd.d").mkdir()
+    (tmp_path / "icd.d" / "lvp_icd.json").touch()
+    works = check_vulkan(lambda: {"device": "llvmpipe"}, (str(tmp_path),))
+    assert works.sound and works.found == "llvmpipe"
+    old = check_vulkan(lambda: None, (str(tmp_path),))
+    assert not old.sound and "24.3" in old.found and "tools/system.py" in old.mend
+    assert "apt-get install" in check_vulkan(lambda: None, (str(tmp_path / "none"),)).mend
+
+
+def test_the_supported_device_is_named() -> None:
+    summary = "GPU: Old Card\n  Supported: 0\nGPU: llvmpipe (LLVM 15.0.6)\n  Supported: 1\n"
+    assert maniskill_vulkan.device_name(summary) == "llvmpipe (LLVM 15.0.6)"
+    assert maniskill_vulkan.device_name("GPU: Old Card\n  Supported: 0\n") == ""
+
+
+def test_only_who_makes_an_environment_loads_sapien() -> None:
+    program = (
+        "import madviz.envs.maniskill, madviz.envs.maniskill_stock, madviz.envs.base, sys;"
+        "print(*{'sapien', 'mani_skill', 'torch'} & set(sys.modules))"
+    )
+    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert loaded.returncode == 0 and loaded.stdout.split() == []

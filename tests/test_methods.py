@@ -1,0 +1,306 @@
+"""Every method, whole and tiny: trains by both recipes, loads, acts, and refuses what it must."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Iterator
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from madviz import checkpoint, light, paper, train
+from madviz.ablations import Ablation
+from madviz.agent.agent import Agent, TorchPolicy
+from madviz.agent.bottleneck import kl_loss
+from madviz.agent.contrast import contrastive_loss
+from madviz.agent.methods import METHODS
+from madviz.agent.networks import NetworkConfig
+from madviz.agent.supports import SUPPORTS
+from madviz.demonstrations import Driver, Episode, record_episode
+from madviz.envs.base import SETTINGS
+from madviz.envs.toy import ToyReach
+from madviz.light import LightConfig, LightRun
+from madviz.paper import PaperConfig
+from madviz.probes import probe
+from madviz.rollout import run_episode
+from madviz.subsets import every_mask, mask_of
+from madviz.train import TrainConfig
+from madviz.types import Environment, PolicySpec, UserError
+
+STREAMS = SETTINGS["three"].streams
+HORIZON = 4
+LIGHT = LightConfig(
+    rounds=2, demonstrations=1, episodes_per_round=4, updates_per_round=2, batch_size=4,
+    hidden_dim=8, critic_updates=2, bottleneck_dim=6,
+)  # fmt: skip
+PAPER = PaperConfig(
+    steps=8, exploration_steps=5, batch_size=3, hidden_dim=8, eval_every=1000, eval_episodes=1,
+    bottleneck_dim=6,
+)  # fmt: skip
+
+
+def short_toy() -> ToyReach:
+    env = ToyReach()
+    env.spec = replace(env.spec, horizon=HORIZON)
+    return env
+
+
+class InlineRecorder(light.Recorder):
+    """Records at once, in this process."""
+
+    def __init__(self, task, profile, cameras, streams, workers) -> None:
+        self.env, self.streams = short_toy(), streams
+
+    def start(self, plan: list[tuple[Driver, int]]) -> list[Future[Episode]]:
+        futures: list[Future[Episode]] = []
+        for driver, seed in plan:
+            future: Future[Episode] = Future()
+            future.set_result(record_episode(self.env, self.streams, driver, seed))
+            futures.append(future)
+        return futures
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(autouse=True)
+def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    def make(task: str, render_profile: str, cameras=()) -> Environment:
+        return short_toy()
+
+    for module in (train, paper):
+        monkeypatch.setattr(module, "make_env", make)
+    monkeypatch.setattr(train, "Recorder", InlineRecorder)
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def config(method: str, recipe: str = "light", **changes: Any) -> TrainConfig:
+    whole = TrainConfig("toy/reach", method, recipe, light=LIGHT, paper=PAPER, threads=1)
+    return replace(whole, **changes)
+
+
+def trained(folder: Path, whole: TrainConfig) -> Path:
+    return train.train(replace(whole, out=folder), lambda event: None)
+
+
+def untrained(whole: TrainConfig) -> dict[str, torch.Tensor]:
+    """The weights that a light run of ``whole`` begins with."""
+    torch.manual_seed(whole.seed)
+    networks = whole.networks(ToyReach().spec, 8, 6)
+    merge = METHODS[whole.method].merge_for(whole.streams(), whole.merge)
+    return Agent(networks, merge=merge, streams=whole.streams()).acting_state()
+
+
+def acts_where_it_says(folder: Path, words: str) -> None:
+    """On every subset a policy acts, or refuses in one line that says what it needs."""
+    policy = checkpoint.load_policy(folder)
+    streams, env = policy.spec.streams, short_toy()
+    views = np.random.default_rng(0).integers(0, 256, (len(streams), 9, 84, 84), np.uint8)
+    encoded = policy.encode(views, np.zeros(6, np.float32))
+    assert encoded.features.shape[0] == len(streams) and np.isfinite(encoded.features).all()
+    found = probe(policy, encoded)
+    for index, mask in enumerate(every_mask(len(streams))):
+        supported = policy.supports(mask)
+        assert supported == SUPPORTS[policy.agent.merge_name].allows(mask)  # type: ignore[attr-defined]
+        assert np.isfinite(found.readout.action[index]).all() == supported
+        assert np.isfinite(found.readout.q[index]) == supported
+        if not supported:
+            with pytest.raises(UserError, match=words) as error:
+                policy.read(encoded, mask)
+            assert "\n" not in str(error.value)
+            with pytest.raises(UserError, match="cannot act on"):
+                run_episode(policy, env, mask, Ablation(), 5)
+    for name in policy.spec.trained_subsets:
+        mask = mask_of(name, streams)
+        assert policy.supports(mask), name
+    one, two = (run_episode(policy, env, mask, Ablation(), 7) for _ in range(2))
+    assert one == two, "an episode is a function of its seed"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_light(method: str, tmp_path: Path) -> None:
+    whole = config(method)
+    folder = trained(tmp_path / "run", whole)
+    now, before = load_file(folder / "weights.safetensors"), untrained(whole)
+    assert {t.dtype for t in now.values()} == {torch.float16}
+    for part in ("encoder", "actor", "critic"):
+        names = [name for name in now if name.startswith(part)]
+        assert any(not torch.equal(now[n], before[n].half()) for n in names), part
+    described = json.loads((folder / "config.json").read_text())
+    assert described["method"] == method and described["merge"] == METHODS[method].merge
+    assert described.get("camera") == ("first" if method == "single" else None)
+    acts_where_it_says(folder, "bring the missing cameras back")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_paper(method: str, tmp_path: Path) -> None:
+    folder = trained(tmp_path / "run", config(method, "paper"))
+    state = torch.load(folder / "resume" / "state.pt", weights_only=True)
+    assert state["updates"] == 1 and np.isfinite(list(state["losses"].values())).all()
+    header = (folder / "curve.csv").read_text().splitlines()[0].split(",")
+    measured = {name.removeprefix("success_") for name in header if name.startswith("success_")}
+    alone = SUPPORTS[METHODS[method].merge].allows(np.array([True, False, False]))
+    streams = STREAMS if alone and method != "single" else ()
+    assert measured == {"all", *streams}
+    assert checkpoint.load_policy(folder).spec.method == method
+
+
+@pytest.mark.parametrize("merge", ["attention", "vit", "q-mean"])
+def test_mad_with_another_merge(merge: str, tmp_path: Path) -> None:
+    whole = config("mad", merge=merge)
+    assert whole.policy_name() == f"toy-reach-mad-{merge}-light"
+    folder = trained(tmp_path / "run", whole)
+    policy = checkpoint.load_policy(folder)
+    assert policy.spec.trained_subsets == ("all", *STREAMS)
+    assert json.loads((folder / "config.json").read_text())["merge"] == merge
+    acts_where_it_says(folder, "at least one stream")
+
+
+def test_a_single_camera_is_part_of_the_name(tmp_path: Path) -> None:
+    whole = config("single", camera="third_a", setting="three-rgbd")
+    assert whole.policy_name() == "toy-reach-single-third_a-three-rgbd-light"
+    assert "--camera third_a" in train.command(whole)
+    folder = trained(tmp_path / "run", whole)
+    spec = checkpoint.describe(folder).spec
+    assert spec.streams == ("third_a.rgb", "third_a.depth") and spec.trained_subsets == ("all",)
+    described = json.loads((folder / "config.json").read_text())
+    assert described["camera"] == "third_a" and len(described["cameras"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("method", "change", "message"),
+    [
+        ("mad", {"merge": "product"}, "unknown merge 'product'; known: attention"),
+        ("mad", {"merge": "concat"}, "can form 'first', found 'concat', which needs all streams"),
+        ("mad", {"merge": "vib"}, "found 'vib'; merges other than mvd and vib"),
+        ("mvd", {"merge": "attention"}, "the method's own merge 'mvd', found 'attention'"),
+        ("single", {"camera": "thrid_a"}, "unknown camera 'thrid_a'; known: first"),
+        ("mad", {"camera": "first"}, "--camera with the method single, found it with 'mad'"),
+    ],
+)
+def test_what_does_not_go_together_costs_nothing(
+    method: str, change: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(UserError, match=message) as error:
+        trained(tmp_path / "run", config(method, **change))
+    assert "\n" not in str(error.value) and not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("method", "streams", "message"),
+    [
+        ("mvd", ("first",), "2 or more streams, found 1"),
+        ("vib", ("first.rgb", "first.depth"), "2 or more cameras, found first"),
+        ("vib", ("third_a", "third_b"), "the camera 'first', found third_a, third_b"),
+    ],
+)
+def test_a_setting_that_is_too_small(method: str, streams: tuple[str, ...], message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        METHODS[method].rows(streams)
+
+
+def test_the_list_shows_what_methods_need_and_support() -> None:
+    methods = checkpoint.list_everything()["methods"]
+    assert set(methods) == set(METHODS)
+    assert methods["vib"]["supports"] == "all streams together, or one alone"
+    assert "the camera first" in methods["vib"]["needs"]
+    assert all(row["recipes"] and row["summary"] for row in methods.values())
+
+
+# --- What a light update minimises -----------------------------------------------------------
+
+
+SEED = 1
+"""Of a batch in which half of the decisions are an episode's last."""
+
+
+def light_run(method: str, folder: Path) -> LightRun:
+    names = ("p", "toy/reach", method, "three", "light")
+    spec = PolicySpec(*names, STREAMS, METHODS[method].trained_subsets(STREAMS))
+    torch.manual_seed(0)
+    networks = NetworkConfig(6, 2, hidden_dim=8, bottleneck_dim=6)
+    agent = Agent(networks, merge=METHODS[method].merge, streams=STREAMS)
+    run = LightRun(replace(LIGHT, shift=0), spec, agent, HORIZON, 0, folder)
+    run.add([record_episode(short_toy(), STREAMS, Driver(), seed) for seed in range(2)], 0)
+    return run
+
+
+def stepped(run: LightRun, monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
+    """The losses of one update, none of which is followed."""
+    losses: dict[str, float] = {}
+    monkeypatch.setattr(run, "_step", lambda name, loss: losses.__setitem__(name, loss.item()))
+    monkeypatch.setattr(light, "autocast", lambda: torch.autocast("cpu", enabled=False))
+    run._update()
+    return losses
+
+
+@pytest.mark.parametrize("method", ["vib", "mvd"])
+def test_a_light_update_is_imitation_and_the_methods_own_loss(
+    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = light_run(method, tmp_path)
+    run.rng = np.random.default_rng(SEED)
+    index = np.random.default_rng(SEED).integers(0, 2 * HORIZON, LIGHT.batch_size)
+    generator, agent = torch.Generator().manual_seed(0), run.agent
+    luck = agent.luck(LIGHT.batch_size, generator)
+    positive = int(torch.randint(3, (), generator=generator))
+    losses = stepped(run, monkeypatch)
+
+    views, encoder = run.data.views(index), agent.encoder
+    row = agent.rows(agent.encode(views), torch.ones(1, 3), luck)[0]
+    mean, _ = agent.actor(row, run.data.column("states", index))
+    imitation = (torch.tanh(mean) - run.data.column("labels", index)).square().mean()
+    if method == "vib":
+        cost = kl_loss(*encoder.gaussian(agent.encode(views)))  # type: ignore[operator]
+        assert losses == pytest.approx({"optimiser": (imitation + 0.01 * cost).item()}, rel=1e-5)
+        return
+    ends = index % HORIZON == HORIZON - 1
+    assert ends.any() and not ends.all()
+    following = run.data.views(np.where(ends, index, index + 1))
+    keys = torch.stack([encoder.private(following[:, v]) for v in range(3)], 1)  # type: ignore[operator]
+    contrast = contrastive_loss(agent.encode(views), keys, positive)
+    expected = {"optimiser": imitation.item(), "contrast": contrast.item()}
+    assert losses == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_resumed_light_run_of_mvd_repeats_its_draws(tmp_path: Path) -> None:
+    whole, again = light_run("mvd", tmp_path), light_run("mvd", tmp_path)
+    whole._update()
+    whole.updates += 1
+    state = copy.deepcopy(whole.state())
+    whole._update()
+    again.data, again._episodes = whole.data, tmp_path / "none"
+    again.restore(state)
+    again._update()
+    for one, two in zip(whole.agent.parameters(), again.agent.parameters(), strict=True):
+        assert torch.equal(one, two)
+
+
+def test_drivers_are_the_trained_subsets(tmp_path: Path) -> None:
+    masks = {}
+    for method in ("singular-only", "vib", "mvd"):
+        drivers = [driver for driver, _ in light_run(method, tmp_path).plan(1)]
+        masks[method] = {tuple(driver.mask) for driver in drivers if driver.mask is not None}
+    singles = {tuple(row) for row in np.eye(3, dtype=bool)}
+    assert masks["singular-only"] == singles
+    assert masks["vib"] == {(True, True, True)}
+    assert masks["mvd"] == {(True, True, True), *singles}
+
+
+def test_a_policy_says_what_it_cannot_do_without() -> None:
+    spec = PolicySpec("p", "toy/reach", "concat", "three", "light", STREAMS, ("all",))
+    policy = TorchPolicy(spec, Agent(NetworkConfig(6, 2, hidden_dim=8), 0.1, "concat", STREAMS))
+    encoded = policy.encode(np.zeros((3, 9, 84, 84), np.uint8), np.zeros(6, np.float32))
+    with pytest.raises(UserError, match="p expects all streams.*found 'first\\+third_b'"):
+        policy.read(encoded, np.array([True, False, True]))
+    with pytest.raises(UserError, match="found 2 marks"):
+        policy.read(encoded, np.array([True, True]))
