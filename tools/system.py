@@ -14,6 +14,7 @@ prints the one line to run. Standard library only, since it runs before there is
 from __future__ import annotations
 
 import argparse
+import ctypes.util
 import importlib.util
 import os
 import platform
@@ -90,6 +91,8 @@ def wanted(installed: dict[str, str], codename: str, browser: bool) -> list[str]
         missing += old
     if set(missing) <= set(OPTIONAL):
         missing = []
+    if ctypes.util.find_library("gthread-2.0") is None:  # For OpenCV; its package's name varies.
+        missing.append("libglib2.0-0")
     if importlib.util.find_spec("ensurepip") is None and not shutil.which("uv"):
         missing.append(f"python3.{sys.version_info.minor}-venv")
     if browser and not any(map(shutil.which, BROWSERS)):
