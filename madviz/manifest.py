@@ -109,10 +109,12 @@ def policy_spec(config: dict[str, Any], weights_sha256: str) -> PolicySpec:
 
 def _camera(described: dict[str, Any]) -> CameraSpec:
     """A camera as JSON wrote it, lists for tuples."""
+    fields: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in described.items()
+    }
     try:
-        return CameraSpec(
-            **{k: tuple(v) if isinstance(v, list) else v for k, v in described.items()}
-        )
+        return CameraSpec(**fields)
     except TypeError as error:
         raise UserError(f"expected a camera, found {described!r:.60}; restore the file") from error
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import random
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from madviz.envs.base import SETTINGS
 from madviz.files import write_json
 from madviz.statistics import wilson
+from madviz.types import CameraSpec
 
 NETWORKS = {"state_dim": 6, "action_dim": 2, "frame_stack": 3, "hidden_dim": 8}
 
@@ -32,6 +34,7 @@ def write_policy(
     """A folder whose subsets succeed at exactly ``rates``, on seeds drawn by chance."""
     name = "-".join([task.replace("/", "-"), method, recipe])
     names = streams or SETTINGS[setting].streams
+    cameras = dict.fromkeys(stream.split(".")[0] for stream in names)
     path = root / (folder or name)
     path.mkdir(parents=True)
     config: dict[str, Any] = {
@@ -39,7 +42,7 @@ def write_policy(
         **{"name": name, "task": task, "method": method, "setting": setting, "recipe": recipe},
         **{"definition": "at the last step: it is done", "render_profile": "fast"},
         **{"streams": list(names), "trained_subsets": ["all"], "image_size": 84},
-        "cameras": [{"name": stream.split(".")[0]} for stream in names],
+        "cameras": [asdict(CameraSpec(camera, camera, 60)) for camera in cameras],
         **{"horizon": 100, "action_repeat": 2, "merge": merge, "reward_scale": 1.0},
         "networks": NETWORKS,
         "training": {

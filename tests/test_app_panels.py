@@ -350,7 +350,8 @@ def test_a_screen_keeps_its_element_and_feeds_it(server):
     feed = screen._feed.content
     assert f'data-screen="{screen._id}"' in feed and 'data-step="1:1"' in feed
     jpeg = b64decode(feed.split("base64,")[1].split('"')[0])
-    assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1).min() > 250
+    picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1)
+    assert picture is not None and picture.min() > 250
     screen.remove()
 
 

@@ -285,7 +285,7 @@ def test_a_policy_trained_elsewhere_is_refused(folder, tmp_path):
     config["cameras"][0]["fovy"] += 1
     (tmp_path / "config.json").write_text(json.dumps(config))
     (tmp_path / "weights.safetensors").write_bytes((folder / "weights.safetensors").read_bytes())
-    with pytest.raises(UserError, match="toy was trained with camera first"):
+    with pytest.raises(UserError, match="no others; found 'first' placed elsewhere"):
         evaluate(tmp_path, ("all",), episodes=1, workers=0)
 
 
