@@ -5,7 +5,7 @@ loses the term f(o_i). An *occluded* stream stays in the sum, but its camera sen
 an old picture, so that the sum holds f(black), an input nobody trained it on. ``CameraInput``
 decides the first, an ``Occlusion`` the second.
 
-Noise is drawn from (seed, step, stream), so a replayed session gives the same pixels.
+Noise and losses are drawn from (seed, step, stream), so a replayed session gives the same pixels.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, UserError, unknown
 
 CameraInput = Literal["rgb", "depth", "both", "off"]
-OcclusionKind = Literal["none", "black", "noise", "freeze", "blur", "patch"]
+OcclusionKind = Literal["none", "black", "noise", "freeze", "blur", "patch", "dropout"]
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,7 @@ class Occlusion:
     black   every pixel 0                     noise   blend with uniform noise by ``strength``
     freeze  the picture of the moment         blur    Gaussian, sigma = 8 px x ``strength``
     patch   a black square of side ``size``, centred at (``x``, ``y``), blended by ``strength``
+    dropout a picture is lost with probability ``strength``, and the last one that came stays
     """
 
     kind: OcclusionKind = "none"
@@ -56,6 +57,9 @@ class Occlusion:
             return np.zeros_like(frame)
         if self.kind == "freeze":
             return frame if before is None else before
+        if self.kind == "dropout":
+            lost = rng.random() < self.strength
+            return before if lost and before is not None else frame
         if self.kind == "blur":
             sigma = 8 * self.strength
             blurred = frame if sigma < 0.1 else cv2.GaussianBlur(frame, (0, 0), sigma)

@@ -7,14 +7,15 @@ instant that nobody changes afterwards, so that no lock is needed anywhere.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from madviz.ablations import Ablation, CameraState, Occlusion
+from madviz.failures import Schedule
 from madviz.probes import Probe
 from madviz.subsets import camera_of, modality_of, name_of
-from madviz.types import Array, CameraPose, EnvSpec, PolicySpec, UserError, View
+from madviz.types import Array, Body, CameraPose, EnvSpec, PolicySpec, UserError, View
 
 Phase = Literal["playing", "paused", "ended"]
 
@@ -85,7 +86,63 @@ class SetAutoNext:
     on: bool
 
 
-Command = SetCamera | SetPolicy | SetSeed | Play | Pause | StepOnce | Reset | SetSpeed | SetAutoNext
+@dataclass(frozen=True)
+class Scrub:
+    """Show an earlier step of this episode; None goes back to the newest one."""
+
+    step: int | None
+
+    def __post_init__(self) -> None:
+        if self.step is not None and not 0 <= self.step < 2**31:
+            raise UserError(f"a step must be 0 or more, found {self.step}")
+
+
+@dataclass(frozen=True)
+class SetTwin:
+    """Start B beside this simulation, on the same seeds: another policy or the same one, under
+    ``ablation`` from now on. None ends it."""
+
+    policy: str | None
+    ablation: Ablation = Ablation()
+
+
+@dataclass(frozen=True)
+class Fork:
+    """Go on from the earlier step that is shown, as if what came after had not happened."""
+
+
+@dataclass(frozen=True)
+class SetSaliency:
+    """Which pixels to find, those that Q or those that the action hangs on; None for none."""
+
+    target: Literal["q", "action"] | None
+
+
+@dataclass(frozen=True)
+class SetSchedule:
+    """Failures that come by themselves, in this episode from here on and in all that follow, until
+    there is another schedule; an empty one ends them, and its cameras work again. Events whose step
+    has passed wait for the next episode. A reset keeps it: the same failures with the same seed."""
+
+    events: Schedule = ()
+
+
+Command = (
+    SetCamera
+    | SetPolicy
+    | SetSeed
+    | Play
+    | Pause
+    | StepOnce
+    | Reset
+    | SetSpeed
+    | SetAutoNext
+    | Scrub
+    | Fork
+    | SetTwin
+    | SetSchedule
+    | SetSaliency
+)
 
 
 @dataclass(frozen=True)
@@ -142,6 +199,44 @@ class Outcome:
 
 
 @dataclass(frozen=True)
+class Pair:
+    """How one seed ended on both sides of a comparison that nobody touched meanwhile."""
+
+    first: Outcome
+    second: Outcome
+
+    @property
+    def sides(self) -> tuple[tuple[str, str], tuple[str, str]]:
+        """Who was compared: policy and setting, of A and of B."""
+        return _side(self.first), _side(self.second)
+
+
+def _side(outcome: Outcome) -> tuple[str, str]:
+    return outcome.policy.name, str(outcome.setting)
+
+
+class Moment(NamedTuple):
+    """What a timeline draws of one step."""
+
+    q: float
+    reward: float
+    success: bool
+    setting: Setting
+    policy: str
+
+
+@dataclass(frozen=True)
+class Branch:
+    """The future that an episode had before it was forked."""
+
+    at: int
+    """The step both futures share last."""
+    story: tuple[Moment, ...]
+    frame: Frame
+    """At the same step as the frame that holds this branch, or at the branch's last one."""
+
+
+@dataclass(frozen=True)
 class Failure:
     """A session that could not even start: there is no frame to show."""
 
@@ -167,6 +262,12 @@ class Frame:
     arrived: dict[str, Array]
     """(H, W, C) uint8 by stream: what reached the policy, occlusions applied."""
     poses: dict[str, CameraPose]
+    bodies: tuple[Body, ...]
+    """What the scene holds; the same object as in the frame before, unless it holds others now."""
+    body_poses: Array
+    """(N, 7) float32: position in metres and wxyz in the world, in the order of ``bodies``."""
+    hand: Array
+    """(3,) float32 metres, world frame: the middle between the gripper's fingertips."""
     probe: Probe
     reward: float
     total_reward: float
@@ -183,6 +284,18 @@ class Frame:
     """The last live episodes, oldest first."""
     error: str = ""
     """Traceback or one line; the session has paused because of it."""
+    story: tuple[Moment, ...] = ()
+    """By step, all of this episode so far, also where an earlier step of it is shown."""
+    branch: Branch | None = None
+    twin: Frame | None = None
+    """B's side, at the same step."""
+    pairs: tuple[Pair, ...] = ()
+    """The last seeds that A and B both finished."""
+    schedule: Schedule = ()
+    """Failures that come by themselves."""
+    saliency: dict[str, Array] | None = None
+    """(H, W) in [0, 1] by stream: where the policy looks, half a second old at most while an
+    episode runs; None where nobody asked or there is none."""
 
     @property
     def mask(self) -> Array:
@@ -210,6 +323,11 @@ class Frame:
     @property
     def ended(self) -> bool:
         return self.step >= self.env.horizon
+
+    @property
+    def past(self) -> bool:
+        """Whether this is an earlier step of the episode, shown again."""
+        return self.step < len(self.story) - 1
 
     @property
     def capped(self) -> bool:
@@ -262,4 +380,5 @@ def occlusion_words(occlusion: Occlusion) -> str:
         "freeze": "is frozen",
         "blur": f"is blurred by {strength}",
         "patch": "has a patch in view",
+        "dropout": f"loses {strength} of its pictures",
     }[occlusion.kind]

@@ -313,7 +313,7 @@ def train_light(run: LightRun, folder: RunFolder, recorder: Recorder, save: Any)
             run.seconds = time.monotonic() - began
             folder.save_state(run.state())
             _report(run, folder, loss, episodes)
-            if run.round < config.rounds and run.round % 5 == 0:
+            if run.round < config.rounds:
                 save(run, final=False)
         if run.round >= config.rounds:
             save(run, final=True)

@@ -8,11 +8,14 @@ camera off is then a look-up in this table, and no network runs for it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from madviz.subsets import every_mask
 from madviz.types import Array, Encoded, Policy, Readout
+
+Merged = Literal["sum", "mean", "other", "no views"]
 
 
 @dataclass(frozen=True)
@@ -37,17 +40,51 @@ class Probe:
         """(V,) lengths of the stream features."""
         return np.linalg.norm(self.features, axis=1)
 
+    def merged(self, row: int) -> Array:
+        """(Z,) float32 merged feature; what a timeline keeps may be rounded to half of that."""
+        return self.readout.merged[row].astype(np.float32, copy=False)
+
     def merged_norm(self, row: int) -> float:
-        return float(np.linalg.norm(self.readout.merged[row]))
+        return float(np.linalg.norm(self.merged(row)))
 
     def cosines(self, row: int) -> Array:
         """(V,) cosine of every stream's feature to the merged one; NaN where one has no length."""
-        merged = self.readout.merged[row]
+        merged = self.merged(row)
         lengths = self.norms * np.linalg.norm(merged)
         if merged.shape != self.features.shape[1:]:
             return np.full(len(self.features), np.nan)
         dots = self.features @ merged
         return np.divide(dots, lengths, out=np.full(len(dots), np.nan), where=lengths > 1e-12)
+
+    def shares(self, row: int) -> Array:
+        """(V,) how much of the merged feature M of ``row`` each stream explains, V_i . M / |M|^2.
+
+        Where M is a sum they add up to 1, because the V_i . M add up to M . M; for a mean each is
+        divided by the number of streams, and they do so, too. 0 for an absent stream; NaN where M
+        has no length or is no sum and no mean.
+        """
+        kind, mask = self.merged_kind(), self.masks[row]
+        merged = self.merged(row)
+        if kind not in ("sum", "mean") or not float(merged @ merged) > 1e-12:
+            return np.full(len(self.features), np.nan)
+        parts = np.where(mask, self.features @ merged / (merged @ merged), 0.0)
+        return parts / mask.sum() if kind == "mean" else parts
+
+    def merged_kind(self) -> Merged:
+        """What the merged feature is, told from the numbers themselves: policies of one method may
+        merge differently. ``no views``: no stream has a feature of its own."""
+        if not self.features.any():
+            return "no views"
+        fullest = int(np.argmax(np.where(self.supported, self.masks.sum(1), -1)))
+        merged, mask = self.merged(fullest), self.masks[fullest]
+        if merged.shape != self.features.shape[1:]:
+            return "other"
+        total = self.features[mask].sum(0)
+        near = 1e-3 * max(float(np.linalg.norm(total)), 1e-9)
+        if np.linalg.norm(merged - total) <= near:
+            return "sum"
+        count = max(int(mask.sum()), 1)
+        return "mean" if np.linalg.norm(merged - total / count) <= near / count else "other"
 
 
 def probe(policy: Policy, encoded: Encoded, masks: Array | None = None) -> Probe:

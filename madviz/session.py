@@ -25,26 +25,30 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 
-from madviz.ablations import Ablation
-from madviz.envs.base import sees
 from madviz.frame import (
     Command,
     Failure,
+    Fork,
     Frame,
     Pause,
     Phase,
     Play,
     Reset,
+    Scrub,
     SetAutoNext,
     SetCamera,
     SetPolicy,
+    SetSaliency,
+    SetSchedule,
     SetSeed,
     SetSpeed,
+    SetTwin,
     StepOnce,
 )
+from madviz.kept import KeptEpisode, KeptSession
 from madviz.processes import yield_to_others
-from madviz.simulation import Simulation
-from madviz.types import CameraSpec, Environment, Policy, UserError
+from madviz.stage import EnvFactory, Stage
+from madviz.types import Policy, UserError
 
 FIRST_SEED = 2000
 """Live episodes start here: training is below 1000, selection below 2000, cards from 5000."""
@@ -55,8 +59,6 @@ NICENESS = 10
 RATE_WINDOW = 20
 """Decisions over which the achieved rate is measured."""
 
-EnvFactory = Callable[[str, str, tuple[CameraSpec, ...]], Environment]
-"""(task, render profile, cameras) -> environment, for example ``madviz.envs.base.make_env``."""
 Listener = Callable[[Frame | Failure], None]
 
 
@@ -72,17 +74,17 @@ class Session:
         *,
         seed: int = FIRST_SEED,
         speed: float | None = 10.0,
+        script: KeptEpisode | None = None,
     ) -> None:
-        self._make_env, self._load_policy = make_env, load_policy
-        self._policy, self._seed = policy, seed
-        self._simulation: Simulation | None = None
+        """``script``: an episode to live again, once played; it begins with ``policy``."""
+        self._stage = Stage(make_env, policy, load_policy, seed, script)
         self._inbox: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
         self._backlog: deque[Command] = deque()
         self._listeners: tuple[Listener, ...] = ()
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         self._speed, self._auto_next = speed, True
-        self._phase: Phase = "playing"
+        self._phase: Phase = "paused" if script else "playing"
         self._due = 0.0
         self._intervals: deque[float] = deque(maxlen=RATE_WINDOW)
         self._stepped: float | None = None
@@ -99,6 +101,10 @@ class Session:
         self._listeners = (*self._listeners, listener)
         if self.latest is not None:
             listener(self.latest)
+
+    def keep(self) -> KeptSession:
+        """The last episodes, to be lived again. Raises UserError if there is no step yet."""
+        return self._stage.journal.kept()
 
     def unsubscribe(self, listener: Listener) -> None:
         self._listeners = tuple(one for one in self._listeners if one != listener)
@@ -129,12 +135,12 @@ class Session:
                 continue
             if command is not None:
                 self._backlog.append(command)
-        self._shut()
+        self._stage.shut()
 
     def tick(self, now: float) -> float | None:
         """Obeys what has come, and takes a step or starts an episode if one is due. Returns when to
         call again; None if nothing happens before the next command."""
-        if self._simulation is None and not self._error:
+        if not self._stage.is_open and not self._error:
             self._guarded(lambda: self._open(now))
         self._collect()
         while self._backlog and not self._closing.is_set():
@@ -142,11 +148,18 @@ class Session:
             self._guarded(lambda command=command: self._obey(command, now))
         if self._moving() and now >= self._due and not self._closing.is_set():
             self._guarded(lambda: self._advance(now))
+        self._guarded(lambda: self._explain(now))
         return self._due if self._moving() else None
+
+    def _explain(self, now: float) -> None:
+        """After everything else, because it takes as long as a step."""
+        moving = self._phase == "playing"
+        if self._stage.explain(now, moving, hurried=self._speed is None):
+            self._emit()
 
     def _moving(self) -> bool:
         waiting = self._phase == "ended" and self._auto_next
-        return self._simulation is not None and (self._phase == "playing" or waiting)
+        return self._stage.is_open and (self._phase == "playing" or waiting)
 
     def _guarded(self, work: Callable[[], None]) -> None:
         """A failure pauses the session and shows on the page; the session lives on. The one place
@@ -155,45 +168,39 @@ class Session:
             work()
         except Exception as error:
             first = f"{error}\n\n" if isinstance(error, UserError) else ""
+            if not first:  # Nobody knows how far it came.
+                self._stage.journal.spoil()
             self._error = first + traceback.format_exc()
             self._phase = "paused"
-            self._emit()
+            self._emit(keep=False)
 
     # What happens.
 
     def _open(self, now: float) -> None:
-        self._shut()
-        spec = self._policy.spec
-        env = self._make_env(spec.task, spec.render_profile, spec.cameras)
-        self._simulation = Simulation(env, self._policy, Ablation())
-        self._begin(self._seed, now)
-
-    def _shut(self) -> None:
-        if self._simulation is not None:
-            self._simulation.env.close()
-            self._simulation = None
+        self._stage.open()
+        self._began(now)
 
     def _begin(self, seed: int, now: float) -> None:
-        if self._simulation is None:
-            raise UserError("there is no simulation to start; press play to try again")
-        self._simulation.begin(seed)
-        self._seed, self._error = seed, ""
+        self._stage.begin(seed)
+        self._began(now)
+
+    def _began(self, now: float) -> None:
+        self._error = ""
         self._due, self._stepped = now + self._period, None
         self._emit()
 
     def _advance(self, now: float) -> None:
         """The next step, or the next episode after the end of one."""
-        assert self._simulation is not None
-        if self._simulation.ended:
+        if self._stage.ended:
             self._phase = "playing"
-            self._begin(self._seed + 1, now)
+            self._begin(self._stage.seed + 1, now)
             return
-        self._simulation.step(self._serve_cameras)
+        self._stage.step(self._serve_cameras)
         if self._stepped is not None:
             self._intervals.append(now - self._stepped)
         self._stepped = now
         self._due = max(self._due + self._period, now)
-        if self._simulation.ended:
+        if self._stage.ended:
             self._phase = "ended"
             self._due = now + (HOLD if self._speed is not None else 0.0)
         self._emit()
@@ -219,20 +226,20 @@ class Session:
             self._guarded(lambda command=command: self._set_camera(command, preview=True))
 
     def _set_camera(self, command: SetCamera, preview: bool = False) -> None:
-        if self._simulation is not None:
-            self._simulation.set_camera(command, preview)
-            self._emit()
+        if self._stage.is_open:
+            self._stage.set_camera(command, preview)
+            self._emit(keep=not preview)
 
     def _obey(self, command: Command, now: float) -> None:
         match command:
             case SetCamera():
                 self._set_camera(command)
             case SetPolicy(name):
-                self._swap(name, now)
+                self._swap(name)
             case SetSeed(seed):
                 self._restart(seed, now)
             case Reset(next_seed):
-                self._restart(self._seed + next_seed, now)
+                self._restart(self._stage.seed + next_seed, now)
             case Play():
                 self._play(now)
             case Pause():
@@ -247,21 +254,38 @@ class Session:
             case SetAutoNext(on):
                 self._auto_next = on
                 self._emit()
+            case SetSaliency(target):
+                self._stage.saliency.ask(target, lambda: self.send(command))
+                self._emit()
+            case SetSchedule(events):
+                self._stage.reschedule(events)
+                self._emit()
+            case Scrub(step):
+                self._stage.look_back(step)
+                self._halt()
+            case Fork():
+                self._stage.fork()
+                self._play(now)
+                self._due = now + self._period
+            case SetTwin(name, ablation):
+                self._stage.compare(name, ablation)
+                self._began(now)
 
     def _restart(self, seed: int, now: float) -> None:
-        if self._error or self._simulation is None or self._simulation.ended:
+        if self._error or not self._stage.is_open or self._stage.ended:
             self._phase = "playing"
-        if self._simulation is None:
-            self._seed = seed
+        if not self._stage.is_open:
+            self._stage.seed = seed
             self._open(now)
         else:
             self._begin(seed, now)
 
     def _play(self, now: float) -> None:
-        if self._simulation is None:
+        self._stage.look_back(None)
+        if not self._stage.is_open:
             self._open(now)
-        elif self._simulation.ended:
-            self._begin(self._seed + 1, now)
+        elif self._stage.ended:
+            self._begin(self._stage.seed + 1, now)
         else:
             self._due = now
         self._phase, self._error = "playing", ""
@@ -275,30 +299,18 @@ class Session:
 
     def _step_once(self, now: float) -> None:
         self._error = ""
-        if self._simulation is None:
+        self._stage.look_back(None)
+        if not self._stage.is_open:
             self._open(now)
         else:
             self._advance(now)
         self._halt()
 
-    def _swap(self, name: str, now: float) -> None:
-        """Another policy; in the same episode where it belongs to the same task and render profile,
-        otherwise in a new environment. If it cannot be loaded, the old one stays."""
-        if self._load_policy is None:
-            raise UserError("this session has no other policies to load")
-        policy = self._load_policy(name)
-        old, new = self._policy.spec, policy.spec
-        self._policy = policy
-        same = (old.task, old.render_profile) == (new.task, new.render_profile)
-        if not same or self._simulation is None or not sees(self._simulation.env.spec, new.cameras):
-            ablation = self._simulation.ablation if self._simulation else Ablation()
-            self._open(now)
-            for camera, state in ablation.cameras.items():
-                self._set_camera(SetCamera(camera, state))
-        else:
-            self._simulation.swap(policy)
-            self._error = ""
-            self._emit()
+    def _swap(self, name: str) -> None:
+        """Another policy. After an error it may be the one that can go on."""
+        self._stage.swap(name)
+        self._error, self._stepped = "", None
+        self._emit()
 
     # Frames.
 
@@ -310,39 +322,17 @@ class Session:
         taken = sum(self._intervals)
         return len(self._intervals) / taken if len(self._intervals) >= 4 and taken else math.nan
 
-    def _emit(self) -> None:
+    def _emit(self, keep: bool = True) -> None:
         self._number += 1
-        simulation = self._simulation
-        if simulation is None or not hasattr(simulation, "probe"):
-            self.latest = Failure(self._error)
-        else:
-            self.latest = self._frame(simulation)
-        for listener in self._listeners:
-            listener(self.latest)
-
-    def _frame(self, simulation: Simulation) -> Frame:
-        now = simulation.now
-        return Frame(
+        frame = self._stage.frame(
+            keep,
             number=self._number,
-            env=simulation.env.spec,
-            policy=simulation.policy.spec,
-            episode=simulation.episode,
-            seed=simulation.seed,
-            step=now.step,
             phase=self._phase,
-            ablation=simulation.ablation,
-            views=now.views,
-            arrived=dict(simulation.arrived),
-            poses=now.poses,
-            probe=simulation.probe,
-            reward=now.time.reward,
-            total_reward=simulation.total_reward,
-            success=now.time.success,
-            success_any=simulation.success_any,
             speed=self._speed,
             rate=self._rate(),
             auto_next=self._auto_next,
-            change=simulation.change,
-            outcomes=tuple(simulation.outcomes),
             error=self._error,
         )
+        self.latest = frame or Failure(self._error)
+        for listener in self._listeners:
+            listener(self.latest)

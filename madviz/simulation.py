@@ -6,7 +6,9 @@ kept, with what *every* subset would do with them, so that switching a camera of
 new occlusion one encoding; neither waits for a picture to be drawn.
 
 A camera touched while step t+1 is being drawn counts as touched when that step has arrived. What is
-shown in between is a preview of step t under the new setting, and leaves no trace.
+shown in between is a preview of step t under the new setting, and leaves no trace, however many of
+them there are: the picture of step t keeps what it arrived under, ``_settled``. The journal counts
+steps the same way, so that an episode can be kept and lived again to the bit.
 """
 
 from __future__ import annotations
@@ -14,15 +16,18 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from madviz.ablations import Ablation
 from madviz.frame import Change, Outcome, SetCamera, Setting, setting_of, untouched
+from madviz.journal import Journal, Mark
 from madviz.probes import Probe, probe
+from madviz.saliency import LiveSaliency
 from madviz.streams import StreamStack
 from madviz.subsets import every_mask
-from madviz.types import Array, CameraPose, Environment, Policy, TimeStep, UserError, View
+from madviz.types import Array, Body, CameraPose, Environment, Policy, TimeStep, UserError, View
 
 
 @dataclass(frozen=True)
@@ -33,14 +38,42 @@ class Instant:
     step: int
     views: dict[str, View]
     poses: dict[str, CameraPose]
+    bodies: tuple[Body, ...]
+    body_poses: Array
+    hand: Array
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A step of an episode, with all that it takes to go on from it; pictures are shared."""
+
+    actions: tuple[Array, ...]
+    """What led here from the start."""
+    recent: tuple[Instant, ...]
+    stack: tuple
+    policy: Policy
+    ablation: Ablation
+    probe: Probe
+    total_reward: float
+    success_any: bool
+    worst: dict[str, str]
+    settings: frozenset[tuple[str, Setting]]
+    mark: Mark
 
 
 class Simulation:
     """See the module. Belongs to the thread that created ``env``."""
 
-    def __init__(self, env: Environment, policy: Policy, ablation: Ablation) -> None:
+    def __init__(
+        self,
+        env: Environment,
+        policy: Policy,
+        ablation: Ablation,
+        journal: Journal | None = None,
+    ) -> None:
         self.env, self.policy = env, policy
-        self.ablation = ablation
+        self.ablation = self._settled = ablation
+        self.journal = journal or Journal()
         self.outcomes: deque[Outcome] = deque(maxlen=20)
         self.episode = self.seed = 0
         self.change: Change | None = None
@@ -49,6 +82,7 @@ class Simulation:
         """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
         self._worst: dict[str, str] = {}
         self._settings: set[tuple[str, Setting]] = set()
+        self._actions: list[Array] = []
         self._stack: StreamStack
         self.probe: Probe
         self._adopt(policy)
@@ -70,13 +104,47 @@ class Simulation:
     def setting(self) -> Setting:
         return setting_of(self.ablation, self.policy.spec.streams)
 
+    def facts(self) -> dict[str, Any]:
+        """What a ``Frame`` of this instant says of the simulation."""
+        now = self.now
+        return dict(
+            env=self.env.spec,
+            policy=self.policy.spec,
+            episode=self.episode,
+            seed=self.seed,
+            step=now.step,
+            ablation=self.ablation,
+            views=now.views,
+            arrived=dict(self.arrived),
+            poses=now.poses,
+            bodies=now.bodies,
+            body_poses=now.body_poses,
+            hand=now.hand,
+            probe=self.probe,
+            reward=now.time.reward,
+            total_reward=self.total_reward,
+            success=now.time.success,
+            success_any=self.success_any,
+            change=self.change,
+            outcomes=tuple(self.outcomes),
+        )
+
+    def explain(self, live: LiveSaliency, now: float, moving: bool, hurried: bool) -> bool:
+        """Looks at where the policy looks if it is time to; whether it was."""
+        mask = self.ablation.mask(self.policy.spec.streams)
+        if not live.due(self.probe, mask, now, moving, hurried):
+            return False
+        live.look(self.policy, self._stack.views, self.now.time.state, mask, self.probe, now)
+        return True
+
     def begin(self, seed: int) -> None:
         """Starts the episode of ``seed``; camera settings stay."""
         moment = self.env.reset(seed)
         self.episode, self.seed = self.episode + 1, seed
         self.total_reward, self.success_any, self.change = 0.0, moment.success, None
         self._recent.clear()
-        self._worst, self._settings = {}, set()
+        self._worst, self._settings, self._actions = {}, set(), []
+        self.journal.begin(self.policy.spec, self.env.spec, seed, self.ablation)
         self._arrive(moment, self._draw(lambda: None))
 
     def step(self, between: Callable[[], None]) -> None:
@@ -89,7 +157,10 @@ class Simulation:
                 f"{self.policy.spec.name} cannot act on {self.setting.subset!r}; "
                 "switch another camera on"
             )
-        moment = self.env.step(self.probe.readout.action[row])
+        action = self.probe.readout.action[row]
+        moment = self.env.step(action)
+        self._actions.append(action)
+        self.journal.decided(self.now.step, action, moment)
         self.total_reward += moment.reward
         self.success_any |= moment.success
         self._arrive(moment, self._draw(between))
@@ -101,11 +172,11 @@ class Simulation:
         self.env.spec.camera(command.camera)
         before, old = self.ablation, self._reading()
         self.ablation = before.replace(command.camera, command.state)
-        if self.ablation.key() != before.key():
+        if self.ablation.occlusions() != before.occlusions():
             self._stack.replace_last(self.ablation)
             self._read()
             if preview:
-                self._stack.replace_last(before)
+                self._stack.replace_last(self._settled)
         new = self._reading()
         self.change = Change(
             command.camera,
@@ -118,7 +189,9 @@ class Simulation:
             q_after=new[2],
         )
         if not preview:
+            self._settled = self.ablation
             self._note_setting()
+        self.journal.camera(self.now.step + preview, command)
 
     def swap(self, policy: Policy) -> None:
         """Another policy in the same episode; it gets the newest frames as its past."""
@@ -130,6 +203,40 @@ class Simulation:
         self._read()
         self.change = None
         self._note_setting()
+        self.journal.policy(self.now.step, policy.spec)
+
+    def save(self) -> Saved:
+        """The present step, for ``return_to``."""
+        return Saved(
+            *(tuple(self._actions), tuple(self._recent), self._stack.saved()),
+            *(self.policy, self.ablation, self.probe, self.total_reward, self.success_any),
+            *(dict(self._worst), frozenset(self._settings), self.journal.mark()),
+        )
+
+    def return_to(self, saved: Saved) -> None:
+        """Stands at an earlier step of this episode again. An episode is its seed and its actions,
+        so the simulator takes those once more, without drawing anything.
+
+        Raises UserError if it does not come to the same state.
+        """
+        moment = self.env.reset(self.seed)
+        for action in saved.actions:
+            moment = self.env.step(action)
+        if not np.array_equal(moment.state, saved.recent[-1].time.state):
+            self.journal.spoil()
+            raise UserError(
+                f"expected {self.env.spec.task} to repeat seed {self.seed} to the bit, found "
+                "another state: its reset or step depends on something else; start the seed again"
+            )
+        self._adopt(saved.policy)
+        self._recent.clear()
+        self._recent.extend(saved.recent)
+        self._stack.restore(saved.stack)
+        self._actions, self.ablation, self.probe = list(saved.actions), saved.ablation, saved.probe
+        self.total_reward, self.success_any = saved.total_reward, saved.success_any
+        self._worst, self._settings = dict(saved.worst), set(saved.settings)
+        self._settled, self.change = saved.ablation, None
+        self.journal.back(saved.mark)
 
     def _adopt(self, policy: Policy) -> None:
         self.policy = policy
@@ -149,12 +256,16 @@ class Simulation:
     def _arrive(self, moment: TimeStep, views: dict[str, View]) -> None:
         step = self.now.step + 1 if self._recent else 0
         poses = {camera.name: self.env.pose(camera.name) for camera in self.env.spec.cameras}
-        self._push(Instant(moment, step, views, poses))
+        env = self.env
+        self._push(
+            Instant(moment, step, views, poses, env.bodies(), env.body_poses(), env.hand())
+        )
         self._read()
         self._note_setting()
 
     def _push(self, instant: Instant) -> None:
         self._stack.push(instant.views, self.ablation, self.seed, instant.step)
+        self._settled = self.ablation
         self._recent.append(instant)
 
     def _read(self) -> None:

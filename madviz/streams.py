@@ -87,6 +87,14 @@ class StreamStack:
         kept = [arrived] * self.length if first else self._frames[:-1]
         self._frames = [*kept, arrived]
 
+    def saved(self) -> tuple:
+        """What ``restore`` needs to stand here again; pictures are shared, not copied."""
+        return tuple(self._frames), self._raw, self._noise_key
+
+    def restore(self, saved: tuple) -> None:
+        frames, self._raw, self._noise_key = saved
+        self._frames = list(frames)
+
     @property
     def newest(self) -> dict[str, Array]:
         """The frames (H, W, C) that arrived last, by stream."""
@@ -102,11 +110,11 @@ class StreamStack:
         return np.stack(stacks)
 
     def _arrived(self, before: dict[str, Array] | None, ablation: Ablation) -> dict[str, Array]:
-        return {
-            stream: ablation.camera(camera_of(stream)).occlusion.apply(
-                frame,
-                before[stream] if before else None,
-                noise_generator(*self._noise_key, stream),
-            )
-            for stream, frame in self._raw.items()
-        }
+        arrived = {}
+        for stream, frame in self._raw.items():
+            occlusion = ablation.camera(camera_of(stream)).occlusion
+            # A lost frame is lost in colour and depth together; grains of noise are not shared.
+            drawn_for = camera_of(stream) if occlusion.kind == "dropout" else stream
+            luck = noise_generator(*self._noise_key, drawn_for)
+            arrived[stream] = occlusion.apply(frame, before[stream] if before else None, luck)
+        return arrived

@@ -115,6 +115,27 @@ class View:
     """(H, W) float32, metres along the optical axis."""
 
 
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A piece of a body, of one colour."""
+
+    vertices: Array
+    """(n, 3) float32 metres, in the frame of its body."""
+    faces: Array
+    """(m, 3) int32 into ``vertices``, counter-clockwise seen from outside."""
+    colour: Array
+    """(3,) uint8."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Something that moves as one, as it looks: a link, an object, the table."""
+
+    name: str
+    """Unique in its scene."""
+    parts: tuple[Part, ...]
+
+
 class Environment(Protocol):
     """A seeded task: an episode depends on its seed, never on earlier ones or other processes.
 
@@ -134,6 +155,25 @@ class Environment(Protocol):
         ...
 
     def pose(self, camera: str) -> CameraPose: ...
+
+    def move_camera(self, camera: str, to: CameraSpec | None) -> None:
+        """From now on, over resets too, ``camera`` stands, looks and zooms as ``to`` says (its
+        position, wxyz, body and fovy; nothing else of it counts); None puts it back where ``spec``
+        has it. ``view`` and ``pose`` follow, ``spec`` stays. Raises UserError for an unknown
+        camera or body and for numbers that are no place."""
+        ...
+
+    def bodies(self) -> tuple[Body, ...]:
+        """What the present episode holds, as it looks: the same object until that changes."""
+        ...
+
+    def body_poses(self) -> Array:
+        """(N, 7) float32: position in metres and wxyz in the world, in the order of ``bodies``."""
+        ...
+
+    def hand(self) -> Array:
+        """(3,) float32 metres, world frame: the middle between the gripper's fingertips."""
+        ...
 
     def expert(self) -> Array:
         """(A,) what the scripted expert would do now. It may look at the simulator's true state."""

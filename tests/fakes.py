@@ -20,6 +20,7 @@ class FakePolicy:
         seed: int = 0,
         width: int = 64,
         task: str = "toy/reach",
+        actions: int = 2,
     ) -> None:
         streams = SETTINGS[setting].streams
         self.spec = PolicySpec(
@@ -27,7 +28,7 @@ class FakePolicy:
         )
         rng = np.random.default_rng(seed)
         self._eyes = rng.normal(size=(3 * 21 * 21, width)).astype(np.float32) / 40
-        self._hand = rng.normal(size=(width, 2)).astype(np.float32) / 8
+        self._hand = rng.normal(size=(width, actions)).astype(np.float32) / 8
         self._value = rng.normal(size=width).astype(np.float32)
 
     def encode(self, views: Array, state: Array) -> Encoded:

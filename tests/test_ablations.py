@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
-from madviz.ablations import Ablation, CameraState, Occlusion, noise_generator
+from madviz.ablations import Ablation, CameraState, Occlusion, OcclusionKind, noise_generator
 from madviz.envs.base import SETTINGS
 from madviz.subsets import every_mask, mask_of
 from madviz.types import UserError
@@ -19,7 +21,7 @@ def arrive(occlusion: Occlusion, frame: np.ndarray = FRAME) -> np.ndarray:
     return occlusion.apply(frame, before, noise_generator(1, 2, "first"))
 
 
-@pytest.mark.parametrize("kind", ["none", "black", "noise", "freeze", "blur", "patch"])
+@pytest.mark.parametrize("kind", get_args(OcclusionKind))
 @pytest.mark.parametrize("channels", [3, 1])
 def test_every_kind_keeps_shape_and_input(kind: str, channels: int) -> None:
     frame = FRAME[..., :channels].copy()
@@ -37,6 +39,23 @@ def test_what_arrives() -> None:
     assert np.array_equal(noisy, arrive(Occlusion("noise", strength=1.0)))
     assert np.abs(arrive(Occlusion("noise", strength=0.1)).astype(int) - FRAME).mean() < 12
     assert arrive(Occlusion("blur")).std() < FRAME.std() / 4
+
+
+def test_lost_pictures_repeat_the_last_one_and_depend_on_seed_step_and_stream() -> None:
+    def lost(seed: int, stream: str, strength: float = 0.3) -> list[bool]:
+        arrived = [
+            Occlusion("dropout", strength).apply(FRAME, BEFORE, noise_generator(seed, step, stream))
+            for step in range(300)
+        ]
+        assert all(np.array_equal(one, FRAME) or np.array_equal(one, BEFORE) for one in arrived)
+        return [np.array_equal(one, BEFORE) for one in arrived]
+
+    assert 60 < sum(lost(1, "first")) < 120
+    assert lost(1, "first") == lost(1, "first")
+    assert lost(1, "first") != lost(2, "first") != lost(1, "third_a")
+    assert not any(lost(1, "first", 0.0)) and all(lost(1, "first", 1.0))
+    first = Occlusion("dropout").apply(FRAME, None, noise_generator(1, 0, "first"))
+    assert np.array_equal(first, FRAME)
 
 
 def test_noise_differs_between_steps_and_streams() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from base64 import b64decode
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -19,12 +20,12 @@ from madviz.app.policy import PolicyChoice, PolicyPanel, status_html, verdict
 from madviz.app.rates import Rate, Rates
 from madviz.app.scene import ScenePanel, _focus
 from madviz.app.screen import Screen
-from madviz.app.subsets import SubsetsPanel, presence, subset_label, subsets_html
+from madviz.app.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
 from madviz.app.success import Curve, SuccessPanel, WordsPanel, bars_html, sentence, strip_html
 from madviz.envs.base import make_env
 from madviz.frame import Frame, Pause, SetCamera, SetPolicy, Setting
 from madviz.session import Session
-from tests.fakes import FakePolicy, NanPolicy, policies
+from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 
 OFF = CameraState("off")
 TILE = 204
@@ -196,16 +197,60 @@ def test_features_table_names_every_stream_and_the_sum():
         assert words in html
 
 
+def test_features_table_says_what_share_of_the_sum_a_stream_is():
+    frame = frame_with(SetCamera("third_a", OFF))
+    shares = [f"{100 * share:.0f} %" for share in frame.probe.shares(frame.row)]
+    html = features_html(frame)
+    assert shares[1] == "0 %"
+    assert all(f">{share}</td>" in html for share in [*shares, "100 %"])
+
+
+def test_features_table_claims_no_sum_where_there_is_none():
+    frame = frame_with()
+    squared = replace(frame.probe.readout, merged=frame.probe.readout.merged**2)
+    probe = replace(frame.probe, readout=squared)
+    for method, merged in (("mad", "merged"), ("concat", "merged: side by side"), ("x", "merged")):
+        other = replace(frame, probe=probe, policy=replace(frame.policy, method=method))
+        html = features_html(other)
+        assert f"{merged}</td>" in html and "sum" not in html and "100 %</td>" not in html
+    blank = replace(frame.probe, features=0 * frame.probe.features)
+    html = features_html(replace(frame, probe=blank))
+    assert html.count("<tr") == 2 and "No camera has a feature of its own" in html
+
+
 def test_every_subset_has_a_row_and_untrained_ones_say_so(server):
     frame = frame_with(SetCamera("third_a", OFF))
     html = subsets_html(frame)
     assert html.count("<tr") == 1 + 8
     # Three pairs and the empty subset: nobody trained on those.
-    assert html.count("off-training") == 4
+    assert html.count('title="off-training"') == 4
     assert html.index("now") < html.index("state only")
     six = subsets_html(frame_with(policy=policies("toy-rgbd")))
     assert six.count("<tr") == 1 + 64
     SubsetsPanel(server.gui, frame).remove()
+
+
+def test_of_many_subsets_those_of_whole_cameras_are_shown_until_somebody_asks(server):
+    frame = frame_with(SetCamera("first", CameraState("depth")), policy=policies("toy-rgbd"))
+    html = subsets_html(frame, everything=False)
+    # Eight sets of cameras, six single streams, and the present setting, with half a camera.
+    assert html.count("<tr") == 1 + 8 + 6 + 1
+    assert "49 sets with half a camera are not shown" in html
+    panel = SubsetsPanel(server.gui, frame)
+    assert panel._everything.visible and panel._table.content == html
+    apply(panel.update(frame_with()))
+    assert not panel._everything.visible, "eight rows need no switch"
+    panel.remove()
+
+
+def test_subsets_say_how_far_their_actions_are_apart():
+    frame = frame_with(SetCamera("third_a", OFF))
+    action = frame.probe.readout.action
+    to_now, to_all = distances(frame, 3)
+    assert to_now == pytest.approx(float(np.linalg.norm(action[3] - frame.action)))
+    assert to_all == pytest.approx(float(np.linalg.norm(action[3] - action[0])))
+    assert distances(frame, frame.row)[0] == 0 == distances(frame, 0)[1]
+    assert np.isnan(distances(frame_with(policy=AllOrNothing("toy-stack")), 5)).all()
 
 
 def test_a_policy_that_breaks_shows_where():

@@ -6,6 +6,7 @@ import contextlib
 import socket
 import threading
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -18,6 +19,7 @@ from madviz.app.users import Users
 from madviz.envs.base import make_env
 from madviz.frame import Frame
 from madviz.session import Session
+from madviz.training_job import TrainingJob
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 
@@ -93,7 +95,8 @@ def users(cap: int):
         return made[-1]
 
     choices = [PolicyChoice("toy-mad", "MAD")]
-    one = Users(lobby, new_session, choices, Rates(), cap)  # type: ignore[arg-type]
+    job = TrainingJob(Path("runs"))
+    one = Users(lobby, new_session, choices, Rates(), job, cap)  # type: ignore[arg-type]
     yield one, lobby, made
     one.close()
     lobby.real.stop()

@@ -55,7 +55,7 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
     assert cli.main(["wurst"]) == 2
     assert capsys.readouterr().err == (
         "madviz: unknown command 'wurst'; known: bench, compare, doctor, eval, explore, list, "
-        "report, sweep, train\n"
+        "record, replay, report, sweep, train\n"
     )
     assert cli.main(["bench", "wurst"]) == 2
     assert "known: live, render, update" in capsys.readouterr().err

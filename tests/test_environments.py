@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from madviz.envs import bodies
 from madviz.envs.base import MANISKILL_TASKS, METAWORLD_TASKS, SETTINGS, TASKS, make_env, setting
 from madviz.types import Environment, UserError
 
@@ -120,6 +122,84 @@ def test_cameras_are_where_their_poses_say(env: Environment) -> None:
         middle = view.depth[41:43, 41:43].mean()
         hit = pose.position + forward * middle
         assert floor < hit[2] < 0.5, f"{camera.name} sees {hit}"
+
+
+def test_bodies_are_meshes_that_a_browser_can_draw(env: Environment) -> None:
+    env.reset(3)
+    scene = env.bodies()
+    names = [body.name for body in scene]
+    assert len(set(names)) == len(names) >= 3
+    for part in (part for body in scene for part in body.parts):
+        assert part.vertices.dtype == np.float32 and part.vertices.shape[1:] == (3,)
+        assert part.faces.dtype == np.int32 and part.faces.shape[1:] == (3,)
+        assert part.faces.min() >= 0 and part.faces.max() < len(part.vertices)
+        assert part.colour.dtype == np.uint8 and part.colour.shape == (3,)
+        assert np.isfinite(part.vertices).all() and np.abs(part.vertices).max() < 3
+    assert sum(len(part.faces) for body in scene for part in body.parts) <= bodies.MOST
+    env.step(np.zeros(env.spec.action_dim))
+    assert env.bodies() is scene, "the same object while nothing changes"
+
+
+def test_bodies_stand_in_the_world_and_move(env: Environment) -> None:
+    env.reset(3)
+    before = env.body_poses()
+    assert before.shape == (len(env.bodies()), 7) and before.dtype == np.float32
+    for _ in range(4):
+        env.step(env.expert())
+    after = env.body_poses()
+    for poses in (before, after):
+        assert np.isfinite(poses).all() and np.abs(poses[:, :3]).max() < 3
+        np.testing.assert_allclose(np.linalg.norm(poses[:, 3:], axis=1), 1, atol=1e-4)
+    moved = np.abs(after - before).max(1) > 1e-3
+    assert 0 < moved.sum() < len(moved), "the hand moves, the table does not"
+
+
+def test_the_hand_is_where_fingertips_are(env: Environment) -> None:
+    env.reset(3)
+    before = env.hand()
+    assert before.shape == (3,) and before.dtype == np.float32
+    assert np.abs(before[:2]).max() < 1.2 and 0 < before[2] < 0.6
+    for _ in range(4):
+        env.step(env.expert())
+    went = env.hand() - before
+    assert np.linalg.norm(went) > 0.01
+    distances = np.linalg.norm(env.body_poses()[:, :3] - env.hand(), axis=1)
+    assert distances.min() < 0.25, "some link of the gripper is near"
+
+
+def test_a_moved_camera_sees_from_there_until_it_is_put_back(env: Environment) -> None:
+    env.reset(4)
+    own, camera = env.view("third_a"), env.spec.camera("third_a")
+    to = replace(camera, position=(0.1, -0.2, 1.5), wxyz=(1.0, 0.0, 0.0, 0.0), fovy=50.0, body=None)
+    env.move_camera("third_a", to)
+    away, pose = env.view("third_a"), env.pose("third_a")
+    np.testing.assert_allclose(pose.position, (0.1, -0.2, 1.5), atol=1e-6)
+    np.testing.assert_allclose(np.abs(pose.wxyz), (0, 1, 0, 0), atol=1e-6)  # It looks down.
+    assert pose.fovy == 50 and env.spec.camera("third_a") == camera
+    assert np.abs(away.rgb.astype(int) - own.rgb).mean() > 5
+    env.reset(4)
+    assert np.array_equal(env.view("third_a").rgb, away.rgb), "a reset changes no camera"
+    env.move_camera("third_a", replace(to, fovy=20.0))
+    assert np.abs(env.view("third_a").rgb.astype(int) - away.rgb).mean() > 2, "it zooms"
+    env.move_camera("third_a", None)
+    back = env.view("third_a")
+    assert np.array_equal(back.rgb, own.rgb) and np.array_equal(back.depth, own.depth)
+
+
+def test_a_camera_is_not_moved_to_nowhere(env: Environment) -> None:
+    env.reset(0)
+    camera = env.spec.camera("third_a")
+    for wrong, said in (
+        (replace(camera, position=(np.nan, 0, 0)), "expected a place"),
+        (replace(camera, wxyz=(0, 0, 0, 0)), "expected a place"),
+        (replace(camera, fovy=170), "5 to 150 degrees"),
+        (replace(camera, body="elbow"), "elbow"),
+    ):
+        with pytest.raises(UserError, match=said):
+            env.move_camera("third_a", wrong)
+    with pytest.raises(UserError, match="third_b"):
+        env.move_camera("forth", None)
+    assert env.pose("third_a").fovy == camera.fovy
 
 
 @pytest.mark.parametrize("bad", [np.full(4, np.nan), np.zeros(3), np.full(4, np.inf)])

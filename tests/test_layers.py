@@ -21,11 +21,11 @@ MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in FI
 LAYERS = (
     "types subsets files statistics processes svg",
     "envs agent ablations streams",
-    "buffer manifest checkpoint store rollout evaluate live probes demonstrations run card "
-    "evidence",
+    "buffer manifest checkpoint store rollout evaluate live probes shapley projection saliency "
+    "demonstrations run card evidence",
     "light paper train naive",
-    "frame simulation session",
-    "app bench doctor compare report sweep",
+    "failures frame kept journal simulation timeline twin plan stage session",
+    "training app bench doctor compare report sweep recording replay",
     "cli main",
 )
 """A module imports from its own line and those above. ``agent`` stands for all of its modules, and

@@ -84,6 +84,29 @@ def test_the_state_is_joints_speeds_and_what_the_task_adds(push: ManiSkill) -> N
     assert np.allclose(state[25:27], cube[:2] + [0.2, 0], atol=1e-5)
 
 
+def test_the_scene_has_the_cube_where_it_is_and_no_ground(push: ManiSkill) -> None:
+    push.reset(2)
+    names = [body.name.rsplit("-", 1)[0] for body in push.bodies()]
+    cube = names.index("scene-0_cube")
+    assert np.allclose(push.body_poses()[cube, :3], position(push._simulation.obj), atol=1e-5)
+    (box,) = push.bodies()[cube].parts
+    assert np.allclose(np.abs(box.vertices).max(0), 0.02, atol=1e-6) and box.colour[2] > 100
+    assert "scene-0_ground" not in names and "scene-0_table-workspace" in names
+    target = push.bodies()[names.index("scene-0_goal_region")].parts
+    heights = [part.vertices[:, 0].max() for part in target]
+    assert len(target) == 5 and np.diff(heights).min() > 0.0009, "a browser can tell them apart"
+
+
+def test_the_goal_that_cameras_do_not_see_is_in_the_scene() -> None:
+    env = ManiSkill("pick-cube")
+    env.reset(1)
+    (row,) = [i for i, body in enumerate(env.bodies()) if "goal_site" in body.name]
+    goal = position(env._simulation.goal_site)
+    assert np.allclose(env.body_poses()[row, :3], goal, atol=1e-5)
+    assert env.bodies()[row].parts[0].colour.tolist() == [0, 255, 0]
+    env.close()
+
+
 def test_poke_cubes_goal_is_the_peg() -> None:
     env = ManiSkill("poke-cube")
     state = env.reset(3).state

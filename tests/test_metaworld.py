@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from madviz.envs import bodies
 from madviz.envs.base import METAWORLD_TASKS, make_env
 from madviz.envs.metaworld import MetaWorld
 from madviz.envs.metaworld_scripts import RUN_ON, Scene, pick
@@ -21,7 +22,10 @@ def test_every_task_runs_and_repeats(task: str) -> None:
             now = env.step(env.expert())
             states.append(now.state)
         runs.append(np.concatenate(states))
+    scene = env.bodies()
     env.close()
+    assert sum(len(part.faces) for body in scene for part in body.parts) <= bodies.MOST
+    assert len(scene) > 18 and len({body.name for body in scene}) == len(scene)
     assert np.array_equal(*runs)
     assert env.spec.success
 
@@ -72,6 +76,24 @@ def test_decimation_leaves_the_model_as_it_was() -> None:
         assert model.mesh_facenum[untextured].max() <= TRIANGLES + 2
     assert np.array_equal(before[0], model.mesh_vert)
     assert np.array_equal(before[1], model.mesh_facenum)
+
+
+def test_a_scene_is_what_the_simulator_draws_and_where() -> None:
+    """Push has a red puck on the table and a goal that is marked; the floor is left out, and so is
+    what the model hides."""
+    env = make_env("metaworld/push")
+    env.reset(1)
+    poses = dict(zip([body.name for body in env.bodies()], env.body_poses(), strict=True))
+    scene = {body.name: body for body in env.bodies()}
+    env.close()
+    (puck,) = [name for name in scene if name.startswith("obj-")]
+    (goal,) = [name for name in scene if name.startswith("goal-site")]
+    assert not any("world" in name or "mocap" in name for name in scene)
+    red, green, blue = scene[puck].parts[0].colour.astype(int)
+    assert red > 80 and max(green, blue) < 20
+    assert np.allclose(np.abs(scene[puck].parts[0].vertices).max(0), 0.02, atol=1e-6)
+    assert 0 < poses[puck][2] < 0.03 and 0.7 < poses[goal][1] < 1.0
+    assert scene[goal].parts[0].colour.tolist() == [0, 204, 0]
 
 
 def test_full_profile_casts_shadows_that_fast_leaves_out() -> None:

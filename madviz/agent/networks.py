@@ -69,9 +69,11 @@ class Encoder(nn.Module):
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """(B, C, H, W) uint8 -> (B, Z) non-negative features."""
+        """(B, C, H, W) uint8 -> (B, Z) non-negative features. Pixels may also be floating, 0 to
+        255: bytes have no gradient, and saliency asks for one."""
         low = torch.is_autocast_enabled("cpu") and pixels.device.type == "cpu"
-        x = (pixels.contiguous(memory_format=torch.channels_last) ^ 128).view(torch.int8)
+        x = pixels.contiguous(memory_format=torch.channels_last)
+        x = x - 128 if x.is_floating_point() else (x ^ 128).view(torch.int8)
         x = x.to(torch.bfloat16 if low else self.conv1.weight.dtype)
         weight = self.conv1.weight / 255
         assert self.conv1.bias is not None

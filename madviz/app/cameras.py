@@ -17,9 +17,12 @@ from madviz.subsets import modality_of
 from madviz.types import CameraSpec
 
 INPUTS = {"rgb": "RGB", "depth": "depth", "both": "both", "off": "off"}
-OCCLUSIONS = {kind: kind for kind in ("none", "black", "noise", "freeze", "blur", "patch")}
+OCCLUSIONS = {
+    **{kind: kind for kind in ("none", "black", "noise", "freeze", "blur", "patch")},
+    "dropout": "lossy",
+}
 SLIDERS = {
-    "strength": ("noise", "blur", "patch"),
+    "strength": ("noise", "blur", "patch", "dropout"),
     "x": ("patch",),
     "y": ("patch",),
     "size": ("patch",),
@@ -150,7 +153,7 @@ class CamerasPanel:
         cells = []
         for index, control in enumerate(self._controls):
             cells.append(Cell(control.input.handle, index + 1, label="above"))
-            cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="28%"))
+            cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="21%"))
             cells += [Cell(slider, index + 1) for slider in control.sliders.values()]
         return grid("cameras", columns, cells)
 

@@ -2,6 +2,9 @@
 
 The strips show where a feature is active: its Z numbers in ``BINS`` groups, the mean size of each.
 All strips share one colour scale, so that a stream that adds little looks dark.
+
+How features become one is told from the numbers (``Probe.merged_kind``), not from a policy's name:
+only of a sum may the page say that it is one, and only a sum has shares.
 """
 
 from __future__ import annotations
@@ -14,7 +17,8 @@ import numpy as np
 import viser
 from viser import uplot
 
-from madviz.app.colours import MERGED, camera_colours, heat
+from madviz.agent.methods import METHODS
+from madviz.app.colours import MERGED, NOTE, camera_colours, heat
 from madviz.app.panel import Assign
 from madviz.app.subsets import MODALITY_WORDS
 from madviz.app.toolkit import remove_all
@@ -26,6 +30,19 @@ BINS, HISTORY = 128, 150
 """Columns of a strip; decisions a curve goes back."""
 
 
+MERGES = {
+    "frame-stack": "one feature of all pictures",
+    "concat": "side by side",
+    "attention": "by attention, then summed",
+    "vit": "by a transformer layer",
+    "mvd": "halves of two cameras, drawn",
+    "vib": "side by side, narrowed",
+}
+"""What a merge that is no plain sum does, in the words of a table's cell."""
+NO_VIEWS = (
+    "This policy puts the pictures of all cameras on top of each other before anything else. No "
+    "camera has a feature of its own, so there is only one row here, and no camera can be left out."
+)
 NO_POINTS = uplot.Series_Points(show=False)
 
 
@@ -128,43 +145,59 @@ def curve_point(frame: Frame) -> list[float]:
     return [*map(float, norms), frame.probe.merged_norm(frame.row)]
 
 
+def merged_words(frame: Frame) -> str:
+    """``merged: their sum``, or however else this policy does it."""
+    kind = frame.probe.merged_kind()
+    if kind == "sum":
+        return "merged: their sum"
+    if kind == "mean":
+        return "their mean (not merged)"
+    method = METHODS.get(frame.policy.method)
+    how = MERGES.get(method.merge, "") if method else ""
+    return f"merged: {how}" if how else "merged"
+
+
 def features_html(frame: Frame) -> str:
-    """A row per stream and one for their sum."""
+    """A row per stream and one for what they are merged to."""
     probe, row, mask = frame.probe, frame.row, frame.mask
     colours = camera_colours(frame.env.cameras)
-    merged = probe.readout.merged[row]
+    merged = probe.merged(row)
     terms = [_bins(feature) for feature in probe.features]
-    top = max(float(np.max([*terms, _bins(np.nan_to_num(merged))])), 1e-9)
-    cosines = probe.cosines(row)
+    top = max(float(np.max(np.concatenate([*terms, _bins(np.nan_to_num(merged))]))), 1e-9)
+    cosines, shares = probe.cosines(row), 100 * probe.shares(row)
+    alone = probe.merged_kind() == "no views"
     rows = []
-    for index, stream in enumerate(frame.policy.streams):
-        rows.append(
-            _row(
-                colours[camera_of(stream)],
-                stream_label(frame, stream),
-                terms[index] / top,
-                float(probe.norms[index]),
-                f"{cosines[index]:.2f}" if np.isfinite(cosines[index]) else "–",
-                faded=not mask[index],
-            )
+    for index, stream in enumerate(() if alone else frame.policy.streams):
+        numbers = (
+            f"{probe.norms[index]:.1f}",
+            f"{cosines[index]:.2f}" if np.isfinite(cosines[index]) else "–",
+            f"{shares[index]:.0f} %" if np.isfinite(shares[index]) else "–",
         )
-    rows.append(
-        _row(MERGED, "merged: their sum", _bins(merged) / top, probe.merged_norm(row), "", False)
-    )
-    head = (
-        '<tr class="dim"><td>stream</td><td style="width:55%">where its feature is active</td>'
-        '<td class="num">length</td><td class="num">cosine</td></tr>'
-    )
-    return f'<div class="mv"><table>{head}{"".join(rows)}</table></div>'
+        label = stream_label(frame, stream) + ("" if mask[index] else " · dropped")
+        colour = colours[camera_of(stream)]
+        rows.append(_row(colour, label, terms[index] / top, numbers, faded=not mask[index]))
+    whole = "100 %" if np.isfinite(shares).all() else ""
+    numbers = (f"{probe.merged_norm(row):.1f}", "", whole)
+    rows.append(_row(MERGED, merged_words(frame), _bins(merged) / top, numbers, False))
+    note = f'<div style="border-left:3px solid {NOTE};padding-left:8px">{NO_VIEWS}</div>'
+    return f'<div class="mv">{note if alone else ""}<table>{_HEAD}{"".join(rows)}</table></div>'
 
 
-def _row(colour: str, label: str, strip: Array, norm: float, cosine: str, faded: bool) -> str:
-    style = "opacity:0.35" if faded else ""
-    note = " · dropped" if faded else ""
+_HEAD = (
+    '<tr class="dim"><td>stream</td><td style="width:48%">where its feature is active</td>'
+    '<td class="num">length</td>'
+    '<td class="num" title="of the angle to the merged feature: 1 is the same direction">cosine'
+    '</td><td class="num" title="V·M / |M|²: how much of the merged feature M this stream\'s '
+    'feature V explains. The shares of all streams add up to 100 %.">share</td></tr>'
+)
+
+
+def _row(colour: str, label: str, strip: Array, numbers: tuple[str, ...], faded: bool) -> str:
+    style = "opacity:0.45" if faded else ""
+    cells = "".join(f'<td class="num">{number}</td>' for number in numbers)
     return (
         f'<tr style="{style}"><td><span class="dot" style="background:{colour}"></span>'
-        f'{label}{note}</td><td><img class="strip" src="{strip_uri(strip)}"></td>'
-        f'<td class="num">{norm:.1f}</td><td class="num">{cosine}</td></tr>'
+        f'{label}</td><td><img class="strip" src="{strip_uri(strip)}"></td>{cells}</tr>'
     )
 
 

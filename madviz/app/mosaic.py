@@ -5,7 +5,8 @@
 
 A tile shows what *arrives* at the policy, occlusions and all, enlarged pixel by pixel. A dropped
 camera still sees, but nothing of it is used: its own picture, dimmed and stamped, so that it cannot
-be mistaken for a camera that sends black. Pure NumPy; nothing here knows viser.
+be mistaken for a camera that sends black. Where saliency is asked for, the pixels that matter glow
+over the picture, which is dimmed under them. Pure NumPy; nothing here knows viser.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from madviz.types import Array, CameraSpec
 GAP, HEADER, SCALE = 6, 24, 18
 """Pixels between tiles, of a tile's title, of the depth scale under a tile."""
 _GROUND = (30, 31, 34)
+GLOW = 0.85
+"""How much of a pixel the brightest saliency covers."""
 
 
 def mosaic(frame: Frame, tile: int) -> Array:
@@ -84,11 +87,24 @@ def _stream_picture(frame: Frame, camera: str, modality: str) -> Array | None:
     return None
 
 
+def glow(picture: Array, frame: Frame, camera: str, modality: str) -> Array:
+    """``picture`` (H, W, 3) with the saliency of its stream laid over it, if there is any."""
+    maps = frame.saliency or {}
+    shares = maps.get(f"{camera}.{modality}", maps.get(camera) if modality == "rgb" else None)
+    if shares is None:
+        return picture
+    shares = cv2.resize(shares, picture.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    weight = GLOW * np.sqrt(shares)[..., None]
+    colours = heat(shares, cv2.COLORMAP_INFERNO)
+    dimmed = (1 - 0.5 * GLOW) * picture
+    return (dimmed * (1 - weight) + colours * weight).astype(np.uint8)
+
+
 def _colour_picture(frame: Frame, camera: CameraSpec, tile: int) -> Array:
     arrived = _stream_picture(frame, camera.name, "rgb")
     if arrived is None:
         arrived = frame.views[camera.name].rgb
-    return _enlarge(arrived, tile)
+    return glow(_enlarge(arrived, tile), frame, camera.name, "rgb")
 
 
 def _depth_picture(frame: Frame, camera: CameraSpec, tile: int, height: int) -> Array:
@@ -97,6 +113,7 @@ def _depth_picture(frame: Frame, camera: CameraSpec, tile: int, height: int) -> 
     if arrived is None:
         arrived = depth_code(frame.views[camera.name].depth, camera.depth_range)
     picture = heat(_enlarge(arrived[..., 0], tile) / 255.0)
+    picture = glow(picture, frame, camera.name, "depth")
     rows = height - SCALE
     start = (tile - rows) // 2
     return np.concatenate([picture[start : start + rows], _depth_scale(camera.depth_range, tile)])

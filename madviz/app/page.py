@@ -22,14 +22,21 @@ from html import escape
 import viser
 
 from madviz.ablations import CameraState
+from madviz.app.arrows import ArrowsPanel
 from madviz.app.cameras import CamerasPanel
+from madviz.app.failures import FailuresPanel
 from madviz.app.features import FeaturesPanel
+from madviz.app.keep import KeepPanel
+from madviz.app.pace import PACE_SCRIPT
 from madviz.app.panel import Panel, apply
 from madviz.app.policy import PolicyChoice, PolicyPanel
-from madviz.app.scene import ScenePanel
+from madviz.app.projection import MapPanel
+from madviz.app.saliency import SaliencyPanel
+from madviz.app.scene import ScenePanel, extent
 from madviz.app.screen import SCREEN_SCRIPT
 from madviz.app.subsets import SubsetsPanel
 from madviz.app.success import Rates, SuccessPanel, WordsPanel
+from madviz.app.timeline import TimelinePanel
 from madviz.app.toolkit import (
     LEFT_WIDTH,
     LEFT_WIDTH_WIDE,
@@ -40,6 +47,9 @@ from madviz.app.toolkit import (
     run_script,
     window_is_wide,
 )
+from madviz.app.training import TrainingPanel
+from madviz.app.versus import VersusPanel
+from madviz.app.worth import WorthPanel
 from madviz.frame import (
     Change,
     Failure,
@@ -48,11 +58,14 @@ from madviz.frame import (
     Play,
     Reset,
     SetCamera,
+    SetSaliency,
     SetSpeed,
     StepOnce,
     untouched,
 )
+from madviz.saliency import Target
 from madviz.session import Session
+from madviz.training_job import TrainingJob
 
 FASTEST = 1 / 40
 """Seconds between two frames that are shown: more would be wasted on a browser."""
@@ -93,11 +106,12 @@ class Page:
         session: Session,
         choices: Sequence[PolicyChoice],
         rates: Rates,
+        job: TrainingJob,
         notice: str = "",
         readonly: bool = False,
     ) -> None:
         self.client, self.session = client, session
-        self._choices, self._rates = choices, rates
+        self._choices, self._rates, self._job = choices, rates, job
         self._notice, self._readonly = notice, readonly
         self._wide = window_is_wide(client)
         self._waiting: viser.GuiHtmlHandle | None = None
@@ -195,7 +209,8 @@ class Page:
         if self._built != (frame.env.task, frame.env.cameras):
             self._build(frame)
         assert self._curves is not None
-        self._curves.note(frame)
+        if not frame.past:
+            self._curves.note(frame)
         urgent = self._touched != (frame.change, frame.policy, frame.phase, frame.error)
         self._touched = (frame.change, frame.policy, frame.phase, frame.error)
         due = [s for s in self._shown if s.number != frame.number]
@@ -225,6 +240,7 @@ class Page:
         self._waiting.content = waiting_html(self._notice) if self._notice else ""
         run_layout(client)
         run_script(client, SCREEN_SCRIPT)
+        run_script(client, PACE_SCRIPT)
         with client.atomic():
             policy = PolicyPanel(gui, send, frame, self._choices)
             success = SuccessPanel(gui, frame, self._rates, visitor)
@@ -238,15 +254,36 @@ class Page:
                 features = FeaturesPanel(gui, frame, 230 if self._wide else 150)
             with tabs.add_tab("Every subset", viser.Icon.LIST):
                 subsets = SubsetsPanel(gui, frame)
+            with tabs.add_tab("Worth", viser.Icon.SCALE):
+                worth = WorthPanel(gui, frame, self._rates)
+            with tabs.add_tab("Inside", viser.Icon.MAP_2):
+                looks = SaliencyPanel(gui, self._explain if send else None, frame)
+                atlas = MapPanel(gui, frame, 330 if self._wide else 170)
+            with tabs.add_tab("Timeline", viser.Icon.HISTORY):
+                timeline = TimelinePanel(gui, send, frame)
+            with tabs.add_tab("A / B", viser.Icon.ARROWS_DIFF):
+                versus = VersusPanel(gui, send, frame, self._choices)
+            with tabs.add_tab("Train", viser.Icon.SCHOOL):
+                training = TrainingPanel(gui, send, frame, self._job)
+            with tabs.add_tab("Failures", viser.Icon.PLUG_CONNECTED_X):
+                failures = FailuresPanel(gui, send, frame)
+            with tabs.add_tab("Keep", viser.Icon.DOWNLOAD):
+                keep = KeepPanel(gui, self.session.keep, frame)
             self._extras = [dockable, *self._shortcuts(frame)]
         self._curves = features
         scene = ScenePanel(client, frame, None if self._readonly else self._toggle)
+        arrows = ArrowsPanel(client, frame, extent(frame))
         self._shown = [
             *(Shown(cameras, FASTEST), Shown(policy, FASTEST), Shown(words, FASTEST)),
-            *(Shown(features, 0.25), Shown(subsets, 0.5)),
-            *(Shown(success, 0.5), Shown(scene, 0.5)),
+            *(Shown(features, 0.25), Shown(subsets, 0.5), Shown(worth, 0.5)),
+            *(Shown(atlas, 0.4), Shown(looks, 0.25), Shown(arrows, 0.25)),
+            *(Shown(success, 0.5), Shown(scene, 0.05), Shown(timeline, 0.5)),
+            *(Shown(versus, 0.5), Shown(training, 1.0), Shown(failures, 0.5), Shown(keep, 1.0)),
         ]
         self._built = (frame.env.task, frame.env.cameras)
+
+    def _explain(self, target: Target | None) -> None:
+        self.session.send(SetSaliency(target))
 
     def _toggle(self, camera: str) -> None:
         """Drops a camera, or takes it back in the modalities the policy knows."""

@@ -161,6 +161,8 @@ def verdict(frame: Frame) -> tuple[str, str]:
     """The state of the episode in a word, and the colour of its tag."""
     if frame.error:
         return "STOPPED", NOTE
+    if frame.past:
+        return "LOOKING BACK", NOTE
     if frame.ended:
         return ("SUCCESS", GOOD) if frame.success else ("FAIL", BAD)
     return ("PAUSED", MUTED) if frame.phase == "paused" else ("RUNNING", "#dfe3e8")

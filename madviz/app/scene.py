@@ -1,32 +1,49 @@
-"""Where it happens: camera frusta at their effective poses, with what they send. Click to drop one.
+"""Where it happens: robot, table and objects, moving, and the cameras with what they send.
 
-Pictures on frusta are the dearest thing on the page for a browser without a GPU: each new one makes
-it stop until everything before is drawn, some 40 ms, and then draw the whole scene. So they follow
-twice a second, and at once when their camera is touched; at full speed, when the machine is wanted
-elsewhere, one every two seconds, those that were touched first. Colours follow at once.
+Everything in the scene costs a browser without a GPU some 40 ms whenever any of it changes, and
+pictures on frusta are the dearest: each new one makes it stop until everything before is drawn. So
+bodies and frusta move at most ten times a second, and pictures follow twice a second, or when their
+camera is touched. At full speed, when the machine is wanted elsewhere, things move three times a
+second, and one picture changes every two seconds, those that were touched first. When an episode
+stands still, nothing waits. Colours follow at once.
+
+A frustum stands where its camera does, moved or not, in the camera's own colour and with what
+arrives of it. Dropped, it is grey and its picture dim. Occluded, its picture has a striped frame:
+the colour says which camera it is and must not change, and a frozen picture looks like any other.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import viser
+from scipy.spatial.transform import Rotation
 
-from madviz.app.colours import camera_colours, rgb
+from madviz.app.bodies import Bodies
+from madviz.app.colours import NOTE, camera_colours, rgb
 from madviz.app.panel import Assign
+from madviz.app.sight import Sight, outlook
 from madviz.frame import Frame
-from madviz.types import Array
+from madviz.types import Array, CameraPose
 
 PERIOD, PERIOD_AT_FULL_SPEED = 0.5, 2.0
 """Seconds between two times that pictures change; at full speed, one of them."""
+MOVE, MOVE_AT_FULL_SPEED = 0.09, 0.3
+"""Seconds between two times that things move; a little less than a step at normal speed."""
+AFTER_TOUCH = 0.2
+"""Seconds at full speed in which nothing of the scene is in the way of what was just touched: a
+browser takes messages in order, and those behind a change of the scene wait until it is drawn."""
 OFF = (110, 112, 116)
 """The colour of a dropped camera."""
+WIDTH, WIDTH_ON_BODY = 0.24, 0.14
+"""How wide a frustum's picture is, as a share of the scene; one on the hand must not hide it."""
 
 
 class ScenePanel:
-    """Frusta, labels and a grid under them, for one visitor."""
+    """Bodies, frusta and their labels, for one visitor. Clicking a frustum calls ``on_click``."""
 
     def __init__(
         self,
@@ -35,67 +52,102 @@ class ScenePanel:
         on_click: Callable[[str], None] | None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._clock, self._drawn = clock, -PERIOD_AT_FULL_SPEED
+        self._clock = clock
+        self._change, self._touched = frame.change, -AFTER_TOUCH
+        self._drawn, self._moved = -PERIOD_AT_FULL_SPEED, -MOVE_AT_FULL_SPEED
         self._states = {name: frame.camera(name) for name in frame.poses}
-        self._next = 0
+        self._next, self._still = 0, frame.number
+        """Whose turn it is at full speed, and the last frame of which all pictures are shown."""
         self._frusta: dict[str, viser.CameraFrustumHandle] = {}
+        self._placed = dict(frame.poses)
         self._nodes: list = []
         self._colours = colours = camera_colours(frame.env.cameras)
-        self._size = _extent(frame)
+        self._size = extent(frame)
         with client.atomic():
-            self._ground(client, frame)
+            self._light(client)
+            self._bodies = Bodies(client, frame)
             for camera in frame.env.cameras:
                 self._add(client, frame, camera.name, colours[camera.name], on_click)
-        _look(client, frame)
+        self._sight = sight(client.camera, frame, self._size)
 
     def update(self, frame: Frame) -> list[Assign]:
-        pictures, changes = self._turn(frame), []
+        now, hurried = self._clock(), frame.speed is None and frame.phase == "playing"
+        if frame.change is not self._change:
+            self._change, self._touched = frame.change, now
+        if hurried and now - self._touched < AFTER_TOUCH:
+            return []
+        changes = self._sight.update()
         for name, handle in self._frusta.items():
             off = frame.camera(name).input == "off"
             changes.append(Assign(handle, "color", OFF if off else rgb(self._colours[name])))
-            if name in pictures:
-                pose = frame.poses[name]
-                changes += [
-                    Assign(handle, "image", picture(frame, name)),
-                    Assign(handle, "position", tuple(map(float, pose.position))),
-                    Assign(handle, "wxyz", tuple(map(float, pose.wxyz))),
-                ]
+        if frame.phase != "playing" or now - self._moved >= (
+            MOVE_AT_FULL_SPEED if hurried else MOVE
+        ):
+            self._moved = now
+            changes += self._bodies.update(frame) + self._move_frusta(frame)
+        for name in self._turn(frame, now, hurried):
+            changes.append(Assign(self._frusta[name], "image", picture(frame, name)))
         return changes
 
-    def _turn(self, frame: Frame) -> list[str]:
-        """The cameras whose picture and pose are brought up to date with this frame."""
-        states = {name: frame.camera(name) for name in self._frusta if name in frame.poses}
-        stale = [name for name in states if states[name] != self._states.get(name)]
-        slow, now = frame.speed is not None, self._clock()
-        if now - self._drawn < (PERIOD if slow else PERIOD_AT_FULL_SPEED) and not (slow and stale):
-            return []
-        self._drawn = now
-        if not slow:  # One only, and first those that look different from what is the case.
-            self._next = (self._next + (not stale)) % len(states)
-            stale = stale[:1] or [list(states)[self._next]]
-        elif not stale:
-            stale = list(states)
-        self._states.update({name: states[name] for name in stale})
-        return stale
-
     def remove(self) -> None:
+        self._bodies.remove()
         for node in self._nodes:
             node.remove()
 
-    def _ground(self, client: viser.ClientHandle, frame: Frame) -> None:
-        centre, size = _focus(frame), 2 * self._size
-        self._nodes.append(
-            client.scene.add_grid(
-                "/ground",
-                width=size,
-                height=size,
-                cell_size=size / 12,
-                section_size=size / 4,
-                cell_color=(70, 72, 76),
-                section_color=(95, 98, 104),
-                position=(float(centre[0]), float(centre[1]), 0.0),
-            )
-        )
+    def _move_frusta(self, frame: Frame) -> list[Assign]:
+        """Frusta to where their cameras are, if those went far enough to be seen."""
+        changes = []
+        for name, handle in self._frusta.items():
+            pose, before = frame.poses[name], self._placed[name]
+            if not _same(pose, before):
+                self._placed[name] = pose
+                changes += [
+                    Assign(handle, "position", np.asarray(pose.position, float)),
+                    Assign(handle, "wxyz", np.asarray(pose.wxyz, float)),
+                ]
+            if pose.fovy != before.fovy:
+                changes += [
+                    Assign(handle, "fov", float(np.radians(pose.fovy))),
+                    Assign(handle, "scale", self._scale(frame, name)),
+                ]
+        return changes
+
+    def _turn(self, frame: Frame, now: float, hurried: bool) -> list[str]:
+        """The cameras whose picture is brought up to date with this frame."""
+        states = {name: frame.camera(name) for name in self._frusta if name in frame.poses}
+        stale = [name for name in states if states[name] != self._states.get(name)]
+        still = frame.phase != "playing" and frame.number != self._still
+        waited = now - self._drawn >= (PERIOD_AT_FULL_SPEED if hurried else PERIOD)
+        if not (waited or still or (stale and not hurried)):
+            return []
+        self._drawn = now
+        if hurried:  # One only, and first those that look different from what is the case.
+            self._next = (self._next + (not stale)) % len(states)
+            stale = stale[:1] or [list(states)[self._next]]
+        elif not stale or still:
+            stale = list(states)
+            self._still = frame.number
+        self._states.update({name: states[name] for name in stale})
+        return stale
+
+    def _light(self, client: viser.ClientHandle) -> None:
+        """Two plain lights: reflections of surroundings and shadows cost more than all the rest."""
+        scene = client.scene
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(enabled=False)
+        self._nodes += [
+            scene.add_light_hemisphere(
+                "/lights/sky", sky_color=(255, 255, 255), ground_color=(90, 86, 80), intensity=2.6
+            ),
+            scene.add_light_directional("/lights/sun", intensity=2.1, position=(0.6, -0.4, 1.0)),
+        ]
+
+    def _scale(self, frame: Frame, name: str) -> float:
+        """viser's size of a frustum: the cube root of its volume."""
+        half = np.tan(np.radians(frame.poses[name].fovy) / 2)
+        ridden = frame.env.camera(name).body is not None
+        width = (WIDTH_ON_BODY if ridden else WIDTH) * self._size
+        return float(np.cbrt(half * half / 3) * width / (2 * half))
 
     def _add(
         self,
@@ -110,8 +162,8 @@ class ScenePanel:
             f"/cameras/{name}",
             fov=float(np.radians(pose.fovy)),
             aspect=1.0,
-            scale=0.16 * self._size,
-            thickness=0.008 * self._size,
+            scale=self._scale(frame, name),
+            thickness=0.004 * self._size,
             color=rgb(colour),
             image=picture(frame, name),
             format="jpeg",
@@ -123,23 +175,76 @@ class ScenePanel:
         )
         if on_click is not None:
             frustum.on_click(lambda _: on_click(name))
-        label = client.scene.add_label(f"/cameras/{name}/label", frame.env.camera(name).label)
+        label = client.scene.add_label(
+            f"/cameras/{name}/label",
+            frame.env.camera(name).label,
+            font_screen_scale=0.8,
+            anchor="bottom-center",
+        )
         self._frusta[name] = frustum
         self._nodes += [label, frustum]
 
 
 def picture(frame: Frame, camera: str) -> Array:
-    """(H, W, 3) uint8: what arrives of the camera's colour; dim and grey where it is dropped."""
-    raw = frame.views[camera].rgb
-    if frame.camera(camera).input == "off":
+    """(H, W, 3) uint8: what arrives of the camera's colour, in a striped frame if it is occluded;
+    dim and grey where it is dropped."""
+    raw, state = frame.views[camera].rgb, frame.camera(camera)
+    if state.input == "off":
         return (0.25 * raw.mean(axis=2, keepdims=True)).astype(np.uint8).repeat(3, axis=2)
-    for name in (f"{camera}.rgb", camera):
-        if name in frame.arrived:
-            return frame.arrived[name]
-    return raw
+    seen = raw
+    for name in (camera, f"{camera}.rgb"):
+        seen = frame.arrived.get(name, seen)
+    return seen if state.occlusion.kind == "none" else striped(seen)
 
 
-def _extent(frame: Frame) -> float:
+def striped(seen: Array) -> Array:
+    """A copy of ``seen`` (H, W, 3) whose outer twelfth is diagonal stripes."""
+    height, width = seen.shape[:2]
+    rows, columns = np.mgrid[:height, :width]
+    edge = min(height, width) // 12
+    inside = (rows >= edge) & (rows < height - edge) & (columns >= edge) & (columns < width - edge)
+    bright = ((rows + columns) // max(edge, 1)) % 2 == 0
+    stripes = np.where(bright[..., None], np.array(rgb(NOTE), np.uint8), np.uint8(30))
+    return np.where(inside[..., None], seen, stripes).astype(np.uint8)
+
+
+def sight(camera: Any, frame: Frame, size: float) -> Sight:
+    """Where the visitor stands first: cameras and whatever is on the table in sight."""
+    pictures, points = [], []
+    for name, pose in frame.poses.items():
+        half = (WIDTH_ON_BODY if frame.env.camera(name).body else WIDTH) * size / 2
+        ahead = half / np.tan(np.radians(pose.fovy) / 2)
+        corners = np.array([[x * half, y * half, ahead] for x in (-1, 1) for y in (-1, 1)])
+        seen = _to_world(np.vstack([np.zeros(3), corners]), np.r_[pose.position, pose.wxyz])
+        pictures.append(seen[1:].mean(0))
+        points.append(seen)
+    points.append(
+        frame.hand + 0.2 * size * np.array([[1, 1, 0], [-1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    )
+    for body, pose in zip(frame.bodies, frame.body_poses, strict=True):
+        here = _to_world(np.concatenate([part.vertices for part in body.parts]), pose)
+        ends = np.c_[here.min(0), here.max(0)]
+        if np.ptp(ends[:2], axis=1).max() < size and ends[2, 1] >= 0:  # No table, nothing under it.
+            ends[2, 0] = max(ends[2, 0], 0.0)
+            points.append(np.array(np.meshgrid(*ends)).reshape(3, -1).T)
+    seen, places = np.concatenate(points), np.array(pictures)
+    facing = places - np.array([frame.poses[name].position for name in frame.poses])
+    facing /= np.linalg.norm(facing, axis=1, keepdims=True)
+    return Sight(camera, seen, outlook(seen, places, facing, frame.hand))
+
+
+def _to_world(points: Array, pose: Array) -> Array:
+    turned = Rotation.from_quat(np.asarray(pose[3:], float), scalar_first=True).apply(points)
+    return turned + np.asarray(pose[:3], float)
+
+
+def _same(pose: CameraPose, before: CameraPose) -> bool:
+    """Whether nobody could tell the two poses apart."""
+    near = np.abs(np.subtract(pose.position, before.position)).max() < 0.0005
+    return bool(near and np.abs(np.subtract(pose.wxyz, before.wxyz)).max() < 0.002)
+
+
+def extent(frame: Frame) -> float:
     """Metres: how far the cameras are from what they look at."""
     centre = _focus(frame)
     distances = [float(np.linalg.norm(pose.position - centre)) for pose in frame.poses.values()]
@@ -155,17 +260,3 @@ def _focus(frame: Frame) -> Array:
         across = np.eye(3) - np.outer(axis, axis)
         left, right = left + across, right + across @ pose.position
     return np.linalg.lstsq(left, right, rcond=None)[0] if np.isfinite(left).all() else np.zeros(3)
-
-
-def _look(client: viser.ClientHandle, frame: Frame) -> None:
-    """Puts the visitor where all frusta are in sight: behind and above them."""
-    centre = _focus(frame)
-    positions = np.array([pose.position for pose in frame.poses.values()])
-    middle = (positions.mean(0) + centre) / 2
-    away = positions.mean(0) - centre
-    side = np.array([away[0], away[1], 0.0])
-    side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.05 else np.array([0.7, -0.7, 0])
-    turned = np.array([side[0] - 0.8 * side[1], side[1] + 0.8 * side[0], 0.0])
-    size = _extent(frame)
-    client.camera.position = middle + 2.1 * size * turned + np.array([0, 0, 1.3 * size])
-    client.camera.look_at = middle

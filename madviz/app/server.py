@@ -8,6 +8,7 @@ import threading
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import viser
 
@@ -16,9 +17,13 @@ from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.users import Users
 from madviz.envs.base import make_env
+from madviz.kept import KeptEpisode
+from madviz.kept_reader import read_kept
 from madviz.live import Evaluator, Tally
+from madviz.replay import check_policies, differences, finder
 from madviz.session import EnvFactory, Session
 from madviz.store import Store
+from madviz.training_job import TrainingJob
 from madviz.types import CameraSpec, Environment, Policy, PolicySpec, UserError
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"
@@ -42,6 +47,10 @@ class ExploreConfig:
     """Processes that measure success in the background; 0 for none."""
     speed: float | None = 10.0
     """Decisions per second at the start; None for as fast as it goes."""
+    replay: Path | None = None
+    """A kept session: the page begins by living one of its episodes again."""
+    episode: int | None = None
+    """Which one of them, from 1; by default the last."""
 
 
 def env_in_one_thread(
@@ -72,8 +81,11 @@ class App:
         port: int = 0,
         visitors: int = 4,
         speed: float | None = 10.0,
+        runs: Path = Path("runs"),
+        script: KeptEpisode | None = None,
     ) -> None:
-        """``port`` 0 takes a free one. Raises UserError if the port is taken."""
+        """Trainings from the page get folders in ``runs``. ``port`` 0 takes a free one. Raises
+        UserError if the port is taken."""
         check_port(host, port)
         # A browser may leave while a frame is on its way to it; viser would warn about each.
         warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
@@ -84,9 +96,11 @@ class App:
         )
 
         def new_session() -> Session:
-            return Session(env_factory, policy, load_policy, speed=speed)
+            return Session(env_factory, policy, load_policy, speed=speed, script=script)
 
-        self.users = Users(self.server, new_session, choices, self.rates, visitors)
+        self.training = TrainingJob(runs)
+        shared = (choices, self.rates, self.training)
+        self.users = Users(self.server, new_session, *shared, visitors)
 
     @property
     def url(self) -> str:
@@ -98,6 +112,7 @@ class App:
         self.users.close()
         self.server.stop()
         self.rates.close()
+        self.training.close()
 
 
 def explore(config: ExploreConfig | None = None) -> None:
@@ -117,8 +132,10 @@ def open_app(config: ExploreConfig) -> App:
     # Python threads take turns of 5 ms by default; a visitor's click crosses four of them.
     sys.setswitchinterval(0.001)
     choices = policy_choices(config.task)
-    name = config.policy or first_choice(choices, config.task)
-    loaded: dict[str, Policy] = {name: checkpoint.load_policy(name)}
+    script, loaded = kept_script(config)
+    name = next(iter(loaded), None) or config.policy or first_choice(choices, config.task)
+    if name not in loaded:
+        loaded[name] = checkpoint.load_policy(name)
 
     def load(wanted: str) -> Policy:
         if wanted not in loaded:
@@ -143,7 +160,22 @@ def open_app(config: ExploreConfig) -> App:
         port=config.port,
         visitors=config.visitors,
         speed=config.speed,
+        script=script,
     )
+
+
+def kept_script(config: ExploreConfig) -> tuple[KeptEpisode | None, dict[str, Policy]]:
+    """The episode to live again, if there is one, and all its policies by name, the first one
+    first. Says what is known to be different here. Raises UserError for a file that won't do."""
+    if config.replay is None:
+        return None, {}
+    kept = read_kept(config.replay)
+    script = kept.episode(config.episode)
+    find = finder(() if config.policy is None else (config.policy,))
+    check_policies(script, find)
+    for difference in differences(script, kept, find):
+        print(f"madviz: it may come out differently: {difference}", file=sys.stderr)
+    return script, {policy.name: find(policy) for policy in script.policies}
 
 
 def shipped_rates(spec: PolicySpec) -> dict:

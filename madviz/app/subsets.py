@@ -8,9 +8,10 @@ import numpy as np
 import viser
 
 from madviz.app.colours import NOTE, camera_colours
-from madviz.app.panel import Assign
-from madviz.app.toolkit import remove_all
+from madviz.app.panel import Assign, apply
+from madviz.app.toolkit import on_value, remove_all
 from madviz.frame import Frame
+from madviz.shapley import camera_masks
 from madviz.subsets import camera_of, mask_of, modality_of, name_of
 
 MODALITY_WORDS = {"rgb": "colour", "depth": "depth"}
@@ -18,17 +19,33 @@ MIDDLE = 50
 """Percent of an action cell's width where 0 is."""
 
 
+FEW = 16
+"""Rows up to which all are shown; six streams have 64, four pages of them."""
+
+
 class SubsetsPanel:
-    """A table with a row per subset: its action as bars, its Q, whether it was trained."""
+    """A table with a row per subset: its action as bars, how far that is from other actions, its Q,
+    whether it was trained."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame) -> None:
-        self._table = gui.add_html(subsets_html(frame))
+        self._frame = frame
+        self._everything = gui.add_checkbox(
+            "Every row", False, hint="Also sets in which a camera gives half of what it could."
+        )
+        self._everything.visible = len(frame.probe.masks) > FEW
+        self._table = gui.add_html(subsets_html(frame, everything=False))
+        on_value(self._everything, lambda *_: apply(self.update(self._frame)))
 
     def update(self, frame: Frame) -> list[Assign]:
-        return [Assign(self._table, "content", subsets_html(frame))]
+        self._frame = frame
+        html = subsets_html(frame, bool(self._everything.value))
+        return [
+            Assign(self._table, "content", html),
+            Assign(self._everything, "visible", len(frame.probe.masks) > FEW),
+        ]
 
     def remove(self) -> None:
-        remove_all([self._table])
+        remove_all([self._everything, self._table])
 
 
 def is_trained(frame: Frame, mask: np.ndarray) -> bool:
@@ -39,40 +56,59 @@ def is_trained(frame: Frame, mask: np.ndarray) -> bool:
     )
 
 
-def subsets_html(frame: Frame) -> str:
-    """The current subset first, then the trained ones, then the rest."""
-    probe = frame.probe
-    masks = probe.masks
-    trained = {
-        mask_of(name, frame.policy.streams).tobytes() for name in frame.policy.trained_subsets
-    }
-    here = frame.row
-    order = sorted(
-        range(len(masks)), key=lambda row: (row != here, masks[row].tobytes() not in trained, row)
+def subsets_html(frame: Frame, everything: bool = True) -> str:
+    """The current subset first, then the trained ones, then the rest; of more than ``FEW`` only the
+    first two kinds and the sets of whole cameras, unless ``everything`` is asked for."""
+    masks, streams, here = frame.probe.masks, frame.policy.streams, frame.row
+    trained = {mask_of(name, streams).tobytes() for name in frame.policy.trained_subsets}
+    rows = range(len(masks))
+    if not everything and len(masks) > FEW:
+        whole = {mask.tobytes() for mask in camera_masks(streams)} | trained
+        rows = [row for row in rows if row == here or masks[row].tobytes() in whole]
+    order = sorted(rows, key=lambda row: (row != here, masks[row].tobytes() not in trained, row))
+    lines = [_row(frame, row, masks[row].tobytes() in trained, row == here) for row in order]
+    left_out = len(masks) - len(lines)
+    more = f" · {left_out} sets with half a camera are not shown" if left_out else ""
+    key = (
+        '<div class="dim">† off-training: it never learned from this set · apart: distance between '
+        f"this row's action and the one taken now, and the one of all cameras{more}</div>"
     )
-    rows = [_row(frame, row, masks[row].tobytes() in trained, row == here) for row in order]
-    head = (
-        '<tr class="dim"><td colspan="2">the policy gets</td><td style="width:45%">action now</td>'
-        '<td class="num">Q now</td><td></td></tr>'
-    )
-    return f'<div class="mv"><table>{head}{"".join(rows)}</table></div>'
+    return f'<div class="mv"><table>{_HEAD}{"".join(lines)}</table>{key}</div>'
+
+
+_HEAD = (
+    '<tr class="dim"><td colspan="2">the policy gets</td><td style="width:42%">action now</td>'
+    '<td class="num">apart: now</td><td class="num">all</td><td class="num">Q now</td></tr>'
+)
+
+
+def distances(frame: Frame, row: int) -> tuple[float, float]:
+    """Euclidean, in action units: from the action of ``row`` to the present setting's, and to that
+    of all streams. NaN where one of them cannot be had."""
+    action = frame.probe.readout.action
+    to_now, to_all = (np.linalg.norm(action[row] - action[other]) for other in (frame.row, 0))
+    return float(to_now), float(to_all)
 
 
 def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
     readout, mask = frame.probe.readout, frame.probe.masks[row]
     label = escape(subset_label(frame, name_of(mask, frame.policy.streams)))
     now = f'<span class="tag" style="background:{NOTE}">now</span> ' if here else ""
-    note = "" if trained else '<span class="dim">off-training</span>'
+    dagger = "" if trained else '<span class="dim" title="off-training">† </span>'
     if np.isfinite(readout.action[row]).all():
-        cells = (
-            f'<td>{action_bars(readout.action[row])}</td><td class="num">{readout.q[row]:.1f}</td>'
+        apart = "".join(
+            f'<td class="num">{"–" if np.isnan(d) else f"{d:.2f}"}</td>'
+            for d in distances(frame, row)
         )
+        q = f"{readout.q[row]:.1f}" if np.isfinite(readout.q[row]) else "–"
+        cells = f'<td>{action_bars(readout.action[row])}</td>{apart}<td class="num">{q}</td>'
     else:
-        cells = '<td class="dim">cannot act on this</td><td></td>'
+        cells = '<td class="dim" colspan="4">cannot act on this</td>'
     style = ' style="background:rgba(255,209,102,0.12)"' if here else ""
     return (
-        f"<tr{style}><td>{presence(frame, mask)}</td><td>{now}{label}</td>{cells}"
-        f"<td>{note}</td></tr>"
+        f"<tr{style}><td>{presence(frame, mask)}</td>"
+        f'<td style="max-width:190px;overflow:hidden;text-overflow:ellipsis" title="{label}">'
+        f"{now}{dagger}{label}</td>{cells}</tr>"
     )
 
 

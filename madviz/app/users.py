@@ -18,6 +18,7 @@ from madviz.app.page import Page
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.session import Session
+from madviz.training_job import TrainingJob
 
 log = logging.getLogger(__name__)
 
@@ -41,10 +42,12 @@ class Users:
         new_session: Callable[[], Session],
         choices: Sequence[PolicyChoice],
         rates: Rates,
+        job: TrainingJob,
         cap: int,
     ) -> None:
         self._server, self._new_session = server, new_session
         self._choices, self._rates, self._cap = choices, rates, cap
+        self._job = job
         self._seats: dict[int, Seat] = {}
         self._lock = threading.Lock()
         """Guards ``_seats`` and ``_spare``; never held while a widget is assigned."""
@@ -81,7 +84,11 @@ class Users:
                 watched = [seat.session for seat in self._seats.values() if not seat.owner]
                 session = min(owners, key=watched.count)
             notice = "" if owner else watching_words(self._cap)
-            page = Page(client, session, self._choices, self._rates, notice, readonly=not owner)
+            page = Page(
+                *(client, session, self._choices, self._rates, self._job),
+                notice=notice,
+                readonly=not owner,
+            )
             self._seats[client.client_id] = Seat(client, page, session, owner)
         page.start()
         if client.client_id not in self._server.get_clients():

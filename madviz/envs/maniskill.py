@@ -22,9 +22,10 @@ from scipy.spatial.transform import Rotation
 from madviz.envs.base import check_action, standing
 from madviz.envs.cameras import look_at
 from madviz.envs.maniskill_experts import Expert
-from madviz.envs.maniskill_tasks import MANISKILL_SUCCESS, STATE_DIM, build, state
+from madviz.envs.maniskill_tasks import MANISKILL_SUCCESS, STATE_DIM, build, position, state
 from madviz.envs.maniskill_vulkan import renderer
-from madviz.types import Array, CameraPose, CameraSpec, EnvSpec, TimeStep, View, unknown
+from madviz.envs.placement import Placements
+from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, TimeStep, View
 
 HORIZON = 50
 
@@ -105,10 +106,9 @@ class ManiSkill:
         )
         self._task, self._expert = task, Expert(task)
         self._simulation = build(task)
-        links = self._simulation.agent.robot.links_map
+        self._placements = Placements(list(self._simulation.agent.robot.links_map))
         for camera in self.spec.cameras:
-            if camera.body is not None and camera.body not in links:
-                raise unknown(f"body of the camera {camera.name}", camera.body, list(links))
+            self._placements.check(camera)
         self._step, self._stale = 0, True
         self._stage: Any = None  # Made on the first view: many uses never draw.
 
@@ -127,24 +127,29 @@ class ManiSkill:
         return TimeStep(self._state(info), float(reward[0]), success, last)
 
     def view(self, camera: str, size: int | None = None) -> View:
-        spec = self.spec.camera(camera)
-        if self._stage is None:
-            from madviz.envs.maniskill_render import Stage
-
-            self._stage = Stage(self._task, self.spec.render_profile)
-        if self._stale:
-            self._stage.follow(self._simulation)
-            self._stale = False
-        position, rotation = self._placed(spec)
+        spec = self._placements.of(self.spec, camera)
+        place, rotation = self._placed(spec)
         wxyz = rotation.as_quat(scalar_first=True)
-        return self._stage.draw(camera, position, wxyz, spec.fovy, size or spec.size)
+        return self._staged().draw(camera, place, wxyz, spec.fovy, size or spec.size)
 
     def pose(self, camera: str) -> CameraPose:
-        spec = self.spec.camera(camera)
-        position, rotation = self._placed(spec)
+        spec = self._placements.of(self.spec, camera)
+        place, rotation = self._placed(spec)
         # OpenGL axes to OpenCV axes is half a turn about the camera's x.
         turned = rotation * Rotation.from_euler("x", np.pi)
-        return CameraPose(position, turned.as_quat(scalar_first=True), spec.fovy)
+        return CameraPose(place, turned.as_quat(scalar_first=True), spec.fovy)
+
+    def move_camera(self, camera: str, to: CameraSpec | None) -> None:
+        self._placements.move(self.spec, camera, to)
+
+    def bodies(self) -> tuple[Body, ...]:
+        return self._staged().scenery.bodies
+
+    def body_poses(self) -> Array:
+        return self._staged().scenery.poses()
+
+    def hand(self) -> Array:
+        return position(self._simulation.agent.tcp).astype(np.float32)
 
     def expert(self) -> Array:
         return self._expert.action(self._simulation)
@@ -154,15 +159,26 @@ class ManiSkill:
             self._stage.close()
             self._stage = None
 
+    def _staged(self) -> Any:
+        """The copy that is drawn, with everything where the physics has it."""
+        if self._stage is None:
+            from madviz.envs.maniskill_render import Stage
+
+            self._stage = Stage(self._task, self.spec.render_profile)
+        if self._stale:
+            self._stage.follow(self._simulation)
+            self._stale = False
+        return self._stage
+
     def _placed(self, spec: CameraSpec) -> tuple[Array, Rotation]:
         """Position, metres, and orientation with OpenGL axes, both in the world."""
-        position = np.asarray(spec.position, float)
+        place = np.asarray(spec.position, float)
         rotation = Rotation.from_quat(spec.wxyz, scalar_first=True)
         if spec.body is None:
-            return position, rotation
+            return place, rotation
         body = self._simulation.agent.robot.links_map[spec.body].pose.sp
         turned = Rotation.from_quat(body.q, scalar_first=True)
-        return turned.apply(position) + body.p, turned * rotation
+        return turned.apply(place) + body.p, turned * rotation
 
     def _state(self, info: dict[str, Any]) -> Array:
         return state(self._task, self._simulation, info)

@@ -105,8 +105,8 @@ def cache_folder() -> Path:
     return Path(cache) / "madviz" / "meshes"
 
 
-def decimate(vertices: Array, triangles: Array) -> tuple[Array, Array]:
-    """About ``TRIANGLES`` triangles of the same shape. Files repeat a vertex for every triangle
+def decimate(vertices: Array, triangles: Array, wanted: int = TRIANGLES) -> tuple[Array, Array]:
+    """About ``wanted`` triangles of the same shape. Files repeat a vertex for every triangle
     that has it, which would keep edges from collapsing, so equal ones are welded first; in a huge
     mesh, those that nearly are."""
     if len(triangles) > 50 * TRIANGLES:
@@ -118,11 +118,11 @@ def decimate(vertices: Array, triangles: Array) -> tuple[Array, Array]:
         faces = place.reshape(-1)[triangles].astype(np.int32)
     simplify: Any = fast_simplification.simplify  # Its types say less than it takes.
     for eagerness in (7.0, 9.0):
-        if len(faces) > ENOUGH * TRIANGLES:
-            share = 1 - TRIANGLES / len(faces)
+        if len(faces) > ENOUGH * wanted:
+            share = 1 - wanted / len(faces)
             small, faces = simplify(small, faces, share, agg=eagerness)
     for cells in (64, 48, 32, 24, 16):
-        if len(faces) > ENOUGH * TRIANGLES:
+        if len(faces) > ENOUGH * wanted:
             small, faces = snap(small, faces, cells)
     return small, faces
 

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from madviz.envs.maniskill_bodies import Scenery
 from madviz.envs.maniskill_meshes import lighten
 from madviz.envs.maniskill_tasks import build
 from madviz.types import Array, UserError, View
@@ -42,6 +43,14 @@ class Stage:
         if render_profile == "fast":
             lighten(self._scene)
         self._cameras: dict[tuple[str, int], tuple[Any, Any]] = {}
+        self._scenery: Scenery | None = None
+
+    @property
+    def scenery(self) -> Scenery:
+        """What is drawn, as meshes for somebody else to draw; made when first asked for."""
+        if self._scenery is None:
+            self._scenery = Scenery(self._scene)
+        return self._scenery
 
     def follow(self, simulation: Any) -> None:
         """Puts joints and objects where ``simulation``, another copy of the task, has them."""
@@ -59,8 +68,9 @@ class Stage:
         if not 1 <= size <= MAX_SIZE:
             raise UserError(f"a view must have 1 to {MAX_SIZE} pixels a side, found {size}")
         if (name, size) not in self._cameras:
-            self._cameras[name, size] = self._camera(size, fovy)
+            self._cameras[name, size] = self._camera(size)
         entity, camera = self._cameras[name, size]
+        camera.set_fovy(np.radians(fovy), compute_x=True)
         entity.pose = sapien.Pose(sapien_pose(position, wxyz))
         self._scene.update_render()  # Tells the renderer where everything is, the camera too.
         camera.take_picture()
@@ -72,9 +82,9 @@ class Stage:
     def close(self) -> None:
         """Lets go of the scene, and its memory with it."""
         self._cameras.clear()
-        self._scene = self._copy = None
+        self._scene = self._copy = self._scenery = None
 
-    def _camera(self, size: int, fovy: float) -> tuple[Any, Any]:
+    def _camera(self, size: int) -> tuple[Any, Any]:
         import sapien
         from mani_skill.render import PREBUILT_SHADER_CONFIGS, set_shader_pack
 
@@ -82,7 +92,6 @@ class Stage:
             PREBUILT_SHADER_CONFIGS["minimal"]
         )  # What cameras made next will draw with.
         camera = sapien.render.RenderCameraComponent(size, size)
-        camera.set_fovy(np.radians(fovy), compute_x=True)
         camera.near, camera.far = NEAR, FAR
         entity = sapien.Entity()
         entity.add_component(camera)

@@ -27,7 +27,8 @@ from madviz.envs.base import check_action, standing
 from madviz.envs.cameras import look_at
 from madviz.envs.metaworld_experts import METAWORLD_SUCCESS, Expert
 from madviz.envs.metaworld_gl import check_gl
-from madviz.types import Array, CameraPose, CameraSpec, EnvSpec, TimeStep, View, unknown
+from madviz.envs.placement import Placements
+from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, TimeStep, View
 
 ACTION_REPEAT = 2
 HORIZON = 100
@@ -103,12 +104,17 @@ class MetaWorld:
             success=METAWORLD_SUCCESS[task],
         )
         self._simulation = _simulation(task)
-        _check_bodies(self.spec.cameras, self._simulation.model)
+        model = self._simulation.model
+        self._placements = Placements([model.body(i).name for i in range(1, model.nbody)])
+        for camera in self.spec.cameras:
+            self._placements.check(camera)
         self._expert = Expert(task)
         self._observation = np.zeros(39)
         self._states: list[Array] = []
         self._step, self._success = 0, False
-        self._cameras: Any = None  # Made on the first view: many uses never draw.
+        # Made when they are first asked for: many uses never draw.
+        self._cameras: Any = None
+        self._bodies: Any = None
 
     def reset(self, seed: int) -> TimeStep:
         simulation = self._simulation
@@ -134,17 +140,29 @@ class MetaWorld:
         return TimeStep(self._state(), reward, self._success, self._step >= HORIZON)
 
     def view(self, camera: str, size: int | None = None) -> View:
-        spec = self.spec.camera(camera)
+        spec = self._placements.of(self.spec, camera)
         if self._cameras is None:
             self._cameras = _scene_cameras(self._simulation, self.spec.render_profile)
         rotation = Rotation.from_quat(spec.wxyz, scalar_first=True).as_matrix()
         return self._cameras.draw(self._position(spec), rotation, spec.fovy, size or spec.size)
 
     def pose(self, camera: str) -> CameraPose:
-        spec = self.spec.camera(camera)
+        spec = self._placements.of(self.spec, camera)
         # OpenGL axes to OpenCV axes is half a turn about the camera's x.
         turned = Rotation.from_quat(spec.wxyz, scalar_first=True) * Rotation.from_euler("x", np.pi)
         return CameraPose(self._position(spec), turned.as_quat(scalar_first=True), spec.fovy)
+
+    def move_camera(self, camera: str, to: CameraSpec | None) -> None:
+        self._placements.move(self.spec, camera, to)
+
+    def bodies(self) -> tuple[Body, ...]:
+        return self._scenery().bodies
+
+    def body_poses(self) -> Array:
+        return self._scenery().poses(self._simulation.data)
+
+    def hand(self) -> Array:
+        return np.asarray(self._simulation.tcp_center, np.float32)
 
     def expert(self) -> Array:
         return self._expert.action(self._observation, self._success)
@@ -153,6 +171,13 @@ class MetaWorld:
         if self._cameras is not None:
             self._cameras.close()
             self._cameras = None
+
+    def _scenery(self) -> Any:
+        if self._bodies is None:
+            from madviz.envs.metaworld_bodies import Scenery
+
+            self._bodies = Scenery(self._simulation.model, self._simulation.data)
+        return self._bodies
 
     def _moved(self) -> None:
         if self._cameras is not None:
@@ -167,13 +192,6 @@ class MetaWorld:
 
     def _state(self) -> Array:
         return np.concatenate(self._states)
-
-
-def _check_bodies(cameras: tuple[CameraSpec, ...], model: Any) -> None:
-    bodies = [name for name in (model.body(i).name for i in range(model.nbody)) if name]
-    for camera in cameras:
-        if camera.body is not None and camera.body not in bodies:
-            raise unknown(f"body of the camera {camera.name}", camera.body, bodies)
 
 
 def _scene_cameras(simulation: Any, render_profile: str) -> Any:

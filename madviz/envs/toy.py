@@ -5,14 +5,20 @@ real ones do: ``first`` rides on the hand and sees only its neighbourhood, ``thi
 one diagonal and ``third_b`` from straight above. Each alone is enough to find the target, given
 time; the state (hand position over three frames) never contains it. Depth is real as well: the
 hand floats 0.2 m above the table, the target is a 0.1 m high block.
+
+These three are painted as maps, straight from above. A camera that somebody moves is drawn in
+perspective instead, by following the ray of every pixel to the flat tops of table, block and hand.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from madviz.envs import bodies
 from madviz.envs.base import check_action
-from madviz.types import Array, CameraPose, CameraSpec, EnvSpec, TimeStep, View, unknown
+from madviz.envs.placement import Placements
+from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, Part, TimeStep, View, unknown
 
 STEP = 0.12
 """Metres the hand moves for an action of 1."""
@@ -27,6 +33,10 @@ CAMERAS = (
 )
 _HALF_WIDTH = {"first": 0.9, "third_a": 1.5, "third_b": 1.15}
 _TABLE, _HAND, _TARGET = (120, 100, 80), (60, 120, 230), (230, 90, 40)
+_TARGET_SIZE, _HAND_SIZE = (0.16, 0.1), (0.1, 0.2)
+"""Radius and height of the top, metres."""
+_NOTHING, _FAR = 40, 10.0
+"""Grey value and metres of what is not there."""
 
 
 class ToyReach:
@@ -44,6 +54,7 @@ class ToyReach:
         self._hand = self._target = np.zeros(2)
         self._history: list[Array] = []
         self._step = 0
+        self._placements = Placements(("hand",))
 
     def reset(self, seed: int) -> TimeStep:
         rng = np.random.default_rng(seed)
@@ -64,30 +75,41 @@ class ToyReach:
         return TimeStep(self._state(), 1.0 - np.tanh(2 * distance), self._near(), last)
 
     def view(self, camera: str, size: int | None = None) -> View:
-        spec = self.spec.camera(camera)
+        spec = self._placements.of(self.spec, camera)
         size = size or spec.size
+        if self._placements.moved(camera):
+            return self._seen_from(spec, size)
         rgb = np.empty((size, size, 3), np.uint8)
         rgb[:] = _TABLE
         top = spec.position[2]
         depth = np.full((size, size), top, np.float32)
         x, y = self._pixels_in_world(camera, size)
-        checker = (np.floor(x * 4) + np.floor(y * 4)).astype(int) % 2 == 0
-        rgb[checker] -= np.uint8(12)
-        rgb[(np.abs(x) > 1.05) | (np.abs(y) > 1.05)] = 40
-        for centre, radius, colour, height in (
-            (self._target, 0.16, _TARGET, 0.1),
-            (self._hand, 0.1, _HAND, 0.2),
-        ):
+        _paint_table(rgb, x, y)
+        for centre, (radius, height), colour in self._discs():
             inside = (x - centre[0]) ** 2 + (y - centre[1]) ** 2 < radius**2
             rgb[inside], depth[inside] = colour, top - height
         return View(rgb, depth)
 
     def pose(self, camera: str) -> CameraPose:
-        spec = self.spec.camera(camera)
+        spec = self._placements.of(self.spec, camera)
         offset = np.array([*self._hand, 0.0]) if spec.body else np.zeros(3)
         w, x, y, z = spec.wxyz
         # OpenGL axes to OpenCV axes is half a turn about x: right-multiplied by (0, 1, 0, 0).
         return CameraPose(np.array(spec.position) + offset, np.array([-x, w, z, -y]), spec.fovy)
+
+    def move_camera(self, camera: str, to: CameraSpec | None) -> None:
+        self._placements.move(self.spec, camera, to)
+
+    def bodies(self) -> tuple[Body, ...]:
+        return _BODIES
+
+    def body_poses(self) -> Array:
+        poses = np.tile(np.array([0, 0, 0, 1, 0, 0, 0], np.float32), (len(_BODIES), 1))
+        poses[0, :2], poses[1, :2] = self._target, self._hand
+        return poses
+
+    def hand(self) -> Array:
+        return np.array([*self._hand, _HAND_SIZE[1]], np.float32)
 
     def expert(self) -> Array:
         return np.clip((self._target - self._hand) / STEP, -1, 1).astype(np.float32)
@@ -101,6 +123,33 @@ class ToyReach:
     def _state(self) -> Array:
         return np.concatenate(self._history).astype(np.float32)
 
+    def _discs(self) -> list[tuple[Array, tuple[float, float], tuple[int, int, int]]]:
+        """Middle, size and colour of what stands on or above the table, the lower one first."""
+        return [(self._target, _TARGET_SIZE, _TARGET), (self._hand, _HAND_SIZE, _HAND)]
+
+    def _seen_from(self, spec: CameraSpec, size: int) -> View:
+        """The view of a camera anywhere, by rays; depth is along the optical axis."""
+        axis = ((np.arange(size) + 0.5) / size * 2 - 1) * np.tan(np.radians(spec.fovy) / 2)
+        right, up = np.meshgrid(axis, -axis)
+        rays = np.stack([right, up, -np.ones_like(right)], -1).reshape(-1, 3)
+        turn = Rotation.from_quat(spec.wxyz, scalar_first=True)
+        rays = turn.apply(rays).reshape(size, size, 3)
+        eye = np.array(spec.position) + (np.array([*self._hand, 0.0]) if spec.body else 0.0)
+        rgb, depth = np.full((size, size, 3), _NOTHING, np.uint8), np.full((size, size), _FAR)
+        for centre, (radius, height), colour in [(None, (0, 0.0), _TABLE), *self._discs()]:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                away = (height - eye[2]) / rays[..., 2]
+                x, y = eye[0] + away * rays[..., 0], eye[1] + away * rays[..., 1]
+                hit = (away > 0) & (away < depth)
+            if centre is not None:
+                hit &= (x - centre[0]) ** 2 + (y - centre[1]) ** 2 < radius**2
+            rgb[hit], depth[hit] = colour, away[hit]
+            if centre is None:
+                table = rgb[hit][None]
+                _paint_table(table, x[hit][None], y[hit][None])
+                rgb[hit] = table[0]
+        return View(rgb, depth.astype(np.float32))
+
     def _pixels_in_world(self, camera: str, size: int) -> tuple[Array, Array]:
         """World x and y (H, W), metres, under every pixel's centre."""
         if camera not in _HALF_WIDTH:
@@ -112,3 +161,32 @@ class ToyReach:
         if camera == "third_a":
             return (right - up) / np.sqrt(2), (right + up) / np.sqrt(2)
         return right, up
+
+
+def _paint_table(rgb: Array, x: Array, y: Array) -> None:
+    """Chequers and edge of the table into ``rgb`` (H, W, 3), whose pixels are at ``x``, ``y``."""
+    rgb[(np.floor(x * 4) + np.floor(y * 4)).astype(int) % 2 == 0] -= np.uint8(12)
+    rgb[(np.abs(x) > 1.05) | (np.abs(y) > 1.05)] = _NOTHING
+
+
+def _standing(radius: float, low: float, high: float, colour: tuple[int, int, int]) -> Part:
+    """A cylinder from ``low`` to ``high`` metres."""
+    half = (high - low) / 2
+    return bodies.part(bodies.cylinder(radius, half), np.array(colour) / 255, (0, 0, low + half))
+
+
+def _quarter(x: int, y: int) -> Body:
+    """A quarter of the table, two of them a little darker: seen from aside they give it depth."""
+    colour = np.array(_TABLE) - (12 if x == y else 0)
+    half = np.array([0.525, 0.525, 0.03])
+    return Body(
+        f"table{x:+d}{y:+d}",
+        (bodies.part(bodies.box(half), colour / 255, (0.525 * x, 0.525 * y, -0.03)),),
+    )
+
+
+_BODIES = (
+    Body("target", (_standing(_TARGET_SIZE[0], 0.0, _TARGET_SIZE[1], _TARGET),)),
+    Body("hand", (_standing(_HAND_SIZE[0], _HAND_SIZE[1] - 0.04, _HAND_SIZE[1], _HAND),)),
+    *(_quarter(x, y) for x in (-1, 1) for y in (-1, 1)),
+)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -65,7 +66,8 @@ def toy_app(visitors: int) -> App:
     names = ("toy-mad", "toy-other", "toy-rgbd", "toy-nan")
     choices = [PolicyChoice(name, name) for name in names]
     rates = Rates(lambda spec: SHIPPED if spec.name == "toy-mad" else {})
-    return App(policies("toy-mad"), choices, policies, rates=rates, visitors=visitors)
+    runs = Path(tempfile.mkdtemp(prefix="madviz-runs-"))
+    return App(policies("toy-mad"), choices, policies, rates=rates, visitors=visitors, runs=runs)
 
 
 class Visitor:

@@ -155,7 +155,7 @@ def test_a_click_on_a_frustum_drops_its_camera(visitor: Visitor, app: App):
     assert session is not None and isinstance(session.latest, Frame)
     visitor.press("pause")
     visitor.until("status.phase === 'paused'")
-    x, y = on_screen(client, session.latest.poses["first"], depth=0.48)  # The picture's middle.
+    x, y = on_screen(client, session.latest.poses["first"], depth=0.147)  # The picture's middle.
     visitor.page.mouse.move(x - 2, y)
     visitor.page.mouse.click(x, y, delay=60)
     visitor.until("status.setting === 'third_a+third_b'")

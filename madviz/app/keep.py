@@ -1,0 +1,78 @@
+"""Keep what happened: an episode as a small file, to be lived again, looked at and given away."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from html import escape
+
+import viser
+
+from madviz.app.panel import Assign
+from madviz.app.toolkit import Cell, grid, guarded, remove_all
+from madviz.frame import Frame
+from madviz.kept import KeptSession
+
+HINTS = {
+    "one": "Downloads the episode that is running: its seed, and what you did at which step.",
+    "all": "Downloads the last 20 episodes, in one file.",
+}
+
+
+class KeepPanel:
+    """Two buttons, and what to do with what they save. Watchers may keep, too: it only reads."""
+
+    def __init__(self, gui: viser.GuiApi, keep: Callable[[], KeptSession], frame: Frame) -> None:
+        self._keep = keep
+        one = gui.add_button("keep this episode", icon=viser.Icon.DOWNLOAD, hint=HINTS["one"])
+        several = gui.add_button("keep the last 20", hint=HINTS["all"])
+        one.on_click(lambda event: self._download(event.client, last=True))
+        several.on_click(lambda event: self._download(event.client, last=False))
+        cells = [Cell(one, 1), Cell(several, 2)]
+        self._words = gui.add_html(keep_html(frame))
+        self._handles = [one, several, gui.add_html(grid("keep", 2, cells)), self._words]
+
+    def _download(self, client: viser.ClientHandle | None, last: bool) -> None:
+        if client is None:
+            return
+
+        def save() -> None:
+            kept = self._keep().last() if last else self._keep()
+            content = kept.to_json().encode()
+            client.send_file_download(file_name(kept), content, save_immediately=True)
+
+        guarded(client, save)
+
+    def update(self, frame: Frame) -> list[Assign]:
+        return [Assign(self._words, "content", keep_html(frame))]
+
+    def remove(self) -> None:
+        remove_all(self._handles)
+
+
+def file_name(kept: KeptSession) -> str:
+    """``hammer-seed2003.json``; of several episodes ``hammer-20-episodes.json``."""
+    last = kept.episodes[-1]
+    task = re.sub(r"[^a-z0-9-]", "", last.task.split("/")[-1]) or "session"
+    count = len(kept.episodes)
+    return f"{task}-{count}-episodes.json" if count > 1 else f"{task}-seed{last.seed}.json"
+
+
+def keep_html(frame: Frame) -> str:
+    """What the file is good for."""
+    task = escape(frame.env.task.split("/")[-1])
+    name = f"{task}-seed{frame.seed}.json"
+    rows = {
+        f"madviz replay {name}": "the same again, and whether it is so to the bit",
+        f"madviz explore --replay {name}": "on the page, from the first step on",
+        f"madviz record --replay {name} --out X.mp4": "a film; X.html a report, X.rrd for rerun",
+    }
+    lines = (
+        f'<tr><td style="white-space:normal"><code>{command}</code></td></tr>'
+        f'<tr><td class="dim" style="white-space:normal;padding-bottom:4px">{words}</td></tr>'
+        for command, words in rows.items()
+    )
+    return (
+        '<div class="mv">The file holds no pictures: policy, seed, and every switch with its step, '
+        f"some 3 KB an episode.<table>{''.join(lines)}</table></div>"
+    )

@@ -1,0 +1,74 @@
+"""The switch that lays over every picture where the policy looks, and the words that go with it.
+
+It is off until somebody wants it: a map is 50 ms of the thread that owns simulator and policy. The
+maps themselves are drawn into the tiles (``mosaic.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+from madviz.app.panel import Assign
+from madviz.app.toolkit import Cell, Choice, grid, remove_all
+from madviz.frame import Frame
+from madviz.saliency import Target
+
+OPTIONS: dict[str, str] = {"": "off", "q": "for its Q", "action": "for its action"}
+
+
+class SaliencyPanel:
+    """Three buttons and a line. ``ask`` None: look, don't touch."""
+
+    def __init__(
+        self, gui: viser.GuiApi, ask: Callable[[Target | None], None] | None, frame: Frame
+    ) -> None:
+        self._asked = ""
+        self._handles: list[Any] = []
+        self._choice: Choice | None = None
+        if ask is not None:
+
+            def choose(_: viser.ClientHandle, value: str) -> None:
+                self._asked = value
+                ask(value or None)  # type: ignore[arg-type]
+
+            self._choice = Choice(gui, "Where it looks", OPTIONS, choose)
+            cell = Cell(self._choice.handle, 1, 1, "7.5em")
+            self._handles = [self._choice.handle, gui.add_html(grid("saliency", 1, [cell]))]
+        self._line = gui.add_html(self._html(frame))
+        self._handles.append(self._line)
+
+    def update(self, frame: Frame) -> list[Assign]:
+        return [Assign(self._line, "content", self._html(frame))]
+
+    def remove(self) -> None:
+        remove_all(self._handles)
+
+    def _html(self, frame: Frame) -> str:
+        style = self._choice.style(self._asked) if self._choice else ""
+        said = saliency_words(frame, self._asked)
+        return f'<style>{style}</style><div class="mv mv-saliency dim">{said}</div>'
+
+
+def saliency_words(frame: Frame, asked: str) -> str:
+    """What the colours on the pictures mean, or why there are none."""
+    maps = frame.saliency
+    if not asked and maps is None:
+        return "Lays over every picture which of its pixels the policy's output hangs on."
+    if maps is not None:
+        what = "the length of its action" if asked == "action" else "its Q"
+        what = what if asked else "what it gives out"
+        return (
+            f"Bright: if this pixel changed a little, {what} would change most (SmoothGrad, twice "
+            "a second). All pictures share one scale: a dark one hardly counts."
+        )
+    if frame.speed is None and frame.phase == "playing":
+        return "Not at full speed: choose a slower one, or pause."
+    if not frame.probe.supported[frame.row]:
+        return "This policy cannot act on these cameras, so there is nothing to explain."
+    return (
+        "Nothing yet. The first time takes some seconds; a policy not made with torch never "
+        "has one."
+    )

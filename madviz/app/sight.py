@@ -1,0 +1,110 @@
+"""Where a visitor looks from: everything that matters in sight, as large as it can be.
+
+The scene has the space between two panels, 312 x 800 pixels in a small window and 800 x 1080 in a
+large one, so a fixed place would cut things off in the first or lose them in the second. Given the
+direction, the nearest place from which all points are in the picture has a closed form. With x to
+the right, z ahead and ``a`` the tangent of half the field of view, a camera at (e, f) sees the
+points whose |x - e| <= a (z - f), so
+
+    e - a f >= max(x - a z) = P,    e + a f <= min(x + a z) = M
+    f = (M - P) / 2a,  e = (M + P) / 2        (the same up and down; the smaller f counts)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from madviz.app.panel import Assign, apply
+from madviz.types import Array
+
+FOV = float(np.radians(50))
+"""Vertical field of view; less than viser's 75 degrees, which bends what is at the edge."""
+DOWN = 0.6
+"""Metres down for each metre ahead, of the direction in which a visitor looks at first."""
+MARGIN = (0.84, 0.94)
+"""Share of the picture that the points may fill, across and up; labels are wider than points."""
+
+
+def nearest_place(points: Array, ahead: Array, aspect: float) -> Array:
+    """(3,) where a camera that looks along ``ahead`` (3,), z upwards, has all ``points`` (n, 3) in
+    sight; ``aspect`` is the picture's width by its height."""
+    axes = _axes(ahead)
+    x, y, z = (points @ axes.T).T
+    half = np.tan(FOV / 2)
+    places = []
+    for along, tangent in ((x, MARGIN[0] * half * aspect), (y, MARGIN[1] * half)):
+        most, least = (along - tangent * z).max(), (along + tangent * z).min()
+        places.append(((least + most) / 2, (least - most) / (2 * tangent)))
+    depth = min(place[1] for place in places)
+    return np.array([places[0][0], places[1][0], depth]) @ axes
+
+
+def outlook(points: Array, pictures: Array, facing: Array, hand: Array) -> Array:
+    """(3,) the direction to look along, of unit length: the best of 36, all looking down alike.
+
+    Good is what keeps apart, on the screen, the cameras' ``pictures`` (C, 3) and the ``hand``
+    (3,); what sees pictures from behind their cameras, which look along ``facing`` (C, 3), and so
+    the right way round; and what looks at the robot from the side of its hand. ``points`` (n, 3)
+    are all that must be seen; most of them are the robot's.
+    """
+    reach = hand[:2] - points[:, :2].mean(0)
+    reach = reach / max(float(np.linalg.norm(reach)), 1e-6)
+    best, most = np.array([1.0, 0.0, -DOWN]), -np.inf
+    for angle in np.arange(36) * np.pi / 18:
+        level = np.array([np.cos(angle), np.sin(angle)])
+        ahead = np.array([*level, -DOWN])
+        places = np.vstack([pictures, hand, points.mean(0)])
+        x, y, z = ((places - nearest_place(points, ahead, 1.0)) @ _axes(ahead).T).T
+        flat = np.c_[x, y] / (z[:, None] * np.tan(FOV / 2))
+        gaps = np.linalg.norm(flat[:, None] - flat, axis=2) + 9 * np.eye(len(flat))
+        shown = np.minimum(facing @ ahead / np.linalg.norm(ahead), 0.5).mean()
+        score = 2 * np.minimum(gaps.min(1), 0.5).mean() + 2 * shown - 0.3 * (reach @ level)
+        if score > most:
+            best, most = ahead, score
+    return best / np.linalg.norm(best)
+
+
+def _axes(ahead: Array) -> Array:
+    """(3, 3) rows: right, up and ahead, all of length 1."""
+    ahead = np.asarray(ahead, float) / np.linalg.norm(ahead)
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(right, ahead), ahead])
+
+
+class Sight:
+    """A visitor's place, kept fitting while panels dock and windows change, until the visitor
+    takes another one."""
+
+    def __init__(self, camera: Any, points: Array, ahead: Array) -> None:
+        """``camera`` is a ``viser.CameraHandle``; points (n, 3) must be seen, along ``ahead``
+        (3,)."""
+        self._camera, self._points, self._ahead = camera, points, ahead
+        self._aspect, self._place = 0.0, np.zeros(3)
+        apply(self.update())
+
+    def update(self) -> list[Assign]:
+        """What has to change where the picture has another shape than it had."""
+        aspect = _aspect(self._camera)
+        if abs(aspect - self._aspect) < 0.01:
+            return []
+        first, self._aspect = not self._place.any(), aspect
+        away = np.linalg.norm(np.subtract(self._camera.position, self._place)) if not first else 0
+        if away > 0.01 * np.linalg.norm(self._place):
+            return []  # The visitor has gone to look from elsewhere.
+        ahead = self._ahead / np.linalg.norm(self._ahead)
+        self._place = nearest_place(self._points, ahead, aspect)
+        middle = float(((self._points - self._place) @ ahead).mean())
+        return [
+            Assign(self._camera, "fov", FOV),
+            Assign(self._camera, "position", self._place),
+            Assign(self._camera, "look_at", self._place + middle * ahead),
+        ]
+
+
+def _aspect(camera: Any) -> float:
+    """Width by height of the scene's picture; before a browser has said, that of a small window."""
+    height = getattr(camera, "image_height", 0)
+    return camera.image_width / height if height else 0.4

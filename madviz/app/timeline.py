@@ -1,0 +1,254 @@
+"""The episode so far: drag back to any step, and try another future from there.
+
+Two lanes, reward and Q by step, with a mark wherever cameras or the policy changed. After a fork,
+the first future stays as a dashed line, with its pictures at the same step under it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+
+import cv2
+import numpy as np
+import viser
+
+from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
+from madviz.app.panel import Assign
+from madviz.app.scene import picture
+from madviz.app.screen import jpeg_url
+from madviz.app.toolkit import Cell, Shown, grid, guarded, on_value, remove_all
+from madviz.frame import Command, Fork, Frame, Moment, Scrub
+
+WIDTH, LANE, LEFT, TOP = 600, 40, 44, 14
+"""Pixels of the drawing, of a lane, left of the lanes and above them."""
+TILE = 84
+"""Pixels of a camera's picture in the first future."""
+HINTS = {
+    "step": "Drag back to see everything as it was at an earlier step.",
+    "fork": "Go on from the step that is shown, with the cameras as they were then. "
+    "Switching a camera there forks, too.",
+    "live": "Back to the newest step.",
+}
+
+
+class TimelinePanel:
+    """A slider over the steps, two lanes, and the branch. ``send`` None: look, don't touch."""
+
+    def __init__(
+        self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
+    ) -> None:
+        self._send = send
+        self._horizon = frame.env.horizon
+        self._handles: list = []
+        self._slider: Shown | None = None
+        self._wanted: int | None = None
+        """Where a visitor dragged to and no frame has confirmed yet: not to be pulled back."""
+        if send is not None:
+            self._add_controls(gui, send, frame)
+        self._drawing = gui.add_html(timeline_html(frame))
+        self._handles.append(self._drawing)
+
+    def _add_controls(
+        self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
+    ) -> None:
+        slider = gui.add_slider(
+            "Step", 0, self._horizon, 1, frame.step, marks=(), hint=HINTS["step"]
+        )
+        on_value(slider, lambda _, value: self._drag(int(value)))
+        fork = gui.add_button("fork here", hint=HINTS["fork"])
+        live = gui.add_button("newest", hint=HINTS["live"])
+        for button, command in ((fork, Fork()), (live, Scrub(None))):
+            button.on_click(
+                lambda event, command=command: (
+                    event.client is not None and guarded(event.client, lambda: send(command))
+                )
+            )
+        self._slider = Shown(slider)
+        cells = [Cell(slider, 1, 6, "3em"), Cell(fork, 7, 2), Cell(live, 9, 2)]
+        layout = gui.add_html(grid("timeline", 10, cells))
+        self._handles = [*(cell.handle for cell in cells), layout]
+
+    def _drag(self, step: int) -> None:
+        assert self._send is not None
+        self._wanted = step
+        self._send(Scrub(step))
+
+    def update(self, frame: Frame) -> list[Assign]:
+        changes = [Assign(self._drawing, "content", timeline_html(frame))]
+        if self._slider is None:
+            return changes
+        newest = len(frame.story) - 1
+        if self._wanted is None:
+            return [*changes, *self._slider.show(frame.step)]
+        if min(self._wanted, newest) == frame.step:
+            self._wanted = None
+            # A value of ours may have crossed the visitor's on its way, and viser sends none that
+            # it believes to be there: it takes another one between to be sure.
+            other = frame.step - 1 if frame.step else 1
+            changes += self._slider.show(other, force=True)
+            changes += self._slider.show(frame.step, force=True)
+        return changes
+
+    def remove(self) -> None:
+        remove_all(self._handles)
+
+
+def timeline_html(frame: Frame) -> str:
+    """Both lanes and what stands under them."""
+    lanes = [
+        ("reward", [moment.reward for moment in frame.story], _branch(frame, "reward")),
+        ("Q", [moment.q for moment in frame.story], _branch(frame, "q")),
+    ]
+    drawn = "".join(
+        _lane(label, index, live, first, frame.env.horizon)
+        for index, (label, live, first) in enumerate(lanes)
+    )
+    height = TOP + len(lanes) * (LANE + 8) + 18
+    svg = (
+        f'<svg viewBox="0 0 {WIDTH} {height}" style="width:100%;display:block" font-size="11" '
+        f'font-family="inherit" fill="{MUTED}">{_marks(frame, height)}{drawn}'
+        f"{_axis(frame, height)}</svg>"
+    )
+    return f'<div class="mv mv-timeline">{svg}<div>{_words(frame)}</div>{_first(frame)}</div>'
+
+
+def marks(story: Sequence[Moment]) -> list[tuple[int, str]]:
+    """The steps at which a visitor changed what the policy gets, or the policy, and to what."""
+    found = []
+    for step in range(1, len(story)):
+        before, now = story[step - 1], story[step]
+        if now.policy != before.policy:
+            found.append((step, now.policy))
+        elif now.setting != before.setting:
+            found.append((step, str(now.setting)))
+    return found
+
+
+def _branch(frame: Frame, name: str) -> list[float]:
+    return [getattr(moment, name) for moment in frame.branch.story] if frame.branch else []
+
+
+def _x(step: float, horizon: int) -> float:
+    return LEFT + (WIDTH - LEFT - 6) * step / horizon
+
+
+def _lane(
+    label: str, index: int, live: Sequence[float], first: Sequence[float], horizon: int
+) -> str:
+    """One curve over the first future's, on one scale that holds both."""
+    top = TOP + index * (LANE + 8) + 4
+    known = np.array([*live, *first], float)
+    known = known[np.isfinite(known)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    low, high = min(low, 0.0), max(high, low + 1e-6, 1e-6)
+    parts = [
+        f'<line x1="{LEFT}" x2="{WIDTH - 6}" y1="{top + LANE}" y2="{top + LANE}" stroke="{FAINT}"/>'
+        f'<text x="{LEFT - 6}" y="{top + 10}" text-anchor="end">{high:.3g}</text>'
+        f'<text x="{LEFT - 6}" y="{top + LANE}" text-anchor="end">{low:.3g}</text>'
+        f'<text x="4" y="{top + LANE / 2 + 4}">{label}</text>'
+    ]
+    for values, style in (
+        (first, f'stroke="{NOTE}" stroke-dasharray="4 4" stroke-opacity="0.8"'),
+        (live, 'stroke="#fff" stroke-width="1.6"'),
+    ):
+        points = " ".join(
+            f"{_x(step, horizon):.1f},{top + LANE * (1 - (value - low) / (high - low)):.1f}"
+            for step, value in enumerate(values)
+            if np.isfinite(value)
+        )
+        parts.append(f'<polyline points="{points}" fill="none" {style}/>')
+    return "".join(parts)
+
+
+def _marks(frame: Frame, height: int) -> str:
+    """Changes as dashed lines, the fork as a yellow one, goal met as a blue floor, the cursor."""
+    horizon, parts = frame.env.horizon, []
+    for step, text in marks(frame.story):
+        x = _x(step, horizon)
+        parts.append(
+            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{height - 16}" stroke="{MUTED}" '
+            f'stroke-dasharray="2 3"><title>step {step}: {escape(text)}</title></line>'
+            f'<text x="{min(x + 3, WIDTH - 120):.1f}" y="10">{escape(_short(text))}</text>'
+        )
+    if frame.branch:
+        x = _x(frame.branch.at, horizon)
+        parts.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{height - 16}" stroke="{NOTE}"/>')
+    for step, moment in enumerate(frame.story):
+        if moment.success:
+            parts.append(
+                f'<rect x="{_x(step - 0.5, horizon):.1f}" y="{height - 18}" height="3" '
+                f'width="{_x(1, horizon) - _x(0, horizon):.2f}" fill="{GOOD}"/>'
+            )
+    x = _x(frame.step, horizon)
+    parts.append(
+        f'<line x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{height - 14}" stroke="#fff" '
+        f'stroke-width="{2.5 if frame.past else 1}" stroke-opacity="0.7"/>'
+    )
+    return "".join(parts)
+
+
+def _axis(frame: Frame, height: int) -> str:
+    horizon = frame.env.horizon
+    return "".join(
+        f'<text x="{_x(step, horizon):.1f}" y="{height - 3}" '
+        f'text-anchor="{"end" if step == horizon else "middle"}">{step}</text>'
+        for step in range(0, horizon + 1, max(1, horizon // 5))
+    )
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 20 else text[:19] + "…"
+
+
+def _words(frame: Frame) -> str:
+    goal = f'<span style="color:{GOOD}">▂</span> goal met'
+    if frame.past:
+        newest = len(frame.story) - 1
+        return (
+            f'<b style="color:{NOTE}">Looking back: step {frame.step} of {newest}.</b> '
+            "Switch a camera here, or fork, and another future begins. Play goes on from the "
+            "newest step."
+        )
+    if frame.branch:
+        return (
+            f'<span style="color:{NOTE}">╌╌</span> the first future, forked at step '
+            f"{frame.branch.at} · <b>—</b> this one · {goal}"
+        )
+    return f'<span class="dim">Drag the step back to see everything as it was · {goal}</span>'
+
+
+def _first(frame: Frame) -> str:
+    """The first future's cameras at the same step, and how the two compare."""
+    if frame.branch is None or frame.past:
+        return ""
+    other, story, horizon = frame.branch.frame, frame.branch.story, frame.env.horizon
+    tiles = [
+        cv2.resize(picture(other, camera.name), (TILE, TILE), interpolation=cv2.INTER_NEAREST)
+        for camera in other.env.cameras
+    ]
+    strip = np.concatenate(tiles, axis=1)
+    rows = [
+        ("first future", str(other.setting), other.total_reward, _outcome(story, horizon)),
+        ("now", str(frame.setting), frame.total_reward, _outcome(frame.story, horizon)),
+    ]
+    table = "".join(
+        f"<tr><td><b>{who}</b></td><td>{escape(_short(what))}</td>"
+        f'<td class="num">{total:.0f}</td><td>{end}</td></tr>'
+        for who, what, total, end in rows
+    )
+    head = '<tr class="dim"><td></td><td>policy gets</td><td class="num">reward</td><td></td></tr>'
+    return (
+        '<div style="display:flex;gap:10px;margin-top:4px;align-items:center">'
+        f'<div><div class="dim">the first future, step {other.step}</div>'
+        f'<img width="{strip.shape[1]}" height="{TILE}" src="{jpeg_url(strip)}" '
+        f'alt="the first future"></div><table style="width:auto">{head}{table}</table></div>'
+    )
+
+
+def _outcome(story: Sequence[Moment], horizon: int) -> str:
+    """How a future ended, or how far it came; success counts at the last step."""
+    if len(story) <= horizon:
+        return f'<span class="dim">up to step {len(story) - 1}</span>'
+    word, colour = ("✔ SUCCESS", GOOD) if story[-1].success else ("✘ FAIL", BAD)
+    return f'<b style="color:{colour}">{word}</b>'

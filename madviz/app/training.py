@@ -1,0 +1,196 @@
+"""Train from the page: choose, start, stop, go on, and watch the newest weights at work.
+
+One training for the whole server, whoever started it: two cores hold no more. It is a process of
+its own at the lowest priority (``madviz.training_job``); this panel asks it for its state a few
+times in ten seconds and draws that.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from html import escape
+
+import viser
+
+from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
+from madviz.app.panel import Assign
+from madviz.app.toolkit import Cell, grid, guarded, notify, on_value, remove_all
+from madviz.envs.base import TASKS
+from madviz.frame import Command, Frame, SetPolicy
+from madviz.training_job import BUDGETS, JobConfig, JobStatus, TrainingJob
+
+METHODS = (
+    *("mad", "merged-only", "singular-only", "naive-both", "single", "mvd", "vib"),
+    *("frame-stack", "concat", "attention", "vit", "q-mean"),
+)
+WORDS = {
+    "idle": "Nothing is being trained.",
+    "running": "Training.",
+    "stopping": "Stopping after this round; nothing learned is lost.",
+    "stopped": "Stopped. It can go on where it was.",
+    "failed": "It failed:",
+    "done": "Done.",
+}
+RECIPES = {
+    "light": "imitates a scripted expert; minutes",
+    "paper": "reinforcement learning from scratch; hours to days here",
+}
+HINTS = {
+    "task": "What is to be learned.",
+    "method": "How the cameras are merged and which of them are learned from.",
+    "recipe": "light imitates an expert in minutes; paper learns from rewards and needs hours.",
+    "budget": "a look: minutes, to see it move. short: the recipe's defaults. full: as shipped.",
+    "start": "A process of its own, at the lowest priority: the page stays quick.",
+    "stop": "Keeps everything learned.",
+    "go on": "Goes on exactly where it was stopped.",
+    "watch": "Puts the newest weights to work in this page.",
+}
+WIDTH, HEIGHT, LEFT = 600, 70, 40
+"""Pixels of the curves."""
+PATIENCE = 3.0
+"""Seconds between two looks at the run's files."""
+
+
+class TrainingPanel:
+    """Controls and curves. ``send`` None: look, don't touch."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        send: Callable[[Command], None] | None,
+        frame: Frame,
+        job: TrainingJob,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._job, self._clock = job, clock
+        self._looked, self._status = -PATIENCE, JobStatus()
+        self._handles: list = []
+        if send is not None:
+            self._add_controls(gui, send, frame)
+        self._html = gui.add_html(training_html(self._status))
+        self._handles.append(self._html)
+
+    def _add_controls(
+        self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
+    ) -> None:
+        task = gui.add_dropdown("Task", TASKS, initial_value=frame.env.task, hint=HINTS["task"])
+        method = gui.add_dropdown("Method", METHODS, initial_value="mad", hint=HINTS["method"])
+        recipe = gui.add_dropdown("Recipe", tuple(BUDGETS), hint=HINTS["recipe"])
+        budget = gui.add_dropdown("Budget", tuple(BUDGETS["light"]), hint=HINTS["budget"])
+        on_value(recipe, lambda _, name: setattr(budget, "options", tuple(BUDGETS[name])))
+
+        def start() -> None:
+            self._job.start(JobConfig(task.value, method.value, recipe.value, budget.value))
+
+        work: dict[str, Callable[[], None]] = {
+            "start": start,
+            "stop": self._job.stop,
+            "go on": self._job.resume,
+            "watch": lambda: send(SetPolicy(str(self._job.snapshot()))),
+        }
+        buttons = [self._button(gui, name, do) for name, do in work.items()]
+        cells = [
+            *(Cell(task, 1, 6, "3.6em"), Cell(method, 7, 6, "3.6em")),
+            *(Cell(recipe, 1, 6, "3.6em"), Cell(budget, 7, 6, "3.6em")),
+            *(Cell(button, 1 + 3 * place, 3) for place, button in enumerate(buttons)),
+        ]
+        layout = gui.add_html(grid("training", 12, cells))
+        self._handles = [*(cell.handle for cell in cells), layout]
+
+    def _button(
+        self, gui: viser.GuiApi, name: str, work: Callable[[], None]
+    ) -> viser.GuiButtonHandle:
+        button = gui.add_button(name, hint=HINTS[name])
+
+        @button.on_click
+        def _(event: viser.GuiEvent) -> None:
+            if event.client is None:
+                return
+            guarded(event.client, work)
+            self._looked = -PATIENCE
+            if name == "start":
+                notify(event.client, "Training", "The first round takes half a minute to show.")
+
+        return button
+
+    def update(self, frame: Frame) -> list[Assign]:
+        if self._clock() - self._looked >= PATIENCE:
+            self._looked, self._status = self._clock(), self._job.status()
+        return [Assign(self._html, "content", training_html(self._status))]
+
+    def remove(self) -> None:
+        remove_all(self._handles)
+
+
+def training_html(status: JobStatus) -> str:
+    """The state in words, how far it is, and two curves."""
+    why = f' <span style="color:{NOTE}">{escape(status.why)}</span>' if status.why else ""
+    lines = [f"<div><b>{WORDS[status.state]}</b>{why} {_progress(status)}</div>"]
+    if status.config is None:
+        lines.append(
+            '<div class="dim">A look at MAD on the toy task takes a minute; on hammer, some three. '
+            "Press <b>watch</b> when there is a policy, and take its cameras away.</div>"
+        )
+    else:
+        lines.append(_facts(status))
+    if status.rows:
+        lines.append(_curves(status))
+    return f'<div class="mv mv-training" data-state="{status.state}">{"".join(lines)}</div>'
+
+
+def _facts(status: JobStatus) -> str:
+    config = status.config
+    assert config is not None
+    said = RECIPES.get(config.recipe, config.recipe)
+    return (
+        f'<div class="dim">{escape(config.task)} · {escape(config.method)} · {config.recipe} '
+        f"({said}) · {config.budget}</div>"
+        f'<div class="dim">in {escape(str(status.folder))}</div>'
+    )
+
+
+def _progress(status: JobStatus) -> str:
+    if status.state not in ("running", "stopping"):
+        return ""
+    left = status.seconds_left
+    said = f"{left / 60:.0f} min left" if math.isfinite(left) else "time left not known yet"
+    bar = f"width:{100 * status.done:.0f}%;height:4px;background:{GOOD}"
+    return (
+        f'<span class="dim num">{100 * status.done:.0f} % · {said}</span>'
+        f'<div style="background:{FAINT};height:4px;margin:4px 0"><div style="{bar}"></div></div>'
+    )
+
+
+def _curves(status: JobStatus) -> str:
+    """The loss, and the success of recorded or evaluated episodes where the recipe reports it."""
+    losses = [name for name in ("loss", "critic_loss") if name in status.rows[0]]
+    rates = [name for name in status.rows[0] if "success" in name]
+    parts = [_curve(status, name, name.replace("_", " "), MUTED, None) for name in losses[:1]]
+    parts += [
+        _curve(status, name, name.replace("_", " "), colour, 1.0)
+        for name, colour in zip(rates[:2], (GOOD, BAD), strict=False)
+    ]
+    return "".join(parts)
+
+
+def _curve(status: JobStatus, name: str, label: str, colour: str, high: float | None) -> str:
+    values = [(i, row[name]) for i, row in enumerate(status.rows) if math.isfinite(row[name])]
+    top = high or max((value for _, value in values), default=1.0) or 1.0
+    last = max(len(status.rows) - 1, 1)
+    right, floor = (WIDTH - LEFT - 6) / last, HEIGHT - 14
+    points = " ".join(
+        f"{LEFT + right * i:.1f},{floor - (HEIGHT - 24) * value / top:.1f}" for i, value in values
+    )
+    newest = f"{values[-1][1]:.3g}" if values else "none yet"
+    return (
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" style="width:100%;display:block" font-size="11" '
+        f'fill="{MUTED}"><text x="{LEFT}" y="10">{escape(label)}: {newest} '
+        f"(row {len(status.rows)})</text>"
+        f'<text x="{LEFT - 6}" y="18" text-anchor="end">{top:.2g}</text>'
+        f'<text x="{LEFT - 6}" y="{HEIGHT - 14}" text-anchor="end">0</text>'
+        f'<line x1="{LEFT}" x2="{WIDTH - 6}" y1="{HEIGHT - 14}" y2="{HEIGHT - 14}" '
+        f'stroke="{FAINT}"/>'
+        f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.6"/></svg>'
+    )

@@ -1,0 +1,169 @@
+"""A against B, on the same seeds, in lock-step: two policies, or one policy with other cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+
+import cv2
+import numpy as np
+import viser
+
+from madviz.app.colours import BAD, FAINT, GOOD, NOTE
+from madviz.app.panel import Assign
+from madviz.app.policy import PolicyChoice, verdict
+from madviz.app.scene import picture
+from madviz.app.screen import jpeg_url
+from madviz.app.subsets import subset_label
+from madviz.app.toolkit import Cell, grid, guarded, remove_all
+from madviz.frame import Command, Frame, SetTwin
+from madviz.statistics import Paired
+from madviz.twin import tally
+
+TILE = 84
+"""Pixels of a camera's picture on B's side."""
+INTRODUCTION = (
+    "A is the page. <b>Start B</b> keeps the cameras as they are now, on the same seeds, with "
+    "the policy you choose here. Then switch A's cameras, or give A another policy, and see how "
+    "often only one of them succeeds."
+)
+HINTS = {
+    "policy": "Who acts on B's side.",
+    "start": "B gets this policy and the cameras as they are now; both start the seed again.",
+    "stop": "Gives B's share of the machine back.",
+}
+
+
+class VersusPanel:
+    """Controls, B's cameras, and the tally. ``send`` None: look, don't touch."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        send: Callable[[Command], None] | None,
+        frame: Frame,
+        choices: Sequence[PolicyChoice],
+    ) -> None:
+        self._frame, self._handles = frame, []
+        self._names = {choice.label: choice.name for choice in choices}
+        if send is not None and self._names:
+            self._add_controls(gui, send)
+        self._html = gui.add_html(versus_html(frame))
+        self._handles.append(self._html)
+
+    def _add_controls(self, gui: viser.GuiApi, send: Callable[[Command], None]) -> None:
+        labels = {name: label for label, name in self._names.items()}
+        picker = gui.add_dropdown(
+            "B",
+            list(self._names),
+            initial_value=labels.get(self._frame.policy.name, next(iter(self._names))),
+            hint=HINTS["policy"],
+        )
+        start = gui.add_button("start B", hint=HINTS["start"])
+        stop = gui.add_button("end B", hint=HINTS["stop"])
+
+        def begin() -> None:
+            send(SetTwin(self._names[picker.value], self._frame.ablation))
+
+        for button, work in ((start, begin), (stop, lambda: send(SetTwin(None)))):
+            button.on_click(
+                lambda event, work=work: event.client is not None and guarded(event.client, work)
+            )
+        cells = [Cell(picker, 1, 6, "1.2em"), Cell(start, 7, 2), Cell(stop, 9, 2)]
+        layout = gui.add_html(grid("versus", 10, cells))
+        self._handles = [*(cell.handle for cell in cells), layout]
+
+    def update(self, frame: Frame) -> list[Assign]:
+        self._frame = frame
+        return [Assign(self._html, "content", versus_html(frame))]
+
+    def remove(self) -> None:
+        remove_all(self._handles)
+
+
+def versus_html(frame: Frame) -> str:
+    """Both sides in a table, B's cameras, and the tally under them."""
+    if frame.twin is None:
+        return f'<div class="mv mv-versus">{INTRODUCTION}</div>'
+    rows = "".join(_side(name, side) for name, side in (("A", frame), ("B", frame.twin)))
+    head = (
+        '<tr class="dim"><td></td><td>policy</td><td>gets</td><td class="num">Q</td>'
+        '<td class="num">reward</td><td></td></tr>'
+    )
+    tiles = [
+        cv2.resize(picture(frame.twin, camera.name), (TILE, TILE), interpolation=cv2.INTER_NEAREST)
+        for camera in frame.twin.env.cameras
+    ]
+    strip = np.concatenate(tiles, axis=1)
+    return (
+        f'<div class="mv mv-versus"><table>{head}{rows}</table>'
+        '<div style="display:flex;gap:12px;margin-top:6px;align-items:center">'
+        f'<div><div class="dim">B, step {frame.twin.step}</div><img width="{strip.shape[1]}" '
+        f'height="{TILE}" src="{jpeg_url(strip)}" alt="the cameras of B"></div>'
+        f"<div>{_tally(frame)}</div></div></div>"
+    )
+
+
+def _side(name: str, frame: Frame) -> str:
+    word, colour = verdict(frame)
+    return (
+        f"<tr><td><b>{name}</b></td><td>{escape(frame.policy.name)}</td>"
+        f"<td>{escape(_gets(frame))}</td>"
+        f'<td class="num">{frame.q:.0f}</td><td class="num">{frame.total_reward:.0f}</td>'
+        f'<td><b style="color:{colour}">{word}</b></td></tr>'
+    )
+
+
+def _gets(frame: Frame) -> str:
+    label = subset_label(frame, frame.setting.subset)
+    return f"{label} · {frame.setting.occlusions}" if frame.setting.occlusions else label
+
+
+def _tally(frame: Frame) -> str:
+    """Pairs of the two sides as they stand now, and what they say."""
+    assert frame.twin is not None
+    sides = tuple((side.policy.name, str(side.setting)) for side in (frame, frame.twin))
+    counted = tally(frame.pairs, sides)  # type: ignore[arg-type]
+    if counted.n == 0:
+        return (
+            '<span class="dim">A pair counts when an episode ends in which nobody touched either '
+            "side. None yet: let one run.</span>"
+        )
+    return f"{_squares(counted)}{_verdict(counted)}"
+
+
+def _squares(counted: Paired) -> str:
+    """The four counts as a row of bars that share the width by size."""
+    parts = [
+        (counted.both, "both", GOOD),
+        (counted.first_only, "A only", "#ffffff"),
+        (counted.second_only, "B only", NOTE),
+        (counted.neither, "neither", BAD),
+    ]
+    bar = "".join(
+        f'<div title="{word}" style="flex:{count};background:{colour};height:10px"></div>'
+        for count, word, colour in parts
+        if count
+    )
+    words = " · ".join(
+        f'<span style="color:{colour}">■</span> {word} <b>{count}</b>'
+        for count, word, colour in parts
+    )
+    return f'<div style="display:flex;background:{FAINT}">{bar}</div><div>{words}</div>'
+
+
+def _verdict(counted: Paired) -> str:
+    low, high = counted.interval()
+    p = counted.mcnemar()
+    said = (
+        "They differ."
+        if p < 0.05
+        else "No difference can be told yet."
+        if counted.first_only + counted.second_only
+        else "Every pair came out alike."
+    )
+    return (
+        f"<div>success of A minus B <b>{counted.difference:+.2f}</b> [{low:+.2f}, {high:+.2f}] "
+        f'<span class="dim">n = {counted.n} pairs, 95 %; McNemar p = {p:.2g}.</span> '
+        f"{said}</div>"
+    )

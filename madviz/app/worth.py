@@ -1,0 +1,196 @@
+"""What each camera is worth: its Shapley value in Q, in the action and in success, side by side.
+
+Three games with the same players. Q and action are read from what every subset would do at this
+very step; success is shared out from measured rates, so it waits until every set of cameras has
+been measured, and then has an interval. Bars of one column share one scale.
+"""
+
+from __future__ import annotations
+
+from html import escape
+from typing import NamedTuple
+
+import numpy as np
+import viser
+
+from madviz.app.colours import FAINT, MUTED, NOTE, camera_colours
+from madviz.app.panel import Assign
+from madviz.app.rates import Rates
+from madviz.app.subsets import subset_label
+from madviz.app.toolkit import remove_all
+from madviz.frame import Frame, Setting
+from madviz.shapley import (
+    Worth,
+    action_worth,
+    q_worth,
+    set_names,
+    success_interval,
+    success_worth,
+)
+from madviz.subsets import camera_of, cameras_of, mask_of
+from madviz.types import Array
+
+IDEA = (
+    "Cameras cover for each other, so taking one away tells too little. Let them come one after "
+    "the other: <b>a camera is worth what it adds when it comes</b>, on average over all orders "
+    "(Shapley, 1953). Together they add what is in the last row."
+)
+ARROWS = (
+    "<b>Arrows at the gripper:</b> where it would go next with each set of cameras. "
+    f'<b style="color:{NOTE}">Yellow</b> is the present setting, <b>white</b> all cameras, a '
+    "camera's own colour that camera alone; grey is any other set, dashed is a set it never "
+    "learned from. None at full speed."
+)
+
+
+class Column(NamedTuple):
+    """One game, ready to be drawn."""
+
+    title: str
+    worth: Worth | None
+    digits: int
+    total: str
+    """What the cameras share, in numbers."""
+    words: str
+    """What a number means, or why there is none."""
+    doubt: Array | None = None
+    """(C,) half the width of the interval."""
+
+
+class WorthPanel:
+    """A table with a row per camera and a column per game; below it, what the numbers mean."""
+
+    def __init__(self, gui: viser.GuiApi, frame: Frame, rates: Rates) -> None:
+        self._rates = rates
+        self._table = gui.add_html(worth_html(frame, rates))
+
+    def update(self, frame: Frame) -> list[Assign]:
+        return [Assign(self._table, "content", worth_html(frame, self._rates))]
+
+    def remove(self) -> None:
+        remove_all([self._table])
+
+
+def worth_html(frame: Frame, rates: Rates) -> str:
+    """A row per camera with a signed bar for each game, and what they share in the last row."""
+    columns = [q_column(frame), action_column(frame), success_column(frame, rates)]
+    cameras = cameras_of(frame.policy.streams)
+    heads = "".join(f'<td style="width:27%">{column.title}</td>' for column in columns)
+    rows = "".join(_row(frame, camera, i, columns) for i, camera in enumerate(cameras))
+    totals = "".join(f'<td class="num" style="text-align:center">{c.total}</td>' for c in columns)
+    words = "".join(f"<div>{column.words}</div>" for column in columns)
+    return (
+        f'<div class="mv mv-worth"><div>{IDEA}</div><table style="margin:5px 0">'
+        f'<tr class="dim"><td></td>{heads}</tr>{rows}'
+        f'<tr style="border-top:1px solid {FAINT}"><td class="dim">none → all present</td>{totals}'
+        f'</tr></table>{words}<div style="margin-top:4px">{ARROWS}</div></div>'
+    )
+
+
+def q_column(frame: Frame) -> Column:
+    """Shares in the critic's forecast."""
+    worth = q_worth(frame.probe, frame.policy.streams, frame.mask)
+    words = (
+        "<b>Q</b> is the policy's own forecast of the reward still to come; of sets it never "
+        "learned from, it may be far from the truth."
+    )
+    if not np.isfinite(frame.q):
+        return Column("Q now", None, 1, "–", "<b>Q</b>: no forecast here, so nothing to share.")
+    if not np.isfinite(worth.cameras).all():
+        return Column("Q now", None, 1, "–", f"<b>Q</b>: {_undefined(frame)}")
+    return Column("Q now", worth, 1, f"{worth.nothing:.1f} → {worth.everything:.1f}", words)
+
+
+def action_column(frame: Frame) -> Column:
+    """Shares in the way from the blind action to the present one."""
+    worth = action_worth(frame.probe, frame.policy.streams, frame.mask)
+    if not np.isfinite(worth.cameras).all():
+        return Column("action now", None, 2, "–", f"<b>Action</b>: {_undefined(frame)}")
+    words = (
+        "<b>Action</b>: how much nearer a camera brings the action to the one taken now; below 0, "
+        "it pulls away from it."
+    )
+    total = f"{-worth.nothing:.2f} → 0.00 apart"
+    return Column("action now", worth, 2, total, words)
+
+
+def success_column(frame: Frame, rates: Rates) -> Column:
+    """Shares in the success measured with each set of cameras, without occlusions."""
+    streams, title = frame.policy.streams, "success, measured"
+    names = set_names(streams, frame.mask)
+    found = {name: rates.best(frame.policy, Setting(name)) for name in dict.fromkeys(names)}
+    worth = success_worth({name: rate.mean for name, rate in found.items()}, streams, frame.mask)
+    if worth is None:
+        return Column(title, None, 2, "–", _missing(frame, [n for n in found if not found[n].n]))
+    bounded = {name: (rate.mean, *rate.interval) for name, rate in found.items()}
+    low, high = success_interval(bounded, streams, frame.mask)
+    least = min(rate.n for rate in found.values())
+    clean = " Measured with clean pictures." if frame.setting.occlusions else ""
+    words = (
+        "<b>Success</b>: the share of episodes won that a camera brings, ± 95 % interval "
+        f"({least} or more episodes for each set).{clean}"
+    )
+    total = f"{worth.nothing:.2f} → {worth.everything:.2f}"
+    return Column(title, worth, 2, total, words, (high - low) / 2)
+
+
+def _undefined(frame: Frame) -> str:
+    """Why a game cannot be played: which sets of cameras the policy cannot act on."""
+    streams, probe = frame.policy.streams, frame.probe
+    names = dict.fromkeys(set_names(streams, frame.mask))
+    cannot = [name for name in names if not probe.supported[probe.row(mask_of(name, streams))]]
+    if not cannot:
+        return "some of its numbers are broken (not finite), so there is nothing to share."
+    said = ", ".join(escape(subset_label(frame, name)) for name in cannot[:3])
+    more = f" and {len(cannot) - 3} more" if len(cannot) > 3 else ""
+    return (
+        f"not defined. The idea needs every set of cameras, and this policy cannot act on {said}"
+        f"{more}."
+    )
+
+
+def _missing(frame: Frame, names: list[str]) -> str:
+    said = "; ".join(escape(subset_label(frame, name)) for name in names[:4])
+    more = f"; {len(names) - 4} more" if len(names) > 4 else ""
+    return (
+        f"<b>Success</b>: not known yet. Not measured: {said}{more}. Switch the cameras so, with "
+        "Measure on, and its episodes are played."
+    )
+
+
+def _row(frame: Frame, camera: str, index: int, columns: list[Column]) -> str:
+    colour = camera_colours(frame.env.cameras)[camera]
+    streams = [camera_of(stream) == camera for stream in frame.policy.streams]
+    present = bool((frame.mask & np.array(streams)).any())
+    label = escape(frame.env.camera(camera).label) + ("" if present else " · dropped")
+    cells = "".join(f"<td>{_cell(column, index, colour)}</td>" for column in columns)
+    style = "" if present else ' style="opacity:0.45"'
+    return (
+        f'<tr{style}><td><span class="dot" style="background:{colour}"></span>{label}</td>'
+        f"{cells}</tr>"
+    )
+
+
+def _cell(column: Column, index: int, colour: str) -> str:
+    """A bar from the place of 0, to the right for what a camera adds; its number beside it."""
+    if column.worth is None:
+        return '<div class="dim" style="text-align:center">–</div>'
+    values = column.worth.cameras
+    low, high = min(0.0, float(values.min())), max(0.0, float(values.max()))
+    span = max(high - low, 1e-9)
+    value = round(float(values[index]), column.digits) + 0.0  # No minus zero.
+    zero = 100 * -low / span
+    width = 100 * abs(value) / span
+    left = zero if value >= 0 else zero - width
+    doubt = ""
+    if column.doubt is not None:
+        doubt = f'<span class="dim" style="font-size:11px">±{column.doubt[index]:.2f}</span>'
+    return (
+        '<div style="display:flex;gap:5px;align-items:center">'
+        '<div style="position:relative;flex:1;height:13px;background:#2a2c30">'
+        f'<div style="position:absolute;left:{left:.1f}%;width:{width:.1f}%;height:100%;'
+        f'background:{colour}"></div>'
+        f'<div style="position:absolute;left:{zero:.1f}%;width:1px;height:100%;'
+        f'background:{MUTED}"></div></div>'
+        f'<span class="num" style="min-width:3.1em">{value:+.{column.digits}f}</span>{doubt}</div>'
+    )

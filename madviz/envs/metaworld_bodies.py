@@ -1,0 +1,98 @@
+"""A MuJoCo scene as meshes: what the cameras draw, for a page to draw once more.
+
+MuJoCo says itself what it would draw: ``mjv_updateScene`` lists every visible shape with its colour
+worked out, without OpenGL. So invisible helpers and collision shapes need no rule of ours. Two
+things are left out: planes, which have no end, and markers smaller than ``BEAD``, which mean
+something to the model's author only. Textures become their mean colour.
+
+Meta-World moves bodies when an episode begins, by their poses; what they look like stays. Markers
+such as the goal are moved by themselves and become bodies of their own.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from madviz.envs import bodies
+from madviz.types import Array, Body, Part
+
+BEAD = 0.015
+"""Metres of radius."""
+_MAX_GEOMS = 2000
+
+
+class Scenery:
+    """The bodies of one model, and where they are."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """``data`` of an episode: what is visible is read from it."""
+        parts: dict[int, list[Part]] = {}
+        sites: dict[int, Part] = {}
+        for geom in _drawn(model, data):
+            if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
+                of = int(model.geom_bodyid[geom.objid])
+                parts.setdefault(of, []).append(_geom(model, geom))
+            elif geom.objtype == mujoco.mjtObj.mjOBJ_SITE and max(geom.size) >= BEAD:
+                sites[geom.objid] = bodies.part(_shape(model, geom), _colour(model, geom))
+        self._bodies, self._sites = list(parts), list(sites)
+        self.bodies = tuple(
+            Body(f"{model.body(of).name or 'body'}-{of}", tuple(some)) for of, some in parts.items()
+        ) + tuple(Body(f"{model.site(of).name}-site-{of}", (one,)) for of, one in sites.items())
+
+    def poses(self, data: mujoco.MjData) -> Array:
+        """(N, 7) float32: position in metres and wxyz in the world, in the order of ``bodies``."""
+        turns = np.empty((len(self._sites), 4))
+        for row, site in zip(turns, self._sites, strict=True):
+            mujoco.mju_mat2Quat(row, data.site_xmat[site])
+        position = np.concatenate([data.xpos[self._bodies], data.site_xpos[self._sites]])
+        turn = np.concatenate([data.xquat[self._bodies], turns])
+        return np.concatenate([position, turn], 1).astype(np.float32)
+
+
+def _drawn(model: mujoco.MjModel, data: mujoco.MjData) -> list[mujoco.MjvGeom]:
+    """The shapes that are visible and have an end."""
+    scene = mujoco.MjvScene(model, _MAX_GEOMS)
+    everything = mujoco.mjtCatBit.mjCAT_ALL.value
+    mujoco.mjv_updateScene(
+        *(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
+    )
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    return [g for g in scene.geoms[: scene.ngeom] if g.rgba[3] > 0 and g.type != plane]
+
+
+def _geom(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> Part:
+    """One shape in its body's frame."""
+    place, turn = model.geom_pos[geom.objid], model.geom_quat[geom.objid]
+    return bodies.part(_shape(model, geom), _colour(model, geom), place, turn)
+
+
+def _shape(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> bodies.Shape:
+    kind, size = mujoco.mjtGeom(int(geom.type)), np.asarray(geom.size, float)
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        return _mesh(model, int(model.geom_dataid[geom.objid]))
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return bodies.cylinder(size[0], size[2])
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return bodies.capsule(size[0], size[2])
+    if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        return bodies.sphere(size)
+    return bodies.box(size)
+
+
+def _mesh(model: mujoco.MjModel, mesh: int) -> bodies.Shape:
+    vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+    vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]]
+    return vertices.copy(), model.mesh_face[face : face + model.mesh_facenum[mesh]].copy()
+
+
+def _colour(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> Array:
+    """(3,) in [0, 1], with the mean of its texture if it has one."""
+    colour = np.asarray(geom.rgba[:3], float)
+    textures = model.mat_texid[geom.matid] if geom.matid >= 0 else np.array([-1])
+    for texture in textures[textures >= 0]:
+        start, channels = model.tex_adr[texture], model.tex_nchannel[texture]
+        count = model.tex_width[texture] * model.tex_height[texture] * channels
+        texels = model.tex_data[start : start + count].reshape(-1, channels)
+        colour = colour * texels[:, :3].mean(0) / 255
+    return colour

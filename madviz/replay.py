@@ -1,0 +1,211 @@
+"""``madviz replay FILE``: lives kept episodes again, without a page, and compares to the bit.
+
+An episode depends on its seed and on which commands came at which step, so with the same policy,
+the same packages and the same machine every action comes out the same. Where one does not, the
+first step that differs is named, with what else is different: another policy of that name, other
+versions, or neither, which leaves the machine (another CPU or another OpenGL rounds differently).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from madviz import checkpoint
+from madviz.envs.base import make_env, sees
+from madviz.failures import Event, in_order, in_words
+from madviz.kept import STREAMS, TRACE, KeptEpisode, KeptPolicy, KeptSession, versions_here
+from madviz.kept_reader import read_kept
+from madviz.rollout import one_thread
+from madviz.simulation import Simulation
+from madviz.types import Environment, Policy, UserError
+
+EnvFactory = Callable[..., Environment]
+Finder = Callable[[KeptPolicy], Policy]
+"""The policy that is meant; any of that name, where the digest is another."""
+
+
+@dataclass(frozen=True)
+class ReplayConfig:
+    """Lives kept episodes again and says whether they come out the same, to the bit."""
+
+    file: Path
+    """What the page's button saved, or `madviz record --keep`."""
+    policy: tuple[str, ...] = ()
+    """Folders or module:factory of policies in the file that are not found by their names."""
+    episode: int | None = None
+    """One of its episodes, from 1; by default all."""
+    json: str | None = None
+    """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
+
+
+def run_replay(config: ReplayConfig) -> dict[str, Any]:
+    """Lives the episodes of a file again. Raises UserError for a file, policy or task that won't
+    do. ``same`` is whether all actions, rewards and successes are."""
+    kept = read_kept(config.file)
+    chosen = kept.episodes if config.episode is None else (kept.episode(config.episode),)
+    find = finder(config.policy)
+    episodes = [replay_row(episode, kept, find) for episode in chosen]
+    return {
+        **{"schema": 1, "file": str(config.file)},
+        "same": all(episode["same"] for episode in episodes),
+        "episodes": episodes,
+    }
+
+
+def finder(references: tuple[str, ...] = ()) -> Finder:
+    """Loads policies by the plain names that kept files have, each once. ``references`` are looked
+    at first; only they, which the user typed, may be paths or modules."""
+    given = [checkpoint.load_policy(reference) for reference in references]
+    loaded: dict[KeptPolicy, Policy] = {}
+
+    def find(wanted: KeptPolicy) -> Policy:
+        fitting = [policy for policy in given if KeptPolicy.of(policy.spec) == wanted]
+        fitting += [policy for policy in given if KeptPolicy.of(policy.spec).name == wanted.name]
+        if fitting:
+            return fitting[0]
+        if wanted not in loaded:
+            try:
+                loaded[wanted] = checkpoint.load_policy(wanted.name)
+            except UserError as error:
+                raise UserError(
+                    f"expected the policy {wanted.name!r} that acts in this file, found none here; "
+                    "say where it is with --policy"
+                ) from error
+        return loaded[wanted]
+
+    return find
+
+
+def live_again(
+    episode: KeptEpisode, find: Finder, env_factory: EnvFactory = make_env
+) -> KeptEpisode:
+    """The episode as it comes out here. Raises UserError where it cannot: another horizon, a task,
+    camera or policy that is not here, a policy that cannot act on what is left."""
+    first = find(episode.policy)
+    env = env_factory(episode.task, episode.render_profile, episode.cameras)
+    with closing(env), one_thread():
+        check_horizon(episode, env)
+        check_policies(episode, find, env)
+        simulation = Simulation(env, first, episode.ablation)
+        simulation.begin(episode.seed)
+        commands = list(episode.commands)
+        for step in range(episode.steps + 1):
+            while commands and commands[0].step == step:
+                command = commands.pop(0).command
+                if isinstance(command, KeptPolicy):
+                    simulation.swap(find(command))
+                else:
+                    simulation.set_camera(command)
+            if step < episode.steps:
+                simulation.step(lambda: None)
+    return simulation.journal.kept().episodes[-1]
+
+
+def check_horizon(episode: KeptEpisode, env: Environment) -> None:
+    """Raises UserError where the episode is longer than its task."""
+    horizon = env.spec.horizon
+    if episode.steps > horizon or episode.ended != (episode.steps == horizon):
+        state = "ended" if episode.ended else "unfinished"
+        raise UserError(
+            f"expected {horizon} decisions in an episode of {episode.task}, found {state} after "
+            f"{episode.steps}; keep the session again, with this version of madviz"
+        )
+
+
+def check_policies(episode: KeptEpisode, find: Finder, env: Environment | None = None) -> None:
+    """Raises UserError where one of its policies was made for another world; where there is an
+    ``env``, also for cameras that it does not draw."""
+    for policy in episode.policies:
+        spec = find(policy).spec
+        fits = (spec.task, spec.render_profile) == (episode.task, episode.render_profile)
+        if not fits or (env is not None and not sees(env.spec, spec.cameras)):
+            raise UserError(
+                f"expected policies for {episode.task} ({episode.render_profile}) and its cameras, "
+                f"found {policy.name!r} for {spec.task} ({spec.render_profile}); name another one "
+                "with --policy"
+            )
+
+
+def replay_row(
+    episode: KeptEpisode, kept: KeptSession, find: Finder, env_factory: EnvFactory = make_env
+) -> dict[str, Any]:
+    """What became of one episode, as JSON has it."""
+    again = live_again(episode, find, env_factory)
+    same = {name: again.sha256[name] == episode.sha256[name] for name in STREAMS}
+    return {
+        **{"policy": episode.policy.name, "task": episode.task, "seed": episode.seed},
+        **{"steps": episode.steps, "commands": len(episode.start) + len(episode.commands)},
+        **{"success": episode.success, "success_here": again.success, "same_bits": same},
+        "same": all(same.values()),
+        "first_difference": first_difference(episode.trace, again.trace),
+        "reasons": [] if all(same.values()) else _reasons(episode, kept, find),
+    }
+
+
+def first_difference(one: str, other: str) -> int | None:
+    """The decision, from 1, at which two traces part."""
+    for start in range(0, len(one), TRACE):
+        if one[start : start + TRACE] != other[start : start + TRACE]:
+            return start // TRACE + 1
+    return None
+
+
+def _reasons(episode: KeptEpisode, kept: KeptSession, find: Finder) -> list[str]:
+    known = differences(episode, kept, find)
+    return known or ["another machine, or a file that was changed"]
+
+
+def differences(episode: KeptEpisode, kept: KeptSession, find: Finder) -> list[str]:
+    """What is known to be different here: policies and versions."""
+    found = []
+    for policy in episode.policies:
+        digest = find(policy).spec.digest
+        if digest != policy.digest:
+            found.append(
+                f"{policy.name} had the digest {policy.digest[:12]}, here it has {digest[:12]}"
+            )
+    for package, version in versions_here().items():
+        if kept.versions.get(package, version) != version:
+            found.append(f"{package} was {kept.versions[package]}, here it is {version}")
+    return found
+
+
+def replay_words(result: dict[str, Any]) -> str:
+    """The result as lines."""
+    lines = []
+    for number, row in enumerate(result["episodes"], 1):
+        outcome = "success" if row["success"] else "no success"
+        head = (
+            f"episode {number}: {row['policy']} on {row['task']}, seed {row['seed']}, "
+            f"{row['steps']} decisions, {row['commands']} commands, {outcome}"
+        )
+        lines.append(f"{head}: {_verdict(row)}")
+    return "\n".join(lines)
+
+
+def _verdict(row: dict[str, Any]) -> str:
+    if row["same"]:
+        return "actions, rewards and success are the same to the bit"
+    different = [name for name, same in row["same_bits"].items() if not same]
+    where = row["first_difference"]
+    start = f" from decision {where} on" if where else ""
+    return f"{' and '.join(different)} DIFFER{start}: {'; '.join(row['reasons'])}"
+
+
+def failures_of(episode: KeptEpisode) -> list[str]:
+    """What happened to cameras, in the language of schedules, for a caption."""
+    commands = [(0, command) for command in episode.start]
+    commands += [
+        (kept.step, kept.command)
+        for kept in episode.commands
+        if not isinstance(kept.command, KeptPolicy)
+    ]
+    events = [
+        Event(step, one.camera, one.state.input == "off", one.state.occlusion)
+        for step, one in commands
+    ]
+    return in_words(in_order(events))

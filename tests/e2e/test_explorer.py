@@ -1,0 +1,82 @@
+"""Looking back, another future, A against B, and a training: from what the page itself offers."""
+
+from __future__ import annotations
+
+from madviz.app.server import App
+from madviz.frame import Pause, Reset, StepOnce
+from tests.e2e.conftest import Visitor
+
+
+def open_tab(visitor: Visitor, name: str) -> None:
+    visitor.page.get_by_role("tab", name=name).click()
+
+
+def paused_at(visitor: Visitor, app: App, step: int) -> None:
+    """The seed again, and ``step`` decisions of it; a toy episode is too short to press pause in
+    time on a busy machine."""
+    (session,) = filter(None, map(app.users.session_of, app.server.get_clients()))
+    for command in (Reset(), Pause(), *[StepOnce()] * step):
+        session.send(command)
+    visitor.until(f"status.phase === 'paused' && status.step === '{step}'")
+
+
+def drag_back(visitor: Visitor, steps: int) -> None:
+    """The timeline's slider, by keyboard."""
+    slider = visitor.page.locator("[role=slider]:visible").last
+    step = visitor.status("step")
+    visitor.until(
+        f"document.activeElement && [...document.querySelectorAll('[role=slider]')]"
+        f".some(one => one.ariaValueNow === '{step}')"
+    )
+    slider.focus()
+    for _ in range(steps):
+        visitor.page.keyboard.press("ArrowLeft")
+
+
+def test_looking_back_shows_an_earlier_step_and_newest_returns(visitor: Visitor, app: App):
+    open_tab(visitor, "Timeline")
+    paused_at(visitor, app, 6)
+    visitor.until_text(".mv-timeline", "Drag the step back")
+    drag_back(visitor, 3)
+    visitor.until("status.step === '3'")
+    visitor.until_text(".mv-timeline", "Looking back: step 3 of 6")
+    visitor.until_text(".mv-verdict", "LOOKING BACK")
+    visitor.press("newest")
+    visitor.until("status.step === '6'")
+
+
+def test_a_camera_switched_off_in_the_past_begins_another_future(visitor: Visitor, app: App):
+    open_tab(visitor, "Timeline")
+    paused_at(visitor, app, 5)
+    drag_back(visitor, 3)
+    visitor.until("status.step === '2'")
+    visitor.press("off", camera=1)
+    visitor.until("status.setting === 'first+third_b' && status.step === '2'")
+    visitor.press("step")
+    visitor.until("status.step === '3'")
+    text = visitor.until_text(".mv-timeline", "forked at step 2")
+    assert "first future" in text and "up to step 5" in text
+
+
+def test_a_against_b_counts_pairs(visitor: Visitor):
+    open_tab(visitor, "A / B")
+    visitor.until_text(".mv-versus", "A is the page")
+    visitor.press("start B")
+    visitor.until_text(".mv-versus", "None yet")
+    visitor.press("max")
+    text = visitor.until_text(".mv-versus", "n = [1-9][0-9]* pairs")
+    assert "both" in text and "McNemar" in text
+    visitor.press("end B")
+    visitor.until_text(".mv-versus", "A is the page")
+
+
+def test_a_training_starts_shows_itself_and_stops(visitor: Visitor):
+    open_tab(visitor, "Train")
+    visitor.until_text(".mv-training", "Nothing is being trained")
+    visitor.press("watch")
+    visitor.until_text("[role=alert]", "policy to watch")
+    visitor.press("start")
+    visitor.until_text(".mv-training", "Training")
+    visitor.press("stop")
+    visitor.until_text(".mv-training", "Stopping|Stopped")
+    visitor.until_text(".mv-training", "Stopped")

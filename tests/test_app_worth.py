@@ -1,0 +1,323 @@
+"""Panels that say what a camera is worth: numbers in their words, points on their map, arrows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import viser
+
+from madviz.ablations import CameraState, Occlusion
+from madviz.app import mosaic
+from madviz.app.arrows import NEAR, ArrowsPanel, arrows, towards
+from madviz.app.colours import CAMERA_COLOURS, NOTE, rgb
+from madviz.app.panel import apply
+from madviz.app.projection import MapPanel
+from madviz.app.rates import Rates
+from madviz.app.saliency import SaliencyPanel, saliency_words
+from madviz.app.worth import WorthPanel, action_column, q_column, success_column, worth_html
+from madviz.envs.base import make_env
+from madviz.frame import Frame, Pause, Reset, SetCamera, SetPolicy
+from madviz.projection import DECISIONS
+from madviz.session import Session
+from madviz.shapley import set_names
+from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
+
+OFF = CameraState("off")
+STREAMS = FakePolicy().spec.streams
+MEASURED = {name: {"success": 0.25 * name.count("i"), "n": 100} for name in set_names(STREAMS)}
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[viser.ViserServer]:
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server
+    server.stop()
+
+
+def session_with(policy: FakePolicy | None = None, speed: float | None = 10.0) -> Session:
+    session = Session(make_env, policy or FakePolicy(), policies, speed=speed)
+    session.tick(0.0)
+    return session
+
+
+def frame_with(*commands: Any, policy: FakePolicy | None = None) -> Frame:
+    """The frame after ``commands``, at the first step of an episode."""
+    session = session_with(policy)
+    for command in commands:
+        session.send(command)
+    session.tick(0.0)
+    return shown(session)
+
+
+def shown(session: Session) -> Frame:
+    assert isinstance(session.latest, Frame)
+    return session.latest
+
+
+def text(html: str) -> str:
+    return re.sub(r"\s+", " ", re.sub("<[^>]*>", " ", html))
+
+
+def test_a_camera_has_a_row_with_what_it_is_worth_in_every_game() -> None:
+    frame = frame_with()
+    rates = Rates(lambda spec: {**MEASURED, "all": {"success": 1.0, "n": 100}})
+    html = worth_html(frame, rates)
+    for column in (q_column(frame), action_column(frame), success_column(frame, rates)):
+        assert column.worth is not None
+        for value in column.worth.cameras:
+            assert f">{round(float(value), column.digits) + 0.0:+.{column.digits}f}</span>" in html
+    assert "0.00 → 1.00" in html and "±" in html
+    assert all(label in html for label in ("First person", "Third A", "Third B"))
+    assert "-0.00" not in html
+
+
+def test_worths_of_the_page_sum_to_its_last_row() -> None:
+    frame = frame_with()
+    q, action = q_column(frame).worth, action_column(frame).worth
+    assert q is not None and action is not None
+    readout = frame.probe.readout
+    assert q.cameras.sum() == pytest.approx(float(readout.q[0] - readout.q[-1]), abs=1e-4)
+    distance = float(np.linalg.norm(readout.action[0] - readout.action[-1]))
+    assert action.cameras.sum() == pytest.approx(distance, abs=1e-5)
+    assert f"{distance:.2f} → 0.00 apart" in worth_html(frame, Rates())
+
+
+def test_success_says_what_is_not_measured_yet() -> None:
+    column = success_column(frame_with(), Rates(lambda spec: {"all": {"success": 1, "n": 9}}))
+    assert column.worth is None
+    assert "First person + Third A" in column.words and "3 more" in column.words
+
+
+def test_with_a_camera_dropped_it_is_worth_nothing_and_half_the_sets_will_do() -> None:
+    frame = frame_with(SetCamera("third_b", OFF))
+    known = ("first+third_a", "first", "third_a", "none")
+    column = success_column(frame, Rates(lambda spec: {name: MEASURED[name] for name in known}))
+    assert column.worth is not None and column.worth.cameras[2] == 0
+    html = worth_html(frame, Rates())
+    assert "Third B · dropped" in html and "opacity:0.45" in html
+
+
+def test_occlusions_are_no_part_of_the_measured_success() -> None:
+    black = SetCamera("first", CameraState("rgb", Occlusion("black")))
+    column = success_column(frame_with(black), Rates(lambda spec: MEASURED))
+    assert column.worth is not None and "clean pictures" in column.words
+
+
+def test_a_policy_that_cannot_do_without_cameras_has_no_worths_and_says_why() -> None:
+    frame = frame_with(policy=AllOrNothing("toy-stack"))
+    assert q_column(frame).worth is None and action_column(frame).worth is None
+    words = text(worth_html(frame, Rates()))
+    assert "cannot act on First person + Third A, First person + Third B, First person" in words
+    assert "4 more" in words
+    broken = action_column(frame_with(policy=NanPolicy("toy-nan")))
+    assert broken.worth is None and "not finite" in broken.words
+
+
+def test_a_policy_without_a_critic_has_no_worth_in_q() -> None:
+    frame = frame_with()
+    blind = replace(frame.probe.readout, q=np.full(8, np.nan, np.float32))
+    column = q_column(replace(frame, probe=replace(frame.probe, readout=blind)))
+    assert column.worth is None and "no forecast" in column.words
+
+
+def test_the_panel_follows_another_policy(server: viser.ViserServer) -> None:
+    panel = WorthPanel(server.gui, frame_with(), Rates())
+    apply(panel.update(frame_with(SetPolicy("toy-rgbd"))))
+    assert panel._table.content.count("Third B") >= 1
+    panel.remove()
+
+
+def circles(html: str) -> list[tuple[str, str, str]]:
+    return re.findall(r'<circle cx="(\d+)" cy="(\d+)" r="\d+" fill="([^"]+)"', html)
+
+
+def test_a_map_is_made_while_an_episode_runs_and_then_stays(server: viser.ViserServer) -> None:
+    session, panels = session_with(speed=None), []
+    panel = MapPanel(server.gui, shown(session))
+    for _ in range(DECISIONS + 3):
+        html = panel._drawing.content
+        panels.append("<svg" in html)
+        session.tick(0.0)
+        apply(panel.update(shown(session)))
+    assert not any(panels[: DECISIONS - 2]) and panels[-1]
+    html = panel._drawing.content
+    assert len(circles(html)) == 4 and "polyline" in html
+    basis = panel._atlas.map("toy-mad0")
+    session.tick(0.0)
+    apply(panel.update(shown(session)))
+    assert panel._atlas.map("toy-mad0") is basis
+    panel.remove()
+
+
+def mapped(server: viser.ViserServer) -> tuple[MapPanel, Session]:
+    """A panel that has its map, and the session it came from."""
+    session = session_with(speed=None)
+    panel = MapPanel(server.gui, shown(session))
+    for _ in range(DECISIONS + 2):
+        session.tick(0.0)
+        apply(panel.update(shown(session)))
+    return panel, session
+
+
+def test_a_dropped_stream_is_hollow_and_the_merged_one_moves_to_the_rest(
+    server: viser.ViserServer,
+) -> None:
+    panel, session = mapped(server)
+    frame = shown(session)
+    points = np.array([circle[:2] for circle in circles(panel._drawing.content)], float)
+    np.testing.assert_allclose(points[:3].mean(0), points[3], atol=1.6)
+    session.send(Pause())
+    session.send(SetCamera("first", OFF))
+    session.tick(0.0)
+    assert shown(session).step == frame.step
+    apply(panel.update(shown(session)))
+    found = circles(panel._drawing.content)
+    assert [fill for *_, fill in found] == ["none", *CAMERA_COLOURS[1:3], "#FFFFFF"]
+    points = np.array([circle[:2] for circle in found], float)
+    np.testing.assert_allclose(points[1:3].mean(0), points[3], atol=1.6)
+    panel.remove()
+
+
+def test_another_episode_begins_another_trail(server: viser.ViserServer) -> None:
+    panel, session = mapped(server)
+    session.send(Reset())
+    session.tick(0.0)
+    apply(panel.update(replace(shown(session), step=0)))
+    assert len(panel._trail) <= 2
+    panel.remove()
+
+
+def test_without_features_of_their_own_cameras_have_no_map(server: viser.ViserServer) -> None:
+    frame = frame_with()
+    blank = replace(frame, probe=replace(frame.probe, features=0 * frame.probe.features))
+    panel = MapPanel(server.gui, blank)
+    assert "No camera has a feature of its own" in panel._drawing.content
+    panel.remove()
+
+
+def looking(frame: Frame, stream: str = "first") -> Frame:
+    shares = np.zeros((84, 84), np.float32)
+    shares[:42] = 1
+    watched = replace(frame)
+    object.__setattr__(watched, "saliency", {stream: shares})
+    return watched
+
+
+def test_pixels_that_matter_glow_and_the_others_dim() -> None:
+    frame = frame_with()
+    before, after = (mosaic.mosaic(one, 168)[mosaic.HEADER :] for one in (frame, looking(frame)))
+    first, others = np.s_[:, :168], np.s_[:, 174:]
+    np.testing.assert_array_equal(before[others], after[others])
+    below = np.s_[120:, :168]
+    np.testing.assert_allclose(after[below], 0.575 * before[below], atol=1.01)
+    assert after[:40, :168].mean() > 150 and not np.array_equal(before[first], after[first])
+
+
+def test_depth_glows_where_it_is_shown() -> None:
+    frame = frame_with(SetPolicy("toy-rgbd"), SetCamera("first", CameraState("depth")))
+    plain, lit = (mosaic.mosaic(f, 168) for f in (frame, looking(frame, "first.depth")))
+    assert not np.array_equal(plain, lit)
+    np.testing.assert_array_equal(plain, mosaic.mosaic(looking(frame, "first.rgb"), 168))
+
+
+def test_the_switch_asks_and_the_line_says_what_comes(server: viser.ViserServer) -> None:
+    asked: list[object] = []
+    frame = frame_with()
+    panel = SaliencyPanel(server.gui, asked.append, frame)
+    assert panel._choice is not None
+    assert "hangs on" in saliency_words(frame, "")
+    assert "never has one" in saliency_words(frame, "q")
+    assert "its Q would change" in saliency_words(looking(frame), "q")
+    assert "full speed" in saliency_words(replace(frame, speed=None), "q")
+    stuck = frame_with(SetCamera("first", OFF), policy=AllOrNothing("toy-stack"))
+    assert "cannot act" in saliency_words(stuck, "action")
+    apply(panel.update(looking(frame)))
+    assert "SmoothGrad" in panel._line.content
+    panel.remove()
+    SaliencyPanel(server.gui, None, frame).remove()
+
+
+class FakeClient:
+    """Enough of a browser's handle for arrows."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self.scene = server.scene
+        self.looked: list[Any] = []
+        self.camera = SimpleNamespace(
+            position=np.array([1.0, 2.0, 3.0]), on_update=self.looked.append
+        )
+
+
+def test_the_present_setting_is_yellow_thick_and_on_top() -> None:
+    frame = frame_with(SetCamera("third_b", OFF))
+    points, colours = arrows(frame, 1.0)
+    yellow = (colours[:, 0] == colours[-1, 0]).all(1)
+    assert yellow.sum() == 15 and yellow[-15:].all()
+    assert colours[-1, 0, 0] == 255 and colours[-1, 0, 2] < rgb(NOTE)[2]
+    start, tip = points[-15]
+    np.testing.assert_allclose(start, frame.hand, atol=1e-5)
+    np.testing.assert_allclose((tip - start)[:2], 0.3 * frame.action, atol=1e-5)
+    assert (tip - start)[2] == 0, "the toy has two numbers"
+
+
+def test_sets_nobody_trained_are_dashed() -> None:
+    _, colours = arrows(frame_with(), 1.0)
+    # Three trained single cameras of 3 lines, four other sets as 5 dashes and 2, one thick arrow.
+    assert len(colours) == 3 * 3 + 4 * 7 + 15
+
+
+def test_six_streams_have_arrows_for_whole_cameras_only() -> None:
+    frame = frame_with(policy=policies("toy-rgbd"))
+    points, _ = arrows(frame, 1.0)
+    assert len(points) == 15 + 7 * 7
+
+
+def test_sets_that_cannot_act_have_no_arrow() -> None:
+    points, _ = arrows(frame_with(policy=AllOrNothing("toy-stack")), 1.0)
+    assert len(points) == 15
+    broken = frame_with(policy=NanPolicy("toy-nan"))
+    bad = replace(broken.probe.readout, action=np.full((8, 2), np.nan, np.float32))
+    nothing, none = arrows(replace(broken, probe=replace(broken.probe, readout=bad)), 1.0)
+    assert nothing.shape == none.shape == (0, 2, 3)
+
+
+def test_moving_a_point_towards_the_eye_leaves_it_where_it_is_seen() -> None:
+    eye, points = np.array([1.0, 2.0, 3.0]), np.random.default_rng(0).normal(size=(4, 2, 3))
+    nearer = towards(points, eye)
+    before, after = points - eye, nearer - eye
+    shares = np.linspace(NEAR, 0.9 * NEAR, 4)[:, None, None]
+    np.testing.assert_allclose(after, shares * before, atol=1e-6)
+
+
+def test_arrows_change_four_times_a_second_and_hide_at_full_speed(server) -> None:
+    now, client = [0.0], FakeClient(server)
+    frame = frame_with()
+    panel = ArrowsPanel(client, frame, 1.0, lambda: now[0])  # type: ignore[arg-type]
+    assert len(panel.update(frame)) == 2
+    now[0] = 0.2
+    assert panel.update(frame) == []
+    now[0] = 0.25
+    assert len(panel.update(frame)) == 2
+    apply(panel.update(replace(frame, speed=None)))
+    assert not panel._lines.visible and panel.update(replace(frame, speed=None)) == []
+    now[0] = 1.0
+    apply(panel.update(replace(frame, phase="paused", speed=None)))
+    assert panel._lines.visible
+    panel.remove()
+
+
+def test_arrows_follow_the_visitors_eye(server) -> None:
+    client, frame = FakeClient(server), frame_with()
+    panel = ArrowsPanel(client, frame, 1.0)  # type: ignore[arg-type]
+    client.camera.position = np.array([-3.0, 0.0, 1.0])
+    client.looked[0](client.camera)
+    expected = towards(arrows(frame, 1.0)[0], client.camera.position)
+    np.testing.assert_allclose(panel._lines.points, expected, atol=1e-6)
+    panel.remove()
+    client.looked[0](client.camera)  # A page that is gone is not drawn on.

@@ -1,0 +1,46 @@
+"""``bench buffer`` on the toy, small enough to be a test; times are not judged."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from madviz import bench_buffer as module
+from madviz import buffer_packed
+from madviz.bench_buffer import BenchBufferConfig, bench_buffer
+from madviz.types import UserError
+
+
+def test_both_sides_are_measured_on_the_same_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(buffer_packed, "TOGETHER", 32)
+    monkeypatch.setattr(module, "TOGETHER", 32)
+    config = BenchBufferConfig(task="toy/reach", decisions=50, batch_size=3, rounds=1, fill=90)
+    result = bench_buffer(config)
+    json.dumps(result)
+    assert result["instants"] == 52 and result["streams"] == ["first", "third_a", "third_b"]
+    # 26 instants for 25 transitions of three 84 x 84 x 3 frames and 45 bytes of numbers.
+    assert result["plain_bytes_per_transition"] == round((3 * 84 * 84 * 3 + 45) * 26 / 25)
+    assert result["plain_gb_for_500000"] == pytest.approx(33.05, abs=0.01)
+    assert result["packed_bytes_per_transition"] < result["plain_bytes_per_transition"] / 2
+    assert result["times_smaller"] > 2 and result["packed_sample_ms"] > 0
+    assert result["filled"]["transitions"] >= 90 and result["filled"]["held_gb"] > 0
+
+
+def test_packs_that_come_back_changed_stop_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    original = buffer_packed.Pack.frames
+
+    def wrong(pack: buffer_packed.Pack, places: list[int]) -> list[object]:
+        return [frame ^ 1 for frame in original(pack, places)]
+
+    monkeypatch.setattr(buffer_packed, "TOGETHER", 32)
+    monkeypatch.setattr(module, "TOGETHER", 32)
+    monkeypatch.setattr(buffer_packed.Pack, "frames", wrong)
+    with pytest.raises(RuntimeError, match="came back changed"):
+        bench_buffer(BenchBufferConfig(task="toy/reach", decisions=50, batch_size=3, rounds=1))
+
+
+@pytest.mark.parametrize("change", [{"decisions": 1024}, {"rounds": 0}])
+def test_too_little_to_say_anything_is_refused(change: dict[str, int]) -> None:
+    with pytest.raises(UserError, match="more than 1024 --decisions"):
+        bench_buffer(BenchBufferConfig(task="toy/reach", **change))  # type: ignore[arg-type]

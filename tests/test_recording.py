@@ -1,0 +1,278 @@
+"""Recordings hold what was recorded: read back with rerun's reader, ffmpeg and an HTML parser."""
+
+from __future__ import annotations
+
+import re
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import imageio.v2 as imageio
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from madviz import cli, recording
+from madviz.failures import parse_schedule
+from madviz.frame import Frame, SetSchedule
+from madviz.kept_reader import read_kept
+from madviz.recording import Facts, RecordConfig, command_of, frames, run_record, writer_for
+from madviz.session import Session
+from madviz.svg_curves import curves
+from madviz.types import UserError
+from tests.fakes import FakePolicy, NanPolicy, policies
+
+CAMERAS = ("first", "third_a", "third_b")
+DROPS = ("third_a@3-8", "first=black@5")
+FACTS = Facts("madviz record <script>alert(1)</script>", DROPS)
+
+
+@pytest.fixture(autouse=True)
+def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording.checkpoint, "load_policy", policies)
+
+
+def lived(steps: int | None, setting: str = "toy-mad") -> list[Frame]:
+    session = Session(recording.make_env, policies(setting), policies, seed=3, speed=None)
+    session.send(SetSchedule(parse_schedule(DROPS, CAMERAS)))
+    return list(frames(session, steps))
+
+
+def written(path: Path, steps: int | None = None, setting: str = "toy-mad") -> list[Frame]:
+    writer, episode = writer_for(path, FACTS), lived(steps, setting)
+    for frame in episode:
+        writer.add(frame)
+    writer.close()
+    return episode
+
+
+def test_frames_are_one_for_every_step_after_what_came_by_itself() -> None:
+    episode = lived(12)
+    assert [frame.step for frame in episode] == list(range(13))
+    off = [frame.step for frame in episode if frame.camera("third_a").input == "off"]
+    assert off == [3, 4, 5, 6, 7]
+    assert [frame.step for frame in lived(None)] == list(range(26))
+
+
+def test_a_policy_that_breaks_is_one_line() -> None:
+    session = Session(recording.make_env, NanPolicy(), policies, seed=3, speed=None)
+    session.send(SetSchedule(parse_schedule(["third_a@3", "first@3"], CAMERAS)))
+    with pytest.raises(UserError, match="the episode stopped: expected a finite action") as stopped:
+        list(frames(session, None))
+    assert "\n" not in str(stopped.value)
+
+
+def test_an_episode_that_stops_leaves_no_file(tmp_path: Path) -> None:
+    session = Session(recording.make_env, NanPolicy(), policies, seed=3, speed=None)
+    session.send(SetSchedule(parse_schedule(["third_a@3", "first@3"], CAMERAS)))
+    for ending in ("mp4", "html", "rrd"):
+        with pytest.raises(UserError):
+            recording.write_all(tmp_path / f"x.{ending}", FACTS, frames(session, None))
+    assert not list(tmp_path.iterdir())
+
+
+def columns(path: Path) -> dict[str, dict[int, list]]:
+    """Entity path -> step -> the values of its first component, as rerun reads them."""
+    found: dict[str, dict[int, list]] = {}
+    for chunk in RrdReader(path).stream():
+        if chunk.is_static or "step" not in chunk.timeline_names:
+            found.setdefault(chunk.entity_path, {})
+            continue
+        assert chunk.timeline_names == ["step"]
+        batch = chunk.to_record_batch()
+        names = [n for n in batch.schema.names if ":" in n]
+        first = next(n for n in names if "blob" in n or "scalars" in n or "translation" in n or n)
+        rows = zip(batch["step"].to_pylist(), batch[first].to_pylist(), strict=True)
+        found.setdefault(chunk.entity_path, {}).update(rows)
+    return found
+
+
+def decode(blob: list) -> np.ndarray:
+    """(H, W, 3) RGB of a JPEG file in a column."""
+    pixels = cv2.imdecode(np.frombuffer(bytes(blob[0]), np.uint8), cv2.IMREAD_COLOR)
+    assert pixels is not None
+    return np.asarray(pixels)[..., ::-1].astype(int)
+
+
+def test_a_rerun_file_holds_every_step(tmp_path: Path) -> None:
+    path = tmp_path / "x.rrd"
+    episode = written(path)
+    read = columns(path)
+    for name in ("features/norm", "features/cosine", "value/q", "reward", "success", "action"):
+        assert sorted(read[f"/{name}"]) == list(range(26)), name
+    for frame in episode:
+        assert read["/mask"][frame.step] == frame.mask.astype(float).tolist()
+        np.testing.assert_allclose(read["/value/q"][frame.step], [frame.q])
+        np.testing.assert_allclose(read["/features/norm"][frame.step][:3], frame.probe.norms)
+        np.testing.assert_allclose(read["/action"][frame.step], frame.action)
+    for camera in CAMERAS:
+        assert len(read[f"/world/cameras/{camera}"]) == 26
+    decoded = decode(read["/world/cameras/first/picture"][0])
+    assert np.abs(decoded - episode[0].arrived["first"]).mean() < 6
+    assert decode(read["/world/cameras/first/picture"][6]).max() < 8
+    assert "/about" in read
+    (blueprint,) = RrdReader(path).blueprints()
+    assert blueprint.application_id == "madviz"
+    # Raw pixels of three views would be 63 KB a step.
+    assert path.stat().st_size < 26 * 16_000
+
+
+def test_depth_that_a_policy_takes_is_in_a_rerun_file(tmp_path: Path) -> None:
+    written(tmp_path / "x.rrd", 4, "toy-rgbd")
+    read = columns(tmp_path / "x.rrd")
+    assert {f"/depth/{camera}" for camera in CAMERAS} <= read.keys()
+
+
+def test_a_film_has_every_step_and_holds_the_last(tmp_path: Path) -> None:
+    path = tmp_path / "x.mp4"
+    episode = written(path)
+    film = imageio.get_reader(path)
+    pictures = [np.asarray(picture) for picture in film]  # type: ignore[union-attr]
+    film.close()
+    assert len(pictures) == len(episode) + 15
+    height, width = pictures[0].shape[:2]
+    assert height % 2 == width % 2 == 0 and width >= 3 * 252
+    dropped, working = (pictures[step][24:276, 258:510].mean() for step in (5, 1))
+    assert dropped < 0.6 * working
+    caption = slice(276, 328)
+    assert np.abs(pictures[1][caption].astype(int) - pictures[9][caption]).max() > 60
+    assert np.abs(pictures[-1].astype(int) - pictures[-5]).mean() < 2
+
+
+class Page(HTMLParser):
+    """What a report would fetch, and its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.links += [str(v) for k, v in attrs if k in ("src", "href", "action", "data")]
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_a_report_needs_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "x.html"
+    episode = written(path)
+    text = path.read_text()
+    page = Page(text)
+    assert page.links and all(link.startswith("data:image/jpeg;base64,") for link in page.links)
+    assert "script" not in page.tags and page.tags.count("svg") == 5
+    assert not re.search(r"url\(|@import", text)
+    assert "madviz record <script>alert(1)</script>" in page.text
+    last = episode[-1]
+    assert ("SUCCESS" if last.success else "FAIL") in page.text
+    for words in (
+        "third_a@3-8, first=black@5",
+        "seed",
+        FakePolicy().spec.digest,
+        "step 3: cameras",
+    ):
+        assert words in page.text
+    assert text.count('stroke-dasharray="3 2"') == 5 * 3  # Three changes, five curves.
+    assert len(page.links) >= 11
+
+
+def test_an_unfinished_episode_is_called_so(tmp_path: Path) -> None:
+    written(tmp_path / "x.html", 6)
+    assert "UNFINISHED" in (tmp_path / "x.html").read_text()
+
+
+def test_curves_have_gaps_where_there_is_no_number() -> None:
+    series = {"Q": [1.0, 2.0, float("nan"), 3.0, 4.0]}
+    drawn = curves("Q", series, {"Q": "#000"}, {2: "<lost>"}, 4)
+    assert drawn.count("<polyline") == 2 and "&lt;lost&gt;" in drawn and "nan" not in drawn
+    assert drawn == curves("Q", series, {"Q": "#000"}, {2: "<lost>"}, 4)
+    assert "<polyline" not in curves("Q", {"Q": [float("nan")]}, {"Q": "#000"}, {}, 0)
+
+
+def record(tmp_path: Path, *words: str) -> int:
+    return cli.main(["record", *words])
+
+
+def test_a_recording_from_the_command_line_and_the_same_from_its_kept_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept, out = tmp_path / "kept.json", tmp_path / "x.html"
+    drops = ("--drop", "third_a@3-8", "first=black@5")
+    words = ("--policy", "toy-mad", "--seed", "7", *drops, "--out", str(out))
+    assert record(tmp_path, *words, "--keep", str(kept)) == 0
+    first = out.read_text()
+    assert f"{out}: 25 decisions of toy-mad, seed 7" in capsys.readouterr().out
+    assert len(read_kept(kept).episodes[0].commands) == 3
+    assert record(tmp_path, "--replay", str(kept), "--out", str(out), "--json", "-") == 0
+    assert '"same": true' in capsys.readouterr().out
+
+    def measured(text: str) -> str:
+        return text.partition("<h2>What this is")[2].partition("<h2>To make it again")[0]
+
+    assert measured(out.read_text()) == measured(first)
+    assert "third_a@3-8" in first and str(tmp_path) not in first
+
+
+def test_a_scenario_by_its_name(tmp_path: Path) -> None:
+    config = RecordConfig(tmp_path / "x.html", "toy-mad", scenario="lens covered", steps=9)
+    assert run_record(config)["failures"] == ["first=black@5-18"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--policy", "toy-mad", "--out", "x.gif"), "ends in .rrd, .mp4 or .html, found .gif"),
+        (("--policy", "toy-mad", "--out", "x"), "found no ending"),
+        (("--policy", "toy-mad", "--out", "nowhere/x.rrd"), "a folder that exists"),
+        (("--out", "x.rrd"), "expected --policy NAME or --replay FILE"),
+        (("--replay", "k.json", "--drop", "first@2", "--out", "x.rrd"), "leave them out"),
+        (("--replay", "k.json", "--out", "x.rrd"), "expected a kept session, found none"),
+        (
+            ("--policy", "toy-mad", "--drop", "fourth@2", "--out", "x.rrd"),
+            "unknown camera 'fourth'",
+        ),
+        (
+            ("--policy", "toy-mad", "--scenario", "rain", "--out", "x.rrd"),
+            "unknown scenario 'rain'",
+        ),
+        (("--policy", "toy-mad", "--steps", "0", "--out", "x.rrd"), "--steps 1 or more"),
+        (("--policy", "toy-mad", "--fps", "nan", "--out", "x.mp4"), "expected --fps"),
+        (("--policy", "toy-mad", "--seed", "-1", "--out", "x.mp4"), "expected --seed"),
+        (("--policy", "wurst", "--out", "x.mp4"), "unknown policy 'wurst'"),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_no_file(
+    words: tuple[str, ...],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert record(tmp_path, *words) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_that_makes_it_again_can_be_pasted() -> None:
+    config = RecordConfig(Path("/a/b/x.mp4"), "/home/me/mine", scenario="taking turns", drop=DROPS)
+    assert command_of(config) == (
+        "madviz record --policy mine --seed 5000 --drop third_a@3-8 first=black@5 "
+        "--scenario 'taking turns' --out x.mp4"
+    )
+
+
+def test_rerun_is_loaded_for_nothing_else(tmp_path: Path) -> None:
+    import subprocess
+
+    program = (
+        "import sys, madviz.recording, madviz.recording_report, madviz.recording_video;"
+        "print('rerun' in sys.modules, 'viser' in sys.modules)"
+    )
+    asked = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert asked.stdout.split() == ["False", "False"], asked.stderr

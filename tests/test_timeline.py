@@ -1,0 +1,128 @@
+"""The timeline's panel on a real server, and what it says of a past, a fork and its branch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import viser
+
+from madviz.ablations import CameraState
+from madviz.app.panel import apply
+from madviz.app.timeline import TimelinePanel, marks, timeline_html
+from madviz.envs.base import make_env
+from madviz.frame import Command, Fork, Frame, Scrub, SetCamera, SetPolicy
+from madviz.session import Session
+from madviz.timeline import MOST_ROWS
+from madviz.types import TimeStep
+from tests.fakes import policies
+
+OFF = CameraState("off")
+
+
+class Played:
+    """A session on the toy that takes steps and commands, each at once."""
+
+    def __init__(self, policy: str = "toy-mad", factory=make_env) -> None:
+        self.session = Session(factory, policies(policy), policies, speed=1.0)
+        self.now = 0.0
+        self.session.tick(self.now)
+
+    def __call__(self, *script: int | Command) -> Frame:
+        for item in script:
+            if isinstance(item, int):
+                for _ in range(item):
+                    self.now += 1.0
+                    self.session.tick(self.now)
+            else:
+                self.session.send(item)
+                self.session.tick(self.now)
+        assert isinstance(self.session.latest, Frame)
+        return self.session.latest
+
+
+@pytest.fixture
+def server() -> Iterator[viser.ViserServer]:
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server
+    server.stop()
+
+
+def test_marks_are_where_cameras_or_the_policy_changed() -> None:
+    frame = Played()(3, SetCamera("first", OFF), 2, SetPolicy("toy-other"), 1)
+    assert marks(frame.story) == [(3, "third_a+third_b"), (5, "toy-other")]
+
+
+def test_the_drawing_has_a_point_for_every_step_and_the_branch() -> None:
+    play = Played()
+    html = timeline_html(play(6))
+    assert html.count("<polyline") == 4 and "first future" not in html
+    frame = play(Scrub(2))
+    assert "Looking back: step 2 of 6" in timeline_html(frame)
+    html = timeline_html(play(SetCamera("first", OFF), Fork()))
+    assert "the first future, step 2" in html and "third_a+third_b" in html
+
+
+def test_a_slider_shows_the_step_and_is_not_pulled_back_while_dragged(server) -> None:
+    play, sent = Played(), []
+    frame = play(5)
+    panel = TimelinePanel(server.gui, sent.append, frame)
+    assert panel._slider is not None
+    handle = panel._slider.handle
+    panel._drag(2)
+    assert sent == [Scrub(2)]
+    apply(panel.update(play(1)))
+    assert handle.value == 5  # A frame that has not heard of the drag moves nothing.
+    apply(panel.update(play(Scrub(2))))
+    assert handle.value == 2
+    apply(panel.update(play(Scrub(None))))
+    assert handle.value == 6
+    panel.remove()
+    assert not server.gui._gui_input_handle_from_uuid
+
+
+def test_watchers_see_the_drawing_without_controls(server) -> None:
+    panel = TimelinePanel(server.gui, None, Played()(2))
+    assert panel._slider is None
+    panel.remove()
+
+
+def test_many_streams_keep_rounded_merged_features_and_exact_actions() -> None:
+    play = Played("toy-rgbd")
+    before = play(4)
+    assert len(before.probe.masks) > MOST_ROWS
+    then = play(2, Scrub(4))
+    assert then.probe.readout.merged.dtype == np.float16
+    np.testing.assert_array_equal(then.action, before.action)
+    np.testing.assert_allclose(
+        then.probe.merged_norm(then.row), before.probe.merged_norm(before.row), rtol=1e-3
+    )
+
+
+def test_a_simulator_that_does_not_repeat_itself_is_found_out() -> None:
+    class Drifting:
+        """Every reset starts a little elsewhere."""
+
+        def __init__(self, *args) -> None:
+            self._env, self._resets = make_env(*args), 0
+            self.spec = self._env.spec
+
+        def __getattr__(self, name: str):
+            return getattr(self._env, name)
+
+        def reset(self, seed: int) -> TimeStep:
+            self._resets += 1
+            return self._env.reset(seed + 100 * self._resets)
+
+    frame = Played(factory=Drifting)(4, Scrub(1), Fork())
+    assert frame.error.startswith("expected toy/reach to repeat seed")
+    assert frame.phase == "paused"
+
+
+def test_policies_may_be_swapped_in_the_past() -> None:
+    play = Played()
+    play(6)
+    frame = play(Scrub(3), SetPolicy("toy-other"))
+    assert (frame.step, frame.policy.name) == (3, "toy-other")
+    assert frame.branch is not None and frame.branch.frame.policy.name == "toy-mad"

@@ -1,0 +1,137 @@
+"""A training beside the page: a real child process, with a small program in the trainer's place."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from madviz.app.training import training_html
+from madviz.checkpoint import load_policy
+from madviz.training_job import JobConfig, JobStatus, TrainingJob
+from madviz.types import UserError
+
+PROGRAM = """
+import signal, sys, time
+from pathlib import Path
+words = sys.argv[1:]
+out = Path(words[words.index("--out") + 1])
+stop = []
+signal.signal(signal.SIGINT, lambda *_: stop.append(1))
+(out / "resume").mkdir(exist_ok=True)
+(out / "resume" / "run.json").write_text("{}")
+if "merged-only" in words:
+    sys.exit("expected sugar, found salt; taste first")
+curve = out / "curve.csv"
+if not curve.exists():
+    curve.write_text("round,seconds,seconds_left,loss,student_success\\n")
+(out / "weights.safetensors").write_bytes(b"w")
+(out / "config.json").write_text('{"name": "finished"}')
+for number in range(1, 3 if "--resume" in words else 1000):
+    with curve.open("a") as file:
+        file.write(f"{number},{number}.0,{9 - number}.0,0.5,\\n")
+    if stop:
+        break
+    time.sleep(0.02)
+"""
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Iterator[TrainingJob]:
+    (tmp_path / "trainer.py").write_text(PROGRAM)
+    job = TrainingJob(tmp_path / "runs", (sys.executable, str(tmp_path / "trainer.py")))
+    yield job
+    job.close()
+
+
+def until(job: TrainingJob, condition: Callable[[JobStatus], bool]) -> JobStatus:
+    for _ in range(3000):
+        if condition(status := job.status()):
+            return status
+        time.sleep(0.01)
+    raise AssertionError(f"never happened; last {status}")
+
+
+def test_a_job_runs_stops_goes_on_and_ends(job: TrainingJob) -> None:
+    assert job.status().state == "idle"
+    job.start(JobConfig("toy/reach"))
+    running = until(job, lambda status: len(status.rows) > 2)
+    assert running.state == "running" and 0 < running.done < 1
+    with pytest.raises(UserError, match="running already"):
+        job.start(JobConfig("toy/reach"))
+    job.stop()
+    stopped = until(job, lambda status: status.state == "stopped")
+    job.resume()
+    done = until(job, lambda status: status.state == "done")
+    assert done.folder == stopped.folder and len(done.rows) == len(stopped.rows) + 2
+    assert done.done == 1.0
+    job.start(JobConfig("toy/reach"))
+    assert job.status().folder != done.folder  # Nothing is written over.
+
+
+def test_a_snapshot_is_a_copy_under_its_own_name(job: TrainingJob) -> None:
+    with pytest.raises(UserError, match="policy to watch"):
+        job.snapshot()
+    job.start(JobConfig("toy/reach"))
+    until(job, lambda status: status.ready and len(status.rows) > 1)
+    copy = job.snapshot()
+    assert copy.name in (copy / "config.json").read_text()
+    assert "finished" not in (copy / "config.json").read_text()
+    assert (copy / "weights.safetensors").read_bytes() == b"w"
+
+
+def test_why_a_job_failed_is_its_last_line(job: TrainingJob) -> None:
+    job.start(JobConfig("toy/reach", "merged-only"))
+    failed = until(job, lambda status: status.state == "failed")
+    assert failed.why == "expected sugar, found salt; taste first"
+    assert "taste first" in training_html(failed)
+
+
+def test_closing_leaves_no_process(job: TrainingJob) -> None:
+    job.start(JobConfig("toy/reach"))
+    until(job, lambda status: len(status.rows) > 0)
+    child = job._child
+    assert child is not None and child.poll() is None
+    job.close()
+    assert child.poll() is not None
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (("metaworld/hamer",), "metaworld/hammer"),
+        (("toy/reach", "sad"), "mad"),
+        (("toy/reach", "mad", "heavy"), "light"),
+        (("toy/reach", "mad", "light", "huge"), "a look"),
+        (("toy/reach", "mad", "light; rm -rf /"), "light"),
+    ],
+)
+def test_names_are_checked_before_anything_starts(names: tuple[str, ...], expected: str) -> None:
+    with pytest.raises(UserError, match=expected):
+        JobConfig(*names)
+
+
+def test_no_state_is_drawn_without_words() -> None:
+    for state in ("idle", "running", "stopping", "stopped", "failed", "done"):
+        status = JobStatus(state, JobConfig("toy/reach"), ({"loss": 0.5, "seconds": 1.0},))
+        assert f'data-state="{state}"' in training_html(status)
+
+
+@pytest.mark.slow
+def test_a_real_training_can_be_watched(tmp_path: Path) -> None:
+    job = TrainingJob(tmp_path)
+    job.start(JobConfig("toy/reach", budget="a look"))
+    try:
+        for _ in range(600):
+            status = job.status()
+            assert status.state != "failed", status.why
+            if status.state == "done":
+                break
+            time.sleep(0.5)
+        assert status.state == "done" and len(status.rows) == 4
+        assert load_policy(str(job.snapshot())).spec.name.endswith("-0004")
+    finally:
+        job.close()

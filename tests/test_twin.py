@@ -1,0 +1,92 @@
+"""A against B in lock-step: the same seeds, pairs only of untouched episodes, an honest tally."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from madviz.ablations import Ablation, CameraState
+from madviz.app.versus import versus_html
+from madviz.frame import Outcome, Pair, Scrub, SetCamera, SetPolicy, Setting, SetTwin
+from madviz.twin import tally
+from tests.fakes import FakePolicy
+from tests.test_timeline import Played
+
+OFF = CameraState("off")
+FIRST_OFF = Ablation({"first": OFF})
+
+
+def test_both_sides_play_the_same_seed_step_by_step() -> None:
+    play = Played()
+    frame = play(3, SetTwin("toy-mad"))
+    assert frame.twin is not None and (frame.step, frame.twin.step) == (0, 0)
+    for _ in range(5):
+        frame = play(1)
+        assert frame.twin is not None and frame.twin.step == frame.step
+        np.testing.assert_array_equal(frame.twin.action, frame.action)
+    frame = play(20)
+    assert frame.ended and len(frame.pairs) == 1
+    assert frame.pairs[0].first.success == frame.pairs[0].second.success
+    play(2)  # The page holds an ended episode for two seconds.
+    frame = play(1)
+    assert frame.twin is not None and frame.seed == frame.twin.seed
+
+
+def test_what_happens_to_a_does_not_happen_to_b() -> None:
+    play = Played()
+    frame = play(SetTwin("toy-other", FIRST_OFF), 2, SetCamera("third_a", OFF), 1)
+    assert frame.twin is not None
+    assert frame.setting.subset == "first+third_b"
+    assert (frame.twin.policy.name, frame.twin.setting.subset) == ("toy-other", "third_a+third_b")
+    assert not np.array_equal(frame.twin.action, frame.action)
+
+
+def test_only_untouched_episodes_make_a_pair() -> None:
+    play = Played()
+    assert play(SetTwin("toy-mad"), 25).pairs
+    touched = Played()
+    assert not touched(SetTwin("toy-mad"), 5, SetCamera("first", OFF), 20).pairs
+    forked = Played()
+    assert not forked(SetTwin("toy-mad"), 9, Scrub(4), SetPolicy("toy-mad"), 1, 25).pairs
+
+
+def test_ending_b_and_starting_another_forgets_the_pairs() -> None:
+    play = Played()
+    assert play(SetTwin("toy-mad"), 25).pairs
+    frame = play(SetTwin(None))
+    assert frame.twin is None and not frame.pairs
+    assert "Start B" in versus_html(frame)
+
+
+def test_a_policy_of_another_task_has_nothing_to_compare(monkeypatch) -> None:
+    play = Played()
+    stranger = FakePolicy("stranger", task="metaworld/hammer")
+    monkeypatch.setattr(play.session._stage, "_load", lambda name: stranger)
+    frame = play(SetTwin("stranger"))
+    assert frame.error.startswith("expected a policy for toy/reach") and frame.twin is None
+
+
+def test_the_tally_counts_each_seed_once_and_one_comparison_only() -> None:
+    spec = FakePolicy().spec
+    blank = Outcome(spec, 0, True, True, 0.0, {}, Setting("all"))
+
+    def ended(seed: int, first: bool, second: bool, setting: str = "all") -> Pair:
+        a = replace(blank, seed=seed, success=first, setting=Setting(setting))
+        return Pair(a, replace(blank, seed=seed, success=second))
+
+    pairs = (
+        *(ended(1, True, True), ended(2, True, False), ended(2, True, False)),
+        *(ended(3, False, False), ended(4, False, True, "first")),
+    )
+    counted = tally(pairs, pairs[0].sides)
+    assert (counted.both, counted.first_only, counted.second_only, counted.neither) == (1, 1, 0, 1)
+    assert tally(pairs, pairs[-1].sides).n == 1
+
+
+def test_the_panel_says_what_the_pairs_say() -> None:
+    frame = Played()(SetTwin("toy-mad"), 3)
+    assert "None yet" in versus_html(frame)
+    frame = Played()(SetTwin("toy-mad"), 25)
+    html = versus_html(frame)
+    assert "n = 1 pairs" in html and "Every pair came out alike." in html
