@@ -52,6 +52,7 @@ from madviz.app.versus import VersusPanel
 from madviz.app.worth import WorthPanel
 from madviz.frame import (
     Change,
+    Command,
     Failure,
     Frame,
     Pause,
@@ -250,37 +251,45 @@ class Page:
                 cameras = CamerasPanel(gui, send, frame, width)
                 words = WordsPanel(gui, frame, self._rates)
                 tabs = gui.add_tab_group()
-            with tabs.add_tab("Features", viser.Icon.ACTIVITY):
-                features = FeaturesPanel(gui, frame, 230 if self._wide else 150)
-            with tabs.add_tab("Every subset", viser.Icon.LIST):
-                subsets = SubsetsPanel(gui, frame)
-            with tabs.add_tab("Worth", viser.Icon.SCALE):
-                worth = WorthPanel(gui, frame, self._rates)
-            with tabs.add_tab("Inside", viser.Icon.MAP_2):
-                looks = SaliencyPanel(gui, self._explain if send else None, frame)
-                atlas = MapPanel(gui, frame, 330 if self._wide else 170)
-            with tabs.add_tab("Timeline", viser.Icon.HISTORY):
-                timeline = TimelinePanel(gui, send, frame)
-            with tabs.add_tab("A / B", viser.Icon.ARROWS_DIFF):
-                versus = VersusPanel(gui, send, frame, self._choices)
-            with tabs.add_tab("Train", viser.Icon.SCHOOL):
-                training = TrainingPanel(gui, send, frame, self._job)
-            with tabs.add_tab("Failures", viser.Icon.PLUG_CONNECTED_X):
-                failures = FailuresPanel(gui, send, frame)
-            with tabs.add_tab("Keep", viser.Icon.DOWNLOAD):
-                keep = KeepPanel(gui, self.session.keep, frame)
+            tabbed = self._build_tabs(tabs, send, frame)
             self._extras = [dockable, *self._shortcuts(frame)]
-        self._curves = features
-        scene = ScenePanel(client, frame, None if self._readonly else self._toggle)
-        arrows = ArrowsPanel(client, frame, extent(frame))
         self._shown = [
             *(Shown(cameras, FASTEST), Shown(policy, FASTEST), Shown(words, FASTEST)),
-            *(Shown(features, 0.25), Shown(subsets, 0.5), Shown(worth, 0.5)),
-            *(Shown(atlas, 0.4), Shown(looks, 0.25), Shown(arrows, 0.25)),
-            *(Shown(success, 0.5), Shown(scene, 0.05), Shown(timeline, 0.5)),
-            *(Shown(versus, 0.5), Shown(training, 1.0), Shown(failures, 0.5), Shown(keep, 1.0)),
+            *(*tabbed, Shown(success, 0.5)),
+            Shown(ScenePanel(client, frame, None if self._readonly else self._toggle), 0.05),
+            Shown(ArrowsPanel(client, frame, extent(frame)), 0.25),
         ]
         self._built = (frame.env.task, frame.env.cameras)
+
+    def _build_tabs(
+        self, tabs: viser.GuiTabGroupHandle, send: Callable[[Command], None] | None, frame: Frame
+    ) -> list[Shown]:
+        """What stands under the cameras, a tab each. Names are short: ten fit into one row."""
+        gui, wide = self.client.gui, self._wide
+        explain = self._explain if send else None
+        table: list[tuple[str, list[tuple[Callable[[], Panel], float]]]] = [
+            ("Features", [(lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25)]),
+            ("Subsets", [(lambda: SubsetsPanel(gui, frame), 0.5)]),
+            ("Worth", [(lambda: WorthPanel(gui, frame, self._rates), 0.5)]),
+            (
+                "Inside",
+                [
+                    (lambda: SaliencyPanel(gui, explain, frame), 0.25),
+                    (lambda: MapPanel(gui, frame, 330 if wide else 170), 0.4),
+                ],
+            ),
+            ("Timeline", [(lambda: TimelinePanel(gui, send, frame), 0.5)]),
+            ("A/B", [(lambda: VersusPanel(gui, send, frame, self._choices), 0.5)]),
+            ("Failures", [(lambda: FailuresPanel(gui, send, frame), 0.5)]),
+            ("Train", [(lambda: TrainingPanel(gui, send, frame, self._job), 1.0)]),
+            ("Keep", [(lambda: KeepPanel(gui, self.session.keep, frame), 1.0)]),
+        ]
+        shown = []
+        for name, panels in table:
+            with tabs.add_tab(name):
+                shown += [Shown(build(), period) for build, period in panels]
+        self._curves = next(s.panel for s in shown if isinstance(s.panel, FeaturesPanel))
+        return shown
 
     def _explain(self, target: Target | None) -> None:
         self.session.send(SetSaliency(target))

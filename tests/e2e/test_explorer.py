@@ -59,7 +59,7 @@ def test_a_camera_switched_off_in_the_past_begins_another_future(visitor: Visito
 
 
 def test_a_against_b_counts_pairs(visitor: Visitor):
-    open_tab(visitor, "A / B")
+    open_tab(visitor, "A/B")
     visitor.until_text(".mv-versus", "A is the page")
     visitor.press("start B")
     visitor.until_text(".mv-versus", "None yet")
