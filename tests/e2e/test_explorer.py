@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from madviz.app.server import App
 from madviz.frame import Pause, Reset, StepOnce
-from tests.e2e.conftest import Visitor
+from tests.e2e.conftest import PATIENCE, Visitor
 
 
 def open_tab(visitor: Visitor, name: str) -> None:
@@ -74,7 +74,7 @@ def test_a_training_starts_shows_itself_and_stops(visitor: Visitor):
     open_tab(visitor, "Train")
     visitor.until_text(".mv-training", "Nothing is being trained")
     visitor.press("watch")
-    visitor.until_text("[role=alert]", "policy to watch")
+    visitor.page.get_by_text("expected a policy to watch").wait_for(timeout=PATIENCE)
     visitor.press("start")
     visitor.until_text(".mv-training", "Training")
     visitor.press("stop")
