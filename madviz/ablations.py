@@ -3,7 +3,8 @@
 Two things look alike and are not. A *dropped* stream leaves the sum: the policy's merged feature
 loses the term f(o_i). An *occluded* stream stays in the sum, but its camera sends black, noise or
 an old picture, so that the sum holds f(black), an input nobody trained it on. ``CameraInput``
-decides the first, an ``Occlusion`` the second.
+decides the first, an ``Occlusion`` the second. A third thing is a camera that was *moved*: its
+picture is sound, but from elsewhere (``moves.py``).
 
 Noise and losses are drawn from (seed, step, stream), so a replayed session gives the same pixels.
 """
@@ -17,6 +18,7 @@ from typing import Literal, get_args
 import cv2
 import numpy as np
 
+from madviz.moves import Displacement
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, UserError, unknown
 
@@ -99,13 +101,20 @@ class Ablation:
     """The state of all cameras; cameras that are not named are intact."""
 
     cameras: dict[str, CameraState] = field(default_factory=dict)
+    moves: dict[str, Displacement] = field(default_factory=dict)
+    """The cameras that do not stand where they were trained."""
 
     def camera(self, name: str) -> CameraState:
         return self.cameras.get(name, CameraState())
 
     def replace(self, name: str, state: CameraState) -> Ablation:
         """The same ablation with another state of the camera ``name``."""
-        return Ablation({**self.cameras, name: state})
+        return Ablation({**self.cameras, name: state}, self.moves)
+
+    def move(self, name: str, to: Displacement | None) -> Ablation:
+        """The same ablation with the camera ``name`` elsewhere; None: where it was trained."""
+        others = {camera: move for camera, move in self.moves.items() if camera != name}
+        return Ablation(self.cameras, others if to is None or to.is_none else {**others, name: to})
 
     def mask(self, streams: tuple[str, ...]) -> Array:
         """(V,) bool: the streams that are present."""
@@ -123,12 +132,13 @@ class Ablation:
         return {n: s.occlusion for n, s in self.cameras.items() if s.occlusion.kind != "none"}
 
     def key(self) -> str:
-        """A name for the occlusions alone, '' for none; the mask is named by its subset."""
+        """A name for the occlusions and moves, '' for none; the mask is named by its subset."""
         parts = []
         for name, occlusion in sorted(self.occlusions().items()):
             values = asdict(occlusion)
             kind = values.pop("kind")
             parts.append(f"{name}:{kind}" + "".join(f",{k}={v:g}" for k, v in values.items()))
+        parts += [f"{name}:{move.key()}" for name, move in sorted(self.moves.items())]
         return ";".join(parts)
 
     @staticmethod

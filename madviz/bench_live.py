@@ -4,6 +4,14 @@ Everything is timed inside the browser, by its own clock: an *update* is a simul
 not seen before and whose picture has been decoded, a *toggle* runs from the click on a button to
 the moment when the picture shows that camera dropped (its tile has lost all colour) and the text of
 the action has changed. The server is a process of its own, as a user would start it, at full speed.
+
+Watchers are timed at the server's wire, by visitors without browsers (``app/visitor.py``): real
+watchers sit at machines of their own, and four browsers on two cores would time each other.
+
+    updates_per_s, toggle_ms_p50, toggle_ms_p95, toggle_ms   one browser, scene and curves on
+    readout_ms                                               action and Q of every subset
+    watchers: {count, updates_per_s, least, owner}           of one simulation, without workers
+    with_workers: {updates_per_s, ...}                       the browser again, beside evaluations
 """
 
 from __future__ import annotations
@@ -13,13 +21,14 @@ import socket
 import statistics
 import subprocess
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from madviz.doctor import find_browser
 from madviz.types import UserError
@@ -86,23 +95,75 @@ class LiveConfig:
     toggles: int = 110
     """How many times a camera is switched off or on."""
     workers: int = 1
-    """Evaluation workers of the second measurement."""
+    """Evaluation workers of the second measurement; 0 leaves it out."""
+    scene: bool = True
+    """Draw the 3D scene at full resolution; without it, the browser hardly draws it at all."""
+    watchers: int = 0
+    """How many watch one simulation in a measurement of their own; 0 leaves it out."""
     chromium: str | None = None
     """The browser; by default the Chromium or Chrome of this machine."""
 
 
 def bench_live(config: LiveConfig) -> dict[str, Any]:
-    """Updates a second, milliseconds of toggles and of the readout; the same with workers."""
-    if config.seconds <= 0 or config.toggles < 1:
-        raise UserError("expected seconds above 0 and at least 1 toggle")
+    """Updates a second, milliseconds of toggles and of the readout; the same with workers, and what
+    watchers get."""
+    if config.seconds <= 0 or config.toggles < 1 or config.watchers < 0:
+        raise UserError("expected seconds above 0, at least 1 toggle and no fewer than 0 watchers")
     alone = {**measure(config, workers=0), "readout_ms": readout_ms(config.policy)}
-    busy = {**measure(config, workers=config.workers), "readout_ms": alone["readout_ms"]}
-    return {"schema": 1, "policy": config.policy, **alone, "with_workers": busy}
+    result = {"schema": 1, "policy": config.policy, "scene": config.scene, **alone}
+    if config.watchers:
+        result["watchers"] = watched(config)
+    if config.workers:
+        busy = measure(config, workers=config.workers)
+        result["with_workers"] = {**busy, "readout_ms": alone["readout_ms"]}
+    return result
+
+
+def watched(config: LiveConfig) -> dict[str, Any]:
+    """One simulation, its owner and those who watch: what the server sends each of them a second,
+    all at once."""
+    from madviz.app.visitor import Visitor
+
+    words = ("--visitors", "1", "--watchers", str(config.watchers))
+    with served(config.policy, 0, *words) as url, ExitStack() as stack:
+        people: list[Visitor] = []
+        for _ in range(1 + config.watchers):
+            people.append(stack.enter_context(Visitor(url)))
+            await_steps(people[-1].steps)
+        time.sleep(3.0)
+        rates: list[float] = [0.0] * len(people)
+
+        def count(index: int) -> None:
+            rates[index] = round(people[index].updates_per_s(config.seconds), 2)
+
+        threads = [threading.Thread(target=count, args=(n,)) for n in range(len(people))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    owner, *watchers = rates
+    return {
+        **{"count": config.watchers, "updates_per_s": watchers, "least": min(watchers)},
+        "owner": owner,
+    }
+
+
+def await_steps(steps: Sequence[object], patience: float = 60.0) -> None:
+    """Returns when something came. Raises UserError if nothing does."""
+    deadline = time.monotonic() + patience
+    while not steps:
+        if time.monotonic() > deadline:
+            raise UserError("the page sent no picture; try: madviz explore")
+        time.sleep(0.05)
 
 
 def measure(config: LiveConfig, workers: int) -> dict[str, Any]:
     """One server, one browser: counts updates, then switches cameras off and on."""
-    with served(config.policy, workers) as url, opened(url, config.chromium) as page:
+    look = "" if config.scene else "/?fixedDpr=0.05"
+    with (
+        served(config.policy, workers) as url,
+        opened(url + look, config.chromium) as page,
+    ):
         page.evaluate(STOPWATCH)
         page.wait_for_timeout(3000)
         updates = updates_per_s(page, config.seconds)
@@ -161,19 +222,28 @@ def readout_ms(policy: str, repeats: int = 100) -> float:
 
 
 @contextmanager
-def served(policy: str, workers: int) -> Iterator[str]:
-    """``madviz explore`` in a process of its own; its address once it answers."""
+def served(policy: str, workers: int, *more: str) -> Iterator[str]:
+    """``madviz explore`` at full speed in a process of its own; its address once it answers."""
+    words = ["--policy", policy, "--workers", str(workers), "--speed", "None", *more]
+    with serving(words) as (url, _):
+        yield url
+
+
+@contextmanager
+def serving(
+    words: Sequence[str], log: IO[str] | None = None
+) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """``madviz explore`` with ``words``, on a free port: its address once it answers, and its
+    process. What it writes to standard error goes to ``log``."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    words = ["explore", "--policy", policy, "--port", str(port), "--workers", str(workers)]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "madviz", *words, "--speed", "None"], stdout=sys.stderr
-    )
+    command = [sys.executable, "-m", "madviz", "explore", "--port", str(port), *words]
+    process = subprocess.Popen(command, stdout=sys.stderr, stderr=log)
     url = f"http://127.0.0.1:{port}"
     try:
         await_answer(url, process)
-        yield url
+        yield url, process
     finally:
         process.terminate()
         process.wait(20)

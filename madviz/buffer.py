@@ -9,8 +9,12 @@ of a ring, and a transition is two rows that follow each other:
     stack of 43: 41 42 43     of 44: 44 44 44     of 45: 44 44 45      43 -> 44 is no transition
 
 Memory for 500,000 transitions of three 84x84 RGB streams in episodes of 100 decisions: 505,003 rows
-of 63,504 bytes, 32.1 GB, where full stacks of both sides take 190. It is asked for
-before the first step is taken, and may be on a disk.
+of 63,504 bytes, 32.1 GB, where full stacks of both sides take 190. Frames may be packed without
+loss (``buffer_packed``), which takes 6 to 8 GB, or be on a disk; the need is said before the first
+step is taken, and looked at again when the first frames have been packed.
+
+Several environments that step together share a ring: a row for each of them in turn, its *lanes*.
+What follows the instant i of a lane is then i + lanes.
 """
 
 from __future__ import annotations
@@ -25,7 +29,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from madviz import buffer_packed
 from madviz.agent.objectives import Batch
+from madviz.buffer_packed import EXPECTED_SHARE, FrameStore, Pack, PackedFrames, PlainFrames
 from madviz.streams import IMAGE_SIZE
 from madviz.subsets import modality_of
 from madviz.types import Array, UserError
@@ -43,11 +49,16 @@ class BufferSpec:
     horizon: int
     """Decisions in an episode; one more row than that is needed for it."""
     frame_stack: int = 3
+    packed: bool = False
+    """Whether frames in memory are packed."""
+    lanes: int = 1
+    """Environments that write in turn."""
 
     @property
     def rows(self) -> int:
         """Instants in the ring; a stack reaches ``frame_stack`` - 1 rows back."""
-        return self.capacity + -(-self.capacity // self.horizon) + self.frame_stack
+        each = -(-self.capacity // self.lanes)
+        return self.lanes * (each + -(-each // self.horizon) + self.frame_stack)
 
     @property
     def channels(self) -> tuple[int, ...]:
@@ -56,8 +67,14 @@ class BufferSpec:
 
     @property
     def bytes_per_row(self) -> int:
+        """What an instant takes, or is expected to take where it is packed."""
         numbers = 4 * (self.state_dim + self.action_dim + 3) + 1
-        return IMAGE_SIZE**2 * sum(self.channels) + numbers
+        return round(self.frame_bytes * (EXPECTED_SHARE if self.packed else 1)) + numbers
+
+    @property
+    def frame_bytes(self) -> int:
+        """What the frames of an instant take as they are."""
+        return IMAGE_SIZE**2 * sum(self.channels)
 
 
 class ReplayBuffer:
@@ -72,18 +89,9 @@ class ReplayBuffer:
         UserError, with need and have, where the buffer will not fit.
         """
         self.spec = spec
-        self._refuse_if_too_large(folder, available)
-        rows, size = spec.rows, IMAGE_SIZE
-        shapes = [(rows, size, size, channels) for channels in spec.channels]
-        if folder is None:
-            self._frames = [np.empty(shape, np.uint8) for shape in shapes]
-        else:
-            folder.mkdir(parents=True, exist_ok=True)
-            files = [folder / f"{stream}.frames" for stream in spec.streams]
-            self._frames = [
-                np.memmap(file, np.uint8, "w+", shape=shape)
-                for file, shape in zip(files, shapes, strict=True)
-            ]
+        rows = spec.rows
+        self._refuse_if_too_large(rows * spec.bytes_per_row, folder, available)
+        self._frames: FrameStore = _frame_store(spec, folder)
         self._numbers: dict[str, Array] = {
             "state": np.zeros((rows, spec.state_dim), np.float32),
             "action": np.zeros((rows, spec.action_dim), np.float32),
@@ -108,8 +116,9 @@ class ReplayBuffer:
     def add(
         self, action: Array, reward: float, discount: float, state: Array, frames: list[Array]
     ) -> None:
-        """A step: what was done at the newest instant, and the instant it led to."""
-        row, age = self._row(self._count - 1), self.age
+        """A step: what was done at the newest instant of the lane whose turn it is, and the
+        instant it led to. Raises UserError if frames turn out to pack too badly to fit."""
+        row, age = self._row(self._count - self.spec.lanes), self.age
         self._numbers["action"][row] = action
         self._numbers["reward"][row] = reward
         self._numbers["discount"][row] = discount
@@ -118,19 +127,19 @@ class ReplayBuffer:
 
     @property
     def age(self) -> int:
-        """Steps taken in the episode so far."""
-        return int(self._numbers["age"][self._row(self._count - 1)])
+        """Steps taken in the running episode of the lane whose turn it is."""
+        return int(self._numbers["age"][self._row(self._count - self.spec.lanes)])
 
     def newest(self) -> tuple[Tensor, Tensor]:
-        """Views (V, C, H, W) uint8 and state (S,) of the newest instant."""
-        index = np.array([self._count - 1])
-        return self._stacks(index)[0], self._column("state", index)[0]
+        """Views (L, V, C, H, W) uint8 and states (L, S) of every lane's newest instant."""
+        index = np.arange(self._count - self.spec.lanes, self._count)
+        return self._stacks(index)[0], self._column("state", index)
 
     def actions(self) -> Array:
-        """(age, A): the actions of the episode so far, with which it can be replayed."""
-        return self._numbers["action"][
-            self._row(np.arange(self._count - 1 - self.age, self._count - 1))
-        ]
+        """(age, L, A): the actions of the episodes so far, with which they can be replayed."""
+        lanes, age = self.spec.lanes, self.age
+        index = np.arange(self._count - (age + 1) * lanes, self._count - lanes)
+        return self._numbers["action"][self._row(index)].reshape(age, lanes, self.spec.action_dim)
 
     def sample(self, size: int, rng: np.random.Generator) -> Batch:
         """``size`` transitions, uniformly and with replacement, from whole and running episodes."""
@@ -138,28 +147,32 @@ class ReplayBuffer:
 
     def batch(self, index: Array) -> Batch:
         """The transitions that begin at the instants numbered ``index`` (B,)."""
-        names = ("state", "action", "reward", "discount")
+        names, following = ("state", "action", "reward", "discount"), index + self.spec.lanes
+        views, next_views = self._stacks(index, following)
         return Batch(
-            views=self._stacks(index),
+            views=views,
             **{name: self._column(name, index) for name in names},
-            next_views=self._stacks(index + 1),
-            next_state=self._column("state", index + 1),
+            next_views=next_views,
+            next_state=self._column("state", following),
         )
 
     def save(self, folder: Path) -> dict[str, Any]:
         """Writes what is new since the last ``save`` to ``folder``; returns what ``restore`` needs.
 
-        The newest row is written again next time, because its action is not known yet.
+        The newest rows are written again next time, because their actions are not known yet.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        start = max(self._saved - 1, self._oldest, 0)
+        start = max(self._saved - self.spec.lanes, self._oldest, 0)
         if self._count > self._saved:
             name = f"part-{start:09d}-{self._count:09d}.npz"
-            rows = self._row(np.arange(start, self._count))
-            frames = {f"frames{v}": frame[rows] for v, frame in enumerate(self._frames)}
-            numbers = {key: column[rows] for key, column in self._numbers.items()}
+            numbers = range(start, self._count)
+            columns = {key: column[self._row(np.array(numbers))] for key, column in self._columns}
+            for v in range(len(self.spec.streams)):
+                frames = self._frames.read(v, numbers)
+                pack = Pack.of(np.stack([frames[number] for number in numbers])).arrays()
+                columns |= {f"{key}{v}": array for key, array in pack.items()}
             with (folder / "part.tmp").open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **frames, **numbers)
+                np.savez(file, allow_pickle=False, **columns)
             os.replace(folder / "part.tmp", folder / name)
             self._parts = [p for p in self._parts if _span(p)[1] > self._oldest] + [name]
             self._saved = self._count
@@ -167,19 +180,46 @@ class ReplayBuffer:
 
     def restore(self, folder: Path, state: dict[str, Any]) -> None:
         """The buffer as it was saved; parts written after that are removed."""
+        self._count = 0
         for name in state["parts"]:
             start, stop = _span(name)
             rows = self._row(np.arange(start, stop))
             with np.load(folder / name) as part:
-                for v, frames in enumerate(self._frames):
-                    frames[rows] = part[f"frames{v}"]
-                for key, column in self._numbers.items():
+                for key, column in self._columns:
                     column[rows] = part[key]
+                self._restore_frames(part, range(start, stop))
+            self._count = stop
         for file in folder.glob("part*"):
             if file.name not in state["parts"]:
                 file.unlink()
         self._count = self._saved = state["count"]
         self._parts = list(state["parts"])
+
+    def _restore_frames(self, part: Any, numbers: range) -> None:
+        """Those of a part's frames that no part before it had."""
+        packs = [
+            Pack.from_arrays({key: part[f"{key}{v}"] for key in Pack.KEYS})
+            for v in range(len(self.spec.streams))
+        ]
+        for number in range(max(numbers.start, self._count), numbers.stop):
+            frames = [pack.frames([number - numbers.start])[0] for pack in packs]
+            self._frames.write(number, frames)
+
+    @property
+    def bytes_held(self) -> int:
+        """What all that is stored takes at this moment."""
+        return self._frames.bytes_held + sum(column.nbytes for _, column in self._columns)
+
+    @property
+    def packed_bytes_per_row(self) -> float:
+        """What the frames of an instant take once packed; NaN before the first pack is made."""
+        assert isinstance(self._frames, PackedFrames)
+        size, instants = self._frames.bytes_packed
+        return size / instants if instants else float("nan")
+
+    @property
+    def _columns(self) -> list[tuple[str, Array]]:
+        return list(self._numbers.items())
 
     @property
     def _oldest(self) -> int:
@@ -190,18 +230,20 @@ class ReplayBuffer:
 
     def _write(self, state: Array, frames: list[Array], age: int) -> None:
         row = self._row(self._count)
-        for store, frame in zip(self._frames, frames, strict=True):
-            store[row] = frame
+        self._frames.write(self._count, frames)
         self._numbers["state"][row] = state
         self._numbers["age"][row] = age
         self._numbers["goes_on"][row] = False
         self._count += 1
+        if isinstance(self._frames, PackedFrames) and self._count == buffer_packed.TOGETHER:
+            # With the first pack made, its size says more than the expectation did.
+            self._refuse_if_too_large(round(self.packed_bytes_per_row * self.spec.rows), None, None)
 
     def _usable(self, index: Array) -> Array:
         """Whether a transition begins at these instants whose whole stack is still there."""
         row = self._row(index)
         reach = np.minimum(self._numbers["age"][row], self.spec.frame_stack - 1)
-        return self._numbers["goes_on"][row] & (index - reach >= self._oldest)
+        return self._numbers["goes_on"][row] & (index - reach * self.spec.lanes >= self._oldest)
 
     def _draw(self, size: int, rng: np.random.Generator) -> Array:
         found: list[int] = []
@@ -215,21 +257,29 @@ class ReplayBuffer:
     def _column(self, name: str, index: Array) -> Tensor:
         return torch.from_numpy(self._numbers[name][self._row(index)])
 
-    def _stacks(self, index: Array) -> Tensor:
-        """(B, V, 3 x stack, H, W) uint8, channels last in memory: what the encoder wants."""
+    def _stacks(self, *indices: Array) -> list[Tensor]:
+        """Of each (B,) of instants its (B, V, 3 x stack, H, W) uint8, channels last in memory: what
+        the encoder wants. A frame that several stacks show is fetched once."""
         stack, size = self.spec.frame_stack, IMAGE_SIZE
-        back = np.minimum(np.arange(stack)[::-1, None], self._numbers["age"][self._row(index)])
-        rows = self._row(index - back).T.tolist()
-        out = np.empty((len(index), len(self._frames), size, size, 3 * stack), np.uint8)
-        for v, frames in enumerate(self._frames):
-            repeat = 3 // frames.shape[-1]
-            for views, history in zip(out, rows, strict=True):
-                cv2.merge([frames[row] for row in history for _ in range(repeat)], views[v])
-        return torch.from_numpy(out).permute(0, 1, 4, 2, 3)
+        shape = (len(self.spec.streams), size, size, 3 * stack)
+        stacks = [np.empty((len(index), *shape), np.uint8) for index in indices]
+        histories = [self._history(index) for index in indices]
+        needed = np.unique(np.concatenate(histories)).tolist()
+        for v, channels in enumerate(self.spec.channels):
+            frames, repeat = self._frames.read(v, needed), 3 // channels
+            for out, history in zip(stacks, histories, strict=True):
+                for views, numbers in zip(out, history.tolist(), strict=True):
+                    cv2.merge([frames[n] for n in numbers for _ in range(repeat)], views[v])
+        return [torch.from_numpy(out).permute(0, 1, 4, 2, 3) for out in stacks]
 
-    def _refuse_if_too_large(self, folder: Path | None, available: int | None) -> None:
+    def _history(self, index: Array) -> Array:
+        """(B, stack): the instants that the stacks at ``index`` (B,) show, oldest first."""
+        past = np.arange(self.spec.frame_stack)[::-1]
+        back = np.minimum(past, self._numbers["age"][self._row(index)][:, None])
+        return index[:, None] - back * self.spec.lanes
+
+    def _refuse_if_too_large(self, need: int, folder: Path | None, available: int | None) -> None:
         spec = self.spec
-        need = spec.rows * spec.bytes_per_row
         have = _free(folder) if available is None else available
         if need > have:
             fits = int(spec.capacity * have / need) // 1000 * 1000
@@ -240,6 +290,15 @@ class ReplayBuffer:
                 f"ask for {fits} transitions or fewer"
                 + (", or keep it on disk" if folder is None else "")
             )
+
+
+def _frame_store(spec: BufferSpec, folder: Path | None) -> FrameStore:
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        files = [folder / f"{stream}.frames" for stream in spec.streams]
+        return PlainFrames(spec.rows, spec.channels, files)
+    kind = PackedFrames if spec.packed else PlainFrames
+    return kind(spec.rows, spec.channels)
 
 
 def _span(part: str) -> tuple[int, int]:

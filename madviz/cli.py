@@ -84,7 +84,7 @@ def doctor(words: Sequence[str]) -> int:
 
 
 def bench(words: Sequence[str]) -> int:
-    """Measures: bench render, bench live, bench update."""
+    """Measures: bench render, bench live, bench update, bench buffer."""
     return pick(BENCHMARKS, "benchmark", words, "madviz bench")
 
 
@@ -118,6 +118,16 @@ def bench_update(words: Sequence[str]) -> int:
     return 0
 
 
+def bench_buffer(words: Sequence[str]) -> int:
+    """The replay buffer packed against plain: bytes per transition, time for a batch."""
+    from madviz.bench_buffer import BenchBufferConfig
+    from madviz.bench_buffer import bench_buffer as measure
+
+    config = parse(BenchBufferConfig, "bench buffer", words)
+    deliver(config, lambda: measure(config), pretty)
+    return 0
+
+
 def sweep(words: Sequence[str]) -> int:
     """Trains and evaluates every combination in a small file; goes on after a kill."""
     from madviz.sweep import SweepConfig, run_sweep, sweep_table
@@ -144,13 +154,50 @@ def report(words: Sequence[str]) -> int:
     return 0
 
 
+def replay(words: Sequence[str]) -> int:
+    """Lives kept episodes again; says whether they come out the same, to the bit."""
+    from madviz.replay import ReplayConfig, replay_words, run_replay
+
+    config = parse(ReplayConfig, "replay", words, positional=True)
+    return 0 if deliver(config, lambda: run_replay(config), replay_words)["same"] else 1
+
+
+def record(words: Sequence[str]) -> int:
+    """Records an episode without a page: a rerun file, a film or a report."""
+    from madviz.recording import RecordConfig, record_words, run_record
+
+    config = parse(RecordConfig, "record", words)
+    deliver(config, lambda: run_record(config), record_words)
+    return 0
+
+
+def soak(words: Sequence[str]) -> int:
+    """Lets visitors come and go for an hour; says whether anything is left of them."""
+    from madviz.soak import SoakConfig, soak_words
+    from madviz.soak import soak as run
+
+    config = parse(SoakConfig, "soak", words)
+    return 0 if deliver(config, lambda: run(config), soak_words)["ok"] else 1
+
+
+def displace(words: Sequence[str]) -> int:
+    """Moves a camera away from where a policy was trained: success against distance."""
+    from madviz.displacement import DisplaceConfig, displacement_table, run_displace
+
+    config = parse(DisplaceConfig, "displace", words)
+    deliver(config, lambda: run_displace(config), displacement_table)
+    return 0
+
+
 VERBS: dict[str, Verb] = {
     **{"explore": explore, "train": train, "eval": evaluate, "list": list_},
     **{"doctor": doctor, "bench": bench},
     **{"sweep": sweep, "compare": compare, "report": report},
+    **{"record": record, "replay": replay, "soak": soak, "displace": displace},
 }
 BENCHMARKS: dict[str, Verb] = {
     **{"render": bench_render, "live": bench_live, "update": bench_update},
+    "buffer": bench_buffer,
 }
 
 

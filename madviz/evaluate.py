@@ -163,7 +163,7 @@ def evaluate(
     ]
     done = _remembered(store, spec, jobs)
     missing = [job for job in jobs if job not in done]
-    for job, finished in _progress(_run(missing, workers, here), len(missing), progress):
+    for job, finished in _progress(run_anywhere(missing, workers, here), len(missing), progress):
         done[job] = finished
         if store is not None:
             store.put(job.key(spec, finished[1]), finished[0])
@@ -195,7 +195,11 @@ def _remembered(store: Store | None, spec: PolicySpec, jobs: list[Job]) -> dict[
     return {job: (result, definition) for job, result in known if result is not None}
 
 
-def _run(jobs: list[Job], workers: int | None, here: Runner) -> Iterator[tuple[Job, Finished]]:
+def run_anywhere(
+    jobs: list[Job], workers: int | None, here: Runner
+) -> Iterator[tuple[Job, Finished]]:
+    """Every job with its result, in no order: by ``workers`` processes, by default one per core, or
+    in this one, ``here``, where it is 0. Closes ``here`` at the end."""
     count = (os.cpu_count() or 1) if workers is None else workers
     try:
         if count == 0:

@@ -13,6 +13,7 @@ import numpy as np
 
 from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.failures import Schedule
+from madviz.moves import MoveCamera
 from madviz.probes import Probe
 from madviz.subsets import camera_of, modality_of, name_of
 from madviz.types import Array, Body, CameraPose, EnvSpec, PolicySpec, UserError, View
@@ -129,6 +130,7 @@ class SetSchedule:
 
 Command = (
     SetCamera
+    | MoveCamera
     | SetPolicy
     | SetSeed
     | Play
@@ -151,7 +153,7 @@ class Setting:
 
     subset: str
     occlusions: str = ""
-    """``Ablation.key()``; empty where no camera is occluded."""
+    """``Ablation.key()``; empty where no camera is occluded or moved."""
 
     def __str__(self) -> str:
         return f"{self.subset} · {self.occlusions}" if self.occlusions else self.subset
@@ -163,7 +165,8 @@ def setting_of(ablation: Ablation, streams: tuple[str, ...]) -> Setting:
     mask = ablation.mask(streams)
     present = {camera_of(stream) for stream, on in zip(streams, mask, strict=True) if on}
     noticed = {name: state for name, state in ablation.cameras.items() if name in present}
-    return Setting(name_of(mask, streams), Ablation(noticed).key())
+    moved = {name: move for name, move in ablation.moves.items() if name in present}
+    return Setting(name_of(mask, streams), Ablation(noticed, moved).key())
 
 
 @dataclass(frozen=True)
@@ -179,6 +182,8 @@ class Change:
     """Euclidean distance between the two actions."""
     q_before: float
     q_after: float
+    moved: str = ""
+    """Where the camera went, in words, if that is what was done."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +198,7 @@ class Outcome:
     success_any: bool
     total_reward: float
     cameras: dict[str, str]
-    """By camera: ``''`` if it worked all episode, else ``off`` or ``occluded`` (the worst)."""
+    """By camera: ``''`` if all was well, else the worst of ``off``, ``occluded``, ``moved``."""
     setting: Setting | None
     """The setting, if it and the policy were the same from the first step to the last."""
 
@@ -355,7 +360,8 @@ def words(change: Change, env: EnvSpec) -> str:
         effect = "this policy cannot act on that"
     if np.isfinite([change.q_before, change.q_after]).all():
         effect += f", Q {change.q_before:.1f} → {change.q_after:.1f}"
-    return f"{env.camera(change.camera).label} {_deed(change.before, change.after)}: {effect}"
+    deed = change.moved or _deed(change.before, change.after)
+    return f"{env.camera(change.camera).label} {deed}: {effect}"
 
 
 def _deed(before: CameraState, after: CameraState) -> str:

@@ -16,8 +16,8 @@ episode's seed and repeating its actions, and ends with the weights of a run tha
 
 from __future__ import annotations
 
+import copy
 import json
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -32,11 +32,10 @@ from madviz.agent.methods import method
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.agent.update import Learner, LearningConfig, Precision
 from madviz.buffer import BufferSpec, ReplayBuffer
-from madviz.checkpoint import save_policy
 from madviz.envs.base import make_env
-from madviz.manifest import policy_config
-from madviz.rollout import Stopped, one_thread, run_episode
-from madviz.run import RunFolder, interruptible
+from madviz.paper_loop import train_on
+from madviz.rollout import one_thread, run_episode
+from madviz.run import RunFolder
 from madviz.streams import stream_frame
 from madviz.subsets import camera_of, cameras_of, mask_of, single_streams
 from madviz.types import Array, Encoded, Environment, PolicySpec
@@ -46,25 +45,25 @@ if TYPE_CHECKING:
 
 SELECTION_SEED = 1000
 """Where the seeds of evaluations during training begin; training itself stays below."""
-PROGRESS_SECONDS = 20
 
 
 @dataclass(frozen=True)
-class PaperConfig:
-    """The paper's schedule; the defaults are its numbers (discount: Meta-World's)."""
+class ReinforcementConfig:
+    """What every recipe of reinforcement learning has; the defaults are the paper's numbers
+    (discount: Meta-World's)."""
 
     steps: int = 500_000
     """Decisions in the whole run."""
     exploration_steps: int = 2_000
     """Decisions drawn uniformly before the policy acts; no update before that."""
-    update_every: int = 2
-    """Decisions between updates."""
     batch_size: int = 256
     """Transitions in an update."""
     buffer_capacity: int = 500_000
     """Transitions that are remembered."""
+    buffer_packed: bool = True
+    """Pack frames in memory without loss: a quarter of the bytes; every batch is the same."""
     buffer_on_disk: bool = False
-    """Keep frames in files of the run's folder; slower, but memory need not hold them."""
+    """Keep frames, as they are, in files of the run's folder; memory need not hold them."""
     discount: float = 0.99
     """Gamma (ManiSkill: 0.8)."""
     bootstrap_at_time_limit: bool = True
@@ -92,7 +91,7 @@ class PaperConfig:
     eval_every: int = 25_000
     """Simulator steps between evaluations."""
     eval_episodes: int = 20
-    """Deterministic episodes for each subset."""
+    """Deterministic episodes for each subset; 0: none, and no success in the curve."""
     save_every: int = 2_000
     """Decisions between checkpoints."""
 
@@ -106,28 +105,42 @@ class PaperConfig:
         )
 
 
+@dataclass(frozen=True)
+class PaperConfig(ReinforcementConfig):
+    """The paper's schedule: one environment, an update every second decision."""
+
+    update_every: int = 2
+    """Decisions between updates."""
+
+
 class PaperRun:
     """One training run: learner, buffer, environment, and where they stand."""
 
+    SCHEDULE = "by the paper's schedule"
+    SEEDS = SELECTION_SEED
+    """Episodes of training have seeds below."""
+
     def __init__(
         self,
-        config: PaperConfig,
+        config: ReinforcementConfig,
         env: Environment,
         spec: PolicySpec,
         networks: NetworkConfig,
         seed: int,
         folder: RunFolder,
         merge: str = "",
+        lanes: int = 1,
+        device: str = "cpu",
     ) -> None:
-        """``merge`` is the method's own if empty. Raises UserError if the replay buffer will not
-        fit, and for a merge that the method cannot use."""
+        """``merge`` is the method's own if empty; ``lanes`` environments fill the buffer in turn.
+        Raises UserError if that will not fit, and for a merge that the method cannot use."""
         self.config, self.env, self.spec, self.folder = config, env, spec, folder
         facts = env.spec
         chosen = method(spec.method)
         merge = chosen.merge_for(spec.streams, merge)
         torch.manual_seed(seed)
         self.learner = Learner(
-            Agent(networks, config.temperature, merge, spec.streams),
+            Agent(networks, config.temperature, merge, spec.streams).to(device),
             chosen,
             spec.streams,
             config.learning(),
@@ -140,20 +153,23 @@ class PaperRun:
                 capacity=min(config.buffer_capacity, config.steps),
                 horizon=facts.horizon,
                 frame_stack=spec.frame_stack,
+                packed=config.buffer_packed and not config.buffer_on_disk,
+                lanes=lanes,
             ),
             folder.resume / "frames" if config.buffer_on_disk else None,
         )
         self.rng = np.random.default_rng(seed)
         self.step = self.updates = self.episodes = self.evaluate_at = 0
         self.evaluated_step = -1
-        self.seconds = 0.0
+        self.seconds = self.busy = 0.0
         self.losses: dict[str, float] = {}
         self.between_episodes = True
-        self.episode_seed = 0
+        self.episode_seeds: list[int] = []
 
     def advance(self) -> None:
         """One decision, with the update that is due before it."""
         config = self.config
+        assert isinstance(config, PaperConfig)
         exploring = self.step < config.exploration_steps
         if self.between_episodes:
             self._begin()
@@ -187,13 +203,12 @@ class PaperRun:
 
         The environment is between two episodes; the next one begins with a reset anyway.
         """
-        policy = TorchPolicy(self.spec, self.learner.agent)
-        if self.config.shift_when_acting:
-            policy = _Shifting(self.spec, self.learner.agent)
+        kind = _Shifting if self.config.shift_when_acting else TorchPolicy
+        policy = kind(self.spec, self.acting_agent())
         row: dict[str, float] = {}
         for subset in dict.fromkeys(("all", *single_streams(self.spec.streams))):
             mask = mask_of(subset, self.spec.streams)
-            if not policy.supports(mask):
+            if not policy.supports(mask) or not self.config.eval_episodes:
                 continue
             with one_thread():
                 results = [
@@ -205,6 +220,12 @@ class PaperRun:
         self.evaluated_step = self.step
         self.evaluate_at = (self.env_steps // self.config.eval_every + 1) * self.config.eval_every
         return row
+
+    def acting_agent(self) -> Agent:
+        """The agent where policies compute and are saved, which is the CPU."""
+        agent = self.learner.agent
+        on_cpu = agent.log_temperature.device.type == "cpu"
+        return agent if on_cpu else copy.deepcopy(agent).cpu()
 
     def state(self) -> dict[str, Any]:
         """Everything ``restore`` needs; what is new in the buffer is written on the way."""
@@ -223,15 +244,22 @@ class PaperRun:
         for key in _COUNTS:
             setattr(self, key, state[key])
         if not self.between_episodes:
-            self.env.reset(self.episode_seed)
-            for action in self.buffer.actions():
-                self.env.step(action)
+            self._repeat(self.buffer.actions())
+
+    def _repeat(self, actions: Array) -> None:
+        """The running episode so far, from ``actions`` (age, 1, A)."""
+        self.env.reset(self.episode_seeds[0])
+        for action in actions[:, 0]:
+            self.env.step(action)
 
     def _begin(self) -> None:
-        self.episode_seed = int(self.rng.integers(0, SELECTION_SEED))
+        self.episode_seeds = self._draw_seeds(1)
         self.episodes += 1
-        now = self.env.reset(self.episode_seed)
+        now = self.env.reset(self.episode_seeds[0])
         self.buffer.begin(now.state, self._look())
+
+    def _draw_seeds(self, lanes: int) -> list[int]:
+        return [int(self.rng.integers(0, SELECTION_SEED)) for _ in range(lanes)]
 
     def _look(self) -> list[Array]:
         """The newest frame of every stream."""
@@ -243,15 +271,19 @@ class PaperRun:
         return self.rng.uniform(-1, 1, self.env.spec.action_dim).astype(np.float32)
 
     def _act(self) -> Array:
+        return self._act_everywhere()[0]
+
+    def _act_everywhere(self) -> Array:
+        """(L, A): what the policy draws in every lane."""
         views, state = self.buffer.newest()
         if self.config.shift_when_acting:
-            views = random_shift(views[None], self.rng, self.config.same_shift_for_views)[0]
-        return self.learner.act(views, state)
+            views = random_shift(views, self.rng, self.config.same_shift_for_views)
+        return self.learner.act_all(views, state)
 
 
 _COUNTS = (
     *("step", "updates", "episodes", "evaluate_at", "evaluated_step"),
-    *("seconds", "losses", "between_episodes", "episode_seed"),
+    *("seconds", "losses", "between_episodes", "episode_seeds"),
 )
 
 
@@ -276,85 +308,6 @@ def train_paper(config: TrainConfig, folder: RunFolder, command: str = "") -> No
         networks = config.networks(env.spec, config.paper.hidden_dim, config.paper.bottleneck_dim)
         spec = config.policy_spec()
         run = PaperRun(config.paper, env, spec, networks, config.seed, folder, config.merge)
-        state = folder.load_state()
-        if state:
-            run.restore(state)
-        # Whatever was reported after that state will be reported again.
-        folder.truncate_curve("step", run.step if state else -1)
-        _loop(run, lambda: _save(run, config, command))
+        train_on(run, config, command)
     finally:
         env.close()
-
-
-def _loop(run: PaperRun, save: Callable[[], None]) -> None:
-    saved, began = run.step, time.monotonic() - run.seconds
-    reported, reported_step = time.monotonic(), run.step
-    with interruptible() as stop:
-        while True:
-            if run.evaluation_due():
-                _evaluate(run, stop.is_set)
-            run.seconds = time.monotonic() - began
-            if run.finished or stop.is_set() or run.step - saved >= run.config.save_every:
-                save()
-                saved = run.step
-            if run.finished or stop.is_set():
-                break
-            run.advance()
-            now = time.monotonic()
-            if now - reported > PROGRESS_SECONDS:
-                _report(run, (now - reported) / (run.step - reported_step))
-                reported, reported_step = now, run.step
-
-
-def _evaluate(run: PaperRun, stop: Callable[[], bool]) -> None:
-    try:
-        row = run.evaluate(stop)
-    except Stopped:
-        return  # It is due again when the run goes on.
-    counts = {"step": run.step, "env_steps": run.env_steps, "updates": run.updates}
-    losses = {name: round(run.losses.get(name, float("nan")), 5) for name in _LOSSES}
-    run.folder.report("curve", **counts, seconds=round(run.seconds, 1), **row, **losses)
-
-
-_LOSSES = ("critic_loss", "actor_loss", "temperature", "entropy")
-
-
-def _report(run: PaperRun, seconds_per_step: float) -> None:
-    run.folder.report(
-        "progress",
-        step=run.step,
-        steps=run.config.steps,
-        episodes=run.episodes,
-        updates=run.updates,
-        seconds_left=round(seconds_per_step * (run.config.steps - run.step)),
-        **{name: round(value, 4) for name, value in run.losses.items()},
-    )
-
-
-def _save(run: PaperRun, config: TrainConfig, command: str) -> None:
-    """Resume state, then the policy in its shipped form."""
-    run.folder.save_state(run.state())
-    training = {
-        "how": "reinforcement learning from scratch, by the paper's schedule",
-        "command": command,
-        **{"steps": run.step, "environment_steps": run.env_steps, "episodes": run.episodes},
-        **{"updates": run.updates, "batch_size": config.paper.batch_size},
-        "alpha": config.paper.alpha,
-        "seeds": f"network and data {config.seed}, episodes below {SELECTION_SEED}",
-        "wall_time_s": round(run.seconds),
-        "finished": run.finished,
-    }
-    described = policy_config(
-        run.env.spec,
-        run.learner.agent.config,
-        name=run.spec.name,
-        method=run.spec.method,
-        setting=run.spec.setting,
-        recipe=run.spec.recipe,
-        streams=run.spec.streams,
-        trained_subsets=run.spec.trained_subsets,
-        training=training,
-        merge=run.learner.agent.merge_name,
-        camera=config.chosen_camera(),
-    )
-    save_policy(run.folder.path, run.learner.agent, described)

@@ -17,14 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from madviz import svg
-from madviz.envs.base import METAWORLD_TASKS
+from madviz.envs.base import MANISKILL_TASKS, METAWORLD_TASKS
 from madviz.evidence import Evidence, find_evidence
 from madviz.files import write_bytes
 from madviz.report_claims import claims
 from madviz.report_tables import LAYOUTS, THREE, Rate, Row, Table, build, usual_alphas
 from madviz.types import UserError
 
-MANISKILL_TASKS = ("push-cube", "pull-cube", "pick-cube", "place-sphere", "poke-cube")
 TWENTY = (
     *(f"metaworld/{task}" for task in METAWORLD_TASKS),
     *(f"maniskill/{task}" for task in MANISKILL_TASKS),

@@ -26,6 +26,7 @@ from madviz import checkpoint
 from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.envs.base import make_env
 from madviz.manifest import check_environment, definition_of
+from madviz.moves import Displacement, Moves
 from madviz.processes import set_up_worker
 from madviz.store import EpisodeResult, ResultKey
 from madviz.streams import StreamStack
@@ -59,18 +60,23 @@ class Job:
     subset: str
     occlusions: Occlusions
     seed: int
+    moves: Moves = ()
+    """Cameras that do not stand where the policy was trained."""
 
     def key(self, spec: PolicySpec, definition: str) -> ResultKey:
         """Where the result is kept, given what the policy says of itself."""
         return ResultKey(
             *(spec.digest, spec.task, definition, spec.render_profile),
-            *(occlusion_key(dict(self.occlusions)), self.subset),
+            *(occlusion_key(dict(self.occlusions), dict(self.moves)), self.subset),
         )
 
 
-def occlusion_key(occlusions: dict[str, Occlusion]) -> str:
-    """A name for occlusions by camera; '' where there are none."""
-    return Ablation({c: CameraState(occlusion=o) for c, o in occlusions.items()}).key()
+def occlusion_key(
+    occlusions: dict[str, Occlusion], moves: dict[str, Displacement] | None = None
+) -> str:
+    """A name for occlusions and moves by camera; '' where there are none."""
+    states = {camera: CameraState(occlusion=o) for camera, o in occlusions.items()}
+    return Ablation(states, moves or {}).key()
 
 
 def claimed_definition(policy: str) -> str:
@@ -131,15 +137,26 @@ class Runner:
         self._stop = stop
         self._policies: dict[tuple[str, str], Policy] = {}
         self._env: tuple[tuple[Any, ...], Environment] | None = None
+        self._moved: set[str] = set()
+        """Cameras of that environment that may not stand where its spec has them."""
 
     def run(self, job: Job) -> Finished:
         policy = self._loaded(job.policy, job.digest)
         env = self._environment(policy, job.policy)
+        self._place(env, dict(job.moves))
         mask = mask_of(job.subset, policy.spec.streams)
         ablation = Ablation.from_mask(mask, policy.spec.streams, dict(job.occlusions))
         with one_thread():
             result = run_episode(policy, env, mask, ablation, job.seed, self._stop)
         return result, definition_of(env.spec)
+
+    def _place(self, env: Environment, moves: dict[str, Displacement]) -> None:
+        """Every camera where the job has it, whatever the job before did."""
+        for camera in sorted(self._moved | moves.keys()):
+            to, spec = moves.get(camera), env.spec.camera(camera)
+            self._moved.add(camera)
+            env.move_camera(camera, to.placed(spec) if to else None)
+        self._moved = set(moves)
 
     def adopt(self, reference: str, policy: Policy) -> None:
         """Makes an object that exists already answer to ``reference``."""
@@ -148,7 +165,7 @@ class Runner:
     def close(self) -> None:
         if self._env:
             self._env[1].close()
-        self._env = None
+        self._env, self._moved = None, set()
 
     def _loaded(self, reference: str, digest: str) -> Policy:
         key = (reference, digest)

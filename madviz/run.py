@@ -1,9 +1,10 @@
 """A training run's folder: a policy folder that grows, and beside it what a killed run needs.
 
-DIR/config.json, weights.safetensors   the policy in its shipped form, replaced as training goes on
+    DIR/config.json, weights.safetensors   the policy in its shipped form, replaced now and then
     DIR/curve.csv                          one row per progress report
     DIR/resume/run.json                    the run's configuration; a resumed run must have the same
-DIR/resume/state.pt                    full-precision tensors and numbers, enough to go on exactly
+    DIR/resume/state.pt                    full-precision tensors and numbers, to go on exactly
+    DIR/curve.svg                          the curve as a picture, where it has success by subset
 
 DIR can be explored and evaluated at any time; ``resume/`` may be deleted when the run is over.
 State is written to a neighbour and renamed, so a run killed at any moment finds its last whole
@@ -35,13 +36,21 @@ class RunFolder:
     """See the module. ``listener`` gets every event as it happens."""
 
     def __init__(
-        self, path: str | Path, config: Any, resume: bool, listener: Callable[[Event], None] | None
+        self,
+        path: str | Path,
+        config: Any,
+        resume: bool,
+        listener: Callable[[Event], None] | None,
     ) -> None:
-        """Raises UserError if the folder holds another run, or none although ``resume`` is set."""
+        """``config``, a dataclass or a dict for JSON, is all that makes the run what it is.
+
+        Raises UserError if the folder holds another run, or none although ``resume`` is set.
+        """
         self.path = Path(path)
         self.resume = self.path / "resume"
         self._listener = listener
-        described = json.dumps(dataclasses.asdict(config), indent=1, sort_keys=True)
+        facts = config if isinstance(config, dict) else dataclasses.asdict(config)
+        described = json.dumps(facts, indent=1, sort_keys=True)
         file = self.resume / "run.json"
         if self.path.exists() and not self.path.is_dir():
             raise UserError(f"expected a folder, found the file {self.path}; choose another --out")
@@ -51,9 +60,12 @@ class RunFolder:
             raise UserError(
                 f"{self.path} holds a run already; add --resume or choose another --out"
             )
-        if resume and file.read_text() != described:
-            changed = _changed(json.loads(file.read_text()), json.loads(described))
-            raise UserError(f"the run in {self.path} has another configuration: {changed}")
+        changed = changes(json.loads(file.read_text()), json.loads(described)) if resume else []
+        if changed:
+            raise UserError(
+                f"the run in {self.path} has another configuration: {', '.join(changed)}; "
+                "give the same options, or choose another --out"
+            )
         self.resume.mkdir(parents=True, exist_ok=True)
         write_bytes(file, described.encode())
 
@@ -118,6 +130,23 @@ def interruptible() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def _changed(before: dict[str, Any], now: dict[str, Any]) -> str:
-    keys = [k for k in {**before, **now} if before.get(k) != now.get(k)]
-    return ", ".join(f"{k} {before.get(k)!r} -> {now.get(k)!r}" for k in sorted(keys))
+def changes(before: Any, now: Any, name: str = "") -> list[str]:
+    """What differs between two configurations, as ``paper.alpha 0.8 -> 0.5``.
+
+    An option that a run's version did not know, or that only the stored one has, is no difference:
+    new options leave runs that do not ask for them as they were.
+    """
+    if isinstance(before, dict) and isinstance(now, dict):
+        shared = [key for key in before if key in now]
+        return [c for k in shared for c in changes(before[k], now[k], f"{name}.{k}".lstrip("."))]
+    if isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        pairs = enumerate(zip(before, now, strict=True), start=1)
+        return [c for i, (a, b) in pairs for c in changes(a, b, f"{name} {i}")]
+    return [] if before == now else [f"{name} {_short(before)} -> {_short(now)}"]
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list | dict):
+        names = [each.get("name", "?") if isinstance(each, dict) else str(each) for each in value]
+        return f"[{', '.join(names)}]"
+    return repr(value)

@@ -46,6 +46,7 @@ from madviz.frame import (
     StepOnce,
 )
 from madviz.kept import KeptEpisode, KeptSession
+from madviz.moves import MoveCamera
 from madviz.processes import yield_to_others
 from madviz.stage import EnvFactory, Stage
 from madviz.types import Policy, UserError
@@ -103,7 +104,13 @@ class Session:
             listener(self.latest)
 
     def keep(self) -> KeptSession:
-        """The last episodes, to be lived again. Raises UserError if there is no step yet."""
+        """The last episodes, to be lived again. Raises UserError if there is no step yet, and in an
+        episode in which a camera was moved: a kept file has no word for that."""
+        if self._stage.strayed:
+            raise UserError(
+                "expected an episode with every camera where it was trained, found one in which a "
+                "camera was moved, and kept files cannot hold that; put it back and start again"
+            )
         return self._stage.journal.kept()
 
     def unsubscribe(self, listener: Listener) -> None:
@@ -230,10 +237,20 @@ class Session:
             self._stage.set_camera(command, preview)
             self._emit(keep=not preview)
 
+    def _move_camera(self, command: MoveCamera) -> None:
+        """Only the last of several moves of one camera: each is a picture to draw, and a slider
+        that is dragged sends more of them than some simulators can draw."""
+        later = (one for one in self._backlog if isinstance(one, MoveCamera))
+        if self._stage.is_open and all(one.camera != command.camera for one in later):
+            self._stage.move_camera(command)
+            self._emit()
+
     def _obey(self, command: Command, now: float) -> None:
         match command:
             case SetCamera():
                 self._set_camera(command)
+            case MoveCamera():
+                self._move_camera(command)
             case SetPolicy(name):
                 self._swap(name)
             case SetSeed(seed):

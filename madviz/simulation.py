@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,10 +23,11 @@ import numpy as np
 from madviz.ablations import Ablation
 from madviz.frame import Change, Outcome, SetCamera, Setting, setting_of, untouched
 from madviz.journal import Journal, Mark
+from madviz.moves import MoveCamera
 from madviz.probes import Probe, probe
 from madviz.saliency import LiveSaliency
-from madviz.streams import StreamStack
-from madviz.subsets import every_mask
+from madviz.streams import StreamStack, stream_frame
+from madviz.subsets import camera_of, every_mask
 from madviz.types import Array, Body, CameraPose, Environment, Policy, TimeStep, UserError, View
 
 
@@ -85,7 +86,12 @@ class Simulation:
         self._actions: list[Array] = []
         self._stack: StreamStack
         self.probe: Probe
+        self.strayed = False
+        """Whether a camera stood elsewhere at any step of this episode."""
         self._adopt(policy)
+        for camera in env.spec.cameras:
+            if camera.name in ablation.moves:
+                self._place(camera.name)
 
     @property
     def now(self) -> Instant:
@@ -145,6 +151,8 @@ class Simulation:
         self._recent.clear()
         self._worst, self._settings, self._actions = {}, set(), []
         self.journal.begin(self.policy.spec, self.env.spec, seed, self.ablation)
+        self.strayed = False
+        self._note_move()
         self._arrive(moment, self._draw(lambda: None))
 
     def step(self, between: Callable[[], None]) -> None:
@@ -193,6 +201,29 @@ class Simulation:
             self._note_setting()
         self.journal.camera(self.now.step + preview, command)
 
+    def move_camera(self, command: MoveCamera) -> None:
+        """One camera elsewhere, seen at once: the newest picture is drawn anew, earlier ones of the
+        stack stay. Raises UserError for an unknown camera. Not in the middle of a step."""
+        name = command.camera
+        self.env.spec.camera(name)
+        before, old = self.ablation, self._reading()
+        self.ablation = self._settled = before.move(name, command.move)
+        if self.ablation.moves == before.moves:
+            return
+        self._place(name)
+        self._look_again(name)
+        new, state = self._reading(), before.cameras.get(name, untouched(self.policy.spec))
+        to = self.ablation.moves.get(name)
+        self.change = Change(
+            *(name, state, state, old[0], new[0]),
+            action_change=float(np.linalg.norm(new[1] - old[1])),
+            q_before=old[2],
+            q_after=new[2],
+            moved=f"moved: {to.words()}" if to else "is back in its place",
+        )
+        self._note_setting()
+        self._note_move()
+
     def swap(self, policy: Policy) -> None:
         """Another policy in the same episode; it gets the newest frames as its past."""
         kept = list(self._recent)
@@ -219,6 +250,9 @@ class Simulation:
 
         Raises UserError if it does not come to the same state.
         """
+        strayed, self.ablation = {*self.ablation.moves, *saved.ablation.moves}, saved.ablation
+        for camera in strayed:
+            self._place(camera)
         moment = self.env.reset(self.seed)
         for action in saved.actions:
             moment = self.env.step(action)
@@ -232,7 +266,7 @@ class Simulation:
         self._recent.clear()
         self._recent.extend(saved.recent)
         self._stack.restore(saved.stack)
-        self._actions, self.ablation, self.probe = list(saved.actions), saved.ablation, saved.probe
+        self._actions, self.probe = list(saved.actions), saved.probe
         self.total_reward, self.success_any = saved.total_reward, saved.success_any
         self._worst, self._settings = dict(saved.worst), set(saved.settings)
         self._settled, self.change = saved.ablation, None
@@ -244,6 +278,32 @@ class Simulation:
         self._stack = StreamStack(self.env.spec, spec.streams, spec.frame_stack)
         self._masks = every_mask(len(spec.streams))
         self._recent = deque(self._recent, maxlen=max(spec.frame_stack, 3) + 1)
+
+    def _place(self, camera: str) -> None:
+        """Puts a camera where the ablation has it."""
+        spec, to = self.env.spec.camera(camera), self.ablation.moves.get(camera)
+        self.env.move_camera(camera, to.placed(spec) if to else None)
+
+    def _look_again(self, camera: str) -> None:
+        """Draws a camera anew, and lets its picture arrive instead of the newest one."""
+        now, view = self.now, self.env.view(camera)
+        self._recent[-1] = replace(
+            now,
+            views={**now.views, camera: view},
+            poses={**now.poses, camera: self.env.pose(camera)},
+        )
+        frames, raw, noise = self._stack.saved()
+        streams = [stream for stream in self.policy.spec.streams if camera_of(stream) == camera]
+        fresh = {stream: stream_frame(view, stream, self.env.spec) for stream in streams}
+        self._stack.restore((frames, {**raw, **fresh}, noise))
+        self._stack.replace_last(self.ablation)
+        self._read()
+
+    def _note_move(self) -> None:
+        """Kept files have no word for a moved camera, so such an episode is not kept."""
+        if self.ablation.moves:
+            self.strayed = True
+            self.journal.spoil()
 
     def _draw(self, between: Callable[[], None]) -> dict[str, View]:
         """Every camera, always: one that comes back needs its past frames."""
@@ -257,9 +317,7 @@ class Simulation:
         step = self.now.step + 1 if self._recent else 0
         poses = {camera.name: self.env.pose(camera.name) for camera in self.env.spec.cameras}
         env = self.env
-        self._push(
-            Instant(moment, step, views, poses, env.bodies(), env.body_poses(), env.hand())
-        )
+        self._push(Instant(moment, step, views, poses, env.bodies(), env.body_poses(), env.hand()))
         self._read()
         self._note_setting()
 
@@ -283,8 +341,10 @@ class Simulation:
             state = self.ablation.camera(camera.name)
             if state.input == "off":
                 self._worst[camera.name] = "off"
-            elif state.occlusion.kind != "none":
-                self._worst.setdefault(camera.name, "occluded")
+            elif state.occlusion.kind != "none" and self._worst.get(camera.name) != "off":
+                self._worst[camera.name] = "occluded"
+            elif camera.name in self.ablation.moves:
+                self._worst.setdefault(camera.name, "moved")
 
     def _conclude(self, moment: TimeStep) -> None:
         # What was touched in the very last instant never reached a decision, but it is part of how

@@ -23,6 +23,7 @@ from madviz.failures import Schedule
 from madviz.frame import Frame, Pair, SetCamera, SetPolicy
 from madviz.journal import Journal
 from madviz.kept import KeptEpisode
+from madviz.moves import MoveCamera
 from madviz.plan import Plan
 from madviz.saliency import LiveSaliency
 from madviz.simulation import Simulation
@@ -112,6 +113,17 @@ class Stage:
             self.fork()
         self._live.set_camera(command, preview)
 
+    @property
+    def strayed(self) -> bool:
+        """Whether a camera was moved in this episode."""
+        return self.simulation is not None and self.simulation.strayed
+
+    def move_camera(self, command: MoveCamera) -> None:
+        """A camera elsewhere; in the past, another future begins with it."""
+        if self._timeline.shown is not None:
+            self.fork()
+        self._live.move_camera(command)
+
     def swap(self, name: str) -> None:
         """Another policy; in the same episode where it belongs to the same task and render profile,
         otherwise in a new environment. If it cannot be loaded, the old one stays."""
@@ -125,12 +137,15 @@ class Stage:
             live.swap(policy)
             self.saliency.forget()
             return
-        kept = live.ablation.cameras if live else {}
+        kept = live.ablation if live else Ablation()
         self.open()
         here = {camera.name for camera in self._live.env.spec.cameras}
-        for camera, state in kept.items():
+        for camera, state in kept.cameras.items():
             if camera in here:
                 self._live.set_camera(SetCamera(camera, state))
+        for camera, move in kept.moves.items():
+            if camera in here:
+                self._live.move_camera(MoveCamera(camera, move))
 
     def explain(self, now: float, moving: bool, hurried: bool) -> bool:
         """Finds the pixels that matter if somebody asked and it is time; whether it did."""

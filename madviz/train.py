@@ -1,7 +1,8 @@
 """``train``: one way in for every recipe; composes environment, agent, run folder and loop.
 
-    light   minutes on two cores, by imitating a scripted expert       madviz/light.py
-    paper   the paper's reinforcement learning, exactly                madviz/paper.py
+    light              minutes on two cores, by imitating a scripted expert   madviz/light.py
+    paper              the paper's reinforcement learning, exactly            madviz/paper.py
+    paper-vectorised   the same losses over many environments                 paper_vectorised.py
 
 The folder given with --out is a policy folder from the first checkpoint on: explore it, evaluate
 it, copy it to checkpoints/. Ctrl-C finishes the round, saves, and says how to go on."""
@@ -13,9 +14,9 @@ import shlex
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 
@@ -28,11 +29,13 @@ from madviz.light import LightConfig, LightRun, Recorder, train_light
 from madviz.light_critic import REWARD_SCALE, fit_critic
 from madviz.manifest import policy_config
 from madviz.paper import PaperConfig, train_paper
+from madviz.paper_vectorised import VectorisedConfig, train_vectorised
 from madviz.run import Event, RunFolder
 from madviz.subsets import camera_of
 from madviz.types import CameraSpec, EnvSpec, PolicySpec, UserError, unknown
 
-RECIPES = ("light", "paper")
+RECIPES = {"light": "light", "paper": "paper", "paper-vectorised": "vectorised"}
+"""Each with the field of ``TrainConfig`` that holds its own options."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,8 @@ class TrainConfig:
     method: str = "mad"
     """What is trained on which subsets of streams."""
     recipe: str = "light"
-    """``light`` (minutes, from a scripted expert) or ``paper`` (reinforcement learning)."""
+    """``light`` (minutes, from a scripted expert), ``paper`` (reinforcement learning) or
+    ``paper-vectorised`` (the same over many environments)."""
     setting: str = "three"
     """Cameras and modalities."""
     cameras: Path | None = None
@@ -65,10 +69,12 @@ class TrainConfig:
     resume: bool = False
     """Go on with the run in ``out``."""
     threads: int | None = None
-    """Of the learner; by default 1 for ``light``, whose recorder uses the other core, and one per
-    core for ``paper``. Sums are split between threads, so another number is another run."""
+    """Of the learner; by default 1 for ``light``, whose recorder uses the other core, one per core
+    for ``paper``, one per core without a worker for ``paper-vectorised``. Sums are split between
+    threads, so another number is another run."""
     light: LightConfig = field(default_factory=LightConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
+    vectorised: VectorisedConfig = field(default_factory=VectorisedConfig)
 
     def policy_spec(self) -> PolicySpec:
         """What the trained policy will say of itself."""
@@ -118,6 +124,18 @@ class TrainConfig:
             state_columns=env.paper_state if self.state == "paper" else (),
         )
 
+    def identity(self) -> dict[str, Any]:
+        """What must be the same when a run is resumed: all but where it is, how many processes
+        step its environments, and other recipes' options. Of the user's cameras it is what the
+        file says that counts, not where the file is."""
+        facts = asdict(replace(self, out=None, resume=False, cameras=None))
+        for section in RECIPES.values():
+            if section != RECIPES[self.recipe]:
+                del facts[section]
+        facts.get("vectorised", {}).pop("workers", None)
+        facts["cameras"] = [asdict(c) for c in self.drawn()] if self.cameras else None
+        return facts
+
     def policy_name(self) -> str:
         """{suite}-{task}-{method}[-{merge}][-{camera}][-{setting}]-{recipe}."""
         own = method(self.method).merge
@@ -144,12 +162,16 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
     chosen.merge_for(config.streams(), config.merge)
     make_env(config.task, config.render_profile, config.drawn()).close()
     everything = os.cpu_count() or 1
-    torch.set_num_threads(config.threads or (1 if config.recipe == "light" else everything))
+    threads = {"light": 1, "paper": everything}.get(config.recipe)
+    torch.set_num_threads(
+        config.threads or threads or max(1, everything - config.vectorised.processes())
+    )
     out = config.out or Path("runs") / config.policy_name()
-    described = replace(config, out=None, resume=False)
-    folder = RunFolder(out, described, config.resume, listener or print_event)
+    folder = RunFolder(out, config.identity(), config.resume, listener or print_event)
     if config.recipe == "paper":
         train_paper(config, folder, command(config))
+    elif config.recipe == "paper-vectorised":
+        train_vectorised(config, folder, command(config))
     else:
         _train_light(config, folder)
     return folder.path
@@ -228,13 +250,18 @@ def command(config: TrainConfig) -> str:
     default = TrainConfig()
     words = ["madviz", "train", "--task", config.task, "--method", config.method]
     words += ["--recipe", config.recipe]
+    if config.cameras:
+        words += ["--cameras", str(config.cameras)]
     for name in ("setting", "camera", "merge", "seed", "state", "render_profile", "threads"):
         if getattr(config, name) != getattr(default, name):
             words += [f"--{name.replace('_', '-')}", str(getattr(config, name))]
-    recipe, standard = getattr(config, config.recipe), getattr(default, config.recipe)
-    for name, value in vars(recipe).items():
-        if value != getattr(standard, name):
-            words += [f"--{config.recipe}.{name.replace('_', '-')}", str(value)]
+    section = RECIPES[config.recipe]
+    standard = getattr(default, section)
+    for name, value in vars(getattr(config, section)).items():
+        if isinstance(value, bool) and value != getattr(standard, name):
+            words += [f"--{section}.{'' if value else 'no-'}{name.replace('_', '-')}"]
+        elif value != getattr(standard, name):
+            words += [f"--{section}.{name.replace('_', '-')}", str(value)]
     return shlex.join([*words, "--out", f"checkpoints/{config.policy_name()}"])
 
 

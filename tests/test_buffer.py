@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from madviz import buffer as buffer_module
+from madviz import buffer_packed
 from madviz.ablations import Ablation
 from madviz.buffer import BufferSpec, ReplayBuffer
+from madviz.buffer_packed import Pack
 from madviz.envs.toy import ToyReach
 from madviz.streams import StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of
@@ -18,6 +21,13 @@ from madviz.types import Array, UserError
 
 STREAMS = ("first.rgb", "first.depth", "third_a.rgb")
 SPEC = BufferSpec(STREAMS, state_dim=6, action_dim=2, capacity=40, horizon=5)
+PACKED = replace(SPEC, packed=True)
+
+
+@pytest.fixture(autouse=True)
+def small_packs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that episodes of six instants fill several."""
+    monkeypatch.setattr(buffer_packed, "TOGETHER", 8)
 
 
 class Recorded:
@@ -71,8 +81,9 @@ def drawn(buffer: ReplayBuffer, size: int = 4000) -> list[int]:
     return sorted(set(buffer._draw(size, np.random.default_rng(1)).tolist()))
 
 
-def test_samples_are_the_transitions_that_were_seen() -> None:
-    recorded = Recorded(ReplayBuffer(SPEC))
+@pytest.mark.parametrize("spec", [SPEC, PACKED])
+def test_samples_are_the_transitions_that_were_seen(spec: BufferSpec) -> None:
+    recorded = Recorded(ReplayBuffer(spec))
     recorded.play(3)
     assert len(recorded.buffer) == 15
     assert drawn(recorded.buffer) == sorted(recorded.steps), "all of them, none across episodes"
@@ -82,8 +93,9 @@ def test_samples_are_the_transitions_that_were_seen() -> None:
     assert batch.views.flatten(0, 1).is_contiguous(memory_format=torch.channels_last)
 
 
-def test_a_full_ring_forgets_the_oldest_and_keeps_its_capacity() -> None:
-    recorded = Recorded(ReplayBuffer(SPEC))
+@pytest.mark.parametrize("spec", [SPEC, PACKED])
+def test_a_full_ring_forgets_the_oldest_and_keeps_its_capacity(spec: BufferSpec) -> None:
+    recorded = Recorded(ReplayBuffer(spec))
     recorded.play(17)
     rows = SPEC.rows
     assert len(recorded.views) > 2 * rows - rows // 2, "it went round"
@@ -105,14 +117,90 @@ def test_a_running_episode_is_sampled_too() -> None:
     assert buffer.age == 0 and len(buffer) == 5 and len(buffer.actions()) == 0
     buffer.add(np.array([0.5, -0.5]), 1.0, 0.9, np.full(6, 8.0), frame)
     assert buffer.age == 1 and len(buffer) == 6
-    np.testing.assert_array_equal(buffer.actions(), [[0.5, -0.5]])
+    np.testing.assert_array_equal(buffer.actions(), [[[0.5, -0.5]]])
     views, state = buffer.newest()
-    assert views.shape == (3, 9, 84, 84) and not views.any() and (state == 8).all()
+    assert views.shape == (1, 3, 9, 84, 84) and not views.any() and (state == 8).all()
 
 
-@pytest.mark.parametrize("on_disk", [False, True])
-def test_a_restored_buffer_goes_on_as_if_never_stopped(tmp_path: Path, on_disk: bool) -> None:
-    recorded = Recorded(ReplayBuffer(SPEC))
+def test_lanes_share_a_ring_and_never_mix() -> None:
+    """Three environments in turn: each lane's samples are those of a buffer of its own."""
+    lanes, horizon, episodes = 3, 5, 9
+    spec = replace(PACKED, lanes=lanes, capacity=42, horizon=horizon)
+    together = ReplayBuffer(spec)
+    alone = [ReplayBuffer(replace(PACKED, capacity=200)) for _ in range(lanes)]
+    rng = np.random.default_rng(0)
+    for step in range(episodes * (horizon + 1)):
+        for lane in range(lanes):
+            state, action = rng.normal(size=6), rng.uniform(-1, 1, 2)
+            frames = [rng.integers(0, 255, (84, 84, c), np.uint8) for c in spec.channels]
+            for buffer in (together, alone[lane]):
+                if step % (horizon + 1):
+                    buffer.add(action, 10 * step + lane, 0.9, state, frames)
+                else:
+                    buffer.begin(state, frames)
+    assert together.age == horizon and together.actions().shape == (horizon, lanes, 2)
+    index = np.unique(together._draw(2000, np.random.default_rng(1)))
+    assert 42 <= len(index) == len(together)
+    batch = together.batch(index)
+    for place, number in enumerate(index.tolist()):
+        instant, lane = divmod(number, lanes)
+        single = alone[lane].batch(np.array([instant]))
+        for name in ("views", "next_views", "state", "action", "reward", "next_state"):
+            assert torch.equal(getattr(batch, name)[place], getattr(single, name)[0]), name
+    for lane, (views, state) in enumerate(zip(*together.newest(), strict=True)):
+        assert torch.equal(views, alone[lane].newest()[0][0])
+        assert torch.equal(state, alone[lane].newest()[1][0])
+
+
+def test_a_pack_gives_back_every_frame_and_is_smaller() -> None:
+    env = ToyReach()
+    env.reset(0)
+    frames = []
+    for _ in range(20):
+        env.step(env.expert())
+        frames.append(env.view("third_a").rgb)
+    frames[7] = np.random.default_rng(0).integers(0, 255, (84, 84, 3), np.uint8)
+    stacked = np.stack(frames)
+    pack = Pack.of(stacked)
+    again = Pack.from_arrays(pack.arrays())
+    for each in (pack, again):
+        for place in (19, 0, 7, 7):
+            np.testing.assert_array_equal(each.frames([place])[0], stacked[place])
+    assert len(pack) == 20 and pack.nbytes < stacked.nbytes / 2
+
+
+def test_memory_is_what_the_frames_packed_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(buffer_packed, "TOGETHER", 40)
+    spec = replace(SPEC, capacity=200)
+    plain = Recorded(ReplayBuffer(spec))
+    packed = Recorded(ReplayBuffer(replace(spec, packed=True)))
+    for recorded in (plain, packed):
+        recorded.play(60)
+    assert plain.buffer.bytes_held > spec.rows * 84 * 84 * 7
+    assert packed.buffer.bytes_held < plain.buffer.bytes_held / 2, "with 40 plain ones"
+    assert packed.buffer.packed_bytes_per_row < 84 * 84 * 7 / 3, "with 8 pictures for 40"
+
+
+def test_frames_that_pack_badly_are_found_out_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = replace(PACKED, capacity=300_000)
+    monkeypatch.setattr(buffer_module, "_free", lambda folder: 8 * 10**9)
+    buffer, rng = ReplayBuffer(spec), np.random.default_rng(0)
+
+    def frames() -> list[Array]:
+        return [rng.integers(0, 255, (84, 84, c), np.uint8) for c in spec.channels]
+
+    buffer.begin(np.zeros(6), frames())
+    with pytest.raises(UserError, match=r"needs \d\d.\d GB, found 8.0 GB free in memory"):
+        for _ in range(8):
+            buffer.add(np.zeros(2), 0.0, 0.9, np.zeros(6), frames())
+
+
+@pytest.mark.parametrize(("packed", "on_disk"), [(False, False), (False, True), (True, False)])
+def test_a_restored_buffer_goes_on_as_if_never_stopped(
+    tmp_path: Path, packed: bool, on_disk: bool
+) -> None:
+    spec = replace(SPEC, packed=packed)
+    recorded = Recorded(ReplayBuffer(spec))
     for episode in range(12):  # Saved in pieces, round the ring.
         recorded.play(1, first=episode)
         state = recorded.buffer.save(tmp_path)
@@ -122,7 +210,7 @@ def test_a_restored_buffer_goes_on_as_if_never_stopped(tmp_path: Path, on_disk: 
     later = recorded.buffer.save(tmp_path)
     assert set(later["parts"]) - set(state["parts"])
 
-    again = Recorded(ReplayBuffer(SPEC, tmp_path / "frames" if on_disk else None))
+    again = Recorded(ReplayBuffer(spec, tmp_path / "frames" if on_disk else None))
     again.buffer.restore(tmp_path, state)
     left = {file.name for file in tmp_path.glob("part*")}
     assert left == set(state["parts"]), "what was written after that state is gone"
@@ -133,7 +221,7 @@ def test_a_restored_buffer_goes_on_as_if_never_stopped(tmp_path: Path, on_disk: 
     again.check(np.array(drawn(again.buffer)))
     again.play(2, first=12)
     again.check(np.array(drawn(again.buffer)))
-    third = Recorded(ReplayBuffer(SPEC))
+    third = Recorded(ReplayBuffer(spec))
     third.buffer.restore(tmp_path, again.buffer.save(tmp_path))
     third.views, third.states, third.steps = again.views, again.states, again.steps
     assert drawn(third.buffer) == drawn(again.buffer)
@@ -151,6 +239,8 @@ def test_the_memory_it_will_need_is_said_before() -> None:
         "in memory; ask for 248000 transitions or fewer, or keep it on disk"
     )
     ReplayBuffer(replace(paper, capacity=248_000), available=16 * 10**9)
+    packed = replace(paper, packed=True)
+    assert packed.rows * packed.bytes_per_row / 1e9 == pytest.approx(12.1, abs=0.05)
 
 
 def test_a_disk_that_is_too_small_is_refused(tmp_path: Path) -> None:

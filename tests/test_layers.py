@@ -22,7 +22,7 @@ LAYERS = (
     "types subsets files statistics processes svg",
     "envs agent ablations streams",
     "buffer manifest checkpoint store rollout evaluate live probes shapley projection saliency "
-    "demonstrations run card evidence",
+    "demonstrations run card evidence curves vector",
     "light paper train naive",
     "failures frame kept journal simulation timeline twin plan stage session",
     "training app bench doctor compare report sweep recording replay",

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from madviz import paper
+from madviz import paper, paper_loop
 from madviz.agent.agent import TorchPolicy
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.update import Learner
@@ -64,7 +64,14 @@ def final(folder: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:
     """The last state, and the curve without its clock."""
     state = torch.load(folder / "resume" / "state.pt", weights_only=True)
     with (folder / "curve.csv").open() as file:
-        rows = [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+        rows = [
+            {
+                k: v
+                for k, v in row.items()
+                if not k.startswith("seconds") and not k.endswith("per_s")
+            }
+            for row in csv.DictReader(file)
+        ]
     return state, rows
 
 
@@ -73,7 +80,7 @@ def assert_same_run(one: Path, other: Path) -> None:
     assert rows == others
     for name, weight in a["learner"]["agent"].items():
         assert torch.equal(weight, b["learner"]["agent"][name]), name
-    counted = ("step", "updates", "episodes", "rng", "episode_seed")
+    counted = ("step", "updates", "episodes", "rng", "episode_seeds")
     assert [a[k] for k in counted] == [b[k] for k in counted]
     assert a["learner"]["rng"] == b["learner"]["rng"]
 
@@ -138,7 +145,7 @@ def test_ctrl_c_saves_in_mid_episode(whole_run: Path, tmp_path: Path) -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(paper, "PROGRESS_SECONDS", 0)
+        patch.setattr(paper_loop, "PROGRESS_SECONDS", 0)
         run(tmp_path / "run", listener=interrupt)
     state, _ = final(tmp_path / "run")
     assert state["step"] == 21 and not state["between_episodes"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from madviz.checkpoint import load_policy
 from madviz.evaluate import evaluate
 from madviz.light import LightConfig
-from madviz.run import Event
+from madviz.run import Event, changes
 from madviz.train import TrainConfig, command, train
 from madviz.types import UserError
 
@@ -69,6 +70,66 @@ def test_a_run_is_a_policy_that_loads_and_a_curve(tmp_path: Path) -> None:
     assert [row["round"] for row in rows] == ["1", "2"]
     assert [event["kind"] for event in events] == ["curve", "curve", "done"]
     assert events[0]["seconds_left"] > 0
+
+
+CAMERAS = """
+[[camera]]
+name = "first"
+position = [0, 0, 1.0]
+wxyz = [1, 0, 0, 0]
+fovy = 60
+body = "hand"
+label = "First person"
+size = {size}
+
+[[camera]]
+name = "third_b"
+position = [0, 0, 2.0]
+wxyz = [1, 0, 0, 0]
+fovy = 60
+label = "Third B"
+"""
+
+
+def test_a_resumed_run_has_the_same_cameras_wherever_their_file_is(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(CAMERAS.format(size=84))
+    light = replace(TINY, rounds=1)
+    config = TrainConfig("toy/reach", cameras=file, out=tmp_path / "run", light=light)
+    train(config, lambda event: None)
+    weights = (tmp_path / "run" / "weights.safetensors").read_bytes()
+
+    file.write_text(CAMERAS.format(size=64))
+    again = replace(config, resume=True)
+    with pytest.raises(UserError, match=r"another configuration: cameras 1.size 84 -> 64;"):
+        train(again, lambda event: None)
+    with pytest.raises(UserError, match=r"cameras \[first, third_b\] -> None"):
+        train(replace(again, cameras=None), lambda event: None)
+
+    moved = tmp_path / "elsewhere" / "mine.toml"
+    moved.parent.mkdir()
+    file.write_text(CAMERAS.format(size=84) + "\n# The same cameras, and a comment.\n")
+    file.rename(moved)
+    train(replace(again, cameras=moved), lambda event: None)
+    assert (tmp_path / "run" / "weights.safetensors").read_bytes() == weights
+
+
+def test_changes_are_named_one_by_one() -> None:
+    before = {"seed": 1, "paper": {"alpha": 0.8, "steps": 5}, "gone": 1, "cameras": None}
+    now = {"seed": 1, "paper": {"alpha": 0.5, "steps": 5, "new": 3}, "cameras": [{"name": "a"}]}
+    assert changes(before, now) == ["paper.alpha 0.8 -> 0.5", "cameras None -> [a]"]
+
+
+def test_options_of_other_recipes_and_the_number_of_processes_may_change() -> None:
+    config = TrainConfig("toy/reach", recipe="paper-vectorised")
+    other = replace(
+        config,
+        **{"light": TINY, "vectorised": replace(config.vectorised, workers=7)},
+        **{"out": Path("elsewhere"), "resume": True},
+    )
+    assert config.identity() == other.identity()
+    slower = replace(config, vectorised=replace(config.vectorised, update_ratio=0.25))
+    assert changes(config.identity(), slower.identity()) == ["vectorised.update_ratio 0.5 -> 0.25"]
 
 
 @pytest.mark.slow

@@ -48,7 +48,7 @@ class Method:
     rows; ``every``, a mean over all rows."""
     targets: Literal["merged", "own"] = "merged"
     """Where targets and the actor read Q: from the merged feature, or from each row's own."""
-    recipes: tuple[str, ...] = ("paper", "light")
+    recipes: tuple[str, ...] = ("paper", "paper-vectorised", "light")
     needs: tuple[str, ...] = ()
     """What must be there to train it, in words, for ``madviz list``."""
     min_streams: int = 1

@@ -61,7 +61,7 @@ class LearningConfig:
     same_shift_for_views: bool = True
     """The paper shifts all views of a sample alike; its code draws a shift per view."""
     precision: Precision = "auto"
-    """Of matrix products: bfloat16 where the CPU has instructions for it, else float32."""
+    """Of matrix products: bfloat16 where the device has instructions for it, else float32."""
     kl_weight: float = 10.0
     """VIB's beta, on a mean over dimensions: 10 / 3136 for every nat of a view's Gaussian."""
 
@@ -110,7 +110,7 @@ class Learner:
         self._rng = np.random.default_rng(seed)
         self._noise = torch.Generator().manual_seed(seed)
         self.low_precision = self.config.precision == "bfloat16" or (
-            self.config.precision == "auto" and fast_bfloat16()
+            self.config.precision == "auto" and _fast_bfloat16(self._device)
         )
         self._average = get_ema_multi_avg_fn(1 - self.config.target_rate)
 
@@ -162,19 +162,23 @@ class Learner:
             "entropy": -log_prob[0].mean().item(),
         }
 
-    @torch.inference_mode()
     def act(self, views: Tensor, state: Tensor) -> Array:
-        """(V, C, H, W) uint8 and (S,) to a drawn action (A,); for exploration.
+        """(V, C, H, W) uint8 and (S,) to a drawn action (A,); see ``act_all``."""
+        return self.act_all(views[None], state[None])[0]
+
+    @torch.inference_mode()
+    def act_all(self, views: Tensor, state: Tensor) -> Array:
+        """(L, V, C, H, W) uint8 and (L, S) to drawn actions (L, A); for exploration.
 
         On all streams, except by a method that never learns to act on them: it takes one of its
         rows, drawn anew at every decision.
         """
         row = 0 if 0 in self._trained else int(self._rng.choice(self._trained))
-        luck, mask = self.agent.luck(1, self._noise), self._masks[row : row + 1]
-        merged = self.agent.look(views[None].to(self._device), mask, luck)[1][0]
-        mean, log_std = self.agent.actor(merged, state[None].to(self._device))
+        luck, mask = self.agent.luck(len(views), self._noise), self._masks[row : row + 1]
+        merged = self.agent.look(views.to(self._device), mask, luck)[1][0]
+        mean, log_std = self.agent.actor(merged, state.to(self._device))
         noise = torch.randn(mean.shape, generator=self._noise).to(self._device)
-        return squash(mean, log_std, noise)[0][0].float().cpu().numpy()
+        return squash(mean, log_std, noise)[0].float().cpu().numpy()
 
     def state_dict(self) -> dict[str, Any]:
         """Everything a resumed run needs to go on as if it had never stopped."""
@@ -194,7 +198,7 @@ class Learner:
 
     def _shifted(self, batch: Batch, both: Array) -> Batch:
         moved = {
-            name: shift(getattr(batch, name), shifts).to(self._device)
+            name: shift(getattr(batch, name).to(self._device), shifts)
             for name, shifts in zip(("views", "next_views"), both, strict=True)
         }
         numbers = {
@@ -242,3 +246,8 @@ class Learner:
         loss.backward(inputs=parameters)
         for optimiser in chosen:
             optimiser.step()
+
+
+def _fast_bfloat16(device: torch.device) -> bool:
+    """Whether ``device`` multiplies bfloat16 natively."""
+    return torch.cuda.is_bf16_supported() if device.type == "cuda" else fast_bfloat16()

@@ -8,6 +8,7 @@ from dataclasses import replace
 import viser
 
 from madviz.ablations import CameraState, Occlusion
+from madviz.app.draw import HINT, Box, attributes, field_style, parse_box, patched
 from madviz.app.mosaic import GAP, mosaic
 from madviz.app.panel import Assign
 from madviz.app.screen import Screen
@@ -94,6 +95,11 @@ class CameraControls:
                 changes += self._shown[field].show(value)
         return changes
 
+    def cover(self, box: Box, tile: int) -> None:
+        """A patch where a visitor has drawn a box on a tile of ``tile`` pixels."""
+        self._wanted.clear()
+        self._ask(patched(self._state, box, tile))
+
     def _ask(self, state: CameraState) -> None:
         self._state = state
         self._send(SetCamera(self.name, state))
@@ -126,10 +132,15 @@ class CamerasPanel:
         self._tile = (width - (count - 1) * GAP) // count
         self._style = gui.add_html(STYLE)
         picture = mosaic(frame, self._tile)
-        self._screen = Screen(gui, picture, step_of(frame), "what every camera sends")
         self._controls: list[CameraControls] = []
+        self._field = gui.add_text("box", "") if send is not None else None
+        drawable = attributes(self._field, count, self._tile) if self._field else ""
+        step, alt = step_of(frame), "what every camera sends"
+        self._screen = Screen(gui, picture, step, alt, drawable)
         if send is not None:
             self._build(gui, send, frame.env.cameras)
+        if self._field is not None:
+            on_value(self._field, lambda _, text: self._draw(text))
         self._grid = gui.add_html(self._layout(count))
         self._note = gui.add_html("")
 
@@ -149,8 +160,12 @@ class CamerasPanel:
             for control in self._controls:
                 control.add_slider(field)
 
+    def _draw(self, text: str) -> None:
+        box = parse_box(text, len(self._controls))
+        self._controls[box.tile].cover(box, self._tile)
+
     def _layout(self, columns: int) -> str:
-        cells = []
+        cells = [Cell(self._field, 1)] if self._field else []
         for index, control in enumerate(self._controls):
             cells.append(Cell(control.input.handle, index + 1, label="above"))
             cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="21%"))
@@ -161,14 +176,16 @@ class CamerasPanel:
         changes = [self._screen.show(mosaic(frame, self._tile), step_of(frame))]
         for control in self._controls:
             changes += control.show(frame.camera(control.name))
-        marks = "<style>" + "".join(control.style() for control in self._controls) + "</style>"
-        changes.append(Assign(self._style, "content", STYLE + marks))
-        changes.append(Assign(self._note, "content", unused_note(frame)))
+        marks = "".join(control.style() for control in self._controls)
+        marks += field_style(self._field) if self._field else ""
+        changes.append(Assign(self._style, "content", f"{STYLE}<style>{marks}</style>"))
+        hint = f'<div class="mv"><span class="dim">{HINT}</span></div>' if self._field else ""
+        changes.append(Assign(self._note, "content", unused_note(frame) or hint))
         return changes
 
     def remove(self) -> None:
         self._screen.remove()
-        remove_all([self._style, self._grid, self._note])
+        remove_all([self._style, self._grid, self._note, *([self._field] if self._field else [])])
         remove_all([handle for control in self._controls for handle in control.handles])
 
 

@@ -24,9 +24,11 @@ import viser
 from madviz.ablations import CameraState
 from madviz.app.arrows import ArrowsPanel
 from madviz.app.cameras import CamerasPanel
+from madviz.app.draw import DRAW_SCRIPT
 from madviz.app.failures import FailuresPanel
 from madviz.app.features import FeaturesPanel
 from madviz.app.keep import KeepPanel
+from madviz.app.move import MovePanel
 from madviz.app.pace import PACE_SCRIPT
 from madviz.app.panel import Panel, apply
 from madviz.app.policy import PolicyChoice, PolicyPanel
@@ -47,6 +49,7 @@ from madviz.app.toolkit import (
     run_script,
     window_is_wide,
 )
+from madviz.app.tour import Tour
 from madviz.app.training import TrainingPanel
 from madviz.app.versus import VersusPanel
 from madviz.app.worth import WorthPanel
@@ -241,8 +244,10 @@ class Page:
         self._waiting.content = waiting_html(self._notice) if self._notice else ""
         run_layout(client)
         run_script(client, SCREEN_SCRIPT)
+        run_script(client, DRAW_SCRIPT)
         run_script(client, PACE_SCRIPT)
         with client.atomic():
+            tour = Tour(client, send, lambda: self._newest, self._choices, self._keys(frame))
             policy = PolicyPanel(gui, send, frame, self._choices)
             success = SuccessPanel(gui, frame, self._rates, visitor)
             dockable = dock(client, self._wide)
@@ -252,7 +257,7 @@ class Page:
                 words = WordsPanel(gui, frame, self._rates)
                 tabs = gui.add_tab_group()
             tabbed = self._build_tabs(tabs, send, frame)
-            self._extras = [dockable, *self._shortcuts(frame)]
+            self._extras = [dockable, tour, *commands(client, self._shortcuts(frame))]
         self._shown = [
             *(Shown(cameras, FASTEST), Shown(policy, FASTEST), Shown(words, FASTEST)),
             *(*tabbed, Shown(success, 0.5)),
@@ -278,6 +283,7 @@ class Page:
                     (lambda: MapPanel(gui, frame, 330 if wide else 170), 0.4),
                 ],
             ),
+            ("Move", [(lambda: MovePanel(gui, send, frame), 0.25)]),
             ("Timeline", [(lambda: TimelinePanel(gui, send, frame), 0.5)]),
             ("A/B", [(lambda: VersusPanel(gui, send, frame, self._choices), 0.5)]),
             ("Failures", [(lambda: FailuresPanel(gui, send, frame), 0.5)]),
@@ -303,11 +309,15 @@ class Page:
             switch = back if state.input == "off" else "off"
             self.session.send(SetCamera(camera, CameraState(switch, state.occlusion)))
 
-    def _shortcuts(self, frame: Frame) -> list:
+    def _keys(self, frame: Frame) -> list[tuple[str, str]]:
+        """Keys and what they do, for the help."""
+        return [(key, label) for label, key, _ in self._shortcuts(frame)]
+
+    def _shortcuts(self, frame: Frame) -> list[tuple[str, str, Callable[[], None]]]:
         if self._readonly:
             return []
         send = self.session.send
-        table: list[tuple[str, object, Callable[[], None]]] = [
+        table: list[tuple[str, str, Callable[[], None]]] = [
             ("Play or pause", "space", self._play_or_pause),
             ("One step", "S", lambda: send(StepOnce())),
             ("Same seed again", "R", lambda: send(Reset())),
@@ -324,7 +334,7 @@ class Page:
                     lambda name=name: self._toggle(name),
                 )
             )
-        return commands(self.client, table)
+        return table
 
     def _play_or_pause(self) -> None:
         frame = self._newest

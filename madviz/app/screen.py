@@ -61,14 +61,18 @@ _number = count()
 class Screen:
     """One picture on the page. The page must have run ``SCREEN_SCRIPT``."""
 
-    def __init__(self, gui: viser.GuiApi, rgb: Array, step: str, alt: str) -> None:
-        """``rgb`` (H, W, 3) uint8, the first picture. ``step`` names what it shows."""
+    def __init__(
+        self, gui: viser.GuiApi, rgb: Array, step: str, alt: str, attributes: str = ""
+    ) -> None:
+        """``rgb`` (H, W, 3) uint8, the first picture. ``step`` names what it shows; scripts find
+        the ``attributes`` on the image."""
         self._id = f"mv-screen-{next(_number)}"
         height, width = rgb.shape[:2]
         self._image = gui.add_html(
             f'<div style="padding:0 10px 6px"><img id="{self._id}" class="mv-mosaic" alt="{alt}" '
             f'width="{width}" height="{height}" style="width:100%;height:auto;display:block" '
-            f'fetchpriority="high" decoding="sync" data-step="{step}" src="{jpeg_url(rgb)}"></div>'
+            f'{attributes} fetchpriority="high" decoding="sync" data-step="{step}" '
+            f'src="{jpeg_url(rgb)}"></div>'
         )
         self._feed = gui.add_html("")
 

@@ -13,8 +13,10 @@ from pathlib import Path
 import viser
 
 from madviz import checkpoint
+from madviz.app.access import Gate, new_token, stays_here
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
+from madviz.app.toolkit import theme
 from madviz.app.users import Users
 from madviz.envs.base import make_env
 from madviz.kept import KeptEpisode
@@ -40,9 +42,17 @@ class ExploreConfig:
     port: int = 8080
     """Where to serve."""
     host: str = "127.0.0.1"
-    """Which address to serve on; 0.0.0.0 lets other machines in, and there is no password."""
+    """Which address to serve on; 0.0.0.0 lets other machines in, and then a token is needed."""
+    token: bool = True
+    """Whether a page that serves beyond this machine asks for the token that is printed."""
+    present: bool = False
+    """One simulation: whoever opens the presenter's address has the controls, all others watch."""
     visitors: int = 4
     """Visitors with a simulation of their own; more than that watch."""
+    watchers: int = 50
+    """Seats to watch from."""
+    light: bool = False
+    """Dark text on light ground; visitors can change it for themselves."""
     workers: int = 1
     """Processes that measure success in the background; 0 for none."""
     speed: float | None = 10.0
@@ -80,33 +90,53 @@ class App:
         host: str = "127.0.0.1",
         port: int = 0,
         visitors: int = 4,
+        watchers: int = 50,
+        gate: Gate | None = None,
+        light: bool = False,
         speed: float | None = 10.0,
         runs: Path = Path("runs"),
         script: KeptEpisode | None = None,
     ) -> None:
-        """Trainings from the page get folders in ``runs``. ``port`` 0 takes a free one. Raises
-        UserError if the port is taken."""
+        """Trainings from the page get folders in ``runs``. ``port`` 0 takes a free one. ``gate``
+        with a presenter's token makes it a presentation. Raises UserError if the port is taken."""
         check_port(host, port)
         # A browser may leave while a frame is on its way to it; viser would warn about each.
         warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
         self.rates = rates or Rates()
-        self.server = viser.ViserServer(host=host, port=port, label="madviz", verbose=False)
-        self.server.gui.configure_theme(
-            dark_mode=True, show_logo=False, show_share_button=False, brand_color=(77, 140, 200)
-        )
+        self.gate = gate or Gate()
+        with self.gate.guarding():
+            self.server = viser.ViserServer(host=host, port=port, label="madviz", verbose=False)
+        theme(self.server.gui, light)
 
         def new_session() -> Session:
             return Session(env_factory, policy, load_policy, speed=speed, script=script)
 
         self.training = TrainingJob(runs)
         shared = (choices, self.rates, self.training)
-        self.users = Users(self.server, new_session, *shared, visitors)
+        presents = self._presents if self.gate.present else None
+        self.users = Users(self.server, new_session, *shared, visitors, watchers, presents)
+
+    def _presents(self, client: viser.ClientHandle) -> bool:
+        return self.gate.presents(self.server, client.client_id)
 
     @property
     def url(self) -> str:
+        """The page, without any token."""
         host = self.server.get_host()
         shown = "127.0.0.1" if host == "0.0.0.0" else host
         return f"http://{shown}:{self.server.get_port()}"
+
+    def addresses(self) -> dict[str, str]:
+        """Who opens what: addresses with the tokens they need."""
+        beyond = self.url
+        if not stays_here(self.server.get_host()):
+            beyond = f"http://{reached_at(self.server.get_host())}:{self.server.get_port()}"
+        if self.gate.present is None:
+            return {"madviz is at": with_token(beyond, self.gate.visit)}
+        return {
+            "present at": with_token(self.url, self.gate.present),
+            "watch at": with_token(beyond, self.gate.visit),
+        }
 
     def stop(self) -> None:
         self.users.close()
@@ -120,7 +150,9 @@ def explore(config: ExploreConfig | None = None) -> None:
     config = config or ExploreConfig()
     check_port(config.host, config.port)
     app = open_app(config)
-    print(f"madviz is at {app.url}  (Ctrl-C ends it)", flush=True)
+    for what, address in app.addresses().items():
+        print(f"{what} {address}", flush=True)
+    print("(Ctrl-C ends it)", flush=True)
     try:
         threading.Event().wait()
     finally:
@@ -159,9 +191,36 @@ def open_app(config: ExploreConfig) -> App:
         host=config.host,
         port=config.port,
         visitors=config.visitors,
+        watchers=config.watchers,
+        gate=gate_for(config),
+        light=config.light,
         speed=config.speed,
         script=script,
     )
+
+
+def gate_for(config: ExploreConfig) -> Gate:
+    """The tokens that a configuration asks for, new ones at every start."""
+    guarded = config.token and not stays_here(config.host)
+    return Gate(new_token() if guarded else None, new_token() if config.present else None)
+
+
+def with_token(address: str, token: str | None) -> str:
+    """An address that opens the page for whoever has it."""
+    return f"{address}/?token={token}" if token else address
+
+
+def reached_at(host: str) -> str:
+    """How other machines call ``host``. For 0.0.0.0 that is the address from which this machine
+    would reach others; asking for it sends nothing."""
+    if host != "0.0.0.0":
+        return host
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("10.255.255.255", 9))
+        except OSError:
+            return socket.gethostname()
+        return str(probe.getsockname()[0])
 
 
 def kept_script(config: ExploreConfig) -> tuple[KeptEpisode | None, dict[str, Policy]]:

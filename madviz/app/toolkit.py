@@ -13,6 +13,7 @@ would change the state.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -22,11 +23,20 @@ from viser._messages import RunJavascriptMessage
 from madviz.app.panel import Assign
 from madviz.types import UserError
 
+log = logging.getLogger(__name__)
+
 LEFT_WIDTH, LEFT_WIDTH_WIDE, RIGHT_WIDTH = 640, 790, 320
 WIDE = 1600
 """Browser windows from this width on get bigger tiles."""
 
+# What we draw keeps its colours on a light page, on dark ground: they were chosen for it, and a
+# camera's colour means the same on both.
 STYLE = """<style>
+:root {--mv-soft:#c3c7cc; --mv-edge:#50545a; --mv-ink:#e8eaed; --mv-ground:#15171a}
+:root[data-mantine-color-scheme=light] {
+  --mv-soft:#3a3d42; --mv-edge:#adb5bd; --mv-ink:#2b2e33; --mv-ground:#ffffff}
+:root[data-mantine-color-scheme=light] .mv:not(.mv .mv) {
+  background:#25262b; border-radius:4px; padding-top:4px; margin-left:4px; margin-right:4px}
 .mv {font-size:13px; line-height:1.35; color:#e8eaed; padding:0 10px 6px; letter-spacing:-0.1px}
 .mv b {font-weight:600} .mv .dim {color:#9a9fa6} .mv table {border-collapse:collapse; width:100%}
 .mv td {padding:1px 4px 1px 0; white-space:nowrap}
@@ -39,6 +49,13 @@ STYLE = """<style>
 .uplot-container {margin-top:2px !important; margin-bottom:4px !important}
 .mv pre {white-space:pre-wrap; font-size:11px; max-height:160px; overflow:auto; margin:4px 0}
 </style>"""
+
+
+def theme(gui: viser.GuiApi, light: bool) -> None:
+    """Light or dark, for one page or, by the server's ``gui``, for all that come."""
+    gui.configure_theme(
+        dark_mode=not light, show_logo=False, show_share_button=False, brand_color=(77, 140, 200)
+    )
 
 
 def dock(client: viser.ClientHandle, wide: bool) -> viser.PanelHandle:
@@ -74,11 +91,15 @@ def commands(
 
 
 def guarded(client: viser.ClientHandle, work: Callable[[], None]) -> None:
-    """Runs ``work``; a value that the page should not have sent becomes a note on the page."""
+    """Runs ``work``; a value that the page should not have sent becomes a note on the page. What a
+    page cannot send, somebody else has sent in its name, so nothing of it is taken for granted."""
     try:
         work()
     except UserError as error:
         notify(client, "That did not work", str(error))
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        log.warning("a page sent what no page sends (%r)", error)
+        notify(client, "That did not work", "The page sent a value that means nothing here.")
 
 
 class Cell(NamedTuple):
@@ -193,12 +214,12 @@ class Choice:
     def style(self, active: str, disabled: bool = False) -> str:
         """CSS that marks the active button."""
         row = selector(self.handle)
-        rules = f"{row} button {{color:#c3c7cc; border-color:#50545a; padding:0 5px}}"
+        rules = f"{row} button {{color:var(--mv-soft); border-color:var(--mv-edge); padding:0 5px}}"
         if active in self._values:
             place = self._values.index(active) + 1
             rules += (
                 f"{row} button:nth-child({place}) "
-                "{background:#e8eaed; color:#15171a; border-color:#e8eaed}"
+                "{background:var(--mv-ink); color:var(--mv-ground); border-color:var(--mv-ink)}"
             )
         if disabled:
             rules += f"{row} {{opacity:0.45; pointer-events:none}}"

@@ -1,8 +1,13 @@
 """Who is on the page: a simulation for each visitor, up to a cap; beyond it, a seat to watch from.
 
 A closed page gives back its thread, its environment and its memory. Whoever watched it then gets a
-simulation of their own. Everything personal lives in ``client.gui`` and ``client.scene``; viser's
-server-wide widgets would be shared by all.
+simulation of their own. In presenter mode there is one simulation, which nobody owns: whoever
+``presents`` has the controls, in every page they open, all others watch, and it goes on while
+nobody looks. Seats to watch from end, too; who finds none is told so, and sits down when somebody
+leaves.
+
+Everything personal lives in ``client.gui`` and ``client.scene``; viser's server-wide widgets would
+be shared by all.
 """
 
 from __future__ import annotations
@@ -14,7 +19,7 @@ from dataclasses import dataclass
 
 import viser
 
-from madviz.app.page import Page
+from madviz.app.page import Page, waiting_html
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.session import Session
@@ -22,10 +27,17 @@ from madviz.training_job import TrainingJob
 
 log = logging.getLogger(__name__)
 
+WATCHING = (
+    "You are watching: all {} simulations here are taken. You get one of your own as soon as the "
+    "visitor you are watching leaves."
+)
+PRESENTED = "You are watching a presentation: the presenter has the controls."
+FULL = "All {} seats to watch from are taken. You get one as soon as somebody leaves."
+
 
 @dataclass
 class Seat:
-    """One browser: its page, and whether the session it shows is its own."""
+    """One browser: its page, and whether it has the controls of the session it shows."""
 
     client: viser.ClientHandle
     page: Page
@@ -44,21 +56,28 @@ class Users:
         rates: Rates,
         job: TrainingJob,
         cap: int,
+        watchers: int = 50,
+        presents: Callable[[viser.ClientHandle], bool] | None = None,
     ) -> None:
+        """``cap`` simulations and ``watchers`` seats beside them. ``presents`` tells the presenter
+        from the others; None: there is no presenter."""
         self._server, self._new_session = server, new_session
-        self._choices, self._rates, self._cap = choices, rates, cap
-        self._job = job
+        self._shared = (choices, rates, job)
+        self._cap, self._most_watchers, self._presents = cap, watchers, presents
         self._seats: dict[int, Seat] = {}
+        self._standing: dict[int, tuple[viser.ClientHandle, viser.GuiHtmlHandle]] = {}
+        """Who found no seat, and the line that tells them."""
         self._lock = threading.Lock()
-        """Guards ``_seats`` and ``_spare``; never held while a widget is assigned."""
+        """Guards all of these; never held while a widget is assigned."""
         self._spare: Session | None = new_session().start()
-        """Started before anybody comes, so that the first picture is ready when somebody does."""
+        """Started before anybody comes, so that the first picture is ready when somebody does. In
+        presenter mode it stays here: it is the one that is presented."""
         server.on_client_connect(self.join)
         server.on_client_disconnect(self.leave)
 
     @property
     def sessions(self) -> int:
-        """Simulations that belong to a visitor."""
+        """Pages that have the controls of a simulation."""
         with self._lock:
             return sum(seat.owner for seat in self._seats.values())
 
@@ -74,43 +93,69 @@ class Users:
         return seat.session if seat else None
 
     def join(self, client: viser.ClientHandle) -> None:
-        """Gives a browser a simulation, or somebody else's to watch."""
+        """Gives a browser a simulation, or somebody else's to watch, or a place to wait."""
+        presents = self._presents is not None and self._presents(client)
         with self._lock:
-            owners = [seat.session for seat in self._seats.values() if seat.owner]
-            owner = len(owners) < self._cap
-            if owner:
-                session, self._spare = self._spare or self._new_session().start(), None
-            else:
-                watched = [seat.session for seat in self._seats.values() if not seat.owner]
-                session = min(owners, key=watched.count)
-            notice = "" if owner else watching_words(self._cap)
-            page = Page(
-                *(client, session, self._choices, self._rates, self._job),
-                notice=notice,
-                readonly=not owner,
-            )
-            self._seats[client.client_id] = Seat(client, page, session, owner)
-        page.start()
+            place = self._place(presents)
+            if place is not None:
+                session, owner = place
+                page = Page(
+                    *(client, session, *self._shared),
+                    notice="" if owner else self._watching_words(),
+                    readonly=not owner,
+                )
+                self._seats[client.client_id] = Seat(client, page, session, owner)
+        if place is None:
+            line = client.gui.add_html(waiting_html(FULL.format(self._most_watchers)))
+            with self._lock:
+                self._standing[client.client_id] = (client, line)
+        else:
+            page.start()
         if client.client_id not in self._server.get_clients():
             self.leave(client)  # It left while its page was being made.
 
+    def _place(self, presents: bool) -> tuple[Session, bool] | None:
+        """The session for one more browser, and whether it gets the controls; None: no seat left.
+        Called with the lock held."""
+        seats = self._seats.values()
+        owners = [seat.session for seat in seats if seat.owner]
+        watched = [seat.session for seat in seats if not seat.owner]
+        if self._presents is None and len(owners) < self._cap:
+            session, self._spare = self._spare or self._new_session().start(), None
+            return session, True
+        if not presents and len(watched) >= self._most_watchers:
+            return None
+        if self._presents is not None:
+            assert self._spare is not None
+            return self._spare, presents
+        return min(owners, key=watched.count), False
+
+    def _watching_words(self) -> str:
+        return PRESENTED if self._presents is not None else WATCHING.format(self._cap)
+
     def leave(self, client: viser.ClientHandle) -> None:
-        """Frees what a browser had; those who watched it sit down anew."""
+        """Frees what a browser had; those who watched it, or waited, sit down anew."""
         with self._lock:
+            self._standing.pop(client.client_id, None)
             seat = self._seats.pop(client.client_id, None)
             if seat is None:
                 return
+            theirs = seat.owner and self._presents is None
             stranded = [other for other in self._seats.values() if other.session is seat.session]
-            stranded = stranded if seat.owner else []
+            stranded = stranded if theirs else []
             for other in stranded:
                 del self._seats[other.client.client_id]
+            standing, self._standing = list(self._standing.values()), {}
         seat.page.close()
-        if seat.owner:
+        if theirs:
             seat.session.close()
         for other in stranded:
             other.page.close()
             other.page.clear()
             self.join(other.client)
+        for waiting, line in standing:
+            line.remove()
+            self.join(waiting)
 
     def close(self) -> None:
         """Frees everything."""
@@ -119,13 +164,6 @@ class Users:
             spare, self._spare = self._spare, None
         for seat in seats:
             seat.page.close()
-        for session in [seat.session for seat in seats if seat.owner] + ([spare] if spare else []):
+        theirs = [seat.session for seat in seats if seat.owner and seat.session is not spare]
+        for session in theirs + ([spare] if spare else []):
             session.close()
-
-
-def watching_words(cap: int) -> str:
-    """What a visitor over the cap is told."""
-    return (
-        f"You are watching: all {cap} simulations here are taken. You get one of your own as soon "
-        "as the visitor you are watching leaves."
-    )

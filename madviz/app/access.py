@@ -1,0 +1,251 @@
+"""Who may see the page, and who holds the controls: decided before a byte of the page is sent.
+
+The problem: viser serves its files and its websocket to whoever reaches the port, and a browser's
+websocket does not carry the page's address, so a token in the address alone would guard nothing.
+
+The idea: cookies do travel with the websocket. Every request passes a gate first:
+
+    GET /?token=T   right  ──►  303 to / without the token, and a cookie that says T
+                    wrong  ──►  403; five wrong ones in a second from one address: 429
+    anything else   cookie right  ──►  viser answers: a file, or the websocket is opened
+                    no cookie     ──►  401 and a small form that asks for the token
+
+There are two tokens. The visitors' lets in; where the page serves beyond this machine, it is there
+by default. The presenter's, in presenter mode, also hands over the controls, so a page that is
+loaded again has them again. Both are 128 random bits, compared in constant time: at five tries a
+second, an even chance to guess one takes 10^30 years.
+
+Nothing here is encrypted: http is for a network that one trusts, or for a tunnel (``ssh -L``).
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import logging
+import secrets
+import threading
+import time
+from collections import OrderedDict, deque
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from html import escape
+from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from typing import Any, Literal
+from urllib.parse import parse_qsl, urlencode, urlsplit
+from weakref import WeakKeyDictionary
+
+import viser
+import websockets.asyncio.server
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from madviz.types import UserError
+
+Role = Literal["presenter", "visitor"]
+TRIES, WINDOW = 5, 1.0
+"""Wrong tokens that one address may send in so many seconds."""
+MOST_ADDRESSES = 1000
+"""Addresses whose tries are remembered."""
+LARGEST = 2**20
+"""Bytes of the longest message a page may send; viser's own 50 MB are for rendered pictures."""
+
+log = logging.getLogger(__name__)
+_starting = threading.Lock()
+
+FORM = """<!doctype html><html lang="en"><meta charset="utf-8"><title>madviz</title>
+<meta name="viewport" content="width=device-width"><body style="font:16px sans-serif;margin:3em">
+<h1>madviz</h1><p>{}</p><form><label>Token <input name="token" type="password" autofocus></label>
+<button>open</button></form></body></html>"""
+"""What those see who may not see the page."""
+ASKED = "This page needs the token that was printed where it was started."
+WRONG = "This is not the token that was printed where the page was started."
+TOO_MANY = "Too many wrong tokens from here; wait a second."
+
+
+def new_token() -> str:
+    """128 random bits as text for an address."""
+    return secrets.token_urlsafe(16)
+
+
+def stays_here(host: str) -> bool:
+    """Whether only this machine reaches what is served on ``host``."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+class Tries:
+    """Counts wrong tokens by address, and forgets them after a second."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._wrong: OrderedDict[str, deque[float]] = OrderedDict()
+
+    def too_many(self, address: str) -> bool:
+        """Whether ``address`` has to wait."""
+        past = self._wrong.get(address, ())
+        return len(past) == TRIES and self._clock() - past[0] < WINDOW
+
+    def note(self, address: str) -> None:
+        """One more wrong token."""
+        past = self._wrong.setdefault(address, deque(maxlen=TRIES))
+        self._wrong.move_to_end(address)
+        past.append(self._clock())
+        if len(self._wrong) > MOST_ADDRESSES:
+            self._wrong.popitem(last=False)
+
+
+class Gate:
+    """See the module. ``visit`` None: everybody may watch. ``present`` None: nobody presents."""
+
+    def __init__(self, visit: str | None = None, present: str | None = None) -> None:
+        self.visit, self.present = visit, present
+        self.tries = Tries()
+        self._roles: WeakKeyDictionary[ServerConnection, Role] = WeakKeyDictionary()
+
+    def _role_of(self, said: str) -> Role | None:
+        """Compares with both, whatever the first one gave: the time taken tells nothing."""
+        presents, visits = same(said, self.present), same(said, self.visit)
+        return "presenter" if presents else "visitor" if visits else None
+
+    def answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """The gate's own answer to a request; None where viser may give its own."""
+        if self.visit is None and self.present is None:
+            return None
+        port = connection.local_address[1]
+        address = str((connection.remote_address or ("?",))[0])
+        asked, carried = _asked(request), _cookie(request, port)
+        said = carried if asked is None else asked
+        waits = said is not None and self.tries.too_many(address)
+        known = None if said is None or waits else self._role_of(said)
+        if said is not None and known is None and not waits:
+            self.tries.note(address)
+        if waits and (asked is not None or self.visit):
+            return _refusal(HTTPStatus.TOO_MANY_REQUESTS, TOO_MANY)
+        if asked is not None and known is None:
+            return _refusal(HTTPStatus.FORBIDDEN, WRONG)
+        if asked is not None and not _is_websocket(request):
+            return _admission(request, port, asked)
+        role: Role | None = known or (None if self.visit else "visitor")
+        if role is None:
+            return _refusal(HTTPStatus.UNAUTHORIZED, ASKED)
+        self._roles[connection] = role
+        return None
+
+    def presents(self, server: viser.ViserServer, client_id: int) -> bool:
+        """Whether a connected browser came with the presenter's token."""
+        connection = server._websock_server._live_connections.get(client_id)
+        return connection is not None and self._roles.get(connection) == "presenter"
+
+    @contextmanager
+    def guarding(self) -> Iterator[None]:
+        """Servers of viser that start meanwhile ask this gate first. Raises UserError if one
+        started without asking: viser has changed, and an open page must not be taken for a closed
+        one."""
+        real, hooked = websockets.asyncio.server.serve, []
+
+        def serve(handler: Any, *words: Any, process_request: Any = None, **options: Any) -> Any:
+            hooked.append(True)
+
+            def gated(connection: ServerConnection, request: Request) -> Any:
+                refusal = self.answer(connection, request)
+                if refusal is not None or process_request is None:
+                    return refusal
+                return process_request(connection, request)
+
+            options["max_size"] = LARGEST
+            return real(quiet(handler), *words, process_request=gated, **options)
+
+        with _starting:
+            setattr(websockets.asyncio.server, "serve", serve)  # noqa: B010
+            try:
+                yield
+            finally:
+                setattr(websockets.asyncio.server, "serve", real)  # noqa: B010
+        if not hooked:
+            raise UserError("expected viser 1.1 behind the token, found one that starts otherwise")
+
+
+def quiet(
+    handler: Callable[[ServerConnection], Awaitable[None]],
+) -> Callable[[ServerConnection], Awaitable[None]]:
+    """``handler``, but a browser that sends what no page sends is let go with one line in the log
+    instead of a traceback."""
+
+    async def handle(connection: ServerConnection) -> None:
+        try:
+            await handler(connection)
+        except ConnectionClosed:
+            return
+        except Exception as error:
+            log.warning("let go of a connection: no page sends such a message (%r)", error)
+            await connection.close(1002, "not a message that a page sends")
+
+    return handle
+
+
+def same(said: str, token: str | None) -> bool:
+    """Whether ``said`` is the token, in a time that does not tell how much of it was right."""
+    expected = (token or new_token()).encode()
+    return hmac.compare_digest(said.encode("utf-8", "replace"), expected) and token is not None
+
+
+def cookie_name(port: int) -> str:
+    """Browsers keep cookies by machine, not by port; two pages need two names."""
+    return f"madviz-{port}"
+
+
+def _asked(request: Request) -> str | None:
+    """The token in a request's address."""
+    found = dict(parse_qsl(urlsplit(request.path).query, keep_blank_values=True))
+    return found.get("token")
+
+
+def _cookie(request: Request, port: int) -> str | None:
+    for line in request.headers.get_all("Cookie"):
+        try:
+            morsel = SimpleCookie(line).get(cookie_name(port))
+        except CookieError:
+            continue
+        if morsel is not None:
+            return morsel.value
+    return None
+
+
+def _is_websocket(request: Request) -> bool:
+    return any(word.lower() == "websocket" for word in request.headers.get_all("Upgrade"))
+
+
+def _admission(request: Request, port: int, token: str) -> Response:
+    """Back to the same address without the token, which then stays out of histories and logs."""
+    rest = [
+        (key, value)
+        for key, value in parse_qsl(urlsplit(request.path).query, keep_blank_values=True)
+        if key != "token"
+    ]
+    headers = Headers(
+        {
+            "Location": "./" + ("?" + urlencode(rest) if rest else ""),
+            "Set-Cookie": f"{cookie_name(port)}={token}; Path=/; HttpOnly; SameSite=Lax",
+            "Referrer-Policy": "no-referrer",
+            "Content-Length": "0",
+        }
+    )
+    return Response(HTTPStatus.SEE_OTHER, "See Other", headers, b"")
+
+
+def _refusal(status: HTTPStatus, why: str) -> Response:
+    body = FORM.format(escape(why)).encode()
+    headers = Headers(
+        {
+            "Content-Type": "text/html; charset=utf-8",
+            "Content-Length": str(len(body)),
+            "Cache-Control": "no-store",
+        }
+    )
+    return Response(status, status.phrase, headers, body)

@@ -1,0 +1,170 @@
+"""A box dragged on a camera's picture becomes a patch that covers it.
+
+The problem: viser tells nobody where a visitor clicks in a picture, and a script of ours cannot
+talk to Python by itself. The idea: it speaks through a text field that nobody sees. The script
+writes a line into it as if somebody had typed, and viser carries that home like any other text:
+
+    drag ─► rubber band ─► "7 1 0.4200 0.5500 0.2000" ─► hidden field ─► SetCamera(patch)
+                            │ │ └ middle and side, parts of the tile
+                            │ └ the tile, from 0
+                            └ counts, so that the same box twice is two texts
+
+A patch is a square, so the rubber band is one, too: what is drawn is what is covered. Lines come
+from a page that anybody may have changed, so ``parse_box`` takes nothing but this form. A click, or
+a drag of a few pixels, does nothing. Fingers scroll the panel instead of drawing.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import viser
+
+from madviz.ablations import CameraState, Occlusion
+from madviz.app.mosaic import GAP, HEADER, SCALE
+from madviz.app.toolkit import selector
+from madviz.types import UserError
+
+HINT = "Drag a box on a picture: a black patch covers it."
+LEAST = 8
+"""Pixels on the screen; a shorter drag is a click with an unsteady hand."""
+
+DRAW_SCRIPT = (
+    f"const LEAST = {LEAST};"
+    + """
+if (!window.madvizDraw) {
+  const draw = window.madvizDraw = {count: 0, drag: null};
+  const tileAt = (image, event) => {
+    const {tile, gap, header, tiles} = Object.fromEntries(
+      ['tile', 'gap', 'header', 'tiles'].map(name => [name, Number(image.dataset[name])]));
+    const box = image.getBoundingClientRect(), scale = box.width / image.getAttribute('width');
+    const index = Math.floor((event.clientX - box.left) / scale / (tile + gap));
+    const left = box.left + index * (tile + gap) * scale, top = box.top + header * scale;
+    const x = event.clientX - left, y = event.clientY - top, side = tile * scale;
+    const inside = index >= 0 && index < tiles && x >= 0 && x < side && y >= 0 && y < side;
+    return inside ? {image, index, left, top, side, x, y} : null;
+  };
+  const square = ({side, x, y}, toX, toY) => {
+    const right = toX >= x, down = toY >= y;
+    const room = Math.min(right ? side - x : x, down ? side - y : y);
+    const size = Math.min(Math.max(Math.abs(toX - x), Math.abs(toY - y)), room);
+    return {left: right ? x : x - size, top: down ? y : y - size, size};
+  };
+  const tell = (image, text) => {
+    const input = document.querySelector(`[data-mv-id="${image.dataset.draw}"] input`);
+    if (!input) return;
+    Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(input, text);
+    input.dispatchEvent(new Event('input', {bubbles: true}));
+  };
+  const end = () => { draw.drag?.band.remove(); draw.drag = null; };
+  addEventListener('pointerdown', event => {
+    end();
+    const image = event.target.closest?.('img[data-draw]');
+    if (!image || event.button !== 0 || event.pointerType === 'touch') return;
+    const start = tileAt(image, event);
+    if (!start) return;
+    event.preventDefault();
+    const band = document.createElement('div');
+    band.className = 'mv-band';
+    band.style.cssText = 'position:fixed;z-index:9999;pointer-events:none;box-sizing:border-box;'
+      + 'border:2px dashed #ffd166;background:rgba(0,0,0,0.45);display:none';
+    document.body.append(band);
+    draw.drag = {...start, band};
+  });
+  addEventListener('pointermove', event => {
+    const drag = draw.drag;
+    if (!drag) return;
+    const {left, top, size} = square(drag, event.clientX - drag.left, event.clientY - drag.top);
+    Object.assign(drag.band.style, {
+      display: size < LEAST ? 'none' : 'block', left: drag.left + left + 'px',
+      top: drag.top + top + 'px', width: size + 'px', height: size + 'px'});
+  });
+  addEventListener('pointerup', event => {
+    const drag = draw.drag;
+    end();
+    if (!drag) return;
+    const {left, top, size} = square(drag, event.clientX - drag.left, event.clientY - drag.top);
+    if (size < LEAST) return;
+    const parts = [left + size / 2, top + size / 2, size].map(
+      one => Math.min(Math.max(one / drag.side, 0), 1).toFixed(4));
+    tell(drag.image, [++draw.count, drag.index, ...parts].join(' '));
+  });
+  addEventListener('pointercancel', end);
+  addEventListener('keydown', event => event.key === 'Escape' && end());
+  addEventListener('dragstart', event => {
+    if (event.target.closest?.('img[data-draw]')) event.preventDefault();
+  });
+}
+"""
+)
+
+_FRACTION = r"([01]\.\d{4})"
+_LINE = re.compile(rf"[0-9]{{1,9}} ([0-9]{{1,2}}) {_FRACTION} {_FRACTION} {_FRACTION}", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A square on one tile; everything in parts of the tile's width."""
+
+    tile: int
+    x: float
+    """Middle, from the left."""
+    y: float
+    """Middle, from the top."""
+    size: float
+
+
+def parse_box(text: str, tiles: int) -> Box:
+    """What the script has written. Raises UserError for anything that it would not write."""
+    found = _LINE.fullmatch(text)
+    if found is None:
+        raise UserError(
+            f"expected a box as this page draws one, found {text!r:.60}; load the page again"
+        )
+    tile, (x, y, size) = int(found[1]), map(float, found.groups()[1:])
+    if tile >= tiles or max(x, y, size) > 1 or size == 0:
+        raise UserError(
+            f"expected a box inside one of {tiles} pictures, found {text!r:.60}; draw it again"
+        )
+    return Box(tile, x, y, size)
+
+
+def patched(state: CameraState, box: Box, tile: int) -> CameraState:
+    """``state`` with a patch where ``box`` is on a tile of ``tile`` pixels; a patch that is there
+    already keeps its strength. Raises UserError for a dropped camera: nothing of it is used."""
+    if state.input == "off":
+        raise UserError("expected a camera that is on, found one that is dropped; switch it on")
+    strength = state.occlusion.strength if state.occlusion.kind == "patch" else 1.0
+    y = _row(box.y, state.input, tile)
+    # Hundredths, as the sliders have them: less than a pixel of what the policy gets.
+    x, y, size = (round(value, 2) for value in (box.x, y, box.size))
+    return CameraState(state.input, Occlusion("patch", strength, x, y, max(size, 0.01)))
+
+
+def _row(y: float, shown: str, tile: int) -> float:
+    """From a part of the tile to the same part of the picture: ``mosaic`` shows the middle rows
+    where there is something else on the tile, colour above depth or a scale under it."""
+    half, row = tile // 2, y * tile
+    if shown == "depth":
+        above = SCALE // 2
+    elif shown == "both" and row < half:
+        above = (tile - half) // 2
+    elif shown == "both":
+        above = (tile - (tile - half - SCALE)) // 2 - half
+    else:
+        above = 0
+    return min(max((row + above) / tile, 0.0), 1.0)
+
+
+def field_style(field: viser.GuiTextHandle) -> str:
+    """CSS that takes the field out of sight; the script finds it all the same."""
+    return f"{selector(field)} {{display:none}} img[data-draw] {{cursor:crosshair}}"
+
+
+def attributes(field: viser.GuiTextHandle, tiles: int, tile: int) -> str:
+    """What the script must know of a mosaic of ``tiles`` tiles, ``tile`` pixels wide."""
+    return (
+        f'data-draw="{field._impl.uuid}" data-tiles="{tiles}" data-tile="{tile}" data-gap="{GAP}" '
+        f'data-header="{HEADER}" draggable="false" title="{HINT}"'
+    )

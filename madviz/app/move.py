@@ -1,0 +1,156 @@
+"""Move a camera: sliders along its own axes, and back to where the policy was trained.
+
+One camera at a time has the sliders; the others stay where they are put. The picture above changes
+with the slider, and so does what the policy makes of it. Beside the sliders stands how far every
+camera is from its place, and what that means for the success rates on this page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from html import escape
+
+import viser
+
+from madviz.app.colours import NOTE, camera_colours
+from madviz.app.panel import Assign
+from madviz.app.toolkit import Cell, Choice, Shown, grid, on_value, remove_all
+from madviz.frame import Command, Frame
+from madviz.moves import Displacement, MoveCamera
+
+HINTS = {
+    "camera": "Which camera the sliders move.",
+    "forward": "Metres into the picture.",
+    "right": "Metres to the picture's right.",
+    "up": "Metres to the picture's top.",
+    "pan": "Degrees that it turns to the right.",
+    "tilt": "Degrees that it turns up.",
+    "zoom": "2 shows half as much across, twice as large.",
+    "back": "Back to where the policy was trained with it.",
+    "all": "All cameras back to where the policy was trained with them.",
+}
+RANGES = {
+    **dict.fromkeys(("forward", "right", "up"), (-0.5, 0.5, 0.01)),
+    **dict.fromkeys(("pan", "tilt"), (-45.0, 45.0, 1.0)),
+    "zoom": (0.5, 2.0, 0.05),
+}
+"""Of every slider: from, to, step. Commands may go further."""
+
+
+class MovePanel:
+    """See the module. ``send`` None: look, don't touch."""
+
+    def __init__(
+        self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
+    ) -> None:
+        self._send = send
+        self._names = [camera.name for camera in frame.env.cameras]
+        self._camera = self._names[0]
+        self._moves = dict(frame.ablation.moves)
+        self._sliders: dict[str, viser.GuiSliderHandle] = {}
+        self._shown: dict[str, Shown] = {}
+        self._wanted: dict[str, float] = {}
+        """What a slider was dragged to and no frame has confirmed yet: not to be pulled back."""
+        self._handles: list = []
+        self._choice: Choice | None = None
+        self._style = gui.add_html("")
+        if send is not None:
+            self._add_controls(gui, frame)
+        self._words = gui.add_html(move_html(frame))
+        self._handles += [self._style, self._words]
+
+    def _add_controls(self, gui: viser.GuiApi, frame: Frame) -> None:
+        labels = {camera.name: camera.label for camera in frame.env.cameras}
+        self._choice = Choice(gui, "Camera", labels, lambda _, c: self._choose(c), HINTS["camera"])
+        back = gui.add_button("back", hint=HINTS["back"])
+        home = gui.add_button("all back", hint=HINTS["all"])
+        back.on_click(lambda event: self._reset(event.client, [self._camera]))
+        home.on_click(lambda event: self._reset(event.client, self._names))
+        cells = [Cell(self._choice.handle, 1, 4), Cell(back, 5), Cell(home, 6)]
+        for field, (low, high, step) in RANGES.items():
+            value = getattr(self._move, field)
+            slider = gui.add_slider(field, low, high, step, value, marks=(), hint=HINTS[field])
+            on_value(slider, lambda _, value, field=field: self._drag(field, value))
+            self._sliders[field], self._shown[field] = slider, Shown(slider)
+        cells += [
+            Cell(slider, 1 + 2 * (index % 3), 2)
+            for index, slider in enumerate(self._sliders.values())
+        ]
+        layout = gui.add_html(grid("move", 6, cells))
+        self._handles = [*(cell.handle for cell in cells), layout]
+
+    @property
+    def _move(self) -> Displacement:
+        return self._moves.get(self._camera, Displacement())
+
+    def _choose(self, camera: str) -> None:
+        if camera in self._names:
+            self._camera = camera
+            self._wanted.clear()
+            # No frame may come while an episode is paused, so this does not wait for one.
+            for change in [*self._show_sliders(), self._marks()]:
+                setattr(change.handle, change.name, change.value)
+
+    def _drag(self, field: str, value: float) -> None:
+        self._wanted[field] = value
+        move = replace(self._move, **{field: value})
+        self._moves[self._camera] = move
+        self._ask(self._camera, move)
+
+    def _reset(self, client: viser.ClientHandle | None, cameras: list[str]) -> None:
+        self._wanted.clear()
+        for camera in cameras if client is not None else ():
+            self._moves.pop(camera, None)
+            self._ask(camera, None)
+
+    def _ask(self, camera: str, move: Displacement | None) -> None:
+        assert self._send is not None
+        self._send(MoveCamera(camera, move))
+
+    def update(self, frame: Frame) -> list[Assign]:
+        changes = [Assign(self._words, "content", move_html(frame))]
+        if self._choice is None:
+            return changes
+        now = frame.ablation.moves.get(self._camera, Displacement())
+        confirmed = all(getattr(now, field) == value for field, value in self._wanted.items())
+        if confirmed:
+            self._wanted.clear()
+            self._moves = dict(frame.ablation.moves)
+            changes += self._show_sliders()
+        return [*changes, self._marks()]
+
+    def _show_sliders(self) -> list[Assign]:
+        move, changes = self._move, []
+        for field, shown in self._shown.items():
+            changes += shown.show(getattr(move, field), shown.handle.value != getattr(move, field))
+        return changes
+
+    def _marks(self) -> Assign:
+        assert self._choice is not None
+        return Assign(self._style, "content", f"<style>{self._choice.style(self._camera)}</style>")
+
+    def remove(self) -> None:
+        remove_all(self._handles)
+
+
+def move_html(frame: Frame) -> str:
+    """Where cameras are, and what becomes of the success rates."""
+    if not frame.ablation.moves:
+        return (
+            '<div class="mv mv-moved"><span class="dim">Every camera stands where the policy was '
+            "trained. Move one: picture, action and Q change at once.</span></div>"
+        )
+    colours = camera_colours(frame.env.cameras)
+    rows = "".join(
+        f'<div><span class="dot" style="background:{colours[camera.name]}"></span>'
+        f"<b>{escape(camera.label)}</b> {escape(frame.ablation.moves[camera.name].words())}</div>"
+        for camera in frame.env.cameras
+        if camera.name in frame.ablation.moves
+    )
+    return (
+        f'<div class="mv mv-moved" style="border-left:3px solid {NOTE};margin:0 10px;'
+        f'padding:2px 8px">{rows}<div class="dim">Whole episodes on this page count, as a setting '
+        "of their own; workers measure with every camera in its place. Success against distance: "
+        "<code>madviz displace</code>.</div></div>"
+    )

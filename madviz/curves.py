@@ -1,0 +1,65 @@
+"""``curve.svg`` in a run's folder: success while training, drawn anew at every evaluation.
+
+Every subset is a line over simulator steps; its band is the 95% interval of that evaluation's
+episodes (Wilson). With the recipe's 20 episodes that is wide: 15 of 20 could be 0.53 or 0.89, so a
+dip in one line says little. Above it stand how far the run is and the time that is left at its
+pace so far. Several trainings in one picture, with intervals over their seeds, are
+``madviz compare ... --curves FILE``.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from madviz import svg
+from madviz.files import write_bytes
+from madviz.statistics import wilson
+
+PREFIX = "success_"
+
+
+def draw_curve(folder: Path, name: str, steps: int) -> None:
+    """Draws ``curve.csv`` of ``folder`` to ``curve.svg``; ``steps`` are the whole run's decisions.
+
+    Nothing is drawn from a curve that has no success by subset.
+    """
+    file = folder / "curve.csv"
+    rows = list(csv.DictReader(file.read_text().splitlines())) if file.is_file() else []
+    lines = success_lines(rows)
+    if not lines:
+        return
+    title = f"{name}: {progress(rows[-1], steps)}"
+    figure = svg.lines(title, "simulator steps", {"success, 95% intervals": lines})
+    write_bytes(folder / "curve.svg", figure.encode())
+
+
+def success_lines(rows: Sequence[Mapping[str, str]]) -> dict[str, svg.Line]:
+    """A line by subset from the rows of a curve; empty without success by subset."""
+    lines: dict[str, svg.Line] = {}
+    steps = [float(row["env_steps"]) for row in rows if "env_steps" in row]
+    for column in [key for key in (rows[0] if steps else {}) if key.startswith(PREFIX)]:
+        rates = [float(row[column]) for row in rows]
+        counts = [int(row["episodes"]) for row in rows]
+        ends = [wilson(round(r * n), n) for r, n in zip(rates, counts, strict=True)]
+        lows, highs = [low for low, _ in ends], [high for _, high in ends]
+        lines[column.removeprefix(PREFIX)] = svg.Line(steps, rates, lows, highs)
+    return lines
+
+
+def progress(row: Mapping[str, str], steps: int) -> str:
+    """How far a run is at a row of its curve, and what is left (or was taken), in words."""
+    done, left = int(row["step"]), row.get("seconds_left")
+    reached = f"{done:,} of {steps:,} decisions"
+    if done >= steps:
+        return f"{reached}, {duration(float(row['seconds']))}"
+    return f"{reached}, {duration(float(left))} left" if left else reached
+
+
+def duration(seconds: float) -> str:
+    """``3 h 05 min``, ``12 min`` or ``40 s``."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"

@@ -1,0 +1,216 @@
+"""Success against displacement: how far may a camera go before a policy notices?
+
+    madviz displace --policy NAME --camera third_a --along right --steps 5 --most 0.2
+
+moves one camera to 0, 0.05, 0.10, 0.15 and 0.20 m from where it stood in training and runs the same
+seeds at each place. All else is as in ``madviz eval``: the numbers at 0 are those of its subset, an
+episode is a pure function of its seed, and workers change nothing but the time. Every rate comes
+with its count and interval; with 20 episodes a rate of 0.5 is known to about 0.2 either way, so two
+neighbouring points that differ by less say nothing yet.
+
+Zoom goes from 1 to its end by equal factors, everything else by equal distances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from tqdm import tqdm
+
+from madviz import checkpoint
+from madviz.evaluate import run_anywhere
+from madviz.files import write_bytes
+from madviz.moves import Displacement, along
+from madviz.rollout import FIRST_SEED, Finished, Job, Runner, unsupported
+from madviz.statistics import wilson
+from madviz.subsets import cameras_of, mask_of, name_of
+from madviz.svg import Line, lines
+from madviz.types import Policy, UserError, unknown
+
+Direction = Literal["forward", "right", "up", "pan", "tilt", "zoom"]
+UNITS = {**dict.fromkeys(("forward", "right", "up"), "m"), "pan": "°", "tilt": "°", "zoom": "times"}
+MOST_POINTS = 50
+
+
+@dataclass(frozen=True)
+class DisplaceConfig:
+    """Counts a policy's successes while one camera moves away from where it was trained."""
+
+    policy: str
+    """A name from ``madviz list``, a folder, or module:factory."""
+    camera: str
+    """The camera that moves, for example third_a."""
+    along: Direction = "right"
+    """The camera's own axes as it stood in training: right is the picture's right."""
+    steps: int = 5
+    """Places, the first of which is where it was trained."""
+    most: float = 0.2
+    """The last place: metres, degrees, or times for zoom; negative goes the other way."""
+    episodes: int = 20
+    """Episodes at each place."""
+    seed: int = FIRST_SEED
+    """The first episode's seed; the others count up, the same at every place."""
+    subset: str = "all"
+    """The streams that are present; the camera must be among them."""
+    workers: int | None = None
+    """Processes; by default one per core. 0 runs everything in this one."""
+    svg: Path | None = None
+    """Where to draw the curve."""
+    json: str | None = None
+    """Where to write the result; - is standard output."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """What was counted at one place."""
+
+    at: float
+    """Metres, degrees or times."""
+    successes: int
+    n: int
+
+    @property
+    def rate(self) -> float:
+        return self.successes / self.n
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        return wilson(self.successes, self.n)
+
+
+def places(direction: str, most: float, steps: int) -> dict[float, Displacement]:
+    """``steps`` moves by how far they go, from none to ``most``. Raises UserError for a direction
+    nobody knows, a range that is none and a place that is too far."""
+    if not 2 <= steps <= MOST_POINTS:
+        raise UserError(f"expected 2 to {MOST_POINTS} places, found {steps}; say so with --steps")
+    along(direction, most)
+    start = 1.0 if direction == "zoom" else 0.0
+    if most == start:
+        raise UserError(
+            f"expected --most to lead away from {start:g}, found {most:g}; give another"
+        )
+    values = np.geomspace(1.0, most, steps) if direction == "zoom" else np.linspace(0, most, steps)
+    return {value: along(direction, value) for value in (round(float(v), 6) for v in values)}
+
+
+def displace(
+    policy: str | Path | Policy,
+    camera: str,
+    moves: dict[float, Displacement],
+    *,
+    subset: str = "all",
+    episodes: int = 20,
+    seed: int = FIRST_SEED,
+    workers: int | None = None,
+    progress: bool = False,
+) -> tuple[Point, ...]:
+    """Runs the seeds ``seed`` to ``seed + episodes - 1`` with ``camera`` at each of ``moves``.
+
+    ``policy``, ``workers`` and the rest as in ``madviz.evaluate``. Raises UserError for a camera
+    that the policy does not see under ``subset``.
+    """
+    if episodes < 1 or seed < 0:
+        raise UserError(f"expected episodes >= 1 and seed >= 0, found {episodes} and {seed}")
+    here = Runner()
+    if isinstance(policy, str | Path):
+        reference, loaded = str(policy), checkpoint.load_policy(policy)
+    else:
+        reference, loaded, workers = "", policy, 0
+    here.adopt(reference, loaded)
+    subset = _checked(loaded, subset, camera)
+    jobs = {
+        Job(reference, loaded.spec.digest, subset, (), number, _moves(camera, move)): at
+        for at, move in moves.items()
+        for number in range(seed, seed + episodes)
+    }
+    found = {at: 0 for at in moves}
+    for job, (result, _) in _watched(run_anywhere([*jobs], workers, here), len(jobs), progress):
+        found[jobs[job]] += result.success
+    return tuple(Point(at, successes, episodes) for at, successes in found.items())
+
+
+def _moves(camera: str, move: Displacement) -> tuple[tuple[str, Displacement], ...]:
+    return () if move.is_none else ((camera, move),)
+
+
+def _checked(policy: Policy, subset: str, camera: str) -> str:
+    """The subset's canonical name, if the policy can act on it and ``camera`` is in it."""
+    streams = policy.spec.streams
+    mask = mask_of(subset, streams)
+    if not policy.supports(mask):
+        raise unsupported(policy.spec, mask)
+    present = cameras_of(tuple(s for s, on in zip(streams, mask, strict=True) if on))
+    if camera not in present:
+        raise unknown(f"camera to move under the subset {subset!r}:", camera, list(present))
+    return name_of(mask, streams)
+
+
+def _watched(
+    finished: Iterator[tuple[Job, Finished]], total: int, show: bool
+) -> Iterable[tuple[Job, Finished]]:
+    return tqdm(finished, total=total, unit="episode", disable=None if show else True)
+
+
+# --- The command ----------------------------------------------------------------------------
+
+
+def run_displace(config: DisplaceConfig) -> dict[str, Any]:
+    """``madviz displace``: always computes; progress goes to standard error."""
+    if config.svg is not None and not config.svg.resolve().parent.is_dir():
+        raise UserError(f"--svg {config.svg}: expected a file in a folder that exists")
+    spec = checkpoint.load_policy(config.policy).spec
+    points = displace(
+        config.policy,
+        config.camera,
+        places(config.along, config.most, config.steps),
+        subset=config.subset,
+        episodes=config.episodes,
+        seed=config.seed,
+        workers=config.workers,
+        progress=True,
+    )
+    result = {
+        **{"schema": 1, "policy": spec.name, "digest": spec.digest, "task": spec.task},
+        **{"camera": config.camera, "along": config.along, "unit": UNITS[config.along]},
+        **{"subset": config.subset, "seed": config.seed},
+        "points": [{"at": p.at, "success": p.rate, "n": p.n, "ci95": list(p.ci95)} for p in points],
+    }
+    if config.svg is not None:
+        write_bytes(config.svg, picture(result).encode())
+    return result
+
+
+def displacement_table(result: dict[str, Any]) -> str:
+    """The result as lines: place, success with its interval, episodes."""
+    rows = [
+        f"{result['policy']} on {result['task']}, subset {result['subset']}: success at the last "
+        f"step with {result['camera']} moved along its {result['along']}"
+    ]
+    for point in result["points"]:
+        low, high = point["ci95"]
+        place = f"{point['at']:g} {result['unit']}"
+        rows.append(f"  {place:12} {point['success']:.2f} [{low:.2f}, {high:.2f}] n={point['n']}")
+    return "\n".join(rows)
+
+
+def picture(result: dict[str, Any]) -> str:
+    """SVG: the rate over how far the camera went, in the axis' own unit, and its interval."""
+    points, start = result["points"], result["points"][0]["at"]
+    # The axis begins at nothing, and zoom at 1; it says centimetres, because it has no decimals.
+    scale, unit = (100, "cm") if result["unit"] == "m" else (1, result["unit"])
+    if result["unit"] == "times":
+        scale, unit = 100, "% more or less"
+    curve = Line(
+        [abs(p["at"] - start) * scale for p in points],
+        [p["success"] for p in points],
+        *([p["ci95"][end] for p in points] for end in (0, 1)),
+    )
+    title = f"{result['policy']}: {result['camera']} moved, n={points[0]['n']} at each place"
+    return lines(title, unit, {result["along"]: {result["subset"]: curve}})
+
+
+__all__ = ["DisplaceConfig", "Point", "displace", "displacement_table", "places", "run_displace"]

@@ -1,0 +1,124 @@
+"""A camera that stands elsewhere than in training: by how far, and where that is.
+
+The problem: somebody bumps into a camera, and nobody puts it back to the millimetre. How far may it
+go before a policy notices? To ask that, a move needs numbers that mean the same for every camera.
+
+The idea: they count along the camera's own axes, as it stood in training, not along the world's.
+Forward is into its picture, right and up are the picture's right and up. So a visitor sees in the
+picture what a number did, a camera that rides on the hand can be moved like any other, and no
+suite's choice of world axes matters. A camera at (0, 0, 2) that looks straight down, moved 0.1
+forward and 0.2 to the right, stands at (0.2, 0, 1.9).
+
+A camera goes first and turns then, about where it has come to. Zoom enlarges the picture: 2 shows
+half as much of the scene across, which for a field of view of 60 degrees leaves 32.2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from madviz.types import CameraSpec, UserError, unknown
+
+LARGEST = {
+    **dict.fromkeys(("forward", "right", "up"), 1.0),
+    **dict.fromkeys(("pan", "tilt"), 90.0),
+}
+"""Metres and degrees, either way."""
+MOST_ZOOM = 2.0
+"""The picture is enlarged at most that much, or shrunk."""
+NARROWEST, WIDEST = 5.0, 150.0
+"""Degrees of a field of view that environments draw."""
+_WORDS = {
+    **{"forward": ("forward", "back", " m"), "right": ("to the right", "to the left", " m")},
+    **{"up": ("up", "down", " m"), "pan": ("turned right", "turned left", "°")},
+    "tilt": ("turned up", "turned down", "°"),
+}
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """How far a camera is from where its policy was trained; see the module for the axes."""
+
+    forward: float = 0.0
+    """Metres into the picture."""
+    right: float = 0.0
+    up: float = 0.0
+    pan: float = 0.0
+    """Degrees that it turns to the right."""
+    tilt: float = 0.0
+    """Degrees that it turns up."""
+    zoom: float = 1.0
+    """How much larger things in the middle of the picture are."""
+
+    def __post_init__(self) -> None:
+        for name, most in LARGEST.items():
+            _check(name, getattr(self, name), -most, most)
+        _check("zoom", self.zoom, 1 / MOST_ZOOM, MOST_ZOOM)
+
+    @property
+    def is_none(self) -> bool:
+        """Whether the camera stands where it did."""
+        return self == Displacement()
+
+    def placed(self, camera: CameraSpec) -> CameraSpec:
+        """Where ``camera``, as its policy was trained with it, stands when it is moved."""
+        before = Rotation.from_quat(camera.wxyz, scalar_first=True)
+        shift = before.apply([self.right, self.up, -self.forward])
+        turn = Rotation.from_euler("YX", [-self.pan, self.tilt], degrees=True)
+        x, y, z = (np.asarray(camera.position, float) + shift).tolist()
+        w, i, j, k = (before * turn).as_quat(scalar_first=True).tolist()
+        half = math.tan(math.radians(camera.fovy) / 2) / self.zoom
+        fovy = min(max(2 * math.degrees(math.atan(half)), NARROWEST), WIDEST)
+        return replace(camera, position=(x, y, z), wxyz=(w, i, j, k), fovy=fovy)
+
+    def key(self) -> str:
+        """What differs, for a name: ``moved,right=0.1``."""
+        plain = asdict(Displacement())
+        found = {name: value for name, value in asdict(self).items() if value != plain[name]}
+        return "moved" + "".join(f",{name}={value:g}" for name, value in found.items())
+
+    def words(self) -> str:
+        """``0.10 m to the right, turned left 5°``."""
+        said = []
+        for name, (ahead, back, unit) in _WORDS.items():
+            value = getattr(self, name)
+            size = f"{abs(value):.2f}{unit}" if unit == " m" else f"{abs(value):g}{unit}"
+            if value:
+                word = ahead if value > 0 else back
+                said.append(f"{word} {size}" if unit == "°" else f"{size} {word}")
+        if self.zoom != 1:
+            said.append(f"zoomed {'in' if self.zoom > 1 else 'out'} to {self.zoom:.2f}")
+        return ", ".join(said) or "in its place"
+
+
+Moves = tuple[tuple[str, Displacement], ...]
+"""By camera, in a fixed order."""
+
+
+@dataclass(frozen=True)
+class MoveCamera:
+    """A command: a camera stands elsewhere from now on; None puts it back where it was trained."""
+
+    camera: str
+    move: Displacement | None
+
+
+def along(name: str, value: float) -> Displacement:
+    """A move along one axis. Raises UserError for an unknown one and for a value out of range."""
+    known = list(Displacement.__dataclass_fields__)
+    if name not in known:
+        raise unknown("direction", name, known)
+    return Displacement(**{name: value})
+
+
+def _check(name: str, value: object, low: float, high: float) -> None:
+    # NaN is in no range.
+    if isinstance(value, bool) or not (isinstance(value, int | float) and low <= value <= high):
+        raise UserError(
+            f"expected {name} of a moved camera from {low:g} to {high:g}, found {value!r}; "
+            "choose one between"
+        )

@@ -1,0 +1,237 @@
+"""Many environments at once: worker processes that step them, and memory they share.
+
+    learner     writes actions, says "step", learns meanwhile, waits, reads
+                     |                                           ^
+    board       actions (L, A)     frames (L, H, W, C) per stream, states, rewards
+                     v                                           |
+    workers     each steps its own lanes and draws their cameras into the board
+
+Pictures never travel through a pipe: 8 environments with three cameras send half a megabyte at
+every step. All lanes step together and their episodes are equally long, so what happens depends on
+seeds and actions alone, and not on how many processes share the work: with 0 workers this process
+does it all, and the numbers are the same.
+
+ManiSkill can also simulate many environments on a GPU; that is not built here. Its tasks run in
+workers like all others, each on a CPU.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from madviz.envs.base import make_env
+from madviz.processes import set_up_worker
+from madviz.streams import IMAGE_SIZE, stream_frame
+from madviz.subsets import camera_of, cameras_of, modality_of
+from madviz.types import Array, CameraSpec, Environment, TimeStep, UserError
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a worker builds its environments, and what it draws."""
+
+    task: str
+    render_profile: str
+    cameras: tuple[CameraSpec, ...]
+    streams: tuple[str, ...]
+
+    def build(self) -> Environment:
+        return make_env(self.task, self.render_profile, self.cameras)
+
+
+class Board:
+    """Shared memory with a place for every lane; goes to workers when they are spawned."""
+
+    def __init__(self, lanes: int, streams: Sequence[str], state_dim: int, action_dim: int) -> None:
+        self._shapes: dict[str, tuple[str, tuple[int, ...]]] = {
+            "action": ("f", (lanes, action_dim)),
+            "state": ("f", (lanes, state_dim)),
+            "reward": ("f", (lanes, 1)),
+            "last": ("B", (lanes, 1)),
+        }
+        for stream in streams:
+            channels = 1 if modality_of(stream) == "depth" else 3
+            self._shapes[stream] = ("B", (lanes, IMAGE_SIZE, IMAGE_SIZE, channels))
+        context = multiprocessing.get_context("spawn")
+        self._memory: dict[str, Any] = {
+            name: context.RawArray(code, int(np.prod(shape)))
+            for name, (code, shape) in self._shapes.items()
+        }
+
+    def __getitem__(self, name: str) -> Array:
+        """The array called ``name``; what is written to it, the other processes see."""
+        code, shape = self._shapes[name]
+        kind = np.float32 if code == "f" else np.uint8
+        return np.frombuffer(self._memory[name], kind).reshape(shape)
+
+
+class Lanes:
+    """Some of the environments, in the process that steps them."""
+
+    def __init__(self, recipe: Recipe, board: Board, places: Sequence[int]) -> None:
+        self._recipe, self._board, self._places = recipe, board, places
+        self._envs = [recipe.build() for _ in places]
+
+    def reset(self, seeds: Sequence[int]) -> None:
+        """A new episode in every lane; ``seeds`` are all lanes', here and elsewhere."""
+        for place, env in zip(self._places, self._envs, strict=True):
+            self._show(place, env, env.reset(seeds[place]))
+
+    def step(self) -> None:
+        """The actions on the board."""
+        actions = self._board["action"]
+        for place, env in zip(self._places, self._envs, strict=True):
+            self._show(place, env, env.step(actions[place]))
+
+    def repeat(self, seeds: Sequence[int], actions: Array) -> None:
+        """Episodes again up to where they were; ``actions`` is (age, L, A). Draws nothing."""
+        for place, env in zip(self._places, self._envs, strict=True):
+            env.reset(seeds[place])
+            for action in actions[:, place]:
+                env.step(action)
+
+    def close(self) -> None:
+        for env in self._envs:
+            env.close()
+
+    def _show(self, place: int, env: Environment, now: TimeStep) -> None:
+        board, streams = self._board, self._recipe.streams
+        board["state"][place] = now.state
+        board["reward"][place] = now.reward
+        board["last"][place] = now.last
+        views = {camera: env.view(camera) for camera in cameras_of(streams)}
+        for stream in streams:
+            board[stream][place] = stream_frame(views[camera_of(stream)], stream, env.spec)
+
+
+class VectorEnvs:
+    """``lanes`` environments in ``workers`` processes; see the module."""
+
+    def __init__(self, recipe: Recipe, board: Board, lanes: int, workers: int) -> None:
+        """Raises UserError for numbers that make no sense, and what building one raises."""
+        if lanes < 1 or workers < 0:
+            raise UserError(
+                f"expected 1 or more environments and 0 or more workers, found {lanes} and "
+                f"{workers}; see --vectorised.environments and --vectorised.workers"
+            )
+        self.board, self.lanes = board, lanes
+        self._streams = recipe.streams
+        self._here = None if workers else Lanes(recipe, board, range(lanes))
+        shares = [s.tolist() for s in np.array_split(np.arange(lanes), min(workers or 1, lanes))]
+        self._workers = [_Worker(recipe, board, share) for share in shares] if workers else []
+        try:
+            self._wait()
+        except BaseException:
+            self.close()
+            raise
+
+    def reset(self, seeds: list[int]) -> None:
+        """A new episode in every lane; returns when all have begun."""
+        self._order("reset", seeds)
+        self._wait()
+
+    def send(self, actions: Array) -> None:
+        """Starts a step with ``actions`` (L, A); ``receive`` must follow."""
+        self.board["action"][:] = actions
+        self._order("step")
+
+    def receive(self) -> None:
+        """Waits for the step that was sent; its outcome is on the board then."""
+        self._wait()
+
+    def repeat(self, seeds: list[int], actions: Array) -> None:
+        """Puts every lane where ``actions`` (age, L, A) lead from its seed."""
+        self._order("repeat", seeds, actions)
+        self._wait()
+
+    def frames(self, lane: int) -> list[Array]:
+        """The newest frame (H, W, C) of every stream; it changes with the next step."""
+        return [self.board[stream][lane] for stream in self._streams]
+
+    def close(self) -> None:
+        if self._here is not None:
+            self._here.close()
+        for worker in self._workers:
+            worker.close()
+        self._workers = []
+
+    def _order(self, name: str, *arguments: Any) -> None:
+        if self._here is not None:
+            getattr(self._here, name)(*arguments)
+        for worker in self._workers:
+            worker.tell((name, *arguments))
+
+    def _wait(self) -> None:
+        for worker in self._workers:
+            worker.wait()
+
+
+class _Worker:
+    """A process with some lanes, seen from here."""
+
+    def __init__(self, recipe: Recipe, board: Board, places: Sequence[int]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_work, args=(theirs, recipe, board, places), daemon=True
+        )
+        self._process.start()
+        theirs.close()  # So that its death is heard.
+
+    def tell(self, order: tuple[Any, ...]) -> None:
+        try:
+            self._connection.send(order)
+        except OSError as error:
+            raise self._died() from error
+
+    def wait(self) -> None:
+        """Until it has done what it was told; raises what went wrong there."""
+        try:
+            error = self._connection.recv()
+        except (EOFError, OSError) as gone:
+            raise self._died() from gone
+        if error is not None:
+            raise error
+
+    def close(self) -> None:
+        self._connection.close()
+        self._process.join(timeout=5)
+        if self._process.is_alive():
+            self._process.kill()
+
+    def _died(self) -> UserError:
+        self._process.join(timeout=5)
+        return UserError(
+            "expected the processes that step environments to live, found one dead (exit code "
+            f"{self._process.exitcode}); out of memory? try fewer --vectorised.workers and go on "
+            "with --resume (a script needs `if __name__ == '__main__':` around what it runs)"
+        )
+
+
+def _work(connection: Connection, recipe: Recipe, board: Board, places: Sequence[int]) -> None:
+    """Runs in a worker process, until the other end of the connection is closed."""
+    set_up_worker()
+    lanes: Lanes | None = None
+    try:
+        lanes = Lanes(recipe, board, places)
+        connection.send(None)
+        while True:
+            name, *arguments = connection.recv()
+            getattr(lanes, name)(*arguments)
+            connection.send(None)
+    except (EOFError, OSError):
+        pass
+    except UserError as error:
+        connection.send(error)
+    except Exception:
+        connection.send(RuntimeError(f"in a worker process:\n{traceback.format_exc()}"))
+    finally:
+        if lanes is not None:
+            lanes.close()

@@ -1,0 +1,240 @@
+"""Who gets in, who presents, and what a hostile page can do: nothing to anybody else."""
+
+from __future__ import annotations
+
+import socket
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+
+import msgspec.msgpack
+import pytest
+
+from madviz.app.access import TRIES, Gate, Tries, cookie_name, new_token, same, stays_here
+from madviz.app.policy import PolicyChoice
+from madviz.app.server import App, ExploreConfig, gate_for
+from madviz.app.visitor import Visitor
+from madviz.types import UserError
+from tests.fakes import FakePolicy, policies
+
+CHOICES = [PolicyChoice("toy-mad", "MAD"), PolicyChoice("toy-other", "other")]
+
+
+class NoRedirect(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *_):
+        return None
+
+
+def get(url: str, cookie: str = "") -> tuple[int, str, str]:
+    """Status, text and headers of an address."""
+    request = urllib.request.Request(url, headers={"Cookie": cookie} if cookie else {})
+    try:
+        answer = urllib.request.build_opener(NoRedirect).open(request, timeout=30)
+    except urllib.error.HTTPError as error:
+        answer = error
+    with answer:
+        return answer.status or 0, answer.read().decode("utf-8", "replace"), str(answer.headers)
+
+
+def until(condition, seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def closed() -> Iterator[App]:
+    """A page behind a token."""
+    app = App(FakePolicy(), CHOICES, policies, gate=Gate(visit="right"), visitors=4)
+    yield app
+    app.stop()
+
+
+@pytest.fixture(scope="module")
+def shown() -> Iterator[App]:
+    """A presentation whose watchers need no token; two may watch."""
+    gate = Gate(present="mine")
+    app = App(FakePolicy(), CHOICES, policies, gate=gate, watchers=2, speed=20.0)
+    yield app
+    app.stop()
+
+
+@pytest.fixture(scope="module")
+def open_() -> Iterator[App]:
+    app = App(FakePolicy(), CHOICES, policies, visitors=3, speed=20.0)
+    yield app
+    app.stop()
+
+
+def cookie(app: App, token: str) -> str:
+    return f"{cookie_name(app.server.get_port())}={token}"
+
+
+def test_only_other_machines_need_a_token():
+    assert stays_here("127.0.0.1") and stays_here("localhost") and stays_here("127.8.0.1")
+    assert not stays_here("0.0.0.0") and not stays_here("192.168.1.5") and not stays_here("box")
+    assert gate_for(ExploreConfig()).visit is None
+    assert gate_for(ExploreConfig(host="0.0.0.0")).visit is not None
+    assert gate_for(ExploreConfig(host="0.0.0.0", token=False)).visit is None
+    both = gate_for(ExploreConfig(host="0.0.0.0", present=True))
+    assert both.visit and both.present and both.visit != both.present
+
+
+def test_a_token_is_long_and_compared_whole():
+    assert new_token() != new_token() and len(new_token()) >= 22
+    assert same("abc", "abc") and not same("ab", "abc") and not same("", "abc")
+    assert not same("", None) and not same("é", "e")
+
+
+def test_a_few_wrong_tries_a_second():
+    now = [0.0]
+    tries = Tries(lambda: now[0])
+    for _ in range(TRIES):
+        assert not tries.too_many("here")
+        tries.note("here")
+    assert tries.too_many("here") and not tries.too_many("there")
+    now[0] = 1.1
+    assert not tries.too_many("here")
+    for number in range(5000):
+        tries.note(str(number))
+    assert len(tries._wrong) <= 1000
+
+
+def test_without_the_token_not_a_byte_of_the_page(closed: App):
+    for path in ("/", "/index.html", "/assets/x.js", "//", "/?fixedDpr=1"):
+        status, text, _ = get(closed.url + path)
+        assert status == 401 and 'name="token"' in text and "<script" not in text
+    with pytest.raises(UserError, match="401"):
+        Visitor(closed.url)
+    assert not closed.server.get_clients()
+
+
+def test_a_wrong_token_is_refused_and_soon_not_even_compared(closed: App):
+    closed.gate.tries = Tries()
+    answers = [get(f"{closed.url}/?token=wrong{n}")[0] for n in range(TRIES + 2)]
+    assert answers[0] == 403 and 429 in answers[TRIES - 1 :]
+    # While it waits, the right one is not looked at either.
+    assert get(closed.url, cookie(closed, "wrong"))[0] in (401, 429)
+    closed.gate.tries = Tries()
+    with pytest.raises(UserError, match="40[13]"):
+        Visitor(closed.url, cookie(closed, "wrong"))
+    closed.gate.tries = Tries()
+
+
+def test_the_right_token_becomes_a_cookie_and_leaves_the_address(closed: App):
+    status, _, headers = get(f"{closed.url}/?token=right&fixedDpr=0.5")
+    assert status == 303 and "Location: ./?fixedDpr=0.5" in headers
+    assert f"{cookie(closed, 'right')}; Path=/; HttpOnly; SameSite=Lax" in headers
+    assert get(closed.url, cookie(closed, "right"))[0] == 200
+    with Visitor(closed.url, cookie(closed, "right")) as visitor:
+        until(lambda: visitor.steps and visitor.controls)
+
+
+def test_addresses_say_who_opens_what(closed: App, shown: App):
+    assert closed.addresses() == {"madviz is at": f"{closed.url}/?token=right"}
+    assert shown.addresses() == {
+        "present at": f"{shown.url}/?token=mine",
+        "watch at": shown.url,
+    }
+
+
+def test_one_presents_and_the_others_watch(shown: App):
+    with Visitor(shown.url) as watcher:
+        until(lambda: watcher.steps and watcher.shown("presenter has the controls"))
+        with Visitor(shown.url, cookie(shown, "mine")) as presenter:
+            until(lambda: presenter.find("Episode") and presenter.steps)
+            assert not watcher.find("Episode") and not watcher.find("input", "ButtonGroup")
+            (row,) = presenter.find("Episode")
+            presenter.set(row, "pause")
+            until(lambda: watcher.shown('data-phase="paused"'))
+        # The presenter loads the page again.
+        until(lambda: shown.users.sessions == 0)
+        with Visitor(shown.url, cookie(shown, "mine")) as presenter:
+            until(lambda: presenter.find("Episode"))
+            assert presenter.shown('data-phase="paused"') or not presenter.steps
+            presenter.set(presenter.find("Episode")[0], "▶ play")
+            until(lambda: watcher.shown('data-phase="playing"'))
+            assert shown.users.sessions == 1 and shown.users.watchers == 1
+    until(lambda: shown.users.watchers == 0)
+    assert shown.users._spare is not None and shown.users._spare._thread.is_alive()  # type: ignore
+
+
+def test_seats_end_and_are_taken_when_they_come_free(shown: App):
+    with Visitor(shown.url) as first, Visitor(shown.url) as second:
+        until(lambda: first.steps and second.steps)
+        with Visitor(shown.url) as third:
+            until(lambda: third.shown("All 2 seats"))
+            assert not third.steps
+            with Visitor(shown.url, cookie(shown, "mine")) as presenter:
+                until(lambda: presenter.find("Episode"))  # There is always room for the presenter.
+            first.close()
+            until(lambda: bool(third.steps))
+            assert not third.shown("All 2 seats")
+    until(lambda: shown.users.watchers == 0)
+
+
+def encoded(**message) -> bytes:
+    return msgspec.msgpack.encode(message)
+
+
+GARBAGE = (
+    b"",
+    b"\xff" * 5000,
+    b"\x00",
+    "text instead of bytes",
+    encoded(type="NoSuchMessage"),
+    encoded(nothing=1),
+    msgspec.msgpack.encode([1, 2, 3]),
+    encoded(type="GuiUpdateMessage", uuid=7),
+    encoded(type="ViewerCameraMessage", wxyz="no"),
+    encoded(type="RunJavascriptMessage", source="alert(1)"),
+    b"\x93" * 2_000_000,
+)
+
+
+def test_garbage_costs_its_sender_the_connection_and_nobody_else_anything(open_: App):
+    with Visitor(open_.url) as other:
+        until(lambda: bool(other.steps))
+        for garbage in GARBAGE:
+            with Visitor(open_.url) as hostile:
+                hostile.send_raw(garbage)
+                time.sleep(0.05)
+        seen = len(other.steps)
+        until(lambda: len(other.steps) > seen + 3)
+        assert not other.gone
+        until(lambda: open_.users.sessions == 1)
+
+
+ABSURD = (1e308, -1e308, float("nan"), float("inf"), 2**63, "words", None, [], {}, True, [1] * 999)
+
+
+def test_absurd_values_do_no_harm(open_: App):
+    with Visitor(open_.url) as other, Visitor(open_.url) as hostile:
+        until(lambda: other.steps and hostile.find("Episode"))
+        for uuid in list(hostile.controls):
+            label = hostile.controls[uuid]["props"].get("label")
+            if label in ("start", "watch", "keep this episode", "keep the last 20"):
+                continue
+            for value in ABSURD:
+                hostile.set(uuid, value)
+            hostile.set(uuid, "x", prop="no_such_property")
+        hostile.set("no-such-widget", 1)
+        seen = len(other.steps)
+        until(lambda: len(other.steps) > seen + 3)
+        assert not other.shown("STOPPED")
+    with Visitor(open_.url) as fresh:
+        until(lambda: bool(fresh.steps))
+
+
+def test_bytes_that_are_no_request_at_all(open_: App):
+    with socket.create_connection(("127.0.0.1", open_.server.get_port()), timeout=10) as raw:
+        raw.sendall(b"\x16\x03\x01 not http\r\n\r\n")
+        raw.settimeout(10)
+        try:
+            raw.recv(1000)
+        except OSError:
+            pass
+    with Visitor(open_.url) as visitor:
+        until(lambda: bool(visitor.steps))

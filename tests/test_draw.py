@@ -1,0 +1,122 @@
+"""Boxes drawn on the mosaic: what is believed of a page, and where the patch comes to lie."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import viser
+
+from madviz.ablations import CameraState, Occlusion
+from madviz.app.cameras import CamerasPanel
+from madviz.app.draw import DRAW_SCRIPT, LEAST, Box, parse_box, patched
+from madviz.app.mosaic import GAP, HEADER, mosaic
+from madviz.app.panel import apply
+from madviz.envs.base import make_env
+from madviz.frame import Frame, Pause, SetCamera, SetPolicy
+from madviz.session import Session
+from madviz.types import UserError
+from tests.fakes import FakePolicy, policies
+
+TILE = 202
+RGB = CameraState("rgb")
+
+
+def test_a_line_of_the_script_is_a_box():
+    assert parse_box("7 1 0.4200 0.5500 0.2000", 3) == Box(1, 0.42, 0.55, 0.2)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "",
+        "1 0 nan 0.5000 0.2000",
+        "1 0 inf 0.5000 0.2000",
+        "1 0 0.5000 0.5000",
+        "1 0 0.5000 0.5000 0.2000 0.1000",
+        "1 0 1.5000 0.5000 0.2000",
+        "1 0 0.5000 0.5000 1.0001",
+        "1 0 0.5000 0.5000 0.0000",
+        "1 0 -0.500 0.5000 0.2000",
+        "1 0 5e-1 0.5000 0.2000",
+        "1 3 0.5000 0.5000 0.2000",
+        "1 -1 0.5000 0.5000 0.2000",
+        "1 ١ 0.5000 0.5000 0.2000",
+        "1 0 0.5000 0.5000 0.2000\n",
+        "x" * 100_000,
+    ],
+)
+def test_anything_else_is_refused_in_one_short_line(line):
+    with pytest.raises(UserError, match="expected a box") as caught:
+        parse_box(line, 3)
+    assert len(str(caught.value)) < 200 and "\n" not in str(caught.value)
+
+
+def test_a_patch_that_is_there_keeps_its_strength():
+    box = Box(0, 0.5, 0.25, 0.333)
+    assert patched(RGB, box, TILE).occlusion == Occlusion("patch", 1.0, 0.5, 0.25, 0.33)
+    faint = CameraState("rgb", Occlusion("patch", 0.4))
+    assert patched(faint, box, TILE).occlusion.strength == 0.4
+    blurred = CameraState("rgb", Occlusion("blur", 0.4))
+    assert patched(blurred, box, TILE).occlusion.strength == 1.0
+    with pytest.raises(UserError, match="switch it on"):
+        patched(CameraState("off"), box, TILE)
+
+
+def frame_with(*commands) -> Frame:
+    session = Session(make_env, FakePolicy(), policies)
+    session.tick(0.0)
+    for command in (Pause(), *commands):
+        session.send(command)
+    session.tick(0.0)
+    assert isinstance(session.latest, Frame) and not session.latest.error
+    return session.latest
+
+
+@pytest.mark.parametrize(
+    ("shown", "y"), [("rgb", 0.3), ("rgb", 0.7), ("depth", 0.3), ("both", 0.25), ("both", 0.7)]
+)
+def test_the_patch_lies_where_the_box_was_drawn(shown, y):
+    """Of the tile's pixels that change, the middle is the box's, whatever the tile shows there."""
+    box = Box(1, 0.4, y, 0.2)
+    before = frame_with(SetPolicy("toy-rgbd"), SetCamera("third_a", CameraState(shown)))
+    state = patched(before.camera("third_a"), box, TILE)
+    after = frame_with(SetPolicy("toy-rgbd"), SetCamera("third_a", state))
+    left = TILE + GAP
+    one, other = (mosaic(f, TILE)[HEADER:, left : left + TILE].astype(int) for f in (before, after))
+    changed = np.abs(one - other).max(2) > 3
+    if shown == "both":  # Both halves have the patch; look at the one that was drawn on.
+        changed[slice(TILE // 2, None) if y < 0.5 else slice(0, TILE // 2)] = False
+    rows, columns = np.nonzero(changed)
+    assert (columns.min() + columns.max()) / 2 == pytest.approx(0.4 * TILE, abs=4)
+    assert (rows.min() + rows.max()) / 2 == pytest.approx(y * TILE, abs=4)
+    assert np.ptp(columns) == pytest.approx(0.2 * TILE, abs=6)
+
+
+@pytest.fixture(scope="module")
+def server():
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server
+    server.stop()
+
+
+def test_the_panel_sends_what_was_drawn_and_nothing_else(server):
+    sent = []
+    frame = frame_with()
+    panel = CamerasPanel(server.gui, sent.append, frame, 620)
+    apply(panel.update(frame))
+    panel._draw("1 2 0.5000 0.5000 0.2500")
+    assert sent == [SetCamera("third_b", CameraState("rgb", Occlusion("patch", size=0.25)))]
+    with pytest.raises(UserError):
+        panel._draw("2 7 0.5000 0.5000 0.2500")
+    assert len(sent) == 1
+    panel.remove()
+
+
+def test_who_only_watches_cannot_draw(server):
+    panel = CamerasPanel(server.gui, None, frame_with(), 620)
+    assert panel._field is None and "data-draw" not in panel._screen._image.content
+    panel.remove()
+
+
+def test_the_script_knows_what_a_click_is():
+    assert f"const LEAST = {LEAST};" in DRAW_SCRIPT

@@ -1,0 +1,243 @@
+"""Cameras that are moved: the numbers, what a simulation makes of them, and the panel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import viser
+
+from madviz.ablations import Ablation, CameraState, Occlusion
+from madviz.app.move import MovePanel, move_html
+from madviz.app.panel import apply
+from madviz.envs.base import make_env
+from madviz.frame import (
+    Fork,
+    Frame,
+    Pause,
+    Reset,
+    Scrub,
+    SetCamera,
+    SetPolicy,
+    SetTwin,
+    setting_of,
+    words,
+)
+from madviz.moves import Displacement, MoveCamera, along
+from madviz.session import Session
+from madviz.types import CameraSpec, UserError
+from tests.fakes import FakePolicy, policies
+
+DOWN = CameraSpec("down", "Down", 60, (0, 0, 2), (1, 0, 0, 0))
+ASIDE = MoveCamera("third_a", Displacement(right=0.3))
+
+
+class Live(Session):
+    """A session that is ticked by hand."""
+
+    def __init__(self) -> None:
+        super().__init__(make_env, FakePolicy(), policies)
+        self.time = 0.0
+        self.tick(0.0)
+
+    def ask(self, *commands) -> Frame:
+        for command in commands:
+            self.send(command)
+        self.tick(self.time)
+        return self.now
+
+    def steps(self, count: int) -> Frame:
+        for _ in range(count):
+            self.time += 0.11
+            self.tick(self.time)
+        return self.now
+
+    @property
+    def now(self) -> Frame:
+        assert isinstance(self.latest, Frame)
+        assert not self.latest.error, self.latest.error
+        return self.latest
+
+
+def test_a_move_counts_along_the_cameras_own_axes():
+    placed = Displacement(forward=0.1, right=0.2).placed(DOWN)
+    assert placed.position == pytest.approx((0.2, 0, 1.9))
+    assert placed.wxyz == pytest.approx(DOWN.wxyz) and placed.fovy == pytest.approx(60)
+    assert Displacement(up=0.2).placed(DOWN).position == pytest.approx((0, 0.2, 2))
+    quarter = replace(DOWN, wxyz=(np.sqrt(0.5), 0, 0, np.sqrt(0.5)))  # Its right is the world's y.
+    assert Displacement(right=0.2).placed(quarter).position == pytest.approx((0, 0.2, 2))
+
+
+@pytest.mark.parametrize(
+    ("move", "looks_along"),
+    [
+        (Displacement(pan=90), (1, 0, 0)),  # It looked down; to the right is the world's x.
+        (Displacement(tilt=90), (0, 1, 0)),
+        (Displacement(pan=-90), (-1, 0, 0)),
+    ],
+)
+def test_a_turn_goes_where_it_says(move, looks_along):
+    w, x, y, z = move.placed(DOWN).wxyz
+    axis = -np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    assert axis == pytest.approx(looks_along, abs=1e-9)
+
+
+def test_zoom_halves_what_is_seen_across():
+    fovy = Displacement(zoom=2).placed(DOWN).fovy
+    assert fovy == pytest.approx(32.2, abs=0.05)
+    assert np.tan(np.radians(fovy / 2)) == pytest.approx(np.tan(np.radians(30)) / 2)
+
+
+@pytest.mark.parametrize("field", ["forward", "right", "up", "pan", "tilt", "zoom"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e9, -91.0, "1", None, True])
+def test_numbers_that_are_no_move_are_refused(field, value):
+    with pytest.raises(UserError, match=f"expected {field}"):
+        Displacement(**{field: value})
+
+
+def test_a_move_in_words_and_as_a_key():
+    move = Displacement(right=-0.1, pan=5, zoom=1.5)
+    assert move.words() == "0.10 m to the left, turned right 5°, zoomed in to 1.50"
+    assert move.key() == "moved,right=-0.1,pan=5,zoom=1.5"
+    assert Displacement().is_none and Displacement().words() == "in its place"
+    with pytest.raises(UserError, match="unknown direction"):
+        along("sideways", 0.1)
+
+
+def test_a_moved_camera_is_a_setting_of_its_own_and_old_keys_stay():
+    streams = ("first", "third_a")
+    still = Ablation({"first": CameraState(occlusion=Occlusion("black"))})
+    moved = still.move("third_a", Displacement(right=0.1))
+    assert still.key() == "first:black,strength=1,x=0.5,y=0.5,size=0.4"
+    assert moved.key() == f"{still.key()};third_a:moved,right=0.1"
+    assert setting_of(moved, streams) != setting_of(still, streams)
+    dropped = moved.replace("third_a", CameraState("off"))  # What is not there cannot be moved.
+    gone = still.replace("third_a", CameraState("off"))
+    assert setting_of(dropped, streams) == setting_of(gone, streams)
+    assert moved.move("third_a", None) == still == moved.move("third_a", Displacement())
+
+
+def test_a_move_is_seen_at_once_and_put_back_also_while_paused():
+    live = Live()
+    live.steps(2)
+    before = live.ask(Pause())
+    frame = live.ask(ASIDE)
+    assert frame.step == before.step and frame.number > before.number
+    assert not np.array_equal(frame.arrived["third_a"], before.arrived["third_a"])
+    assert np.array_equal(frame.arrived["first"], before.arrived["first"])
+    assert not np.array_equal(frame.action, before.action)
+    shift = frame.poses["third_a"].position - before.poses["third_a"].position
+    assert np.linalg.norm(shift) == pytest.approx(0.3)
+    assert frame.setting.occlusions == "third_a:moved,right=0.3"
+    assert frame.change is not None
+    assert words(frame.change, frame.env).startswith("Third A moved: 0.30 m to the right: action")
+    back = live.ask(MoveCamera("third_a", None))
+    assert np.array_equal(back.arrived["third_a"], before.arrived["third_a"])
+    assert np.array_equal(back.action, before.action)
+    assert back.change is not None and back.change.moved == "is back in its place"
+
+
+def test_a_moved_camera_stays_moved_over_steps_occlusions_and_resets():
+    live = Live()
+    live.ask(ASIDE, SetCamera("third_a", CameraState("rgb", Occlusion("patch"))))
+    frame = live.steps(3)
+    assert frame.ablation.moves == {"third_a": ASIDE.move}
+    again = live.ask(Reset())
+    assert again.step == 0 and again.setting.occlusions.endswith("third_a:moved,right=0.3")
+
+
+def test_only_whole_episodes_under_one_place_count_for_it():
+    live = Live()
+    live.steps(3)
+    live.ask(ASIDE)
+    first = live.steps(22).outcomes[-1]
+    assert first.setting is None and first.cameras["third_a"] == "moved"
+    live.ask(Reset())
+    second = live.steps(26).outcomes[-1]
+    assert second.setting is not None and "third_a:moved" in second.setting.occlusions
+
+
+def test_going_back_puts_cameras_where_they_were_then():
+    live = Live()
+    live.steps(4)
+    plain = live.now
+    live.ask(ASIDE)
+    live.steps(4)
+    then = live.ask(Scrub(3))
+    assert then.ablation.moves == {}
+    forked = live.ask(Fork())
+    assert forked.step == 3 and forked.ablation.moves == {}
+    again = live.steps(1)
+    assert again.step == 4 and np.array_equal(
+        again.views["third_a"].rgb, plain.views["third_a"].rgb
+    )
+    assert np.array_equal(again.action, plain.action)
+    moved = live.ask(Pause(), Scrub(2), ASIDE)  # Touching the past forks.
+    assert (moved.step, moved.past, moved.ablation.moves) == (2, False, {"third_a": ASIDE.move})
+
+
+def test_an_episode_with_a_moved_camera_is_not_kept_and_says_why():
+    live = Live()
+    live.steps(2)
+    assert live.keep().episodes
+    live.ask(ASIDE)
+    live.steps(2)
+    live.ask(MoveCamera("third_a", None))
+    with pytest.raises(UserError, match="camera was moved"):
+        live.keep()
+    live.ask(Reset())
+    live.steps(2)
+    assert [episode.steps for episode in live.keep().episodes] == [2]
+
+
+def test_a_twin_begins_with_moved_cameras_and_another_policy_keeps_them():
+    live = Live()
+    frame = live.ask(ASIDE, SetTwin("toy-other", Ablation(moves={"third_a": ASIDE.move})))
+    assert frame.twin is not None
+    assert np.array_equal(frame.twin.views["third_a"].rgb, frame.views["third_a"].rgb)
+    assert live.ask(SetPolicy("toy-rgbd")).ablation.moves == {"third_a": ASIDE.move}
+
+
+def test_of_many_moves_only_the_last_is_drawn():
+    live = Live()
+    number = live.ask(Pause()).number
+    frame = live.ask(*(MoveCamera("first", Displacement(right=i / 100)) for i in range(1, 30)))
+    assert frame.number == number + 1
+    assert frame.ablation.moves["first"].right == pytest.approx(0.29)
+
+
+def test_an_unknown_camera_says_which_are_known():
+    live = Live()
+    live.send(MoveCamera("third_z", Displacement(right=0.1)))
+    live.tick(0.0)
+    assert isinstance(live.latest, Frame) and "third_b" in live.latest.error
+
+
+def test_the_panel_drags_is_not_pulled_back_and_puts_back():
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    live, sent = Live(), []
+    frame = live.ask(Pause())
+    panel = MovePanel(server.gui, sent.append, frame)
+    panel._choose("third_a")
+    panel._drag("right", 0.1)
+    panel._drag("pan", 5)
+    assert sent[-1] == MoveCamera("third_a", Displacement(right=0.1, pan=5))
+    apply(panel.update(live.ask(sent[0])))  # A frame that is behind: the hand is further already.
+    assert panel._move == Displacement(right=0.1, pan=5)
+    apply(panel.update(live.ask(sent[1])))
+    assert panel._sliders["right"].value == 0.1 and panel._sliders["pan"].value == 5
+    panel._choose("third_b")
+    assert panel._sliders["right"].value == 0
+    apply(panel.update(live.ask(MoveCamera("third_a", None))))
+    panel._choose("third_a")
+    assert panel._sliders["pan"].value == 0
+    panel.remove()
+    server.stop()
+
+
+def test_the_panel_says_where_cameras_are_and_what_counts():
+    live = Live()
+    assert "Every camera stands where" in move_html(live.now)
+    html = move_html(live.ask(ASIDE))
+    assert "0.30 m to the right" in html and "madviz displace" in html and "First" not in html

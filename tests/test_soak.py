@@ -1,0 +1,85 @@
+"""Visitors come and go; what is left of them is counted."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+
+import pytest
+
+from madviz.app.policy import PolicyChoice
+from madviz.app.server import App
+from madviz.soak import Crowd, Sample, SoakConfig, judged, look, soak
+from madviz.types import UserError
+from tests.fakes import FakePolicy, policies
+
+
+def samples(memory, threads=None, processes=None) -> list[Sample]:
+    count = len(memory)
+    return [
+        Sample(*one)
+        for one in zip(memory, threads or [20] * count, processes or [1] * count, strict=True)
+    ]
+
+
+def test_what_grows_during_warm_up_is_no_leak():
+    result = judged(samples([300, 400, 450, 460, 461, 459, 462, 460, 461]))
+    assert result["kept"]
+    assert result["memory_mb"]["after_warm_up"] == 460.5 and result["memory_mb"]["end"] == 460.5
+
+
+def test_what_grows_afterwards_is_one():
+    assert not judged(samples([460 + 5 * n for n in range(9)]))["kept"]
+    assert not judged(samples([460] * 9, threads=[20 + 2 * n for n in range(9)]))["kept"]
+    assert not judged(samples([460] * 9, processes=[1, 1, 1, 1, 1, 1, 1, 2, 2]))["kept"]
+    # One straggler at the very end is no leak, a child that stays is.
+    assert judged(samples([460] * 9, threads=[20] * 8 + [40]))["kept"]
+
+
+def test_a_look_sees_threads_and_memory():
+    before = look(os.getpid())
+    done = threading.Event()
+    thread = threading.Thread(target=done.wait)
+    thread.start()
+    block = bytearray(os.urandom(1) * 50_000_000)
+    after = look(os.getpid())
+    done.set()
+    thread.join()
+    assert after.threads >= before.threads + 1 and after.memory_mb > before.memory_mb + 30
+    assert len(block) and look(2**22 + 1).memory_mb == 0.0
+
+
+def test_nonsense_is_refused():
+    with pytest.raises(UserError, match="minutes above 0"):
+        soak(SoakConfig(minutes=0))
+
+
+def ours() -> list[str]:
+    names = ("madviz", "visitor")
+    return [one.name for one in threading.enumerate() if one.name.startswith(names)]
+
+
+def test_visitors_leave_neither_threads_nor_processes():
+    assert not ours()
+    choices = [PolicyChoice(name, name) for name in ("toy-mad", "toy-other")]
+    app = App(FakePolicy(), choices, policies, visitors=2)
+    crowd = Crowd(app.url, os.getpid(), most=3, seed=1)
+    try:
+        first, second = crowd.round(5.0), crowd.round(5.0)
+        deadline = time.monotonic() + 20
+        while ours() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert ours() == []
+        assert crowd.visits >= 2 and crowd.touches > 20 and crowd.updates > 5
+        assert second.processes == first.processes
+        assert not app.users._seats and not app.users._standing
+    finally:
+        app.stop()
+
+
+@pytest.mark.slow
+def test_three_minutes_leave_nothing():
+    result = soak(SoakConfig(minutes=3.0, policy="tests.fakes:FakePolicy"))
+    assert result["errors"] == []
+    assert result["ok"], result

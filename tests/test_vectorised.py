@@ -1,0 +1,229 @@
+"""The recipe paper-vectorised: many environments in step, and that stopping it changes nothing."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from madviz import paper_loop
+from madviz.checkpoint import load_policy
+from madviz.envs.toy import CAMERAS, ToyReach
+from madviz.paper_vectorised import VectorisedConfig
+from madviz.run import Event
+from madviz.train import TrainConfig, command, train
+from madviz.types import UserError
+from madviz.vector_envs import Board, Recipe, VectorEnvs
+
+STREAMS = ("first.rgb", "first.depth", "third_b.rgb")
+RECIPE = Recipe("toy/reach", "fast", CAMERAS, STREAMS)
+TINY = VectorisedConfig(
+    steps=80, exploration_steps=40, batch_size=4, hidden_dim=8, eval_every=1000, eval_episodes=1,
+    save_every=30, precision="float32", environments=2, workers=0, update_ratio=0.2,
+)  # fmt: skip
+"""Two lanes: episodes of 25 decisions are 50 in all; the run ends in the middle of the second."""
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def run(
+    folder: Path, config: VectorisedConfig = TINY, resume: bool = False, listener: Any = None
+) -> dict[str, Any]:
+    """As ``madviz train`` does it; the last state."""
+    whole = TrainConfig(
+        "toy/reach", "mad", "paper-vectorised", out=folder, seed=3, resume=resume, threads=1,
+        vectorised=config,
+    )  # fmt: skip
+    train(whole, listener or (lambda event: None))
+    return torch.load(folder / "resume" / "state.pt", weights_only=True)
+
+
+def curve(folder: Path) -> list[dict[str, str]]:
+    """The curve without its clock."""
+    with (folder / "curve.csv").open() as file:
+        return [
+            {
+                k: v
+                for k, v in row.items()
+                if not k.startswith("seconds") and not k.endswith("per_s")
+            }
+            for row in csv.DictReader(file)
+        ]
+
+
+def assert_same_run(one: dict[str, Any], other: dict[str, Any]) -> None:
+    for name, weight in one["learner"]["agent"].items():
+        assert torch.equal(weight, other["learner"]["agent"][name]), name
+    for key in ("step", "updates", "episodes", "rng", "episode_seeds"):
+        assert one[key] == other[key], key
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    folder = tmp_path_factory.mktemp("vectorised") / "run"
+    return folder, run(folder)
+
+
+def board(lanes: int) -> Board:
+    return Board(lanes, STREAMS, state_dim=6, action_dim=2)
+
+
+def test_lanes_in_processes_are_the_environments_themselves() -> None:
+    envs = VectorEnvs(RECIPE, board(3), lanes=3, workers=2)
+    alone = [ToyReach() for _ in range(3)]
+    rng = np.random.default_rng(0)
+    try:
+        for seeds in ([4, 5, 6], [7, 4, 9]):
+            envs.reset(seeds)
+            for env, seed in zip(alone, seeds, strict=True):
+                env.reset(seed)
+            for step in range(25):
+                actions = rng.uniform(-1, 1, (3, 2)).astype(np.float32)
+                envs.send(actions)
+                envs.receive()
+                for lane, env in enumerate(alone):
+                    now = env.step(actions[lane])
+                    np.testing.assert_array_equal(envs.board["state"][lane], now.state)
+                    assert envs.board["reward"][lane, 0] == np.float32(now.reward)
+                    assert envs.board["last"][lane, 0] == (step == 24)
+                    first, depth, third = envs.frames(lane)
+                    np.testing.assert_array_equal(first, env.view("first").rgb)
+                    np.testing.assert_array_equal(third, env.view("third_b").rgb)
+                    assert depth.shape == (84, 84, 1) and depth.any()
+    finally:
+        envs.close()
+
+
+def test_an_error_in_a_worker_is_raised_here_and_a_death_is_noticed() -> None:
+    envs = VectorEnvs(RECIPE, board(2), lanes=2, workers=1)
+    envs.reset([1, 2])
+    envs.send(np.full((2, 2), np.nan, np.float32))
+    with pytest.raises(UserError, match="finite action"):
+        envs.receive()
+    envs.close()
+    envs = VectorEnvs(RECIPE, board(1), lanes=1, workers=1)
+    pid = envs._workers[0]._process.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+    with pytest.raises(UserError, match="exit code -9.*--resume"):
+        envs.reset([1])
+    envs.close()
+
+
+def test_what_cannot_be_built_says_so_at_once() -> None:
+    with pytest.raises(UserError, match="unknown task"):
+        VectorEnvs(replace(RECIPE, task="toy/teach"), board(1), lanes=1, workers=1)
+    with pytest.raises(UserError, match="1 or more environments"):
+        VectorEnvs(RECIPE, board(1), lanes=0, workers=1)
+
+
+def test_the_schedule(undisturbed: tuple[Path, dict[str, Any]]) -> None:
+    folder, state = undisturbed
+    assert state["step"] == 80 and state["episodes"] == 4
+    # The last updates are made at decision 78, for the 38 since exploration: a fifth of them.
+    assert state["updates"] == 7
+    rows = curve(folder)
+    assert [row["step"] for row in rows] == ["0", "80"]
+    with (folder / "curve.csv").open() as file:
+        last = list(csv.DictReader(file))[-1]
+    assert float(last["env_steps_per_s"]) > 0 and float(last["updates_per_s"]) > 0
+    assert (folder / "curve.svg").read_text().startswith("<svg")
+
+
+def test_the_folder_is_a_policy_that_names_its_recipe(
+    undisturbed: tuple[Path, dict[str, Any]],
+) -> None:
+    policy = load_policy(undisturbed[0])
+    assert policy.spec.name == "toy-reach-mad-paper-vectorised"
+    assert policy.spec.recipe == "paper-vectorised"
+    config = TrainConfig("toy/reach", recipe="paper-vectorised", vectorised=TINY)
+    words = command(config)
+    assert "--recipe paper-vectorised" in words and "--vectorised.update-ratio 0.2" in words
+
+
+def test_processes_change_nothing(undisturbed: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    state = run(tmp_path / "run", replace(TINY, workers=2))
+    assert_same_run(state, undisturbed[1])
+    assert curve(tmp_path / "run") == curve(undisturbed[0])
+
+
+def test_a_stopped_run_goes_on_in_mid_episode_and_ends_the_same(
+    undisturbed: tuple[Path, dict[str, Any]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupt(event: Event) -> None:
+        if event["kind"] == "progress" and event["step"] == 66:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(paper_loop, "PROGRESS_SECONDS", 0)
+    state = run(tmp_path / "run", listener=interrupt)
+    assert state["step"] == 66 and not state["between_episodes"]
+    state = run(tmp_path / "run", replace(TINY, workers=1), resume=True)
+    assert_same_run(state, undisturbed[1])
+    assert curve(tmp_path / "run") == curve(undisturbed[0])
+
+
+def test_updates_are_made_while_the_lanes_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log: list[str] = []
+
+    def logged(owner: type, name: str) -> None:
+        original = getattr(owner, name)
+
+        def call(self: Any, *arguments: Any) -> Any:
+            log.append(name)
+            return original(self, *arguments)
+
+        monkeypatch.setattr(owner, name, call)
+
+    logged(VectorEnvs, "send")
+    logged(VectorEnvs, "receive")
+    monkeypatch.setattr(
+        "madviz.agent.update.Learner.update", lambda learner, batch: log.append("update") or {}
+    )
+    run(tmp_path / "run", replace(TINY, update_ratio=1.0, steps=48))
+    assert log[:40] == ["send", "receive"] * 20, "exploration"
+    assert log[40:] == ["send", "receive", *["send", "update", "update", "receive"] * 3]
+
+
+def test_cuda_is_refused_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert VectorisedConfig().torch_device() == "cpu"
+    with pytest.raises(UserError, match="expected a CUDA device"):
+        VectorisedConfig(device="cuda").torch_device()
+
+
+def test_numbers_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="environments"):
+        run(tmp_path / "a", replace(TINY, environments=0))
+    with pytest.raises(UserError, match="update-ratio"):
+        run(tmp_path / "b", replace(TINY, update_ratio=-1))
+
+
+@pytest.mark.slow
+def test_mad_learns_toy_reach_with_many_environments(tmp_path: Path) -> None:
+    config = VectorisedConfig(
+        steps=3_000, exploration_steps=500, batch_size=48, buffer_capacity=3_000, hidden_dim=128,
+        discount=0.9, learning_rate=1e-3, eval_every=3_000, eval_episodes=20, environments=8,
+        workers=2,
+    )  # fmt: skip
+    run(tmp_path / "run", config)
+    row = {k: float(v) for k, v in curve(tmp_path / "run")[-1].items()}
+    singles = [row[f"success_{name}"] for name in ("first", "third_a", "third_b")]
+    assert row["success_all"] >= 0.7, row
+    assert np.mean(singles) >= 0.5, row
