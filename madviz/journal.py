@@ -32,6 +32,7 @@ from madviz.kept import (
     trace_of,
     versions_here,
 )
+from madviz.moves import MoveCamera
 from madviz.types import Array, EnvSpec, PolicySpec, TimeStep, UserError
 
 EPISODES = 20
@@ -53,7 +54,7 @@ class _Present:
     policy: KeptPolicy
     env: EnvSpec
     seed: int
-    start: tuple[SetCamera, ...]
+    start: tuple[SetCamera | MoveCamera, ...]
     commands: list[KeptCommand] = field(default_factory=list)
     streams: dict[str, list[bytes]] = field(default_factory=lambda: {s: [] for s in STREAMS})
     broken: bool = False
@@ -99,13 +100,16 @@ class Journal:
         return KeptSession(episodes, versions_here())
 
     def begin(self, policy: PolicySpec, env: EnvSpec, seed: int, ablation: Ablation) -> None:
-        start = tuple(SetCamera(name, state) for name, state in ablation.cameras.items())
+        start = (
+            *(SetCamera(name, state) for name, state in ablation.cameras.items()),
+            *(MoveCamera(name, move) for name, move in ablation.moves.items()),
+        )
         with self._lock:
             self._file()
             self._present = _Present(KeptPolicy.of(policy), env, seed, start)
 
-    def camera(self, step: int, command: SetCamera) -> None:
-        """A camera was set when ``step`` had arrived, or while it was drawn."""
+    def camera(self, step: int, command: SetCamera | MoveCamera) -> None:
+        """A camera was set or moved when ``step`` had arrived, or while it was drawn."""
         with self._lock:
             if self._present is not None:
                 self._add(self._present, KeptCommand(step, command))
@@ -163,12 +167,13 @@ class Journal:
         present.broken |= len(present.commands) >= MOST_COMMANDS
         if present.broken:
             return
-        if isinstance(new.command, SetCamera):
+        if not isinstance(new.command, KeptPolicy):
             for index in reversed(range(len(present.commands))):
                 old = present.commands[index]
                 if old.step != new.step or isinstance(old.command, KeptPolicy):
                     break
-                if old.command.camera == new.command.camera:
+                same = type(old.command) is type(new.command)
+                if same and old.command.camera == new.command.camera:
                     del present.commands[index]
                     break
         present.commands.append(new)

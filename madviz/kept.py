@@ -30,6 +30,7 @@ from typing import Any
 from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.files import pretty, write_bytes
 from madviz.frame import SetCamera
+from madviz.moves import MoveCamera
 from madviz.types import CameraSpec, PolicySpec, UserError
 
 SCHEMA = 1
@@ -59,7 +60,7 @@ class KeptCommand:
     """A camera or a policy that was set when ``step`` had arrived, before the next decision."""
 
     step: int
-    command: SetCamera | KeptPolicy
+    command: SetCamera | MoveCamera | KeptPolicy
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class KeptEpisode:
     cameras: tuple[CameraSpec, ...]
     """All that the environment drew, the policy's and others."""
     seed: int
-    start: tuple[SetCamera, ...]
+    start: tuple[SetCamera | MoveCamera, ...]
     """How cameras were set when the episode began; those that are not named were intact."""
     commands: tuple[KeptCommand, ...]
     """In the order in which they were obeyed."""
@@ -90,7 +91,13 @@ class KeptEpisode:
     @property
     def ablation(self) -> Ablation:
         """The states of the cameras at the start."""
-        return Ablation({command.camera: command.state for command in self.start})
+        ablation = Ablation()
+        for command in self.start:
+            if isinstance(command, MoveCamera):
+                ablation = ablation.move(command.camera, command.move)
+            else:
+                ablation = ablation.replace(command.camera, command.state)
+        return ablation
 
     @property
     def policies(self) -> tuple[KeptPolicy, ...]:
@@ -171,9 +178,11 @@ def _command_fields(kept: KeptCommand) -> dict[str, Any]:
     return {"step": kept.step, **_camera_fields(kept.command)}
 
 
-def _camera_fields(command: SetCamera) -> dict[str, Any]:
+def _camera_fields(command: SetCamera | MoveCamera) -> dict[str, Any]:
     """The occlusion is left out where it is none; one that is off may still have a strength, as a
     slider left it, and that is kept: equal means equal."""
+    if isinstance(command, MoveCamera):
+        return {"camera": command.camera, "move": asdict(command.move) if command.move else None}
     state: CameraState = command.state
     fields: dict[str, Any] = {"camera": command.camera, "input": state.input}
     if state.occlusion != Occlusion():

@@ -25,6 +25,7 @@ from madviz.kept import (
     KeptPolicy,
     KeptSession,
 )
+from madviz.moves import Displacement, MoveCamera
 from madviz.types import CameraSpec, UserError
 
 LONGEST = 4_000_000
@@ -184,15 +185,21 @@ class _Value:
             fields = self.fields("step", "policy", "digest")
             command = _policy(fields["policy"], fields["digest"])
         else:
-            fields = self.fields("step", "camera", "input", optional=("occlusion",))
             command = self.switch(cameras, ("step",))
+            fields = {"step": _Value(self.found["step"], self.file, f"{self.path}.step")}
         return KeptCommand(fields["step"].whole(0, steps), command)
 
-    def switch(self, cameras: list[str], beside: tuple[str, ...] = ()) -> SetCamera:
-        fields = self.fields(*beside, "camera", "input", optional=("occlusion",))
+    def switch(self, cameras: list[str], beside: tuple[str, ...] = ()) -> SetCamera | MoveCamera:
+        """How a camera is set, or where it is moved to."""
+        if isinstance(self.found, dict) and "move" in self.found:
+            fields = self.fields(*beside, "camera", "move")
+        else:
+            fields = self.fields(*beside, "camera", "input", optional=("occlusion",))
         name = fields["camera"].text(_CAMERA, f"one of {', '.join(cameras)}")
         if name not in cameras:
             raise fields["camera"].fail(f"one of {', '.join(cameras)}")
+        if "move" in fields:
+            return MoveCamera(name, fields["move"].move())
         input_ = fields["input"].text("rgb|depth|both|off", "rgb, depth, both or off")
         occlusion = fields["occlusion"].occlusion() if "occlusion" in fields else Occlusion()
         return SetCamera(name, CameraState(input_, occlusion))  # type: ignore[arg-type]
@@ -203,6 +210,16 @@ class _Value:
         fractions = {name: value.number(0, 1) for name, value in fields.items()}
         try:
             return Occlusion(kind, **fractions)  # type: ignore[arg-type]
+        except UserError as error:
+            raise UserError(f"{self.file}: {self.path}: {error}") from error
+
+    def move(self) -> Displacement | None:
+        if self.found is None:
+            return None
+        fields = self.fields(*Displacement.__dataclass_fields__)
+        numbers = {name: value.number(-90, 90) for name, value in fields.items()}
+        try:
+            return Displacement(**numbers)
         except UserError as error:
             raise UserError(f"{self.file}: {self.path}: {error}") from error
 

@@ -23,6 +23,7 @@ from pathlib import Path
 
 from madviz import checkpoint
 from madviz.ablations import Occlusion
+from madviz.moves import Displacement, Moves
 from madviz.rollout import (
     FIRST_SEED,
     GIVE_UP,
@@ -36,7 +37,7 @@ from madviz.rollout import (
 )
 from madviz.statistics import Interval, wilson
 from madviz.store import EpisodeResult, Store
-from madviz.subsets import name_of
+from madviz.subsets import camera_of, name_of
 from madviz.types import Array, PolicySpec
 
 NICENESS = 15
@@ -45,15 +46,16 @@ NICENESS = 15
 
 @dataclass(frozen=True)
 class Setting:
-    """What is evaluated: a version of a policy, the present streams, the relevant occlusions."""
+    """What is evaluated: a version of a policy, the present streams, what is wrong with them."""
 
     policy: str
     digest: str
     subset: str
     occlusions: Occlusions = ()
+    moves: Moves = ()
 
     def job(self, seed: int) -> Job:
-        return Job(self.policy, self.digest, self.subset, self.occlusions, seed)
+        return Job(self.policy, self.digest, self.subset, self.occlusions, seed, self.moves)
 
 
 @dataclass(frozen=True)
@@ -127,12 +129,13 @@ class Evaluator:
         policy: str | Path,
         mask: Array,
         occlusions: dict[str, Occlusion] | None = None,
+        moves: dict[str, Displacement] | None = None,
     ) -> Tally:
         """From now on ``visitor`` wants this and nothing else; what is known of it already.
 
         Raises UserError for an unknown policy or camera.
         """
-        setting = self._setting(policy, mask, occlusions)
+        setting = self._setting(policy, mask, occlusions, moves)
         with self._lock:
             if self._wanted.get(visitor) != setting:
                 self._errors.pop(setting, None)  # Asking anew is trying anew.
@@ -165,7 +168,11 @@ class Evaluator:
         self._workers.close()
 
     def _setting(
-        self, policy: str | Path, mask: Array, occlusions: dict[str, Occlusion] | None
+        self,
+        policy: str | Path,
+        mask: Array,
+        occlusions: dict[str, Occlusion] | None,
+        moves: dict[str, Displacement] | None = None,
     ) -> Setting:
         """Settings that cannot differ are the same one. New ones start with what the store has."""
         reference = str(policy)
@@ -174,7 +181,9 @@ class Evaluator:
         else:
             spec = checkpoint.load_policy(reference).spec
         present = relevant(occlusions or {}, mask, spec.streams)
-        setting = Setting(reference, spec.digest, name_of(mask, spec.streams), present)
+        seen = {camera_of(s) for s, on in zip(spec.streams, mask, strict=True) if on}
+        moved = tuple((c, move) for c, move in sorted((moves or {}).items()) if c in seen)
+        setting = Setting(reference, spec.digest, name_of(mask, spec.streams), present, moved)
         with self._lock:
             if setting not in self._tallies:
                 self._specs[setting] = spec
@@ -218,7 +227,7 @@ class Evaluator:
 
     def _landed(self, job: Job, generation: int, future: Future[Finished]) -> None:
         """A worker is free again, for better or worse."""
-        setting = Setting(job.policy, job.digest, job.subset, job.occlusions)
+        setting = Setting(job.policy, job.digest, job.subset, job.occlusions, job.moves)
         with self._lock:
             self._flying.discard(job)
             if self._closed or future.cancelled():

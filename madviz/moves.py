@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.types import CameraSpec, UserError, unknown
+from madviz.types import Array, CameraPose, CameraSpec, UserError, unknown
 
 LARGEST = {
     **dict.fromkeys(("forward", "right", "up"), 1.0),
@@ -64,13 +64,17 @@ class Displacement:
         """Whether the camera stands where it did."""
         return self == Displacement()
 
+    @property
+    def turn(self) -> Rotation:
+        """From the camera's axes in training to those it has now."""
+        return Rotation.from_euler("YX", [-self.pan, self.tilt], degrees=True)
+
     def placed(self, camera: CameraSpec) -> CameraSpec:
         """Where ``camera``, as its policy was trained with it, stands when it is moved."""
         before = Rotation.from_quat(camera.wxyz, scalar_first=True)
         shift = before.apply([self.right, self.up, -self.forward])
-        turn = Rotation.from_euler("YX", [-self.pan, self.tilt], degrees=True)
         x, y, z = (np.asarray(camera.position, float) + shift).tolist()
-        w, i, j, k = (before * turn).as_quat(scalar_first=True).tolist()
+        w, i, j, k = (before * self.turn).as_quat(scalar_first=True).tolist()
         half = math.tan(math.radians(camera.fovy) / 2) / self.zoom
         fovy = min(max(2 * math.degrees(math.atan(half)), NARROWEST), WIDEST)
         return replace(camera, position=(x, y, z), wxyz=(w, i, j, k), fovy=fovy)
@@ -113,6 +117,27 @@ def along(name: str, value: float) -> Displacement:
     if name not in known:
         raise unknown("direction", name, known)
     return Displacement(**{name: value})
+
+
+def trained_axes(pose: CameraPose, move: Displacement) -> Rotation:
+    """OpenGL axes in the world that a camera had in training, which is at ``pose`` by ``move``."""
+    # OpenCV axes to OpenGL axes is half a turn about the camera's x.
+    now = Rotation.from_quat(pose.wxyz, scalar_first=True) * Rotation.from_euler("x", np.pi)
+    return now * move.turn.inv()
+
+
+def dragged(pose: CameraPose, move: Displacement, place: Array) -> Displacement:
+    """``move`` with the camera at ``place`` (3,), metres in the world, instead of at ``pose``; it
+    turns and zooms as before, and goes no further than LARGEST, by whole centimetres."""
+    axes = trained_axes(pose, move)
+    way = axes.inv().apply(np.asarray(place, float) - np.asarray(pose.position, float))
+    right, up, back = way + [move.right, move.up, -move.forward]
+    asked = {"forward": -back, "right": right, "up": up}
+    if not np.isfinite(way).all():
+        raise UserError(f"expected a place for a camera, found {place}; drag it again")
+    most = LARGEST["forward"]
+    goes = {name: round(min(max(value, -most), most), 2) + 0.0 for name, value in asked.items()}
+    return replace(move, **goes)
 
 
 def _check(name: str, value: object, low: float, high: float) -> None:

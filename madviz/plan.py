@@ -10,6 +10,7 @@ from __future__ import annotations
 from madviz.failures import Event, Schedule, reached
 from madviz.frame import SetCamera, SetPolicy, untouched
 from madviz.kept import KeptEpisode, KeptPolicy
+from madviz.moves import MoveCamera
 from madviz.simulation import Simulation
 
 
@@ -26,10 +27,10 @@ class Plan:
         """An episode begins: the one to live again, or an ordinary one."""
         self._script, self.waiting = self.waiting, None
 
-    def due(self, simulation: Simulation) -> list[SetCamera | SetPolicy]:
+    def due(self, simulation: Simulation) -> list[SetCamera | MoveCamera | SetPolicy]:
         """What to obey now that the simulation has come to a step, in order."""
         step, script = simulation.now.step, self._script
-        scripted: list[SetCamera | SetPolicy] = [
+        scripted: list[SetCamera | MoveCamera | SetPolicy] = [
             SetPolicy(kept.command.name) if isinstance(kept.command, KeptPolicy) else kept.command
             for kept in (script.commands if script else ())
             if kept.step == step

@@ -17,8 +17,10 @@ from typing import Any
 from madviz import checkpoint
 from madviz.envs.base import make_env, sees
 from madviz.failures import Event, in_order, in_words
+from madviz.frame import SetCamera
 from madviz.kept import STREAMS, TRACE, KeptEpisode, KeptPolicy, KeptSession, versions_here
 from madviz.kept_reader import read_kept
+from madviz.moves import MoveCamera
 from madviz.rollout import one_thread
 from madviz.simulation import Simulation
 from madviz.types import Environment, Policy, UserError
@@ -98,6 +100,8 @@ def live_again(
                 command = commands.pop(0).command
                 if isinstance(command, KeptPolicy):
                     simulation.swap(find(command))
+                elif isinstance(command, MoveCamera):
+                    simulation.move_camera(command)
                 else:
                     simulation.set_camera(command)
             if step < episode.steps:
@@ -197,12 +201,13 @@ def _verdict(row: dict[str, Any]) -> str:
 
 
 def failures_of(episode: KeptEpisode) -> list[str]:
-    """What happened to cameras, in the language of schedules, for a caption."""
-    commands = [(0, command) for command in episode.start]
+    """What happened to cameras, in the language of schedules, for a caption; moves have no words
+    in it."""
+    commands = [(0, command) for command in episode.start if isinstance(command, SetCamera)]
     commands += [
         (kept.step, kept.command)
         for kept in episode.commands
-        if not isinstance(kept.command, KeptPolicy)
+        if isinstance(kept.command, SetCamera)
     ]
     events = [
         Event(step, one.camera, one.state.input == "off", one.state.occlusion)

@@ -104,13 +104,7 @@ class Session:
             listener(self.latest)
 
     def keep(self) -> KeptSession:
-        """The last episodes, to be lived again. Raises UserError if there is no step yet, and in an
-        episode in which a camera was moved: a kept file has no word for that."""
-        if self._stage.strayed:
-            raise UserError(
-                "expected an episode with every camera where it was trained, found one in which a "
-                "camera was moved, and kept files cannot hold that; put it back and start again"
-            )
+        """The last episodes, to be lived again. Raises UserError if there is no step yet."""
         return self._stage.journal.kept()
 
     def unsubscribe(self, listener: Listener) -> None:

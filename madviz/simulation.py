@@ -86,8 +86,6 @@ class Simulation:
         self._actions: list[Array] = []
         self._stack: StreamStack
         self.probe: Probe
-        self.strayed = False
-        """Whether a camera stood elsewhere at any step of this episode."""
         self._adopt(policy)
         for camera in env.spec.cameras:
             if camera.name in ablation.moves:
@@ -151,8 +149,6 @@ class Simulation:
         self._recent.clear()
         self._worst, self._settings, self._actions = {}, set(), []
         self.journal.begin(self.policy.spec, self.env.spec, seed, self.ablation)
-        self.strayed = False
-        self._note_move()
         self._arrive(moment, self._draw(lambda: None))
 
     def step(self, between: Callable[[], None]) -> None:
@@ -222,7 +218,7 @@ class Simulation:
             moved=f"moved: {to.words()}" if to else "is back in its place",
         )
         self._note_setting()
-        self._note_move()
+        self.journal.camera(self.now.step, command)
 
     def swap(self, policy: Policy) -> None:
         """Another policy in the same episode; it gets the newest frames as its past."""
@@ -298,12 +294,6 @@ class Simulation:
         self._stack.restore((frames, {**raw, **fresh}, noise))
         self._stack.replace_last(self.ablation)
         self._read()
-
-    def _note_move(self) -> None:
-        """Kept files have no word for a moved camera, so such an episode is not kept."""
-        if self.ablation.moves:
-            self.strayed = True
-            self.journal.spoil()
 
     def _draw(self, between: Callable[[], None]) -> dict[str, View]:
         """Every camera, always: one that comes back needs its past frames."""

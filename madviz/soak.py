@@ -6,9 +6,9 @@ than there are simulations, so some watch and inherit. After each round everybod
 is still there is written down: memory and threads of the server and its children, and how many
 processes that is.
 
-    round   1    2    3  │  4    5    6    7    8    9
-            warm-up      │  first ──────── last          of 9 rounds a third is warm-up
-            421  455  461│ 462  463  462  464  462  463  MB: median 463 after 462, growth 0.2 %
+    round   1    2    3  │  4    5    6    7    8    9   10   11
+            warm-up      │  first ─                     last ───   of 11 rounds a third is warm-up
+            665  680  672│ 674  678  676  678  676  678  678  680  MB: 678.8 after 675.8, 0.4 %
 
 The first rounds fill what stays for good: the allocator's pools, caches of glyphs, viser's threads
 for callbacks. Bars: the median of the last third of what follows is at most 2 % above the

@@ -113,11 +113,6 @@ class Stage:
             self.fork()
         self._live.set_camera(command, preview)
 
-    @property
-    def strayed(self) -> bool:
-        """Whether a camera was moved in this episode."""
-        return self.simulation is not None and self.simulation.strayed
-
     def move_camera(self, command: MoveCamera) -> None:
         """A camera elsewhere; in the past, another future begins with it."""
         if self._timeline.shown is not None:
@@ -217,5 +212,7 @@ class Stage:
         for command in self._plan.due(self._live):
             if isinstance(command, SetPolicy):
                 self.swap(command.name)
+            elif isinstance(command, MoveCamera):
+                self._live.move_camera(command)
             else:
                 self._live.set_camera(command)

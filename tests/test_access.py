@@ -145,7 +145,17 @@ def test_one_presents_and_the_others_watch(shown: App):
         until(lambda: watcher.steps and watcher.shown("presenter has the controls"))
         with Visitor(shown.url, cookie(shown, "mine")) as presenter:
             until(lambda: presenter.find("Episode") and presenter.steps)
-            assert not watcher.find("Episode") and not watcher.find("input", "ButtonGroup")
+            for label in (
+                "Policy",
+                "Episode",
+                "Speed",
+                "Seed",
+                "Input",
+                "Step",
+                "start",
+                "start B",
+            ):
+                assert presenter.find(label) and not watcher.find(label), label
             (row,) = presenter.find("Episode")
             presenter.set(row, "pause")
             until(lambda: watcher.shown('data-phase="paused"'))

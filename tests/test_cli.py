@@ -54,8 +54,8 @@ def test_no_command_at_all_is_a_mistake() -> None:
 def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["wurst"]) == 2
     assert capsys.readouterr().err == (
-        "madviz: unknown command 'wurst'; known: bench, compare, doctor, eval, explore, list, "
-        "record, replay, report, sweep, train\n"
+        "madviz: unknown command 'wurst'; known: bench, compare, displace, doctor, eval, explore, "
+        "list, record, replay, report, soak, sweep, train\n"
     )
     assert cli.main(["bench", "wurst"]) == 2
     assert "known: live, render, update" in capsys.readouterr().err

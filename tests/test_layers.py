@@ -20,12 +20,13 @@ MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in FI
 
 LAYERS = (
     "types subsets files statistics processes svg",
-    "envs agent ablations streams",
+    "envs agent ablations streams moves",
     "buffer manifest checkpoint store rollout evaluate live probes shapley projection saliency "
     "demonstrations run card evidence curves vector",
     "light paper train naive",
     "failures frame kept journal simulation timeline twin plan stage session",
-    "training app bench doctor compare report sweep recording replay",
+    "training app bench soak doctor compare displacement report sweep recording replay",
+    "teaching widgets",
     "cli main",
 )
 """A module imports from its own line and those above. ``agent`` stands for all of its modules, and

@@ -15,8 +15,11 @@ import numpy as np
 import pytest
 
 from madviz import checkpoint
-from madviz.ablations import Occlusion
+from madviz.ablations import Ablation, Occlusion
+from madviz.app.rates import Rates
+from madviz.frame import setting_of
 from madviz.live import Evaluator
+from madviz.moves import Displacement
 from madviz.rollout import Runner, Workers
 from madviz.store import MEMORY, EpisodeResult, Store
 from madviz.types import UserError
@@ -270,3 +273,30 @@ class Patient(FakePolicy):
     def read(self, encoded, masks):
         time.sleep(1)
         return super().read(encoded, masks)
+
+
+def test_a_moved_camera_is_measured_where_it_stands_and_counts_apart(live):
+    evaluator, workers = live
+    there = {"first": Displacement(right=0.1), "third_b": Displacement(up=0.1)}
+    evaluator.request("ann", POLICY, FIRST, moves=there)
+    job = workers.finish()
+    assert job.moves == (("first", there["first"]),)  # The other one is dropped: nobody would see.
+    assert evaluator.request("ann", POLICY, FIRST).n == 0
+    assert evaluator.request("ann", POLICY, FIRST, moves=there).n == 1
+
+
+def test_what_workers_measure_of_a_moved_camera_is_where_the_page_looks_for_it():
+    made = []
+
+    def make(listener):
+        evaluator, workers = fake(1, listener=listener)
+        made.append(workers)
+        return evaluator
+
+    policy, mask = FakePolicy(), np.ones(3, bool)
+    rates = Rates(make_evaluator=make, reference=lambda spec: POLICY)
+    moved = Ablation({}, {"first": Displacement(pan=5)})
+    rates.want("ann", policy.spec, mask, moved)
+    made[0].finish()
+    assert rates.live(policy.spec, setting_of(moved, policy.spec.streams)).n == 1
+    assert rates.live(policy.spec, setting_of(Ablation(), policy.spec.streams)).n == 0

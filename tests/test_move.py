@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import viser
+from scipy.spatial.transform import Rotation
 
 from madviz.ablations import Ablation, CameraState, Occlusion
+from madviz.app.gizmo import Gizmo
 from madviz.app.move import MovePanel, move_html
 from madviz.app.panel import apply
 from madviz.envs.base import make_env
@@ -24,13 +29,16 @@ from madviz.frame import (
     setting_of,
     words,
 )
-from madviz.moves import Displacement, MoveCamera, along
+from madviz.kept_reader import parse
+from madviz.moves import Displacement, MoveCamera, along, dragged, trained_axes
+from madviz.replay import live_again
 from madviz.session import Session
 from madviz.types import CameraSpec, UserError
 from tests.fakes import FakePolicy, policies
 
+RIGHT = Displacement(right=0.3)
 DOWN = CameraSpec("down", "Down", 60, (0, 0, 2), (1, 0, 0, 0))
-ASIDE = MoveCamera("third_a", Displacement(right=0.3))
+ASIDE = MoveCamera("third_a", RIGHT)
 
 
 class Live(Session):
@@ -177,23 +185,39 @@ def test_going_back_puts_cameras_where_they_were_then():
     assert (moved.step, moved.past, moved.ablation.moves) == (2, False, {"third_a": ASIDE.move})
 
 
-def test_an_episode_with_a_moved_camera_is_not_kept_and_says_why():
+def test_a_moved_camera_is_kept_and_lives_again_to_the_bit():
     live = Live()
     live.steps(2)
-    assert live.keep().episodes
-    live.ask(ASIDE)
+    live.ask(SetCamera("third_a", CameraState("rgb", Occlusion("noise", 0.3))))
+    live.ask(MoveCamera("third_a", Displacement(pan=3)), ASIDE)
+    live.steps(3)
+    live.ask(MoveCamera("third_a", None), MoveCamera("first", Displacement(zoom=1.5)))
     live.steps(2)
-    live.ask(MoveCamera("third_a", None))
-    with pytest.raises(UserError, match="camera was moved"):
-        live.keep()
     live.ask(Reset())
-    live.steps(2)
-    assert [episode.steps for episode in live.keep().episodes] == [2]
+    live.steps(3)
+    kept = parse(live.keep().to_json().encode(), "a file")
+    assert kept.episodes == live.keep().episodes and len(kept.episodes) == 2
+    assert kept.episodes[1].ablation.moves == {"first": Displacement(zoom=1.5)}
+    moves = [one for one in kept.episodes[0].commands if isinstance(one.command, MoveCamera)]
+    assert [one.step for one in moves] == [2, 5, 5]
+    for episode in kept.episodes:
+        assert live_again(episode, lambda wanted: policies(wanted.name)) == episode
+
+
+@pytest.mark.parametrize("value", [2, float("inf"), None, "0.1"])
+def test_a_kept_move_is_believed_only_in_range(value):
+    live = Live()
+    live.ask(ASIDE)
+    live.steps(1)
+    document = json.loads(live.keep().to_json())
+    document["episodes"][0]["commands"][0]["move"]["right"] = value
+    with pytest.raises(UserError, match="right|JSON"):
+        parse(json.dumps(document).encode(), "a file")
 
 
 def test_a_twin_begins_with_moved_cameras_and_another_policy_keeps_them():
     live = Live()
-    frame = live.ask(ASIDE, SetTwin("toy-other", Ablation(moves={"third_a": ASIDE.move})))
+    frame = live.ask(ASIDE, SetTwin("toy-other", Ablation(moves={"third_a": RIGHT})))
     assert frame.twin is not None
     assert np.array_equal(frame.twin.views["third_a"].rgb, frame.views["third_a"].rgb)
     assert live.ask(SetPolicy("toy-rgbd")).ablation.moves == {"third_a": ASIDE.move}
@@ -241,3 +265,48 @@ def test_the_panel_says_where_cameras_are_and_what_counts():
     assert "Every camera stands where" in move_html(live.now)
     html = move_html(live.ask(ASIDE))
     assert "0.30 m to the right" in html and "madviz displace" in html and "First" not in html
+
+
+@pytest.mark.parametrize("camera", ["first", "third_a"])
+def test_dragging_along_an_arrow_is_what_the_slider_of_that_name_does(camera):
+    live = Live()
+    turned = Displacement(right=0.1, pan=30, tilt=-20, zoom=1.2)
+    frame = live.ask(Pause(), MoveCamera(camera, turned))
+    pose, spec = frame.poses[camera], frame.env.camera(camera)
+    trained = Rotation.from_quat(spec.wxyz, scalar_first=True)
+    axes = trained_axes(pose, turned)
+    assert axes.as_matrix() == pytest.approx(trained.as_matrix(), abs=1e-9)
+    assert dragged(pose, turned, pose.position) == turned
+    there = pose.position + trained.apply([0.2, 0.3, -0.4])  # Right, up, forward.
+    assert dragged(pose, turned, there) == replace(turned, right=0.3, up=0.3, forward=0.4)
+    far = dragged(pose, turned, pose.position + trained.apply([50, 0, 0]))
+    assert far.right == 1.0 and far.forward == 0
+    with pytest.raises(UserError, match="expected a place"):
+        dragged(pose, turned, np.array([np.nan, 0, 0]))
+
+
+def test_arrows_stand_where_the_camera_does_unless_they_are_dragged():
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    live, moved = Live(), []
+    frame = live.ask(Pause())
+    gizmo = Gizmo(server.scene, frame, 1.0, lambda *said: moved.append(said))
+    apply(gizmo.update(frame))
+    assert not gizmo._handle.visible
+    gizmo.camera = "third_a"
+    apply(gizmo.update(live.ask(ASIDE)))
+    assert gizmo._handle.visible
+    assert gizmo._handle.position == pytest.approx(live.now.poses["third_a"].position)
+    assert moved == []  # Our own assignments move nothing.
+    place = live.now.poses["third_a"].position + [0, 0, 0.1]
+    gizmo._handle.position = place
+    event = SimpleNamespace(client=object(), phase="update", target=gizmo._handle)
+    asyncio.run(gizmo._hear(event))  # type: ignore[arg-type]
+    assert moved == [("third_a", Displacement(right=0.3, forward=-0.1))]
+    apply(gizmo.update(live.now))
+    assert gizmo._handle.position == pytest.approx(place)  # In a hand: not pulled back.
+    event.phase = "end"
+    asyncio.run(gizmo._hear(event))  # type: ignore[arg-type]
+    apply(gizmo.update(live.now))
+    assert gizmo._handle.position == pytest.approx(live.now.poses["third_a"].position)
+    gizmo.remove()
+    server.stop()

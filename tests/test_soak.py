@@ -10,6 +10,7 @@ import pytest
 
 from madviz.app.policy import PolicyChoice
 from madviz.app.server import App
+from madviz.bench_live import LiveConfig, watched
 from madviz.soak import Crowd, Sample, SoakConfig, judged, look, soak
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
@@ -66,7 +67,7 @@ def test_visitors_leave_neither_threads_nor_processes():
     app = App(FakePolicy(), choices, policies, visitors=2)
     crowd = Crowd(app.url, os.getpid(), most=3, seed=1)
     try:
-        first, second = crowd.round(5.0), crowd.round(5.0)
+        first, second = crowd.round(4.0), crowd.round(4.0)
         deadline = time.monotonic() + 20
         while ours() and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -83,3 +84,9 @@ def test_three_minutes_leave_nothing():
     result = soak(SoakConfig(minutes=3.0, policy="tests.fakes:FakePolicy"))
     assert result["errors"] == []
     assert result["ok"], result
+
+
+def test_watchers_are_counted_at_the_wire():
+    result = watched(LiveConfig(policy="tests.fakes:FakePolicy", seconds=1.0, watchers=2))
+    assert result["count"] == len(result["updates_per_s"]) == 2
+    assert 0 < result["least"] <= min(result["updates_per_s"]) and result["owner"] > 0

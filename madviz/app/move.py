@@ -14,7 +14,9 @@ from html import escape
 import viser
 
 from madviz.app.colours import NOTE, camera_colours
+from madviz.app.gizmo import Gizmo
 from madviz.app.panel import Assign
+from madviz.app.scene import extent
 from madviz.app.toolkit import Cell, Choice, Shown, grid, on_value, remove_all
 from madviz.frame import Command, Frame
 from madviz.moves import Displacement, MoveCamera
@@ -27,6 +29,7 @@ HINTS = {
     "pan": "Degrees that it turns to the right.",
     "tilt": "Degrees that it turns up.",
     "zoom": "2 shows half as much across, twice as large.",
+    "arrows": "Arrows at the camera in the scene, to drag it along its own axes.",
     "back": "Back to where the policy was trained with it.",
     "all": "All cameras back to where the policy was trained with them.",
 }
@@ -42,9 +45,17 @@ class MovePanel:
     """See the module. ``send`` None: look, don't touch."""
 
     def __init__(
-        self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
+        self,
+        gui: viser.GuiApi,
+        send: Callable[[Command], None] | None,
+        frame: Frame,
+        scene: viser.SceneApi | None = None,
     ) -> None:
-        self._send = send
+        """``scene``: where arrows to drag can be shown."""
+        self._send, self._frame = send, frame
+        self._gizmo: Gizmo | None = None
+        if scene is not None and send is not None:
+            self._gizmo = Gizmo(scene, frame, extent(frame), self._ask)
         self._names = [camera.name for camera in frame.env.cameras]
         self._camera = self._names[0]
         self._moves = dict(frame.ablation.moves)
@@ -67,17 +78,21 @@ class MovePanel:
         home = gui.add_button("all back", hint=HINTS["all"])
         back.on_click(lambda event: self._reset(event.client, [self._camera]))
         home.on_click(lambda event: self._reset(event.client, self._names))
-        cells = [Cell(self._choice.handle, 1, 4), Cell(back, 5), Cell(home, 6)]
+        cells = [Cell(self._choice.handle, 1, 7), Cell(back, 8, 2), Cell(home, 10, 3)]
         for field, (low, high, step) in RANGES.items():
             value = getattr(self._move, field)
             slider = gui.add_slider(field, low, high, step, value, marks=(), hint=HINTS[field])
             on_value(slider, lambda _, value, field=field: self._drag(field, value))
             self._sliders[field], self._shown[field] = slider, Shown(slider)
         cells += [
-            Cell(slider, 1 + 2 * (index % 3), 2)
+            Cell(slider, 1 + 4 * (index % 3), 4)
             for index, slider in enumerate(self._sliders.values())
         ]
-        layout = gui.add_html(grid("move", 6, cells))
+        if self._gizmo is not None:
+            arrows = gui.add_checkbox("arrows", False, hint=HINTS["arrows"])
+            on_value(arrows, lambda _, on: self._show_arrows(bool(on)))
+            cells.append(Cell(arrows, 1, 4))
+        layout = gui.add_html(grid("move", 12, cells))
         self._handles = [*(cell.handle for cell in cells), layout]
 
     @property
@@ -88,6 +103,8 @@ class MovePanel:
         if camera in self._names:
             self._camera = camera
             self._wanted.clear()
+            if self._gizmo is not None and self._gizmo.camera:
+                self._show_arrows(True)
             # No frame may come while an episode is paused, so this does not wait for one.
             for change in [*self._show_sliders(), self._marks()]:
                 setattr(change.handle, change.name, change.value)
@@ -97,6 +114,12 @@ class MovePanel:
         move = replace(self._move, **{field: value})
         self._moves[self._camera] = move
         self._ask(self._camera, move)
+
+    def _show_arrows(self, on: bool) -> None:
+        assert self._gizmo is not None
+        self._gizmo.camera = self._camera if on else ""
+        for change in self._gizmo.update(self._frame):
+            setattr(change.handle, change.name, change.value)
 
     def _reset(self, client: viser.ClientHandle | None, cameras: list[str]) -> None:
         self._wanted.clear()
@@ -109,7 +132,9 @@ class MovePanel:
         self._send(MoveCamera(camera, move))
 
     def update(self, frame: Frame) -> list[Assign]:
+        self._frame = frame
         changes = [Assign(self._words, "content", move_html(frame))]
+        changes += self._gizmo.update(frame) if self._gizmo is not None else []
         if self._choice is None:
             return changes
         now = frame.ablation.moves.get(self._camera, Displacement())
@@ -132,6 +157,8 @@ class MovePanel:
 
     def remove(self) -> None:
         remove_all(self._handles)
+        if self._gizmo is not None:
+            self._gizmo.remove()
 
 
 def move_html(frame: Frame) -> str:
@@ -150,7 +177,7 @@ def move_html(frame: Frame) -> str:
     )
     return (
         f'<div class="mv mv-moved" style="border-left:3px solid {NOTE};margin:0 10px;'
-        f'padding:2px 8px">{rows}<div class="dim">Whole episodes on this page count, as a setting '
-        "of their own; workers measure with every camera in its place. Success against distance: "
+        f'padding:2px 8px">{rows}<div class="dim">A setting of its own: its success is that of '
+        "whole episodes with the cameras there. Success against distance: "
         "<code>madviz displace</code>.</div></div>"
     )

@@ -283,7 +283,7 @@ class Page:
                     (lambda: MapPanel(gui, frame, 330 if wide else 170), 0.4),
                 ],
             ),
-            ("Move", [(lambda: MovePanel(gui, send, frame), 0.25)]),
+            ("Move", [(lambda: MovePanel(gui, send, frame, self.client.scene), 0.25)]),
             ("Timeline", [(lambda: TimelinePanel(gui, send, frame), 0.5)]),
             ("A/B", [(lambda: VersusPanel(gui, send, frame, self._choices), 0.5)]),
             ("Failures", [(lambda: FailuresPanel(gui, send, frame), 0.5)]),

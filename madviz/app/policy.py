@@ -99,7 +99,7 @@ class PolicyPanel:
         self._seed = gui.add_number(
             "Seed", frame.seed, min=0, max=2**31 - 1, step=1, hint="Which episode to start."
         )
-        self._go = gui.add_button("go")
+        self._go = gui.add_button("go", hint="Start the episode of this seed.")
         self._go.on_click(lambda event: self._on_go(event.client))
         self._auto = gui.add_checkbox(
             "Auto", True, hint="Start the next seed by itself when an episode is over."

@@ -108,7 +108,8 @@ class Rates:
         if self._evaluator is not None:
             reference = self._reference(spec)
             self._keys = {**self._keys, reference: key_of(spec)}
-            self._hear(self._evaluator.request(visitor, reference, mask, ablation.occlusions()))
+            asked = (mask, ablation.occlusions(), ablation.moves)
+            self._hear(self._evaluator.request(visitor, reference, *asked))
 
     def forget(self, visitor: Hashable) -> None:
         """This visitor wants nothing measured any more."""
@@ -126,7 +127,7 @@ class Rates:
 
     def _hear(self, tally: Tally) -> None:
         occluded = {camera: CameraState(occlusion=o) for camera, o in tally.setting.occlusions}
-        setting = Setting(tally.setting.subset, Ablation(occluded).key())
+        setting = Setting(tally.setting.subset, Ablation(occluded, dict(tally.setting.moves)).key())
         outcomes = {result.seed: result.success for result in tally.results}
         self._add((self._keys[tally.setting.policy], setting), outcomes, tally.error)
 

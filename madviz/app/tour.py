@@ -42,6 +42,8 @@ WIDTH = 300
 BACK = 10
 """Steps that the tour goes back in time."""
 
+TOUR_BUTTON, HELP_BUTTON = "2-minute tour", "help, keys"
+
 HELP = """
 **What this is.** A robot works at a task. Several cameras watch it; a *policy*, a trained network,
 looks through them and says how the hand moves next. You may take cameras away while it works.
@@ -65,7 +67,7 @@ if (!window.madvizHelp) {
   document.addEventListener('keydown', event => {
     if (event.key !== '?' || event.target.closest?.('input, textarea')) return;
     const buttons = [...document.querySelectorAll('button')];
-    buttons.find(one => one.innerText.trim() === 'help and keys')?.click();
+    buttons.find(one => one.innerText.trim() === 'help, keys')?.click();
   });
 }
 """
@@ -77,7 +79,9 @@ class Step(NamedTuple):
 
     title: str
     words: str
-    commands: tuple[Command, ...]
+    commands: tuple[Command, ...] = ()
+    back: int = 0
+    """How many steps to look back."""
 
 
 def steps(frame: Frame, choices: Sequence[PolicyChoice]) -> list[Step]:
@@ -134,15 +138,15 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
         )
     yield Step(
         "Back in time",
-        "All cameras and the first policy again, and the page shows what was some steps ago. The "
-        "tab Timeline has a slider for that: go back, drop a camera, and see another future.",
-        (*whole(frame), Scrub(max(0, frame.step - BACK))),
+        "It has stopped, and the page shows what was a few steps ago, as it was then. The tab "
+        "Timeline has a slider for that: go back, drop a camera there, and see another future.",
+        back=BACK,
     )
     yield Step(
         "Your turn",
         "Press off under any picture, or the keys 1, 2, 3; space stops and goes on. Which camera "
-        "can this robot do without, and when? The button help and keys tells the rest.",
-        (*whole(frame), Play()),
+        "can this robot do without, and when? The button help, keys tells the rest.",
+        (Play(), *whole(frame)),
     )
 
 
@@ -185,20 +189,21 @@ class Tour:
         self._steps: list[Step] = []
         self._at, self._acting = 0, ""
         gui = client.gui
-        help_ = gui.add_button(
-            "help and keys", hint="What the words mean and what the keys do; ? opens it, too."
+        options = (HELP_BUTTON,) if send is None else (TOUR_BUTTON, HELP_BUTTON)
+        row = gui.add_button_group(
+            "New here?",
+            options,
+            hint="What there is to try; what words and keys (?) mean.",
         )
-        help_.on_click(lambda _: self.help())
-        cells = [Cell(help_, 2 if send else 1, 1 if send else 2)]
-        if send is not None:
-            begin = gui.add_button(
-                "2-minute tour", hint="Shows what there is to try; you can end it at any time."
-            )
-            begin.on_click(lambda _: self.begin())
-            cells.insert(0, Cell(begin, 1))
-        self._handles: list[Any] = [*(cell.handle for cell in cells)]
-        self._handles.append(gui.add_html(grid("tour", 2, cells)))
+        row.on_click(lambda event: self._pressed(event.target.value))
+        self._handles: list[Any] = [row]
         run_script(client, QUESTION_MARK)
+
+    def _pressed(self, button: str) -> None:
+        if button == TOUR_BUTTON:
+            self.begin()
+        elif button == HELP_BUTTON:
+            self.help()
 
     def begin(self) -> None:
         """Opens the tour's window at its first step."""
@@ -212,10 +217,10 @@ class Tour:
     def _open(self) -> None:
         gui = self._client.gui
         self._panel = gui.add_panel()
-        self._panel.float(x=10, y=10, width=WIDTH)
+        self._panel.float(x=10, y=-10, width=WIDTH)
         with self._panel.add_tab("Tour", viser.Icon.ROUTE):
             self._text = gui.add_html("")
-            self._next = gui.add_button("next", hint="The tour's next step.")
+            self._next = gui.add_button("next step", hint="The tour's next step.")
             self._end = gui.add_button("end the tour", hint="Everything as it was before the tour.")
             cells = [Cell(self._next, 1), Cell(self._end, 2)]
             gui.add_html(grid("tour-steps", 2, cells))
@@ -238,13 +243,17 @@ class Tour:
         if panel is None or self._start is None:
             return
         panel.remove()
-        self._do((*restored(self._start), Play()))
+        # First to the newest step: a camera that is touched in the past begins another future.
+        self._do((Play(), *restored(self._start)))
 
     def _show(self) -> None:
         step, count = self._steps[self._at], len(self._steps)
         self._text.content = step_html(step, self._at + 1, count)
         if self._at + 1 == count:
             self._next.visible = False
+        frame = self._newest()
+        if step.back and isinstance(frame, Frame):
+            self._do((Scrub(max(0, frame.step - step.back)),))
         self._do(step.commands)
 
     def _do(self, commands: Sequence[Command]) -> None:
@@ -288,7 +297,7 @@ def restored(frame: Frame) -> tuple[Command, ...]:
 def step_html(step: Step, number: int, count: int) -> str:
     """A step's text."""
     return (
-        f'<div class="mv mv-tour"><h4>{number} of {count}</h4>'
+        f'<div class="mv mv-tour"><div class="dim">{number} of {count}</div>'
         f'<div style="font-size:15px;margin-bottom:4px"><b>{escape(step.title)}</b></div>'
         f"{escape(step.words)}</div>"
     )

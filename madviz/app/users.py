@@ -6,12 +6,17 @@ simulation of their own. In presenter mode there is one simulation, which nobody
 nobody looks. Seats to watch from end, too; who finds none is told so, and sits down when somebody
 leaves.
 
+A simulation that ends leaves 7 MB of pictures and messages in cycles of objects, and the allocator
+keeps what it once had: without ``give_back``, 70 visits in three minutes cost 30 MB for good.
+
 Everything personal lives in ``client.gui`` and ``client.scene``; viser's server-wide widgets would
 be shared by all.
 """
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import logging
 import threading
 from collections.abc import Callable, Sequence
@@ -149,6 +154,8 @@ class Users:
         seat.page.close()
         if theirs:
             seat.session.close()
+        del seat
+        give_back()
         for other in stranded:
             other.page.close()
             other.page.clear()
@@ -167,3 +174,13 @@ class Users:
         theirs = [seat.session for seat in seats if seat.owner and seat.session is not spare]
         for session in theirs + ([spare] if spare else []):
             session.close()
+
+
+def give_back() -> None:
+    """Returns to the system what those who left do not need any more, where the C library can."""
+    gc.collect()
+    try:
+        trim = ctypes.CDLL(None).malloc_trim
+    except (AttributeError, OSError):  # Another C library than glibc; it has ways of its own.
+        return
+    trim(0)

@@ -12,6 +12,7 @@ import pytest
 from playwright import sync_api as playwright_api
 
 from madviz.ablations import CameraState
+from madviz.app.access import Gate
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.server import App
@@ -61,13 +62,14 @@ def app() -> Iterator[App]:
     app.stop()
 
 
-def toy_app(visitors: int) -> App:
+def toy_app(visitors: int, gate: Gate | None = None) -> App:
     """The page on the toy task with fake policies, on a free port."""
     names = ("toy-mad", "toy-other", "toy-rgbd", "toy-nan")
     choices = [PolicyChoice(name, name) for name in names]
     rates = Rates(lambda spec: SHIPPED if spec.name == "toy-mad" else {})
     runs = Path(tempfile.mkdtemp(prefix="madviz-runs-"))
-    return App(policies("toy-mad"), choices, policies, rates=rates, visitors=visitors, runs=runs)
+    shared = {"rates": rates, "visitors": visitors, "gate": gate, "runs": runs}
+    return App(policies("toy-mad"), choices, policies, **shared)
 
 
 class Visitor:
@@ -127,7 +129,7 @@ class Visitor:
 def open_page(browser, url: str) -> Visitor:
     """A new visitor at 1280x800, once their page shows an episode."""
     page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
-    page.goto(url + "?fixedDpr=0.25")  # Less for the software renderer to draw.
+    page.goto(url + ("&" if "?" in url else "?") + "fixedDpr=0.25")  # Less to draw in software.
     page.wait_for_selector(".mv-status", timeout=PATIENCE)
     return Visitor(page)
 

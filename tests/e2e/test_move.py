@@ -6,9 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+import viser
+from scipy.spatial.transform import Rotation
 
+from madviz.app.gizmo import SIZE
+from madviz.app.scene import extent
 from madviz.app.server import App
-from madviz.moves import MoveCamera
+from madviz.frame import Frame
+from madviz.moves import Displacement, MoveCamera, trained_axes
 from tests.e2e.conftest import Visitor
 
 
@@ -107,8 +112,7 @@ def test_a_moved_camera_sees_something_else_and_goes_back(paused: Visitor):
     before = brightness(paused, 1)
     page.get_by_role("tab", name="Move", exact=True).click()
     page.get_by_role("button", name="Third A", exact=True).click()
-    number = page.locator(".mv-moved").locator("xpath=ancestor::*[@role='tabpanel'][1]")
-    box = number.locator("input[inputmode=decimal]").nth(1)  # Right.
+    box = page.locator("[data-mv-grid=move] input[inputmode=decimal]").nth(1)  # Right.
     box.fill("0.4")
     box.press("Enter")
     paused.until("status.setting === 'all · third_a:moved,right=0.4'")
@@ -119,3 +123,38 @@ def test_a_moved_camera_sees_something_else_and_goes_back(paused: Visitor):
     until_tile(paused, 1, lambda tile: np.abs(tile - before).mean() < 1)
     paused.until_text(".mv-moved", "Every camera stands where")
     assert box.input_value() == "0"
+
+
+def test_an_arrow_in_the_scene_drags_the_camera(paused: Visitor, app: App):
+    page = paused.page
+    (client,) = app.server.get_clients().values()
+    session = app.users.session_of(client.client_id)
+    assert session is not None and isinstance(session.latest, Frame)
+    frame = session.latest
+    page.get_by_role("tab", name="Move", exact=True).click()
+    page.get_by_role("button", name="Third A", exact=True).click()
+    arrows = page.locator("[data-mv-grid=move] input[type=checkbox]")
+    arrows.check(force=True)
+    page.wait_for_timeout(3000)  # Nothing of the page says that the scene has been drawn.
+    pose = frame.poses["third_a"]
+    right = trained_axes(pose, Displacement()).apply([SIZE * extent(frame), 0.0, 0.0])
+    start, end = (on_screen(client, pose.position + part * right) for part in (0.85, 1.6))
+    page.mouse.move(*start)
+    page.wait_for_timeout(500)
+    page.mouse.down()
+    for part in (0.3, 0.6, 1.0):
+        page.mouse.move(*(a + part * (b - a) for a, b in zip(start, end, strict=True)))
+        page.wait_for_timeout(300)
+    page.mouse.up()
+    paused.until("status.setting.startsWith('all · third_a:moved,right=0.')")
+    arrows.uncheck(force=True)
+    page.get_by_role("button", name="all back", exact=True).click()
+    paused.until("status.setting === 'all'")
+
+
+def on_screen(client: viser.ClientHandle, point: np.ndarray) -> tuple[float, float]:
+    """Pixels of a point in the scene, which is 312 wide around 800."""
+    eye = client.camera
+    seen = Rotation.from_quat(eye.wxyz, scalar_first=True).inv().apply(point - eye.position)
+    focal = 400 / np.tan(eye.fov / 2)
+    return 800 + focal * seen[0] / seen[2], 400 + focal * seen[1] / seen[2]

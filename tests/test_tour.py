@@ -1,0 +1,144 @@
+"""The guided tour: what each step does to a real session, and that nothing of it stays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import pytest
+import viser
+
+from madviz.ablations import CameraState, Occlusion
+from madviz.app.policy import PolicyChoice
+from madviz.app.tour import HELP, Tour, keys_table, steps
+from madviz.envs.base import make_env
+from madviz.frame import Frame, SetCamera, SetPolicy, SetSpeed, StepOnce
+from madviz.session import Session
+from tests.fakes import FakePolicy
+
+PAIR = {
+    "toy-mad-light": FakePolicy("toy-mad-light"),
+    "toy-merged-only-light": FakePolicy("toy-merged-only-light", method="merged-only", seed=1),
+}
+CHOICES = [PolicyChoice(name, name) for name in PAIR]
+
+
+class Table:
+    """A session that ticks when a test says so."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.session = Session(make_env, PAIR["toy-mad-light"], PAIR.__getitem__)
+        self.tick()
+
+    def tick(self) -> Frame:
+        self.now += 1.0
+        self.session.tick(self.now)
+        latest = self.session.latest
+        assert isinstance(latest, Frame) and not latest.error
+        return latest
+
+    @property
+    def frame(self) -> Frame:
+        latest = self.session.latest
+        assert isinstance(latest, Frame)
+        return latest
+
+
+@pytest.fixture
+def table() -> Iterator[Table]:
+    table = Table()
+    yield table
+    table.session.close()
+    table.session._stage.shut()
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[viser.ViserServer]:
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server
+    server.stop()
+
+
+def browser(server: viser.ViserServer) -> viser.ClientHandle:
+    """A client that nobody looks through."""
+    return SimpleNamespace(  # type: ignore[return-value]
+        gui=server.gui,
+        _websock_connection=SimpleNamespace(queue_message=lambda message: None),
+        add_notification=lambda *words, **more: pytest.fail(str(words)),
+    )
+
+
+def test_steps_that_make_no_sense_here_are_left_out(table: Table):
+    titles = [step.title for step in steps(table.frame, CHOICES)]
+    assert len(titles) == 8 and "Another robot brain" in titles
+    assert len(steps(table.frame, CHOICES[:1])) == 7
+    for step in steps(table.frame, CHOICES):
+        assert 60 < len(step.words) < 320
+
+
+def test_every_step_does_what_it_says(table: Table, server: viser.ViserServer):
+    tour = Tour(browser(server), table.session.send, lambda: table.frame, CHOICES, [])
+    tour.begin()
+    seen = [table.tick()]
+    for _ in range(7):
+        for _ in range(3):
+            table.tick()
+        tour.next()
+        seen.append(table.tick())
+    settings = [str(frame.setting) for frame in seen]
+    assert settings[0] == settings[2] == settings[7] == "all"
+    assert settings[1] == "first+third_b"
+    assert settings[3].startswith("all · third_b:black")
+    assert settings[4] == settings[5] == settings[6] == "first"
+    assert [frame.policy.method for frame in seen] == ["mad"] * 5 + ["merged-only"] * 2 + ["mad"]
+    assert seen[6].past and seen[6].phase == "paused"
+    assert not seen[7].past and seen[7].phase == "playing" and seen[7].branch is None
+
+
+def test_whenever_it_is_left_all_is_as_before(table: Table, server: viser.ViserServer):
+    before = CameraState("rgb", Occlusion("blur", 0.5))
+    for command in (SetCamera("third_a", before), SetSpeed(20.0)):
+        table.session.send(command)
+    table.tick()
+    for leave_after in range(8):
+        tour = Tour(browser(server), table.session.send, lambda: table.frame, CHOICES, [])
+        tour.begin()
+        for _ in range(leave_after):
+            table.tick()
+            tour.next()
+        tour.end()
+        frame = table.tick()
+        assert frame.camera("third_a") == before and frame.camera("first").input == "rgb"
+        assert frame.policy.name == "toy-mad-light" and frame.speed == 20.0
+        assert frame.phase == "playing" and not frame.past
+        tour.end()  # Twice does no harm.
+
+
+def test_a_tour_in_a_hurry_brings_the_policy_back(table: Table, server: viser.ViserServer):
+    sent: list = []
+    still = table.frame  # The page's newest frame does not move meanwhile.
+    tour = Tour(browser(server), sent.append, lambda: still, CHOICES, [])
+    tour.begin()
+    for _ in range(5):
+        tour.next()
+    tour.end()
+    swaps = [one.name for one in sent if isinstance(one, SetPolicy)]
+    assert swaps == ["toy-merged-only-light", "toy-mad-light"]
+
+
+def test_a_watcher_is_offered_help_and_no_tour(table: Table, server: viser.ViserServer):
+    rows = [Tour(browser(server), send, lambda: table.frame, CHOICES, [])._handles[0]
+            for send in (None, table.session.send)]  # fmt: skip
+    assert [row.options for row in rows] == [("help, keys",), ("2-minute tour", "help, keys")]
+    table.session.send(StepOnce())
+    watched = Tour(browser(server), None, lambda: table.frame, CHOICES, [])
+    watched.begin()
+    assert watched._panel is None
+
+
+def test_help_has_the_words_and_the_keys():
+    table = keys_table([("space", "Play or pause"), ("1", "Drop First person")])
+    assert "| **space** | Play or pause |" in table and table.count("\n") == 3
+    for word in ("off", "black", "merged", "Q", "action"):
+        assert f"**{word}**" in HELP
