@@ -18,6 +18,8 @@ from madviz.saliency import Target
 
 OPTIONS: dict[str, str] = {"": "off", "q": "for its Q", "action": "for its action"}
 
+HINT = "Lights up the pixels that matter; takes as long as a step."
+
 
 class SaliencyPanel:
     """Three buttons and a line. ``ask`` None: look, don't touch."""
@@ -34,7 +36,7 @@ class SaliencyPanel:
                 self._asked = value
                 ask(value or None)  # type: ignore[arg-type]
 
-            self._choice = Choice(gui, "Where it looks", OPTIONS, choose)
+            self._choice = Choice(gui, "Where it looks", OPTIONS, choose, HINT)
             cell = Cell(self._choice.handle, 1, 1, "7.5em")
             self._handles = [self._choice.handle, gui.add_html(grid("saliency", 1, [cell]))]
         self._line = gui.add_html(self._html(frame))
