@@ -1,4 +1,5 @@
 # make demo    set everything up and serve the page at http://127.0.0.1:8080
+# make notebooks   the lessons in JupyterLab (notebooks/README.md)
 # make test    set up the same, then the fast and the real-browser tests
 #
 # Variables: PYTHON=python3.12      the Python the environment is made from (3.11 or newer)
@@ -9,7 +10,7 @@ PYTHON ?= python3
 POLICY ?= metaworld-hammer-mad-light
 BIN    := .venv/bin
 
-.PHONY: help demo setup setup-dev test test-slow check bench clean
+.PHONY: notebooks help demo setup setup-dev test test-slow check bench clean
 
 help:
 	@sed -n '/^$$/q; s/^# \{0,1\}//p' Makefile
@@ -20,6 +21,9 @@ demo: setup
 setup: .venv/packages.stamp
 
 setup-dev: .venv/dev.stamp .venv/browser.stamp
+
+notebooks: .venv/notebooks.stamp
+	cd notebooks && ../$(BIN)/jupyter lab $(ARGS)
 
 test: setup-dev
 	$(BIN)/python -m pytest -m "not slow"
@@ -53,6 +57,10 @@ clean:
 
 .venv/packages.stamp: pyproject.toml constraints.txt | .venv/system.stamp
 	PYTHON="$(PYTHON)" TORCH_INDEX="$(TORCH_INDEX)" tools/packages.sh .
+	@touch $@
+
+.venv/notebooks.stamp: pyproject.toml constraints.txt | .venv/packages.stamp
+	PYTHON="$(PYTHON)" tools/packages.sh '.[notebooks]'
 	@touch $@
 
 .venv/dev.stamp: pyproject.toml constraints.txt | .venv/packages.stamp

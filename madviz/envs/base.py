@@ -11,6 +11,8 @@ to know its setting, or the file in which a user described cameras of their own.
 
 from __future__ import annotations
 
+import os
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
@@ -144,9 +146,16 @@ def _suite_cameras(
         from madviz.envs import maniskill
 
         return maniskill.cameras_of(task.split("/")[1]), maniskill.SETTING_CAMERAS
+    _draw_without_a_display()
     from madviz.envs.metaworld import CAMERAS, SETTING_CAMERAS
 
     return CAMERAS, SETTING_CAMERAS
+
+
+def _draw_without_a_display() -> None:
+    """MuJoCo chooses its OpenGL while it is imported; its own choice on Linux needs a display."""
+    if sys.platform == "linux":
+        os.environ.setdefault("MUJOCO_GL", "egl")
 
 
 def make_env(
@@ -175,6 +184,7 @@ def make_env(
         from madviz.envs.maniskill import ManiSkill
 
         return ManiSkill(name, render_profile, cameras)
+    _draw_without_a_display()
     from madviz.envs.metaworld import MetaWorld
 
     return MetaWorld(name, render_profile, cameras)

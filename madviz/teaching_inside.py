@@ -1,0 +1,143 @@
+"""What lesson 7 looks at: where a policy looks, what each camera is worth, an episode as a file.
+
+An episode is played once and kept as a list of moments; everything here is computed from that list,
+so that one run of the simulator serves all figures. 100 moments of three cameras are 20 MB.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from statistics import fmean
+
+import numpy as np
+
+from madviz.app.colours import camera_colours, heat
+from madviz.recording import RecordConfig, run_record
+from madviz.saliency import Target, saliency
+from madviz.shapley import Worth, action_worth, success_interval, success_worth
+from madviz.statistics import wilson
+from madviz.subsets import camera_of, mask_of
+from madviz.svg_curves import curves
+from madviz.teaching import Moment, frames_of
+from madviz.teaching_show import Figure, Picture, Table, sheet, table
+from madviz.types import UserError
+
+MERGED = "#222222"
+"""The colour of the sum, on white."""
+
+
+def saliency_sheet(
+    moment: Moment, subset: str = "all", target: Target = "action", size: int = 168
+) -> Picture:
+    """The newest frame of every stream, dark where ``target`` does not hang on it.
+
+    Raises UserError for a policy without torch networks, and for a subset it cannot act on.
+    """
+    streams = moment.policy.spec.streams
+    mask = mask_of(subset, streams)
+    maps = saliency(moment.policy, moment.stack, moment.state, mask, target)
+    if maps is None:
+        raise UserError(f"{moment.policy.spec.name} has no saliency for {subset!r}; try 'all'")
+    shown = {}
+    for index, stream in enumerate(streams):
+        frame = frames_of(moment.stack, index)[-1].mean(2, keepdims=True)
+        glow = heat(np.sqrt(maps[index]))
+        weight = 0.15 + 0.85 * np.sqrt(maps[index])[..., None]
+        shown[stream] = (weight * glow + (1 - weight) * 0.5 * frame).astype(np.uint8)
+    return sheet(shown, size)
+
+
+def saliency_shares(episode: Sequence[Moment], target: Target = "action") -> Table:
+    """Which share of all saliency falls on each stream, a mean over the moments given."""
+    shares = []
+    for moment in episode:
+        everything = np.ones(len(moment.stack), bool)
+        maps = saliency(moment.policy, moment.stack, moment.state, everything, target)
+        if maps is not None and maps.sum() > 0:
+            shares.append(maps.sum((1, 2)) / maps.sum())
+    streams = episode[0].policy.spec.streams
+    return table(["stream", "share"], list(zip(streams, np.mean(shares, 0), strict=True)))
+
+
+def norm_curves(episode: Sequence[Moment]) -> Figure:
+    """The length of every stream's feature over an episode, and of their sum."""
+    streams = episode[0].policy.spec.streams
+    series = {
+        name: [float(m.probe.norms[i]) for m in episode] for i, name in enumerate(streams)
+    } | {"sum": [m.probe.merged_norm(0) for m in episode]}
+    return _drawn("length of the features", series, episode)
+
+
+def worth_curves(episode: Sequence[Moment]) -> Figure:
+    """How much nearer to the final action each camera brings it, over an episode."""
+    streams = episode[0].policy.spec.streams
+    worths = [action_worth(m.probe, streams).cameras for m in episode]
+    cameras = dict.fromkeys(map(camera_of, streams))
+    series = {name: [float(w[i]) for w in worths] for i, name in enumerate(cameras)}
+    return _drawn("worth of each camera for the action", series, episode)
+
+
+def _drawn(title: str, series: Mapping[str, Sequence[float]], episode: Sequence[Moment]) -> Figure:
+    own = camera_colours(episode[0].env.cameras)
+    colours = {name: own.get(camera_of(name), MERGED) for name in series}
+    return Figure(curves(title, series, colours, {}, episode[-1].step, height=180), title)
+
+
+def success_worths(
+    measured: Mapping[str, tuple[int, int]], streams: tuple[str, ...]
+) -> tuple[Worth, Table]:
+    """Shapley values of the cameras in a success that was counted for every set of them: the
+    numbers, and a table with their intervals. Raises UserError where a set was not measured."""
+    rates = {name: successes / n for name, (successes, n) in measured.items()}
+    worth = success_worth(rates, streams)
+    if worth is None:
+        raise UserError("expected success for every set of cameras; measure the missing ones")
+    bounded = {name: (rates[name], *wilson(*counted)) for name, counted in measured.items()}
+    low, high = success_interval(bounded, streams)
+    cameras = dict.fromkeys(map(camera_of, streams))
+    rows = [
+        [name, f"{worth.cameras[i]:+.2f}", f"[{low[i]:+.2f}, {high[i]:+.2f}]"]
+        for i, name in enumerate(cameras)
+    ]
+    sums = f"{float(worth.cameras.sum()):+.2f}"
+    return worth, table(["camera", "worth", "95% interval"], [*rows, ["together", sums, ""]])
+
+
+def mean_gap(episode: Sequence[Moment], subset: str) -> float:
+    """Mean distance between the action on ``subset`` and on everything."""
+    return fmean(float(np.linalg.norm(m.action(subset) - m.action())) for m in episode)
+
+
+@dataclass(frozen=True)
+class Report:
+    """A page in one file, shown inside the notebook; it loads nothing from elsewhere."""
+
+    page: str
+    height: int = 620
+
+    def __repr__(self) -> str:
+        return "[a report of an episode]"
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe srcdoc="{escape(self.page)}" width="100%" height="{self.height}" '
+            'style="border:1px solid #ccc"></iframe>'
+        )
+
+
+def record(policy: str, folder: Path, seed: int = 2000, drop: Sequence[str] = ()) -> Path:
+    """Records an episode for rerun's viewer, cameras dropped when ``drop`` says (``third_a@20``);
+    the file."""
+    file = folder / f"{policy}-{seed}.rrd"
+    run_record(RecordConfig(file, policy, seed, tuple(drop)))
+    return file
+
+
+def report(policy: str, folder: Path, seed: int = 2000, drop: Sequence[str] = ()) -> Report:
+    """The same as a report of one page."""
+    file = folder / f"{policy}-{seed}.html"
+    run_record(RecordConfig(file, policy, seed, tuple(drop)))
+    return Report(file.read_text())

@@ -1,0 +1,107 @@
+"""Makes NAME.ipynb from text/NAME.py: runs every cell and keeps the outputs.
+
+    python notebooks/build.py            all of them, some minutes
+    python notebooks/build.py 02 04      those that begin so
+    python notebooks/build.py --text     no runs: new cells go in, outputs of unchanged ones stay
+
+The text is what is edited and what a difference shows; the notebook is what a class opens. Cells
+get names that only depend on their place, and times of execution are left out, so that a second
+build changes nothing but what was measured anew.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+
+import jupytext
+import nbformat
+from nbclient import NotebookClient
+
+HERE = Path(__file__).resolve().parent
+MINUTES = 20
+"""A cell that takes longer is stuck; a busy machine is slow."""
+
+
+def names(words: list[str]) -> list[str]:
+    """The notebooks that begin with one of ``words``; all where there are none."""
+    known = sorted(path.stem for path in (HERE / "text").glob("*.py"))
+    return [name for name in known if not words or name.startswith(tuple(words))]
+
+
+def from_text(name: str) -> nbformat.NotebookNode:
+    """The notebook of text/NAME.py, with names for its cells and no outputs."""
+    notebook = jupytext.read(HERE / "text" / f"{name}.py")
+    for index, cell in enumerate(notebook.cells):
+        cell["id"] = f"{name[:2]}-{index:02d}"
+        cell.metadata.clear()
+    notebook.metadata = {"kernelspec": notebook.metadata["kernelspec"]}
+    return notebook
+
+
+def run(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
+    """Executes it in the folder of the notebooks, as JupyterLab does, with this tree's package."""
+    paths = [str(HERE.parent), os.environ.get("PYTHONPATH", "")]
+    client = NotebookClient(
+        notebook, timeout=60 * MINUTES, resources={"metadata": {"path": str(HERE)}}
+    )
+    return client.execute(env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))})
+
+
+def tidy(notebook: nbformat.NotebookNode) -> None:
+    """Leaves out what differs between two builds for no reason, and joins printed lines."""
+    for cell in notebook.cells:
+        cell.metadata.clear()
+        kept, printed = [], {}
+        for output in cell.get("outputs", []):
+            if output.output_type != "stream":
+                kept.append(output)
+            elif output.name == "stdout":
+                if "stdout" in printed:
+                    printed["stdout"].text += output.text
+                else:
+                    printed["stdout"] = output
+                    kept.append(output)
+        if "outputs" in cell:
+            cell.outputs = kept
+    notebook.metadata.pop("language_info", None)
+
+
+def keep_outputs(notebook: nbformat.NotebookNode, before: nbformat.NotebookNode) -> None:
+    """Takes the outputs of cells whose text has not changed from ``before``."""
+    old = {cell.source: cell for cell in before.cells if cell.cell_type == "code"}
+    for cell in notebook.cells:
+        if cell.cell_type == "code" and cell.source in old:
+            cell.outputs = old[cell.source].outputs
+            cell.execution_count = old[cell.source].execution_count
+    if "widgets" in before.metadata:
+        notebook.metadata["widgets"] = before.metadata["widgets"]
+
+
+def main(words: list[str]) -> None:
+    text_only = "--text" in words
+    for name in names([word for word in words if word != "--text"]):
+        notebook, file = from_text(name), HERE / f"{name}.ipynb"
+        began, busy = time.monotonic(), processors()
+        if not text_only:
+            run(notebook)
+            tidy(notebook)
+        elif file.exists():
+            keep_outputs(notebook, nbformat.read(file, 4))
+        nbformat.write(notebook, file)
+        took, busy = time.monotonic() - began, processors() - busy
+        size = file.stat().st_size / 1024
+        print(f"{name}: {took:.0f} s, {busy:.0f} s of one core, {size:.0f} kB", flush=True)
+
+
+def processors() -> float:
+    """Seconds of processor time of all kernels that have ended; on a machine that is busy with
+    other work it says more than the clock."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,176 @@
+# ---
+# jupyter:
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # 4. Take cameras away
+#
+# **Question: a camera can be missing, or it can send nonsense. Is that the same for a policy? And
+# how many episodes does it take to know?**
+#
+# Time: 40 minutes. Some cells run the hammer task, at a few seconds per episode.
+
+# %%
+import madviz
+from madviz import teaching
+from madviz.ablations import Occlusion
+from madviz.statistics import pair
+from madviz.teaching_lessons import (
+    interval_figure,
+    measure,
+    occlusion_sheet,
+    width_table,
+)
+from madviz.teaching_show import table
+from madviz.widgets import Explorer, Predict, TryOut
+
+teaching.begin()
+MAD, MERGED_ONLY = "metaworld-hammer-mad-light", "metaworld-hammer-merged-only-light"
+mad, merged_only = madviz.load_policy(MAD), madviz.load_policy(MERGED_ONLY)
+now = teaching.moment_at(mad, seed=2000, step=20)
+
+# %% [markdown]
+# ## Two ways to lose a camera
+#
+# **Dropped**: everybody knows that the camera is gone, and its feature is left out of the sum.
+#
+# **Occluded**: the camera still sends pictures, but bad ones: black, noise, the same picture for
+# ever, out of focus, or with something stuck to the lens. Nobody tells the policy.
+
+# %%
+occlusion_sheet(now)
+
+# %% [markdown]
+# ## Is black the same as nothing?
+
+# %%
+guess = Predict(
+    "A black picture shows nothing. What is its feature?",
+    ["All zeros, so black is the same as dropped", "Not zero, so black adds something to the sum"],
+)
+guess
+
+# %%
+black = {"third_a": Occlusion("black")}
+blacked = teaching.occluded(now, black)
+rows = [
+    [camera, now.probe.norms[i], blacked.probe.norms[i]]
+    for i, camera in enumerate(mad.spec.streams)
+]
+table(["camera", "length of its feature", "when Third A sends black"], rows)
+
+# %%
+guess.compare(f"a black Third A has a feature of length {blacked.probe.norms[1]:.1f}")
+
+# %% [markdown]
+# Black is a picture like any other: the network answers with a feature, and that goes into the
+# sum as if it meant something. Nobody trained the policy on it. It can even be longer than the
+# feature of a real picture. How far does the action move, at this instant?
+
+# %%
+intact = now.action()
+rows = [["dropped", float(abs(now.action("first+third_b") - intact).max())]]
+for kind in ("black", "noise", "freeze", "blur"):
+    failed = teaching.occluded(now, {"third_a": Occlusion(kind)})
+    rows.append([kind, float(abs(failed.action() - intact).max())])
+table(["Third A is", "largest change of one action number"], rows)
+
+# %% [markdown]
+# A frozen camera changes little at first, because little has moved. Its picture grows wrong with
+# time.
+#
+# ## Play
+#
+# This is the policy that never learned to do without. Find an occlusion of one camera that makes
+# it fail, while dropping the same camera does not; or the other way round.
+
+# %%
+explorer = Explorer(merged_only, seed=2000)
+explorer
+
+# %% [markdown]
+# ## Success, a few episodes at a time
+#
+# Four episodes each, run now, with Third A intact, dropped and black, for Merged Only:
+
+# %%
+few = {
+    "intact": measure(merged_only, ["all"], 4)["all"],
+    "dropped": measure(merged_only, ["first+third_b"], 4)["first+third_b"],
+    "black": measure(merged_only, ["all"], 4, occlusions=black)["all"],
+}
+table(["Third A is", "success"], [[name, teaching.in_words(*one)] for name, one in few.items()])
+
+# %% [markdown]
+# Look at the intervals before you conclude anything: with four episodes they are so wide that
+# most of them overlap. *Dropped* and *black* are the same camera gone, and they need not be the
+# same to the policy.
+#
+# ## How many episodes are enough?
+#
+# Wilson's interval says which true rates are compatible with what you counted. Move the sliders:
+# what does 8 of 10 say, and what 80 of 100?
+
+# %%
+TryOut(interval_figure, successes=(0, 50, 1), n=(1, 50, 1))
+
+# %%
+width_table(0.8, [5, 10, 20, 50, 100, 400])
+
+# %% [markdown]
+# Half the width costs four times the episodes. To tell 0.8 from 0.9 you need a few hundred of
+# each; to tell 1.00 from 0.00 you need five.
+#
+# The cards of the bundled policies were measured on 100 episodes per set of cameras. These
+# numbers are shipped, nothing runs here:
+
+# %%
+shipped = {"mad": teaching.shipped(MAD), "merged-only": teaching.shipped(MERGED_ONLY)}
+teaching.success_bars("hammer, n = 100 for every bar (shipped)", shipped)
+
+# %%
+teaching.success_table(shipped)
+
+# %% [markdown]
+# ## Compared scene by scene
+#
+# Both policies met the same 100 scenes. A scene that both solve, or both fail, says nothing about
+# which is better; the others are like tosses of a coin, and McNemar's test asks whether it is a
+# fair one.
+
+# %%
+guess_pair = Predict(
+    "Without Third A, merged-only has 0.79 and mad 1.00. Could that be luck?",
+    ["Yes, 100 episodes are too few", "Hardly"],
+)
+guess_pair
+
+# %%
+subset = "first+third_b"
+outcomes = [teaching.shipped_outcomes(name, subset) for name in (MAD, MERGED_ONLY)]
+compared = pair(*outcomes)
+table(
+    ["both", "only mad", "only merged-only", "neither"],
+    [[compared.both, compared.first_only, compared.second_only, compared.neither]],
+)
+
+# %%
+low, high = compared.interval()
+print(f"difference {compared.difference:+.2f}, 95% interval [{low:+.2f}, {high:+.2f}]")
+print(f"exact p = {compared.mcnemar():.2g}")
+
+# %% [markdown]
+# ## Exercise
+#
+# Somebody shows you ten episodes: policy A solved 9, policy B solved 7 of *the same* scenes. Is A
+# better? Make the most favourable case for A (every scene that B solves A solves as well) and the
+# least favourable one with `madviz.statistics.Paired`, and compare the p-values. How many scenes
+# would you ask for, if the rates stayed what they are? A solution is in
+# `solutions/04_take_cameras_away.py`.
+
+# %%
+explorer.close()

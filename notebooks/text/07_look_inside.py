@@ -1,0 +1,193 @@
+# ---
+# jupyter:
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # 7. Look inside a rollout
+#
+# **Question: success says whether a policy works. How do you find out what it works *with*?**
+#
+# Four ways to look into one episode: the features, the pixels an action hangs on, the worth of
+# each camera, and a recording that you can wind forth and back. The policy is merged-only on
+# hammer, the one that falls apart when cameras go.
+#
+# Time: 40 minutes. Lesson 4 comes before this one.
+
+# %%
+import tempfile
+from pathlib import Path
+
+import madviz
+from madviz import teaching
+from madviz.shapley import action_worth
+from madviz.teaching_inside import (
+    mean_gap,
+    norm_curves,
+    record,
+    report,
+    saliency_shares,
+    saliency_sheet,
+    success_worths,
+    worth_curves,
+)
+from madviz.teaching_lessons import camera_sheet
+from madviz.teaching_show import source
+from madviz.widgets import Explorer, Predict, Viewer
+
+teaching.begin()
+VIEWER = False  # True shows rerun's viewer in part 4.
+MAD, MERGED_ONLY = "metaworld-hammer-mad-light", "metaworld-hammer-merged-only-light"
+mad, merged_only = madviz.load_policy(MAD), madviz.load_policy(MERGED_ONLY)
+episode = list(teaching.moments(merged_only, seed=2000))
+print(len(episode), "moments, success at the last one:", episode[-1].success)
+
+# %% [markdown]
+# ## 1. Features
+#
+# How long is each camera's feature, over the episode? (The network sums them, so a long one
+# weighs more.)
+
+# %%
+norm_curves(episode)
+
+# %%
+norm_curves(list(teaching.moments(mad, seed=2000)))
+
+# %% [markdown]
+# The first figure is merged-only, the second MAD on the same scene. Compare how the cameras share
+# the sum.
+#
+# ## 2. Where does it look?
+#
+# *Saliency* is a derivative: how much does the action change if a pixel changes a little? Bright
+# is much. All cameras share one scale, so a camera that stays dark has little influence at this
+# instant.
+
+# %%
+guess = Predict(
+    "On which camera does most of merged-only's saliency fall?",
+    ["First person", "Third A", "Third B", "evenly on all"],
+)
+guess
+
+# %%
+camera_sheet(episode[20])
+
+# %%
+saliency_sheet(episode[20])
+
+# %%
+shares = saliency_shares(episode[::20])
+guess.compare(", ".join(f"{name} {share}" for name, share in shares.rows))
+
+# %% [markdown]
+# In the saved run it falls almost evenly on all three. Keep that in mind for the next part. And
+# MAD at the same step of its own episode:
+
+# %%
+saliency_sheet(teaching.moment_at(mad, seed=2000, step=20))
+
+# %% [markdown]
+# A warning: saliency says what a *small* change of a pixel does. A camera may matter as a whole
+# although no single pixel of it does, and the other way round. It is a hint where to look, not a
+# proof.
+#
+# ## 3. What is each camera worth?
+#
+# Take one camera away, and perhaps nothing happens, because another one knows the same. So let
+# the cameras come in one by one, in every order, and note what each adds when it comes; the mean
+# over all orders is the camera's *Shapley value*. With three cameras there are six orders and
+# eight sets, and lesson 2 showed that all eight are read at every instant anyway.
+
+# %%
+source(action_worth)
+
+# %%
+worth_curves(episode)
+
+# %% [markdown]
+# The same can be asked about success. The eight sets were measured on 100 episodes each
+# (shipped):
+
+# %%
+guess_worth = Predict(
+    "MAD works with any camera. How is its success shared among the three?",
+    ["All to First person", "A third each", "Nothing to anybody, as each can be spared"],
+)
+guess_worth
+
+# %%
+streams = mad.spec.streams
+worth, shown = success_worths(teaching.shipped(MAD), streams)
+guess_worth.compare(", ".join(f"{n} {w:.2f}" for n, w in zip(streams, worth.cameras, strict=True)))
+
+# %%
+shown
+
+# %% [markdown]
+# And merged-only. This is this lesson's number with its interval: what First person is worth.
+
+# %%
+worth, shown = success_worths(teaching.shipped(MERGED_ONLY), streams)
+shown
+
+# %%
+print("First person alone:", teaching.in_words(*teaching.shipped(MERGED_ONLY)["first"]))
+print("without First person:", teaching.in_words(*teaching.shipped(MERGED_ONLY)["third_a+third_b"]))
+print(f"mean distance of its actions on first alone: {mean_gap(episode, 'first'):.2f}")
+
+# %% [markdown]
+# Look at the two lines together: First person alone is worth next to nothing, and yet it has the
+# largest share. It is needed, but it is not enough; only the sum over all orders says so.
+# Saliency saw none of that: it was spread almost evenly.
+#
+# ## 4. A recording
+#
+# Without First person from the start, merged-only never succeeded. Here it goes after 30
+# decisions. The episode as a page in one file (pictures, curves, and the command that makes it
+# again):
+
+# %%
+folder = Path(tempfile.mkdtemp())
+report(MERGED_ONLY, folder, seed=2000, drop=["first@30"])
+
+# %% [markdown]
+# The same as a file for rerun's viewer, which can be wound forth and back. The printed command,
+# given in `folder`, opens it in a window. With `VIEWER = True` at the top it also appears here,
+# served by this machine: it works without a network, but where there is one, its page asks its
+# makers for fonts, news and statistics, so it is off by default. Its data takes a way of its own,
+# which a Jupyter proxy does not know: if your browser is on another machine, download the file
+# and open it there.
+
+# %%
+file = record(MERGED_ONLY, folder, seed=2000, drop=["first@30"])
+print(f"rerun {file.name}   ({file.stat().st_size / 1e6:.1f} MB)")
+viewer = Viewer(file) if VIEWER else None
+viewer
+
+# %% [markdown]
+# ## Play
+#
+# Find the instant at which losing First person stops turning success into failure: play the
+# episode several times, and drop it earlier and later.
+
+# %%
+explorer = Explorer(merged_only, seed=2000)
+explorer
+
+# %% [markdown]
+# ## Exercise
+#
+# Check by hand what `success_worths` says: write down merged-only's eight success rates, take the
+# six orders of the three cameras, note what First person adds in each, and take the mean. Then
+# find two cameras for which "success without this one" alone would have told the wrong story. A
+# solution is in `solutions/07_look_inside.py`.
+
+# %%
+if viewer:
+    viewer.close()
+explorer.close()

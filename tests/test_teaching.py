@@ -1,0 +1,233 @@
+"""What notebooks share: moments of episodes, what draws itself, small trainings."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pytest
+
+from madviz import teaching
+from madviz.ablations import Occlusion
+from madviz.agent.methods import METHODS
+from madviz.checkpoint import find_policy
+from madviz.streams import StreamStack
+from madviz.teaching_inside import (
+    mean_gap,
+    norm_curves,
+    report,
+    saliency_shares,
+    saliency_sheet,
+    success_worths,
+    worth_curves,
+)
+from madviz.teaching_lessons import (
+    action_gaps,
+    answers,
+    camera_sheet,
+    count_views,
+    feature_sheet,
+    interval_figure,
+    lengths_by_views,
+    measure,
+    occlusion_sheet,
+    stack_sheet,
+    subset_table,
+    support_table,
+    untrained,
+    width_table,
+)
+from madviz.teaching_show import LABEL, bars, curves, sheet, source, table
+from madviz.train import TrainConfig
+from madviz.types import UserError
+from tests.fakes import AllOrNothing, FakePolicy
+
+
+def decoded(picture) -> np.ndarray:
+    """(H, W, 3) RGB of what a browser would get."""
+    raw = cv2.imdecode(np.frombuffer(picture._repr_png_(), np.uint8), cv2.IMREAD_COLOR)
+    assert raw is not None
+    return cv2.cvtColor(raw, cv2.COLOR_BGR2RGB)
+
+
+def test_moments_are_the_episode_that_an_evaluation_counts() -> None:
+    policy = FakePolicy()
+    instants = list(teaching.moments(policy, seed=5001))
+    assert [m.step for m in instants] == list(range(26))
+    assert measure(policy, ["all"], 1, seed=5001)["all"] == (int(instants[-1].success), 1)
+
+
+def test_a_moment_has_what_the_network_gets() -> None:
+    now = teaching.moment_at(FakePolicy(), seed=7, step=4)
+    assert now.stack.shape == (3, 9, 84, 84)
+    frames = teaching.frames_of(now.stack, 0)
+    assert np.array_equal(frames[-1], now.views["first"].rgb)
+    assert np.array_equal(now.action("all"), now.probe.readout.action[0])
+    assert not np.array_equal(now.action("first"), now.action("all"))
+
+
+def test_an_occluded_camera_arrives_black_but_is_seen_as_it_is() -> None:
+    now = teaching.moment_at(FakePolicy(), step=3, occlusions={"first": Occlusion("black")})
+    assert now.arrived["first"].max() == 0 and now.views["first"].rgb.max() > 0
+    assert now.stack[0].max() == 0 and now.stack[1].max() > 0
+
+
+def test_the_same_instant_can_be_seen_with_a_failed_camera() -> None:
+    now = teaching.moment_at(FakePolicy(), step=3)
+    failed = teaching.occluded(now, {"first": Occlusion("black"), "third_a": Occlusion("freeze")})
+    assert failed.stack[0].max() == 0 and now.stack[0].max() > 0
+    assert np.array_equal(failed.stack[1], np.tile(now.stack[1, :3], (3, 1, 1)))
+    assert np.array_equal(failed.stack[2], now.stack[2])
+    assert failed.probe.norms[2] == now.probe.norms[2]
+    assert failed.arrived["first"].max() == 0
+
+
+def test_moments_refuse_what_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UserError, match="over before that"):
+        teaching.moment_at(FakePolicy(), step=26)
+    with pytest.raises(UserError, match="cannot act on 'first'"):
+        teaching.moment_at(AllOrNothing(), subset="first")
+
+
+def test_a_sheet_shows_the_very_pixels() -> None:
+    red, grey = np.zeros((4, 4, 3), np.uint8), np.full((4, 4, 1), 90, np.uint8)
+    red[..., 0] = 200
+    shown = decoded(sheet({"a": red, "b": grey}, size=40))
+    assert shown.shape == (40 + LABEL, 86, 3)
+    assert (shown[LABEL + 1 : LABEL + 39, 1:39] == (200, 0, 0)).all()
+    assert (shown[LABEL + 1 : LABEL + 39, 47:85] == 90).all()
+    assert shown[:LABEL, :40].min() < 100, "a label is written above"
+    with pytest.raises(UserError):
+        sheet({})
+
+
+def test_pictures_of_a_moment_differ_where_the_world_does() -> None:
+    now = teaching.moment_at(FakePolicy(width=64), step=3)
+    assert not np.array_equal(camera_sheet(now).pixels, camera_sheet(now, "depth").pixels)
+    assert stack_sheet(now, "third_a").pixels.shape[1] == 4 * (168 + 6) - 6
+    black = occlusion_sheet(now, "third_b", size=50).pixels[LABEL : LABEL + 50, 56:106]
+    assert black.max() == 0, "the second tile is the black one"
+    assert feature_sheet(now).pixels.shape[0] == 168 + LABEL
+
+
+def test_what_draws_itself_does() -> None:
+    figure = bars("a title", ["x", "y"], {"s": [(8, 10), 0.5]})
+    ElementTree.fromstring(figure._repr_svg_())
+    assert "a title" in figure.html
+    words = repr(table(["name", "rate"], [["a", 0.5], ["long name", True]]))
+    assert words.splitlines()[1].split() == ["a", "0.50"] and "yes" in words
+    assert "&lt;b&gt;" in table(["h"], [["<b>"]])._repr_html_()
+    ElementTree.fromstring(curves("c", "updates", {"one": ([1, 2], [4.0, 2.0])}).svg)
+
+
+def test_source_is_the_code_that_ships() -> None:
+    text = source(StreamStack.push).text
+    assert text.startswith("def push(") and "```python" in source(StreamStack)._repr_markdown_()
+
+
+def test_numbers_come_with_their_intervals() -> None:
+    assert teaching.in_words(8, 10) == "8 of 10 = 0.80, 95% interval [0.49, 0.94]"
+    assert repr(teaching.in_words(0, 0)).startswith("0 of 0")
+    widths = [float(row[2]) for row in width_table(0.8, [10, 40, 160]).rows]
+    assert widths == sorted(widths, reverse=True) and widths[0] > 3 * widths[2]
+    assert "n = 100" in interval_figure(8, 10).svg
+    measured = {"mad": {"all": (9, 10), "first": (1, 10)}, "other": {"all": (0, 10)}}
+    assert "not measured" in repr(teaching.success_table(measured))
+    assert teaching.success_bars("t", measured).svg.count(">first<") == 0
+
+
+def test_shipped_numbers_are_those_of_the_card() -> None:
+    shipped = teaching.shipped("metaworld-hammer-merged-only-light")
+    outcomes = teaching.shipped_outcomes("metaworld-hammer-merged-only-light", "all")
+    assert shipped["all"] == (sum(outcomes.values()), len(outcomes))
+    with pytest.raises(UserError):
+        teaching.shipped("no-such-policy")
+
+
+def test_lengths_tell_the_number_of_views_where_features_are_alike() -> None:
+    known, asked = {1: [1.0, 1.2], 2: [2.0], 3: [3.0]}, {0: [0.0], 1: [1.1], 2: [2.9], 3: [3.1]}
+    assert count_views(known, asked) == (2, 3)
+    lengths = lengths_by_views(FakePolicy(), seeds=[1], every=25)
+    assert {views: len(found) for views, found in lengths.items()} == {0: 2, 1: 6, 2: 6, 3: 2}
+
+
+def test_gaps_are_zero_for_everything_and_not_for_less() -> None:
+    gaps = action_gaps(FakePolicy(), 3, ["all", "first"])
+    assert gaps["all"] == 0 < gaps["first"]
+
+
+@pytest.mark.parametrize("name", sorted(METHODS))
+def test_every_method_answers_untrained_or_says_why_not(name: str) -> None:
+    moment = teaching.moment_at(FakePolicy(), step=1)
+    policy = untrained(name)
+    if METHODS[name].one_camera:
+        assert policy.spec.streams == ("first",)
+        return
+    rows = {row[0]: row[1] for row in answers(policy, moment, ["all", "first+third_b"]).rows}
+    assert not rows["all"].startswith("refuses")
+    row = {r[0]: r for r in support_table().rows}[name]
+    assert (row[3] == "🟩") == (not rows["first+third_b"].startswith("refuses"))
+
+
+def test_the_subset_table_has_a_row_for_every_set() -> None:
+    now = teaching.moment_at(FakePolicy(), step=1)
+    assert len(subset_table(now).rows) == 8 and len(subset_table(now, every=False).rows) == 4
+
+
+def test_saliency_is_dark_where_a_camera_is_not_in_the_sum() -> None:
+    moment = teaching.moment_at(untrained("mad"), step=3)
+    size = 84
+    shown = saliency_sheet(moment, "first", size=size).pixels[LABEL:]
+    first, third = shown[:, :size], shown[:, size + 6 : 2 * size + 6]
+    assert first.max() > 150 > third.max()
+    shares = saliency_shares([moment])
+    assert sum(float(share) for _, share in shares.rows) == pytest.approx(1, abs=0.02)
+    with pytest.raises(UserError, match="no saliency"):
+        saliency_sheet(teaching.moment_at(FakePolicy(), step=1))
+
+
+def test_worths_in_success_share_all_of_it() -> None:
+    streams = ("first", "third_a")
+    counted = {"all": (10, 10), "first": (2, 10), "third_a": (6, 10), "none": (0, 10)}
+    worth, shown = success_worths(counted, streams)
+    assert worth.cameras == pytest.approx([0.3, 0.7])
+    assert [row[1] for row in shown.rows] == ["+0.30", "+0.70", "+1.00"]
+    with pytest.raises(UserError, match="every set"):
+        success_worths({"all": (1, 2)}, streams)
+
+
+def test_curves_of_an_episode_have_a_line_for_every_camera() -> None:
+    episode = list(teaching.moments(FakePolicy(), seed=1))[:5]
+    assert norm_curves(episode).svg.count("<polyline") == 4
+    assert worth_curves(episode).svg.count("<polyline") == 3
+    assert mean_gap(episode, "all") == 0 < mean_gap(episode, "none")
+
+
+def test_a_report_is_whole_and_loads_nothing(tmp_path) -> None:
+    shown = report("tests.fakes:FakePolicy", tmp_path, seed=1, drop=["first@3"])._repr_html_()
+    assert shown.startswith("<iframe srcdoc=") and "first@3" in shown
+    assert "http://" not in shown.replace("http://www.w3.org", "")
+
+
+def test_a_small_training_is_there_the_second_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[TrainConfig] = []
+
+    def train(config: TrainConfig, listener) -> None:
+        asked.append(config)
+        shutil.copytree(find_policy("metaworld-hammer-mad-light"), str(config.out))
+        listener({"kind": "curve", "round": 1, "loss": 0.25})
+
+    monkeypatch.setattr("madviz.train.train", train)
+    first, again = (
+        teaching.train_small("mad", rounds=3, updates=7, folder=tmp_path) for _ in range(2)
+    )
+    assert len(asked) == 1 and not asked[0].resume
+    assert (asked[0].light.rounds, asked[0].light.updates_per_round) == (3, 7)
+    assert first.seconds > 0 == again.seconds and first.spec.digest == again.spec.digest
+    assert len(first.curve) == len(again.curve) and first.curve[0]["round"] == 1
+    assert capsys.readouterr().out.count("round 1: loss 0.250") == 1

@@ -1,0 +1,227 @@
+"""Widgets without a browser: what they show, what a click does, and that they end."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from madviz import widgets_page
+from madviz.frame import Play, SetSpeed
+from madviz.teaching_inside import record
+from madviz.teaching_lessons import interval_figure
+from madviz.types import UserError
+from madviz.widgets import ROWS, Explorer, Predict, TryOut, Viewer, control_for, live_page
+from tests.fakes import AllOrNothing, FakePolicy
+
+
+def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def explorer() -> Iterator[Explorer]:
+    with closing(Explorer(FakePolicy(), seed=2000)) as explorer:
+        yield explorer
+
+
+def picture(explorer: Explorer) -> np.ndarray:
+    raw = np.frombuffer(explorer._picture.value, np.uint8)
+    decoded = cv2.imdecode(raw, cv2.IMREAD_COLOR)
+    assert decoded is not None
+    return decoded
+
+
+def switch(explorer: Explorer, camera: str):
+    """The control for what a camera gives, and the one for how it fails."""
+    return explorer._rows[camera].children[1:]
+
+
+def test_it_waits_at_the_start_and_steps_when_told(explorer: Explorer) -> None:
+    assert (explorer.frame.step, explorer.frame.phase) == (0, "paused")
+    assert explorer._play.description == "Play"
+    explorer.step(3)
+    assert explorer.frame.step == 3
+    until(lambda: "decision 3 of 25" in explorer._words.value)
+
+
+def test_a_click_takes_a_camera_away_in_the_same_picture(explorer: Explorer) -> None:
+    image, before = explorer._picture, picture(explorer)
+    third = before.shape[1] // 3
+    switch(explorer, "third_a")[0].value = "off"
+    until(lambda: not explorer.frame.mask[1])
+    until(lambda: "Third A dropped" in explorer._words.value)
+    after = picture(explorer)
+    assert explorer._picture is image, "the widget stays, its value changes"
+    tile = after[60:90, third + 20 : 2 * third - 20].astype(int)
+    assert (
+        np.ptp(tile, axis=2).mean() < 8 < np.ptp(before[60:90, third + 20 :].astype(int), 2).mean()
+    )
+    assert ">first+third_b<" in explorer._table.value
+
+
+def test_an_occlusion_is_no_drop(explorer: Explorer) -> None:
+    switch(explorer, "third_b")[1].value = "black"
+    until(lambda: "sends black" in explorer._words.value)
+    assert explorer.frame.mask.all() and explorer.frame.arrived["third_b"].max() == 0
+
+
+def test_cells_can_do_what_clicks_do(explorer: Explorer) -> None:
+    explorer.set("first", "off")
+    assert not explorer.frame.mask[0]
+    with pytest.raises(UserError, match="unknown camera"):
+        explorer.set("fourth", "off")
+
+
+def test_it_plays_and_pictures_follow(explorer: Explorer) -> None:
+    painted = explorer.painted
+    explorer.session.send(SetSpeed(None))
+    explorer.session.send(Play())
+    until(lambda: explorer.painted > painted + 5)
+    assert explorer._play.description == "Pause"
+    explorer._play.click()
+    until(lambda: explorer._play.description == "Play")
+
+
+def test_it_says_so_when_a_policy_cannot_act() -> None:
+    with closing(Explorer(AllOrNothing())) as explorer:
+        explorer.set("first", "off")
+        until(lambda: "cannot act on this" in explorer._table.value)
+        explorer.step()
+        until(lambda: "cannot act on" in explorer._words.value)
+
+
+def test_modalities_that_a_policy_lacks_are_not_offered(explorer: Explorer) -> None:
+    assert set(switch(explorer, "first")[0].options) == {"colour", "off"}
+    with closing(Explorer(FakePolicy("toy-rgbd", "three-rgbd"))) as both:
+        assert set(switch(both, "first")[0].options) == {"colour", "depth", "both", "off"}
+        assert both._table.value.count("<tr>") == ROWS + 1
+
+
+def test_it_is_shown_where_there_are_no_widgets(explorer: Explorer) -> None:
+    bundle = explorer._repr_mimebundle_()
+    assert "application/vnd.jupyter.widget-view+json" in bundle
+    assert bundle["text/html"].count("<img") == 1 and ">all<" in bundle["text/html"]
+
+
+def test_closing_ends_both_threads(explorer: Explorer) -> None:
+    explorer.close()
+    until(lambda: not explorer._painter.is_alive())
+    thread = explorer.session._thread
+    assert thread is not None and not thread.is_alive()
+
+
+def test_a_broken_start_is_told_and_leaves_no_thread() -> None:
+    def broken(*_: object):
+        raise UserError("expected a simulator, found none")
+
+    with pytest.raises(UserError, match="expected a simulator, found none"):
+        Explorer(FakePolicy(), env_factory=broken)
+
+
+def test_a_slider_draws_again_in_place() -> None:
+    shown = TryOut(interval_figure, successes=(0, 50, 1), n=(1, 50, 1))
+    place, before = shown._drawn, shown._drawn.value
+    shown.controls["n"].value = 40
+    assert shown._drawn is place and place.value != before and "n = 40" in place.value
+    assert "n = 40" in shown.still()
+
+
+def test_every_kind_of_argument_has_its_control() -> None:
+    made = [control_for(x) for x in (True, ["a", "b"], (0, 10), (0.0, 1.0), (0, 10, 5))]
+    assert [type(one).__name__ for one in made] == [
+        *("Checkbox", "Dropdown", "IntSlider", "FloatSlider", "IntSlider")
+    ]
+    assert made[3].value == 0.5 and made[4].step == 5
+    with pytest.raises(UserError, match="lowest, highest"):
+        control_for("word")
+
+
+def test_a_prediction_is_kept_beside_what_came() -> None:
+    guess = Predict("Heads or <tails>?", ["heads", "tails"])
+    assert guess.said is None and "nothing yet" in guess.compare("heads")
+    assert "&lt;tails&gt;" in guess.still() and "<li>heads</li>" in guess.still()
+    guess.choice.value = "tails"
+    assert repr(guess.compare("heads")) == "You predicted: tails. Measured: heads."
+
+
+def test_the_address_behind_a_proxy_ends_with_a_slash(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert widgets_page.address(4123, "direct") == "http://127.0.0.1:4123/"
+    monkeypatch.setenv("JUPYTERHUB_SERVICE_PREFIX", "/user/ada/")
+    assert widgets_page.address(4123) == "/user/ada/proxy/4123/"
+    monkeypatch.setattr(widgets_page, "base_url", lambda: None)
+    assert widgets_page.address(4123) == "http://127.0.0.1:4123/"
+    with pytest.raises(UserError, match="where='direct'"):
+        widgets_page.address(4123, "proxy")
+
+
+def test_the_server_is_the_one_this_kernel_belongs_to(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from ipykernel import connect
+
+    monkeypatch.delenv("JUPYTERHUB_SERVICE_PREFIX", raising=False)
+    monkeypatch.setattr(connect, "get_connection_file", lambda: str(tmp_path / "kernel-1.json"))
+    (tmp_path / "jpserver-77.json").write_text('{"base_url": "/class/"}')
+    monkeypatch.setattr(widgets_page.os, "getppid", lambda: 77)
+    assert widgets_page.address(9) == "/class/proxy/9/"
+    monkeypatch.setattr(widgets_page.os, "getppid", lambda: 78)
+    assert widgets_page.base_url() is None
+
+
+def test_the_live_page_answers_and_frees_its_port(capsys: pytest.CaptureFixture[str]) -> None:
+    page = live_page("tests.fakes:FakePolicy", where="direct")
+    try:
+        assert urllib.request.urlopen(page.url, timeout=60).status == 200
+        assert f'src="{page.url}"' in page._repr_html_()
+    finally:
+        page.close()
+    assert capsys.readouterr().out == "", "viser's banner would have the kernel's address"
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind(("127.0.0.1", page.port))
+
+
+def test_a_recording_is_served_by_this_machine(tmp_path: Path) -> None:
+    file = record("tests.fakes:FakePolicy", tmp_path, seed=3, drop=["third_a@5"])
+    viewer = Viewer(file)
+    try:
+        with urllib.request.urlopen(viewer.url, timeout=60) as answer:
+            assert b"wasm" in answer.read()
+        assert f'src="{viewer.url}"' in viewer._repr_html_()
+    finally:
+        viewer.close()
+    assert not answers(viewer.url)
+
+
+def test_a_viewer_that_does_not_start_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(widgets_page, "rerun_program", lambda: "false")
+    with pytest.raises(UserError, match="found none"):
+        Viewer(Path("nothing.rrd"))
+
+
+def answers(url: str) -> bool:
+    try:
+        return urllib.request.urlopen(url, timeout=60).status == 200
+    except OSError:
+        return False
+
+
+def test_widgets_need_no_page() -> None:
+    program = "import sys, madviz.widgets; print(*{'viser', 'torch', 'mujoco'} & set(sys.modules))"
+    loaded = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert loaded.stdout.split() == []
