@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 
@@ -341,7 +343,10 @@ def test_thread_closes_its_environment():
         def close(self):
             closed.append(True)
 
-    session = Session(lambda task, profile, cameras: Closing(), FakePolicy(), speed=None).start()
+    session, opened = Session(lambda *_: Closing(), FakePolicy(), speed=None), threading.Event()
+    session.subscribe(lambda _: opened.set())
+    session.start()
+    assert opened.wait(60)  # One that was never opened has nothing to close.
     session.close()
     assert closed == [True]
     assert session._thread is not None and not session._thread.is_alive()
