@@ -17,7 +17,7 @@ from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.scene import picture
 from madviz.app.screen import jpeg_url
-from madviz.app.toolkit import Cell, Shown, grid, guarded, on_value, remove_all
+from madviz.app.toolkit import Cell, Shown, grid, on_press, on_value, remove_all
 from madviz.frame import Command, Fork, Frame, Moment, Scrub
 
 WIDTH, LANE, LEFT, TOP = 600, 40, 44, 14
@@ -59,11 +59,7 @@ class TimelinePanel:
         fork = gui.add_button("fork here", hint=HINTS["fork"])
         live = gui.add_button("newest", hint=HINTS["live"])
         for button, command in ((fork, Fork()), (live, Scrub(None))):
-            button.on_click(
-                lambda event, command=command: (
-                    event.client is not None and guarded(event.client, lambda: send(command))
-                )
-            )
+            on_press(button, lambda command=command: send(command))
         self._slider = Shown(slider)
         cells = [Cell(slider, 1, 6, "3em"), Cell(fork, 7, 2), Cell(live, 9, 2)]
         layout = gui.add_html(grid("timeline", 10, cells))

@@ -286,6 +286,15 @@ def on_value(handle: Any, work: Callable[[viser.ClientHandle, Any], None]) -> No
         guarded(client, lambda: work(client, event.target.value))
 
 
+def on_press(button: viser.GuiButtonHandle, work: Callable[[], None]) -> None:
+    """Calls ``work`` when a visitor presses ``button``; its UserError becomes a note."""
+
+    @button.on_click
+    def _(event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            guarded(event.client, work)
+
+
 def remove_all(handles: Sequence[Any]) -> None:
     """Takes widgets off the page."""
     for handle in handles:

@@ -15,7 +15,7 @@ from madviz.app.policy import PolicyChoice, verdict
 from madviz.app.scene import picture
 from madviz.app.screen import jpeg_url
 from madviz.app.subsets import subset_label
-from madviz.app.toolkit import Cell, grid, guarded, remove_all
+from madviz.app.toolkit import Cell, grid, on_press, remove_all
 from madviz.frame import Command, Frame, SetTwin
 from madviz.statistics import Paired
 from madviz.twin import tally
@@ -66,9 +66,7 @@ class VersusPanel:
             send(SetTwin(self._names[picker.value], self._frame.ablation))
 
         for button, work in ((start, begin), (stop, lambda: send(SetTwin(None)))):
-            button.on_click(
-                lambda event, work=work: event.client is not None and guarded(event.client, work)
-            )
+            on_press(button, work)
         cells = [Cell(picker, 1, 6, "1.2em"), Cell(start, 7, 2), Cell(stop, 9, 2)]
         layout = gui.add_html(grid("versus", 10, cells))
         self._handles = [*(cell.handle for cell in cells), layout]
