@@ -191,11 +191,19 @@ class Page:
         left out is due."""
         with self._drawing:
             try:
-                return self._push(self._newest, time.monotonic()) if self._newest else None
+                pause = self._push(self._newest, time.monotonic()) if self._newest else None
+                self._forgive()
+                return pause
             except Exception:
                 # A panel that fails must not take the page down; the next frame may be fine.
                 self._report(traceback.format_exc())
                 return None
+
+    def _forgive(self) -> None:
+        """Takes back what ``_report`` said: a later frame was shown, nothing is broken."""
+        if self._reported and self._waiting is not None and isinstance(self._newest, Frame):
+            self._reported = ""
+            self._waiting.content = waiting_html(self._notice) if self._notice else ""
 
     def _report(self, error: str) -> None:
         """Says once, in the log and on the page, that a frame could not be shown."""
