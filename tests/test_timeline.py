@@ -10,7 +10,7 @@ import viser
 
 from madviz.ablations import CameraState
 from madviz.app.panel import apply
-from madviz.app.timeline import TimelinePanel, marks, timeline_html
+from madviz.app.timeline import PATIENCE, TimelinePanel, marks, timeline_html
 from madviz.envs.base import make_env
 from madviz.frame import Command, Fork, Frame, Scrub, SetCamera, SetPolicy
 from madviz.session import Session
@@ -67,13 +67,17 @@ def test_the_drawing_has_a_point_for_every_step_and_the_branch() -> None:
 def test_a_slider_shows_the_step_and_is_not_pulled_back_while_dragged(server) -> None:
     play, sent = Played(), []
     frame = play(5)
-    panel = TimelinePanel(server.gui, sent.append, frame)
+    now = [100.0]
+    panel = TimelinePanel(server.gui, sent.append, frame, lambda: now[0])
     assert panel._slider is not None
     handle = panel._slider.handle
     panel._drag(2)
     assert sent == [Scrub(2)]
     apply(panel.update(play(1)))
     assert handle.value == 5  # A frame that has not heard of the drag moves nothing.
+    apply(panel.update(play(Scrub(2))))
+    assert handle.value == 5  # Nor does one that has: a visitor may still be dragging.
+    now[0] += PATIENCE
     apply(panel.update(play(Scrub(2))))
     assert handle.value == 2
     apply(panel.update(play(Scrub(None))))

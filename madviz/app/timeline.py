@@ -6,6 +6,7 @@ the first future stays as a dashed line, with its pictures at the same step unde
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from html import escape
 
@@ -22,6 +23,8 @@ from madviz.frame import Command, Fork, Frame, Moment, Scrub
 
 WIDTH, LANE, LEFT, TOP = 600, 40, 44, 14
 """Pixels of the drawing, of a lane, left of the lanes and above them."""
+PATIENCE = 1.0
+"""Seconds in which a slider that is being dragged is left alone."""
 TILE = 84
 """Pixels of a camera's picture in the first future."""
 HINTS = {
@@ -36,14 +39,18 @@ class TimelinePanel:
     """A slider over the steps, two lanes, and the branch. ``send`` None: look, don't touch."""
 
     def __init__(
-        self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
+        self,
+        gui: viser.GuiApi,
+        send: Callable[[Command], None] | None,
+        frame: Frame,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._send = send
+        self._send, self._clock = send, clock
         self._horizon = frame.env.horizon
         self._handles: list = []
         self._slider: Shown | None = None
-        self._wanted: int | None = None
-        """Where a visitor dragged to and no frame has confirmed yet: not to be pulled back."""
+        self._dragged, self._crossed = -PATIENCE, False
+        """When a visitor moved the slider last, and whether it was set right since."""
         if send is not None:
             self._add_controls(gui, send, frame)
         self._drawing = gui.add_html(timeline_html(frame))
@@ -67,24 +74,22 @@ class TimelinePanel:
 
     def _drag(self, step: int) -> None:
         assert self._send is not None
-        self._wanted = step
+        self._dragged, self._crossed = self._clock(), True
         self._send(Scrub(step))
 
     def update(self, frame: Frame) -> list[Assign]:
         changes = [Assign(self._drawing, "content", timeline_html(frame))]
         if self._slider is None:
             return changes
-        newest = len(frame.story) - 1
-        if self._wanted is None:
+        if self._clock() - self._dragged < PATIENCE:
+            return changes
+        if not self._crossed:
             return [*changes, *self._slider.show(frame.step)]
-        if min(self._wanted, newest) == frame.step:
-            self._wanted = None
-            # A value of ours may have crossed the visitor's on its way, and viser sends none that
-            # it believes to be there: it takes another one between to be sure.
-            other = frame.step - 1 if frame.step else 1
-            changes += self._slider.show(other, force=True)
-            changes += self._slider.show(frame.step, force=True)
-        return changes
+        # A value of ours may have crossed the visitor's on its way, and viser sends none that it
+        # believes to be there: another one between makes sure.
+        self._crossed = False
+        changes += self._slider.show(frame.step - 1 if frame.step else 1, force=True)
+        return [*changes, *self._slider.show(frame.step, force=True)]
 
     def remove(self) -> None:
         remove_all(self._handles)
