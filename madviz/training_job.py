@@ -205,9 +205,10 @@ class TrainingJob:
                 stdout=log,
                 stderr=log,
                 env={**os.environ, "OMP_NUM_THREADS": "1"},
-                preexec_fn=lambda: os.nice(MODEST),
                 start_new_session=True,
             )
+        # From here and not between fork and exec, where a process with threads may hang.
+        os.setpriority(os.PRIO_PROCESS, self._child.pid, MODEST)
 
     def _state(self) -> State:
         code = self._child.poll() if self._child is not None else None

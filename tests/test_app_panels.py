@@ -15,7 +15,7 @@ from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.app.cameras import CamerasPanel, unused_note
 from madviz.app.features import FeaturesPanel, curve_point, features_html
 from madviz.app.mosaic import GAP, HEADER, badge, mosaic
-from madviz.app.panel import apply
+from madviz.app.panel import CROSSED, Assign, apply
 from madviz.app.policy import PolicyChoice, PolicyPanel, status_html, verdict
 from madviz.app.rates import Rate, Rates
 from madviz.app.scene import ScenePanel, _focus
@@ -438,3 +438,19 @@ def test_an_ablation_of_cameras_that_are_off_is_no_other_setting():
     black = CameraState("off", Occlusion("black"))
     assert frame_with(SetCamera("first", black)).setting == Setting("third_a+third_b")
     assert Ablation({"first": black}).key() != ""
+
+
+def test_a_message_that_woke_nobody_stops_no_other():
+    class Handle:
+        def __setattr__(self, name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+            if value == "crossed":
+                raise RuntimeError(CROSSED)
+            if value == "broken":
+                raise RuntimeError("something else")
+
+    first, second = Handle(), Handle()
+    apply([Assign(first, "content", "crossed"), Assign(second, "content", "fine")])
+    assert (first.content, second.content) == ("crossed", "fine")  # type: ignore[attr-defined]
+    with pytest.raises(RuntimeError, match="something else"):
+        apply([Assign(first, "content", "broken")])

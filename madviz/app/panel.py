@@ -33,7 +33,19 @@ class Panel(Protocol):
         ...
 
 
+CROSSED = "deque mutated during iteration"
+
+
 def apply(changes: list[Assign]) -> None:
-    """Assigns, leaving out what is there already."""
+    """Assigns, leaving out what is there already; inside an ``atomic`` block.
+
+    viser wakes its sender with an asyncio event, from our thread, and asyncio's events do not
+    expect that: now and then one is set while the sender stops waiting for it. By then the message
+    lies in viser's buffer, and the end of the block wakes the sender again, so nothing is lost.
+    """
     for handle, name, value in changes:
-        setattr(handle, name, value)
+        try:
+            setattr(handle, name, value)
+        except RuntimeError as error:
+            if str(error) != CROSSED:
+                raise

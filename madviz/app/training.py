@@ -14,6 +14,7 @@ from html import escape
 
 import viser
 
+from madviz.agent.methods import METHODS
 from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, grid, guarded, notify, on_value, remove_all
@@ -21,10 +22,6 @@ from madviz.envs.base import TASKS
 from madviz.frame import Command, Frame, SetPolicy
 from madviz.training_job import BUDGETS, JobConfig, JobStatus, TrainingJob
 
-METHODS = (
-    *("mad", "merged-only", "singular-only", "naive-both", "single", "mvd", "vib"),
-    *("frame-stack", "concat", "attention", "vit", "q-mean"),
-)
 WORDS = {
     "idle": "Nothing is being trained.",
     "running": "Training.",
@@ -76,7 +73,9 @@ class TrainingPanel:
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
     ) -> None:
         task = gui.add_dropdown("Task", TASKS, initial_value=frame.env.task, hint=HINTS["task"])
-        method = gui.add_dropdown("Method", METHODS, initial_value="mad", hint=HINTS["method"])
+        method = gui.add_dropdown(
+            "Method", tuple(METHODS), initial_value="mad", hint=HINTS["method"]
+        )
         recipe = gui.add_dropdown("Recipe", tuple(BUDGETS), hint=HINTS["recipe"])
         budget = gui.add_dropdown("Budget", tuple(BUDGETS["light"]), hint=HINTS["budget"])
         on_value(recipe, lambda _, name: setattr(budget, "options", tuple(BUDGETS[name])))
