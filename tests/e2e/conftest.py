@@ -44,7 +44,7 @@ def pytest_runtest_makereport(item: pytest.Item):
             page.screenshot(path=PICTURES / f"{item.name}-{number}.png")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")  # Not longer: its event loop and threads are other tests' concern.
 def browser() -> Iterator:
     chromium = find_browser()
     if chromium is None:  # Skipped browser tests would pass for a page that nobody has seen.
@@ -55,7 +55,7 @@ def browser() -> Iterator:
         browser.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def app() -> Iterator[App]:
     app = toy_app(visitors=4)
     yield app
@@ -106,6 +106,17 @@ class Visitor:
         self.page.locator(f'[id="{name}"]').click()
         self.page.get_by_role("option", name=policy, exact=True).click()
 
+    def dismiss(self) -> None:
+        """Closes the notices that lie over the scene, viser's own among them."""
+        notices = self.page.locator(".mantine-Notification-root")
+        while notices.count():
+            before = notices.count()
+            notices.first.get_by_role("button").click(force=True)
+            self.page.wait_for_function(
+                f"() => document.querySelectorAll('.mantine-Notification-root').length < {before}",
+                timeout=PATIENCE,
+            )
+
     def tile(self, camera: int) -> list[list[int]]:
         """The RGB pixels of one camera's tile, as the browser shows it, 20 rows of 20."""
         return self.page.evaluate(
@@ -134,7 +145,7 @@ def open_page(browser, url: str) -> Visitor:
     return Visitor(page)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def long_visit(browser, app: App) -> Visitor:
     """One page for all tests that can share it: opening one takes seconds."""
     return open_page(browser, app.url)

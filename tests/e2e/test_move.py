@@ -22,6 +22,7 @@ def paused(visitor: Visitor, app: App) -> Iterator[Visitor]:
     """An episode that stands still, with every camera in its place, before and after."""
     visitor.press("pause")
     visitor.until("status.phase === 'paused'")
+    visitor.dismiss()
     yield visitor
     for session in filter(None, map(app.users.session_of, app.server.get_clients())):
         for camera in ("first", "third_a", "third_b"):

@@ -111,10 +111,16 @@ def test_a_phone_shows_status_and_pictures_first(browser, app: App):
     page = context.new_page()
     page.goto(app.url + "?fixedDpr=0.25")
     page.wait_for_selector("[data-mv-phone]", timeout=PATIENCE)
-    for part in (".mv-status", ".mv-mosaic"):
-        box = page.locator(part).bounding_box()
-        assert box is not None and box["x"] >= 0 and box["x"] + box["width"] <= 391, part
-        assert 0 <= box["y"] and box["y"] + box["height"] <= 844, part
+    for part in (".mv-status", ".mv-mosaic"):  # The page lays itself out once it knows the phone.
+        page.wait_for_function(
+            """part => {
+              const box = document.querySelector(part)?.getBoundingClientRect();
+              return box && box.width > 0 && box.x >= 0 && box.right <= 391
+                && box.y >= 0 && box.bottom <= 844;
+            }""",
+            arg=part,
+            timeout=PATIENCE,
+        )
     assert page.locator(".mv-mosaic").bounding_box()["width"] > 320
     step = page.locator(".mv-status").get_attribute("data-step")
     page.wait_for_function(
