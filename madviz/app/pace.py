@@ -1,4 +1,4 @@
-"""One picture of the scene for each change, where viser would draw a dozen.
+"""One picture of the scene for each change, where viser would draw a dozen, and none in the way.
 
 viser goes on drawing for 250 ms after every message that concerns the scene, in case something
 arrives late. With a GPU nobody notices. Without one, a scene that changes four times a second is
@@ -9,7 +9,12 @@ The browser asks for the time twice: when a message comes, and in the drawing lo
 250 ms have passed. So this script lets the clock run 250 ms ahead inside that loop, and nowhere
 else. A message is then drawn once. Whatever really comes late, such as a decoded texture, asks for
 a picture of its own; and viser draws one every second in any case. The loop is told from other
-callbacks by what it does: it draws.
+callbacks by what it does: it draws, and it asks for itself. (What mounts the scene draws as well.)
+
+viser also lets messages that concern the scene, and all that come after them, wait until the next
+picture is drawn, unless the page is hidden; then it obeys them when they come. They may do so here:
+those that only move or change what is there find the page hidden while they are taken in. A camera
+that is switched off just then does not wait for a picture of the scene.
 """
 
 from __future__ import annotations
@@ -21,18 +26,38 @@ if (!window.madvizPace) {
   const request = window.requestAnimationFrame.bind(window);
   const now = performance.now.bind(performance);
   const canvas = WebGL2RenderingContext.prototype, draw = canvas.drawElements;
-  let loop = null, drew = false;
+  let loop = null, running = null, drew = false, again = false;
   canvas.drawElements = function (...rest) { drew = true; return draw.apply(this, rest); };
   const watched = callback => time => {
-    drew = false;
+    running = callback; drew = again = false;
     callback(time);
-    if (drew && loop === null) { loop = callback; canvas.drawElements = draw; }
+    running = null;
+    if (drew && again) { loop = callback; canvas.drawElements = draw; }
   };
   const paced = callback => time => {
     performance.now = () => now() + AHEAD;
     try { callback(time); } finally { delete performance.now; }
   };
-  window.requestAnimationFrame = callback =>
-    request(loop === null ? watched(callback) : callback === loop ? paced(callback) : callback);
+  window.requestAnimationFrame = callback => {
+    again ||= callback === running;
+    const known = loop !== null;
+    return request(!known ? watched(callback) : callback === loop ? paced(callback) : callback);
+  };
+  const CHANGES = /^(GuiUpdate|SetPosition|SetOrientation|SceneNodeUpdate|SetSceneNodeVis)/;
+  const workers = Worker.prototype, post = workers.postMessage;
+  workers.postMessage = function (...rest) {
+    if (rest[0]?.type === 'send' && this.onmessage) {
+      const take = this.onmessage;
+      this.onmessage = event => {
+        const all = event.data?.type === 'message_batch' ? event.data.messages : [];
+        const scene = all.some(one => !one.type.startsWith('Gui'));
+        if (scene && all.every(one => CHANGES.test(one.type)))
+          Object.defineProperty(document, 'hidden', {value: true, configurable: true});
+        try { take(event); } finally { delete document.hidden; }
+      };
+      workers.postMessage = post;
+    }
+    return post.apply(this, rest);
+  };
 }
 """

@@ -39,6 +39,25 @@ def test_at_full_speed_the_picture_is_always_whole_and_keeps_up(visitor: Visitor
         assert grey(visitor.tile(0)) > 10  # A picture that has not loaded draws nothing: black.
 
 
+DRAWS = """() => new Promise(done => {
+  const canvas = WebGL2RenderingContext.prototype, clear = canvas.clear, ahead = [];
+  canvas.clear = function (...rest) {
+    ahead.push(Object.hasOwn(performance, 'now'));
+    return clear.apply(this, rest);
+  };
+  setTimeout(() => { canvas.clear = clear; done(ahead); }, 3000);
+})"""
+"""Of each picture of the scene in three seconds: whether viser was told that none need follow."""
+
+
+def test_the_scene_is_drawn_once_for_each_change(visitor: Visitor):
+    visitor.page.mouse.click(800, 700)
+    visitor.page.keyboard.press("f")
+    drawn = visitor.page.evaluate(DRAWS)
+    assert len(drawn) >= 2 and all(drawn)
+    assert not visitor.page.evaluate("document.hidden || Object.hasOwn(performance, 'now')")
+
+
 IN_SIGHT = """() => {
   const rect = one => {
     const box = one.getBoundingClientRect();
