@@ -23,7 +23,9 @@ from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, UserError, unknown
 
 CameraInput = Literal["rgb", "depth", "both", "off"]
-OcclusionKind = Literal["none", "black", "noise", "freeze", "blur", "patch", "dropout"]
+OcclusionKind = Literal["none", "black", "noise", "freeze", "blur", "patch", "dropout", "delay"]
+LATEST = 10
+"""Decisions by which a delayed picture is late at most; a second at normal speed."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class Occlusion:
     freeze  the picture of the moment         blur    Gaussian, sigma = 8 px x ``strength``
     patch   a black square of side ``size``, centred at (``x``, ``y``), blended by ``strength``
     dropout a picture is lost with probability ``strength``, and the last one that came stays
+    delay   every picture comes late, by ``strength`` x 10 decisions
     """
 
     kind: OcclusionKind = "none"
@@ -50,10 +53,16 @@ class Occlusion:
             if not (isinstance(value, int | float) and 0 <= value <= 1):
                 raise UserError(f"{name} of an occlusion must be between 0 and 1, found {value!r}")
 
+    @property
+    def late(self) -> int:
+        """How many decisions ago what arrives now was seen."""
+        return round(LATEST * self.strength) if self.kind == "delay" else 0
+
     def apply(self, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
         """The frame that arrives instead of ``frame`` (H, W, C) uint8; ``before`` is the one that
-        arrived last, None at the first step. Pure: neither input is written to."""
-        if self.kind == "none":
+        arrived last, None at the first step. Pure: neither input is written to. A ``frame`` that is
+        delayed is one of ``late`` decisions ago already: who keeps frames chooses it."""
+        if self.kind in ("none", "delay"):
             return frame
         if self.kind == "black":
             return np.zeros_like(frame)

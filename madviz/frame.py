@@ -387,4 +387,5 @@ def occlusion_words(occlusion: Occlusion) -> str:
         "blur": f"is blurred by {strength}",
         "patch": "has a patch in view",
         "dropout": f"loses {strength} of its pictures",
+        "delay": f"sends what it saw {occlusion.late} steps ago",
     }[occlusion.kind]

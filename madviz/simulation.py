@@ -26,8 +26,8 @@ from madviz.journal import Journal, Mark
 from madviz.moves import MoveCamera
 from madviz.probes import Probe, probe
 from madviz.saliency import LiveSaliency
-from madviz.streams import StreamStack, stream_frame
-from madviz.subsets import camera_of, every_mask
+from madviz.streams import StreamStack
+from madviz.subsets import every_mask
 from madviz.types import Array, Body, CameraPose, Environment, Policy, TimeStep, UserError, View
 
 
@@ -288,10 +288,7 @@ class Simulation:
             views={**now.views, camera: view},
             poses={**now.poses, camera: self.env.pose(camera)},
         )
-        frames, raw, noise = self._stack.saved()
-        streams = [stream for stream in self.policy.spec.streams if camera_of(stream) == camera]
-        fresh = {stream: stream_frame(view, stream, self.env.spec) for stream in streams}
-        self._stack.restore((frames, {**raw, **fresh}, noise))
+        self._stack.see_again(camera, view)
         self._stack.replace_last(self.ablation)
         self._read()
 

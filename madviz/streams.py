@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from madviz.ablations import Ablation, noise_generator
+from madviz.ablations import LATEST, Ablation, noise_generator
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, EnvSpec, View
 
@@ -60,21 +60,23 @@ class StreamStack:
     length: int = 3
     _frames: list[dict[str, Array]] = field(default_factory=list)
     """The newest ``length`` + 1 sets of frames; the extra one is what ``freeze`` holds on to."""
-    _raw: dict[str, Array] = field(default_factory=dict)
+    _seen: list[dict[str, Array]] = field(default_factory=list)
+    """What cameras saw before anything happened to it, newest last; as far back as a delay goes."""
     _noise_key: tuple[int, int] = (0, 0)
 
     def push(self, views: dict[str, View], ablation: Ablation, seed: int, step: int) -> None:
         """Takes the views of one step. Cameras absent from ``views`` arrive black; at ``step`` 0
         the stack is filled with the first frame."""
         black = np.zeros((IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
-        self._raw = {
+        seen = {
             stream: stream_frame(views[camera_of(stream)], stream, self.env)
             if camera_of(stream) in views
             else black
             for stream in self.streams
         }
         if step == 0:
-            self._frames = []
+            self._frames, self._seen = [], []
+        self._seen = [*self._seen, seen][-LATEST - 1 :]
         self._noise_key = (seed, step)
         arrived = self._arrived(self._frames[-1] if self._frames else None, ablation)
         self._frames = [*self._frames, arrived] if self._frames else [arrived] * (self.length + 1)
@@ -87,13 +89,20 @@ class StreamStack:
         kept = [arrived] * self.length if first else self._frames[:-1]
         self._frames = [*kept, arrived]
 
+    def see_again(self, camera: str, view: View) -> None:
+        """Exchanges what ``camera`` saw last, as if it had always been so; ``replace_last`` lets it
+        arrive."""
+        streams = [stream for stream in self.streams if camera_of(stream) == camera]
+        fresh = {stream: stream_frame(view, stream, self.env) for stream in streams}
+        self._seen = [*self._seen[:-1], {**self._seen[-1], **fresh}]
+
     def saved(self) -> tuple:
         """What ``restore`` needs to stand here again; pictures are shared, not copied."""
-        return tuple(self._frames), self._raw, self._noise_key
+        return tuple(self._frames), tuple(self._seen), self._noise_key
 
     def restore(self, saved: tuple) -> None:
-        frames, self._raw, self._noise_key = saved
-        self._frames = list(frames)
+        frames, seen, self._noise_key = saved
+        self._frames, self._seen = list(frames), list(seen)
 
     @property
     def newest(self) -> dict[str, Array]:
@@ -111,8 +120,9 @@ class StreamStack:
 
     def _arrived(self, before: dict[str, Array] | None, ablation: Ablation) -> dict[str, Array]:
         arrived = {}
-        for stream, frame in self._raw.items():
+        for stream in self.streams:
             occlusion = ablation.camera(camera_of(stream)).occlusion
+            frame = self._seen[max(-1 - occlusion.late, -len(self._seen))][stream]
             # A lost frame is lost in colour and depth together; grains of noise are not shared.
             drawn_for = camera_of(stream) if occlusion.kind == "dropout" else stream
             luck = noise_generator(*self._noise_key, drawn_for)

@@ -58,6 +58,7 @@ INPUTS: dict[str, CameraInput] = {"colour": "rgb", "depth": "depth", "both": "bo
 OCCLUSIONS: dict[str, OcclusionKind] = {
     **{"sees": "none", "sends black": "black", "sends noise": "noise", "is frozen": "freeze"},
     **{"is blurred": "blur", "has a patch": "patch", "loses pictures": "dropout"},
+    "is late": "delay",
 }
 PICTURE = {"max_width": "100%", "align_self": "flex-start"}
 SPEEDS = {"3 a second": 3.0, "10 a second": 10.0, "20 a second": 20.0, "as fast as it goes": 0.0}

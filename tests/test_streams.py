@@ -71,6 +71,34 @@ def test_a_frozen_camera_keeps_the_picture_of_the_moment() -> None:
     assert newest_first(stack) == [30, 10, 10]
 
 
+def test_a_late_camera_sends_what_it_saw_then() -> None:
+    late = Ablation({"first": CameraState(occlusion=Occlusion("delay", strength=0.4))})
+    stack = StreamStack(SPEC, THREE)
+    arrived = []
+    for step in range(8):
+        stack.push(views(10 + step), late, 0, step)
+        arrived.append(newest_first(stack)[0])
+        assert stack.newest["third_a"].mean() == 10 + step
+    assert arrived == [10, 10, 10, 10, 10, 11, 12, 13]  # 0.4 x 10 = 4 decisions late.
+    saved = stack.saved()
+    stack.replace_last(Ablation())
+    assert newest_first(stack) == [17, 12, 11]
+    stack.push(views(90), Ablation(), 0, 8)
+    stack.restore(saved)
+    stack.push(views(18), late, 0, 8)
+    assert newest_first(stack) == [14, 13, 12]
+
+
+def test_what_was_seen_last_can_be_exchanged() -> None:
+    stack = StreamStack(SPEC, THREE)
+    for step in range(3):
+        stack.push(views(10 + step), Ablation(), 0, step)
+    stack.see_again("first", views(50)["first"])
+    stack.replace_last(Ablation())
+    assert newest_first(stack) == [50, 11, 10]
+    assert stack.newest["third_a"].mean() == 12
+
+
 @pytest.mark.parametrize("step", [0, 1, 5])
 def test_replacing_the_newest_is_as_if_it_had_been_so(step: int) -> None:
     noise = Ablation({"third_a": CameraState(occlusion=Occlusion("noise"))})

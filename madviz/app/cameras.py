@@ -20,10 +20,10 @@ from madviz.types import CameraSpec
 INPUTS = {"rgb": "RGB", "depth": "depth", "both": "both", "off": "off"}
 OCCLUSIONS = {
     **{kind: kind for kind in ("none", "black", "noise", "freeze", "blur", "patch")},
-    "dropout": "lossy",
+    **{"dropout": "lossy", "delay": "late"},
 }
 SLIDERS = {
-    "strength": ("noise", "blur", "patch", "dropout"),
+    "strength": ("noise", "blur", "patch", "dropout", "delay"),
     "x": ("patch",),
     "y": ("patch",),
     "size": ("patch",),
