@@ -3,13 +3,16 @@
     config.json, evaluation.json  ->  evidence.py  ->  report_tables.py  ->  report_claims.py
                                       episodes         the paper's tables    and its sentences
 
-Nothing is typed and nothing is run: the same files give the same bytes, so that a committed
-RESULTS.md can be held against what it was made from. Tables for which there are no files yet are
-left out; a task without a policy stays in the first table, as not trained.
+What was tried on the way to a policy leaves no policy folder; ``tried.json`` beside the folders
+says it: a list of sentences for each task. Nothing else is typed and nothing is run: the same
+files give the same bytes, so that a committed RESULTS.md can be held against what it was made
+from. Tables for which there are no files yet are left out; a task without a policy stays in the
+first table, as not trained.
 """
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,6 +33,7 @@ TWENTY = (
 )
 BAR_ALL, BAR_MEAN, BAR_EPISODES, BAR_SEED = 0.92, 0.80, 100, 5000
 """A policy meets the bar with these rates, on at least so many episodes from this seed on."""
+TRIED = "tried.json"
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ def run_report(config: ReportConfig) -> dict[str, Any]:
     remake = f"madviz report --folder {shlex.quote(config.folder.as_posix())}"
     if config.out is not None:
         remake += f" --out {shlex.quote(out.as_posix())}"
-    text = _page(remake, evidence, verdicts, tables)
+    text = _page(remake, evidence, verdicts, tables, tried(config.folder))
     pictures.mkdir(parents=True, exist_ok=True)
     for old in set(pictures.glob("*.svg")) - {pictures / name for name in drawn}:
         old.unlink()  # Of a table that is no longer there.
@@ -139,6 +143,28 @@ def _reasons(task: str, row: Row, mean: Rate | None) -> list[str]:
     return reasons
 
 
+def tried(folder: Path) -> dict[str, list[str]]:
+    """What was tried, in the order of the twenty tasks; empty without the file. Raises UserError
+    for a file of another form."""
+    path = folder / TRIED
+    if not path.exists():
+        return {}
+    try:
+        found = json.loads(path.read_text())
+    except ValueError as error:
+        raise UserError(f"expected JSON in {path}: {error}") from error
+    form = isinstance(found, dict) and set(found) <= set(TWENTY) and all(
+        isinstance(lines, list) and all(isinstance(line, str) for line in lines)
+        for lines in found.values()
+    )  # fmt: skip
+    if not form:
+        raise UserError(
+            f'expected {path} to hold a list of sentences for each task, such as {{"{TWENTY[0]}": '
+            '["12 rounds: all 0.90"]}; see the tasks with `madviz list`'
+        )
+    return {task: found[task] for task in TWENTY if found.get(task)}
+
+
 def _verdict_json(verdict: Verdict) -> dict[str, Any]:
     subsets = {} if verdict.row is None else {c: verdict.row.rate(c) for c in THREE}
     rated = {**subsets, "mean": verdict.mean}
@@ -158,7 +184,11 @@ def _verdict_json(verdict: Verdict) -> dict[str, Any]:
 
 
 def _page(
-    remake: str, evidence: Sequence[Evidence], verdicts: Sequence[Verdict], tables: Sequence[Table]
+    remake: str,
+    evidence: Sequence[Evidence],
+    verdicts: Sequence[Verdict],
+    tables: Sequence[Table],
+    attempts: dict[str, list[str]],
 ) -> str:
     sections = [
         "# Results",
@@ -167,13 +197,13 @@ def _page(
         "95% interval in brackets and its count of episodes n, of each subset where it is a mean; "
         "rates have Wilson's interval. Intervals are about episodes: they do not say how another "
         "training or another task would come out. A dash is what was not measured or cannot be.",
-        _bar_section(verdicts, remake),
+        _bar_section(verdicts, remake, attempts),
         *(_section(table, remake) for table in tables),
     ]
     return "\n\n".join(sections) + "\n"
 
 
-def _bar_section(verdicts: Sequence[Verdict], remake: str) -> str:
+def _bar_section(verdicts: Sequence[Verdict], remake: str, attempts: dict[str, list[str]]) -> str:
     met = sum(verdict.words == "met" for verdict in verdicts)
     missing = sum(verdict.row is None for verdict in verdicts)
     lines = [
@@ -191,6 +221,9 @@ def _bar_section(verdicts: Sequence[Verdict], remake: str) -> str:
         cells = [_cell(None if row is None else row.rate(column)) for column in THREE]
         name = "–" if row is None else f"`{row.evidence[0].path.name}`"
         lines.append(_line((verdict.task, name, *cells, _cell(verdict.mean), verdict.words)))
+    if attempts:
+        lines += ["", f"What was tried on the way (`{TRIED}`; weights were not kept):", ""]
+        lines += [f"- {task}: {line}" for task, tries in attempts.items() for line in tries]
     used = [e for verdict in verdicts if verdict.row for e in verdict.row.evidence]
     return "\n".join([*lines, "", _commands(used, remake)])
 

@@ -102,6 +102,30 @@ def test_the_bar_has_twenty_tasks_and_the_page_counts_them(tmp_path: Path) -> No
     assert "| metaworld/push | – | – |" in text
 
 
+def test_what_was_tried_stands_under_the_bar(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD)
+    (tmp_path / "tried.json").write_text(
+        '{"maniskill/push-cube": ["12 rounds: 0.4"], "metaworld/push": ["half a point", "more"]}'
+    )
+    _, text = report(tmp_path)
+    lines = text.splitlines()
+    first = lines.index("- metaworld/push: half a point")
+    assert lines[first + 1 : first + 3] == [
+        "- metaworld/push: more",
+        "- maniskill/push-cube: 12 rounds: 0.4",
+    ]
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "[]", '{"metaworld/nothing": ["x"]}', '{"metaworld/push": "x"}']
+)
+def test_a_list_of_what_was_tried_has_one_form(tmp_path: Path, text: str) -> None:
+    write_policy(tmp_path, GOOD)
+    (tmp_path / "tried.json").write_text(text)
+    with pytest.raises(UserError, match="expected .*tried.json"):
+        report(tmp_path)
+
+
 # --- Tables ---
 
 
