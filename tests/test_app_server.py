@@ -17,7 +17,7 @@ from madviz.app.rates import Rates
 from madviz.app.server import App, ExploreConfig, check_port, explore, first_choice
 from madviz.app.users import Users
 from madviz.envs.base import make_env
-from madviz.frame import Frame
+from madviz.frame import Frame, SetSpeed
 from madviz.session import Session
 from madviz.training_job import TrainingJob
 from madviz.types import UserError
@@ -151,3 +151,22 @@ def test_a_page_that_is_closed_stops_drawing():
         pages = [t for t in threading.enumerate() if t.name == "madviz-page" and t not in before]
         lobby.go(1)
         assert pages and not any(page.is_alive() for page in pages)
+
+
+def test_a_panel_that_cannot_be_built_is_tried_once_and_said(monkeypatch):
+    tries: list[int] = []
+
+    def broken(*_) -> None:
+        tries.append(1)
+        raise RuntimeError("no such widget")
+
+    monkeypatch.setattr("madviz.app.page.KeepPanel", broken)
+    with users(cap=1) as (them, lobby, made):
+        lobby.come(1)
+        made[0].send(SetSpeed(None))
+        page = them._seats[1].page
+        deadline = time.monotonic() + 20
+        while getattr(made[0].latest, "number", 0) < 15 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert len(tries) == 1
+        assert page._waiting is not None and "no such widget" in page._waiting.content

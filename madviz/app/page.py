@@ -121,7 +121,9 @@ class Page:
         self._waiting: viser.GuiHtmlHandle | None = None
         self._extras: list = []
         self._shown: list[Shown] = []
+        self._wanted: object = None
         self._built: object = None
+        """The task and cameras whose panels were to be built, and were."""
         self._reported = ""
         self._curves: FeaturesPanel | None = None
         self._touched: object = None
@@ -168,12 +170,16 @@ class Page:
 
     def clear(self) -> None:
         """Takes everything off the page, after ``close``."""
+        self._strip()
+        if self._waiting is not None:
+            self._waiting.remove()
+
+    def _strip(self) -> None:
+        """Takes panels and scene off the page."""
         for shown in self._shown:
             shown.panel.remove()
         for handle in self._extras:
             handle.remove()
-        if self._waiting is not None:
-            self._waiting.remove()
         self._shown, self._extras = [], []
 
     # The page's own thread.
@@ -201,7 +207,12 @@ class Page:
 
     def _forgive(self) -> None:
         """Takes back what ``_report`` said: a later frame was shown, nothing is broken."""
-        if self._reported and self._waiting is not None and isinstance(self._newest, Frame):
+        if (
+            self._built is not None
+            and self._reported
+            and self._waiting is not None
+            and isinstance(self._newest, Frame)
+        ):
             self._reported = ""
             self._waiting.content = waiting_html(self._notice) if self._notice else ""
 
@@ -218,8 +229,13 @@ class Page:
         if isinstance(frame, Failure):
             self._waiting.content = waiting_html("The simulator could not start.", frame.error)
             return None
-        if self._built != (frame.env.task, frame.env.cameras):
+        wanted = (frame.env.task, frame.env.cameras)
+        if wanted != self._wanted:  # Once: what cannot be built now cannot at the next frame.
+            self._wanted, self._built = wanted, None
             self._build(frame)
+            self._built = wanted
+        if self._built is None:
+            return None
         assert self._curves is not None
         if not frame.past:
             self._curves.note(frame)
@@ -241,10 +257,7 @@ class Page:
         return max(0.01, min(later)) if later else None
 
     def _build(self, frame: Frame) -> None:
-        for shown in self._shown:
-            shown.panel.remove()
-        for handle in self._extras:
-            handle.remove()
+        self._strip()
         client, gui = self.client, self.client.gui
         send = None if self._readonly else self.session.send
         visitor = None if self._readonly else client.client_id
@@ -272,7 +285,6 @@ class Page:
             Shown(ScenePanel(client, frame, None if self._readonly else self._toggle), 0.05),
             Shown(ArrowsPanel(client, frame, extent(frame)), 0.25),
         ]
-        self._built = (frame.env.task, frame.env.cameras)
 
     def _build_tabs(
         self, tabs: viser.GuiTabGroupHandle, send: Callable[[Command], None] | None, frame: Frame
