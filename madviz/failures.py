@@ -189,6 +189,11 @@ SCENARIOS = (
         tuple(Spell(place, "dropout:0.8", 0.1) for place in _PLACES),
     ),
     Scenario(
+        "slow network",
+        "Every camera's picture comes half a second late at normal speed.",
+        tuple(Spell(place, "delay:0.5", 0.1) for place in _PLACES),
+    ),
+    Scenario(
         "stuck picture",
         "The third camera freezes, and nobody notices.",
         (Spell(2, "freeze", 0.15),),
