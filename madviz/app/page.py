@@ -252,8 +252,9 @@ class Page:
             apply(changes)
         self.client.flush()
         for shown in ready:
-            shown.done, shown.number = now, frame.number
-        later = [s.due(frame) - now for s in due if s not in ready]
+            settled = not getattr(shown.panel, "unsettled", False)
+            shown.done, shown.number = now, frame.number if settled else 0
+        later = [s.due(frame) - now for s in due if s.number != frame.number]
         return max(0.01, min(later)) if later else None
 
     def _build(self, frame: Frame) -> None:

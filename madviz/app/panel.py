@@ -22,7 +22,8 @@ class Assign(NamedTuple):
 
 
 class Panel(Protocol):
-    """A part of the page."""
+    """A part of the page. One that also has a true ``unsettled`` is updated again although there is
+    no newer frame: what it showed depended on the time."""
 
     def update(self, frame: Frame) -> list[Assign]:
         """What has to change on the page to show ``frame``. Assigns nothing itself."""

@@ -72,6 +72,11 @@ class TimelinePanel:
         layout = gui.add_html(grid("timeline", 10, cells))
         self._handles = [*(cell.handle for cell in cells), layout]
 
+    @property
+    def unsettled(self) -> bool:
+        """Whether the slider is yet to be set right after a drag."""
+        return self._crossed
+
     def _drag(self, step: int) -> None:
         assert self._send is not None
         self._dragged, self._crossed = self._clock(), True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from madviz.app.server import App
 from madviz.frame import Pause, Reset, StepOnce
+from madviz.kept_reader import read_kept
 from tests.e2e.conftest import PATIENCE, Visitor
 
 
@@ -80,3 +81,45 @@ def test_a_training_starts_shows_itself_and_stops(visitor: Visitor):
     visitor.press("stop")
     visitor.until_text(".mv-training", "Stopping|Stopped")
     visitor.until_text(".mv-training", "Stopped")
+
+
+def test_what_cameras_are_worth_stands_in_a_table(visitor: Visitor):
+    open_tab(visitor, "Worth")
+    text = visitor.until_text(".mv-worth", "none → all present")
+    assert all(word in text for word in ("Q now", "First person", "Third A", "Third B"))
+    assert "dropped" not in text
+    visitor.press("off", camera=1)
+    text = visitor.until_text(".mv-worth", "Third A · dropped")
+    assert "First person · dropped" not in text
+
+
+def test_where_the_policy_looks_is_asked_and_answered(visitor: Visitor, app: App):
+    open_tab(visitor, "Inside")
+    visitor.until_text(".mv-saliency", "Lays over every picture")
+    paused_at(visitor, app, 3)
+    visitor.press("for its action")
+    visitor.until_text(".mv-saliency", "a policy not made with torch never has one")
+    visitor.page.locator("[data-mv-grid=saliency] button").first.click()
+    visitor.until_text(".mv-saliency", "Lays over every picture")
+
+
+def test_a_scenario_runs_as_planned_and_ends(visitor: Visitor):
+    open_tab(visitor, "Failures")
+    visitor.page.get_by_text("No failures are planned").wait_for(timeout=PATIENCE)
+    visitor.press("run scenario")
+    visitor.page.get_by_text("One camera after another is lost").wait_for(timeout=PATIENCE)
+    visitor.until("status.setting === 'first+third_b'")
+    visitor.until("status.setting === 'first'")
+    visitor.press("end it")
+    visitor.page.get_by_text("No failures are planned").wait_for(timeout=PATIENCE)
+
+
+def test_a_session_is_kept_as_a_file_that_replays(visitor: Visitor, app: App, tmp_path):
+    open_tab(visitor, "Keep")
+    paused_at(visitor, app, 4)
+    with visitor.page.expect_download(timeout=PATIENCE) as download:
+        visitor.page.get_by_role("button", name="keep this episode").click()
+    path = tmp_path / download.value.suggested_filename
+    download.value.save_as(path)
+    (episode,) = read_kept(path).episodes
+    assert (episode.task, episode.steps) == ("toy/reach", 4)
