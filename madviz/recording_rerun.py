@@ -20,7 +20,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from madviz.app.colours import MERGED, camera_colours, rgb
+from madviz.app.colours import camera_colours, rgb
 from madviz.frame import Frame
 from madviz.recording import Facts, headline, jpeg, verdict
 from madviz.subsets import camera_of, modality_of
@@ -29,7 +29,9 @@ from madviz.types import Array
 BATCHES = rr.ChunkBatcherConfig(flush_tick=60.0, flush_num_bytes=8_000_000)
 """By default what was logged is written out every fifth of a second, each time with a header for
 every path: on a busy machine more than half of the file."""
-OTHERS = ((255, 255, 255), (77, 182, 255), (255, 138, 61), (160, 160, 160))
+NEUTRAL = (130, 130, 140)
+"""The merged feature's colour here: the page's white is nothing on rerun's light ground."""
+OTHERS = (NEUTRAL, (77, 182, 255), (255, 138, 61), (60, 170, 100))
 
 
 class RerunWriter:
@@ -73,7 +75,7 @@ class RerunWriter:
         colours = camera_colours(frame.env.cameras)
         streams = [rgb(colours[camera_of(name)]) for name in frame.policy.streams]
         names = list(frame.policy.streams)
-        self._series("features/norm", [*names, "merged"], [*streams, rgb(MERGED)])
+        self._series("features/norm", [*names, "merged"], [*streams, NEUTRAL])
         self._series("features/cosine", names, streams)
         self._series("mask", names, streams)
         hands = [f"action {index}" for index in range(frame.env.action_dim)]
@@ -102,9 +104,9 @@ class RerunWriter:
         self._stream.log(
             path,
             rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=[x, y, z, w])),
-            rr.Pinhole(
-                fov_y=float(np.radians(pose.fovy)),
-                **{"aspect_ratio": 1.0, "width": size, "height": size},
+            rr.Pinhole(  # In pixels: told an angle, rerun takes the picture for one of 1 x 1.
+                focal_length=float(size / 2 / np.tan(np.radians(pose.fovy) / 2)),
+                **{"width": size, "height": size},
                 image_plane_distance=0.25,
                 color=(110, 112, 116) if off else rgb(camera_colours(frame.env.cameras)[name]),
             ),

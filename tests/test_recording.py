@@ -88,6 +88,17 @@ def columns(path: Path) -> dict[str, dict[int, list]]:
     return found
 
 
+def first_of(path: Path, entity: str, component: str) -> list:
+    """The first value of a component, as rerun reads it."""
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path == entity:
+            batch = chunk.to_record_batch()
+            for name in batch.schema.names:
+                if name.endswith(component):
+                    return batch[name].to_pylist()[0]
+    raise AssertionError(f"no {component} at {entity}")
+
+
 def decode(blob: list) -> np.ndarray:
     """(H, W, 3) RGB of a JPEG file in a column."""
     pixels = cv2.imdecode(np.frombuffer(bytes(blob[0]), np.uint8), cv2.IMREAD_COLOR)
@@ -111,6 +122,12 @@ def test_a_rerun_file_holds_every_step(tmp_path: Path) -> None:
     decoded = decode(read["/world/cameras/first/picture"][0])
     assert np.abs(decoded - episode[0].arrived["first"]).mean() < 6
     assert decode(read["/world/cameras/first/picture"][6]).max() < 8
+    for camera in CAMERAS:  # A frustum of another size shows one giant pixel.
+        entity = f"/world/cameras/{camera}"
+        assert first_of(path, entity, ":resolution")[0] == [84, 84]
+        half = np.tan(np.radians(episode[0].poses[camera].fovy) / 2)
+        focal = first_of(path, entity, ":image_from_camera")[0][0]
+        assert focal == pytest.approx(42 / half, rel=1e-5)
     assert "/about" in read
     (blueprint,) = RrdReader(path).blueprints()
     assert blueprint.application_id == "madviz"
