@@ -10,6 +10,10 @@ from collections.abc import Iterator
 
 import msgspec.msgpack
 import pytest
+import viser
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from madviz.app.access import TRIES, Gate, Tries, cookie_name, new_token, same, stays_here
 from madviz.app.policy import PolicyChoice
@@ -100,6 +104,36 @@ def test_a_few_wrong_tries_a_second():
     for number in range(5000):
         tries.note(str(number))
     assert len(tries._wrong) <= 1000
+
+
+@pytest.mark.parametrize(
+    ("origin", "forwarded", "welcome"),
+    [
+        (None, None, True),
+        ("http://{here}", None, True),
+        ("https://evil.example", None, False),
+        ("http://{here}.evil.example", None, False),
+        ("null", None, False),
+        ("http://[", None, False),
+        ("https://hub.example", "hub.example", True),
+        ("https://evil.example", "hub.example", False),
+    ],
+)
+def test_a_page_of_another_site_opens_nothing_here(
+    open_: App, origin: str | None, forwarded: str | None, welcome: bool
+):
+    here = open_.url.removeprefix("http://")
+    headers = {"X-Forwarded-Host": forwarded} if forwarded else {}
+    if origin:
+        headers["Origin"] = origin.format(here=here)
+    spoken = [Subprotocol(f"viser-v{viser.__version__}")]
+    try:
+        connect(f"ws://{here}", subprotocols=spoken, additional_headers=headers).close()
+        came_in = True
+    except InvalidStatus as error:
+        came_in = False
+        assert error.response.status_code == 403 and b"another site" in error.response.body
+    assert came_in == welcome
 
 
 def test_without_the_token_not_a_byte_of_the_page(closed: App):

@@ -10,6 +10,10 @@ The idea: cookies do travel with the websocket. Every request passes a gate firs
     anything else   cookie right  ──►  viser answers: a file, or the websocket is opened
                     no cookie     ──►  401 and a small form that asks for the token
 
+A browser opens a websocket to any machine that any page names, this one included, and says in
+``Origin`` whose page that was. So, with a token or without, a websocket is opened only for pages
+that came from here: another site's page cannot steer what runs on a visitor's own machine.
+
 There are two tokens. The visitors' lets in; where the page serves beyond this machine, it is there
 by default. The presenter's, in presenter mode, also hands over the controls, so a page that is
 loaded again has them again. Both are 128 random bits, compared in constant time: at five tries a
@@ -63,6 +67,7 @@ FORM = """<!doctype html><html lang="en"><meta charset="utf-8"><title>madviz</ti
 """What those see who may not see the page."""
 ASKED = "This page needs the token that was printed where it was started."
 WRONG = "This is not the token that was printed where the page was started."
+FOREIGN = "A page of another site asked for this one; open this address itself."
 TOO_MANY = "Too many wrong tokens from here; wait a second."
 
 
@@ -115,6 +120,8 @@ class Gate:
 
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The gate's own answer to a request; None where viser may give its own."""
+        if _is_websocket(request) and _is_foreign(request):
+            return _refusal(HTTPStatus.FORBIDDEN, FOREIGN)
         if self.visit is None and self.present is None:
             return None
         port = connection.local_address[1]
@@ -219,6 +226,20 @@ def _cookie(request: Request, port: int) -> str | None:
 
 def _is_websocket(request: Request) -> bool:
     return any(word.lower() == "websocket" for word in request.headers.get_all("Upgrade"))
+
+
+def _is_foreign(request: Request) -> bool:
+    """Whether a browser asks for a page that came from elsewhere. What is no browser says nothing,
+    and a proxy says under which name it is known."""
+    origin = request.headers.get("Origin")
+    if origin is None:
+        return False
+    names = [*request.headers.get_all("Host"), *request.headers.get_all("X-Forwarded-Host")]
+    try:
+        whose = urlsplit(origin).netloc.lower()
+    except ValueError:
+        return True
+    return whose not in {name.strip().lower() for name in names}
 
 
 def _admission(request: Request, port: int, token: str) -> Response:
