@@ -15,9 +15,10 @@ import viser
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.server import App, ExploreConfig, check_port, explore, first_choice
+from madviz.app.training import TrainingPanel
 from madviz.app.users import Users
 from madviz.envs.base import make_env
-from madviz.frame import Frame, SetSpeed
+from madviz.frame import Frame, Pause, SetSpeed
 from madviz.session import Session
 from madviz.training_job import TrainingJob
 from madviz.types import UserError
@@ -170,3 +171,21 @@ def test_a_panel_that_cannot_be_built_is_tried_once_and_said(monkeypatch):
             time.sleep(0.01)
         assert len(tries) == 1
         assert page._waiting is not None and "no such widget" in page._waiting.content
+
+
+def test_a_training_is_followed_while_the_episode_stands_still(monkeypatch):
+    looks: list[int] = []
+    real = TrainingPanel.update
+
+    def update(panel: TrainingPanel, frame: Frame):
+        looks.append(frame.number)
+        return real(panel, frame)
+
+    monkeypatch.setattr(TrainingPanel, "update", update)
+    with users(cap=1) as (_, lobby, made):
+        lobby.come(1)
+        made[0].send(Pause())
+        deadline = time.monotonic() + 30
+        while len(looks) < 6 and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert looks[-1] == looks[-2] == looks[-3]  # Looked at again, with the same frame.

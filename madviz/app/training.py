@@ -53,6 +53,9 @@ PATIENCE = 3.0
 class TrainingPanel:
     """Controls and curves. ``send`` None: look, don't touch."""
 
+    unsettled = True
+    """A training goes on while the episode stands still."""
+
     def __init__(
         self,
         gui: viser.GuiApi,
