@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import viser
 
@@ -57,7 +58,10 @@ class Browser:
     def __init__(self, number: int, server: viser.ViserServer) -> None:
         self.client_id, self.gui, self.scene = number, server.gui, server.scene
         self.atomic, self.flush = server.atomic, server.flush
-        self.camera = SimpleNamespace(image_width=1280)
+        self.camera = SimpleNamespace(
+            **{"image_width": 1280, "image_height": 800, "position": np.zeros(3)},
+            on_update=lambda callback: None,
+        )
         self._websock_connection = SimpleNamespace(queue_message=lambda message: None)
 
 
