@@ -88,6 +88,8 @@ def test_a_dropped_camera_shows_its_own_picture_not_its_occlusion():
         (CameraState("rgb", Occlusion("noise", 0.7)), "NOISE 70 %"),
         (CameraState("depth"), "DEPTH (NOT USED)"),
         (CameraState("both"), "RGB + DEPTH (NOT USED)"),
+        (CameraState(occlusion=Occlusion("delay", 0.5)), "LATE BY 5"),
+        (CameraState(occlusion=Occlusion("dropout", 0.5)), "LOSSY 50 %"),
     ],
 )
 def test_badges_say_the_state(state, words):

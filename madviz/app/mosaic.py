@@ -54,6 +54,10 @@ def badge(frame: Frame, camera: str) -> str:
     occlusion = state.occlusion
     if occlusion.kind in ("black", "freeze"):
         return {"black": "BLACK", "freeze": "FROZEN"}[occlusion.kind]
+    if occlusion.kind == "delay":
+        return f"LATE BY {occlusion.late}"
+    if occlusion.kind == "dropout":
+        return f"LOSSY {100 * occlusion.strength:.0f} %"
     if occlusion.kind != "none":
         return f"{occlusion.kind.upper()} {100 * occlusion.strength:.0f} %"
     words = []

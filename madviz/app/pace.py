@@ -15,6 +15,9 @@ viser also lets messages that concern the scene, and all that come after them, w
 picture is drawn, unless the page is hidden; then it obeys them when they come. They may do so here:
 those that only move or change what is there find the page hidden while they are taken in. A camera
 that is switched off just then does not wait for a picture of the scene.
+
+viser says that there is no GPU in a note that stays. All of the above is for such browsers; the
+note goes after ten seconds, because it lies over the scene.
 """
 
 from __future__ import annotations
@@ -59,5 +62,8 @@ if (!window.madvizPace) {
     }
     return post.apply(this, rest);
   };
+  const notes = () => [...document.querySelectorAll('.mantine-Notification-root')];
+  setTimeout(() => notes().filter(one => one.innerText.startsWith('Software WebGL'))
+    .forEach(one => one.querySelector('button')?.click()), 10000);
 }
 """

@@ -39,6 +39,12 @@ def test_at_full_speed_the_picture_is_always_whole_and_keeps_up(visitor: Visitor
         assert grey(visitor.tile(0)) > 10  # A picture that has not loaded draws nothing: black.
 
 
+def test_the_note_that_there_is_no_gpu_goes_by_itself(visit, app: App):
+    note = visit(app.url).page.get_by_text("Software WebGL rendering")
+    note.wait_for(timeout=PATIENCE)
+    note.wait_for(state="detached", timeout=PATIENCE)
+
+
 DRAWS = """() => new Promise(done => {
   const canvas = WebGL2RenderingContext.prototype, clear = canvas.clear, ahead = [];
   canvas.clear = function (...rest) {
