@@ -86,12 +86,12 @@ class Visitor:
         status = "const status = document.querySelector('.mv-status')?.dataset ?? {};"
         self.page.wait_for_function(f"() => {{ {status} return {condition} }}", timeout=PATIENCE)
 
-    def until_text(self, selector: str, pattern: str) -> str:
-        """Waits for text that matches; returns it."""
+    def until_text(self, selector: str, pattern: str, patience: float = PATIENCE) -> str:
+        """Waits for text that matches, some milliseconds at most; returns it."""
         quoted = pattern.replace("'", "\\'")
         self.page.wait_for_function(
             f"() => new RegExp('{quoted}').test(document.querySelector('{selector}')?.innerText)",
-            timeout=PATIENCE,
+            timeout=patience,
         )
         return self.page.locator(selector).inner_text()
 
