@@ -180,6 +180,7 @@ def test_a_click_on_a_frustum_drops_its_camera(visitor: Visitor, app: App):
     assert session is not None and isinstance(session.latest, Frame)
     visitor.press("pause")
     visitor.until("status.phase === 'paused'")
+    visitor.page.wait_for_timeout(1500)  # It rides on the hand; until it is drawn, it is elsewhere.
     x, y = on_screen(client, session.latest.poses["first"], depth=0.147)  # The picture's middle.
     visitor.page.mouse.move(x - 2, y)
     visitor.page.mouse.click(x, y, delay=60)
