@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import viser
+from playwright.sync_api import expect
 from scipy.spatial.transform import Rotation
 
 from madviz.app.gizmo import SIZE
@@ -14,7 +15,7 @@ from madviz.app.scene import extent
 from madviz.app.server import App
 from madviz.frame import Frame
 from madviz.moves import Displacement, MoveCamera, trained_axes
-from tests.e2e.conftest import Visitor
+from tests.e2e.conftest import PATIENCE, Visitor
 
 
 @pytest.fixture
@@ -118,12 +119,12 @@ def test_a_moved_camera_sees_something_else_and_goes_back(paused: Visitor):
     box.press("Enter")
     paused.until("status.setting === 'all · third_a:moved,right=0.4'")
     until_tile(paused, 1, lambda tile: np.abs(tile - before).mean() > 4)
-    assert "0.40 m to the right" in page.locator(".mv-moved").inner_text()
+    paused.until_text(".mv-moved", "0.40 m to the right")
     page.get_by_role("button", name="back", exact=True).click()
     paused.until("status.setting === 'all'")
     until_tile(paused, 1, lambda tile: np.abs(tile - before).mean() < 1)
     paused.until_text(".mv-moved", "Every camera stands where")
-    assert box.input_value() == "0"
+    expect(box).to_have_value("0", timeout=PATIENCE)
 
 
 def test_an_arrow_in_the_scene_drags_the_camera(paused: Visitor, app: App):
