@@ -32,7 +32,8 @@ def take(width: int, height: int, file: Path) -> None:
             page.wait_for_timeout(2_500)
             for toast in page.locator("[role=alert] button").all():
                 toast.click()
-            page.wait_for_timeout(800)
+            page.mouse.move(800, 780)  # Or the hint of the last button would lie over the others.
+            page.wait_for_timeout(1_500)
             file.parent.mkdir(exist_ok=True)
             page.screenshot(path=file)
             browser.close()
