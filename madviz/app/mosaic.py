@@ -56,10 +56,9 @@ def badge(frame: Frame, camera: str) -> str:
         return {"black": "BLACK", "freeze": "FROZEN"}[occlusion.kind]
     if occlusion.kind == "delay":
         return f"LATE BY {occlusion.late}"
-    if occlusion.kind == "dropout":
-        return f"LOSSY {100 * occlusion.strength:.0f} %"
     if occlusion.kind != "none":
-        return f"{occlusion.kind.upper()} {100 * occlusion.strength:.0f} %"
+        word = {"dropout": "LOSSY"}.get(occlusion.kind, occlusion.kind.upper())
+        return f"{word} {100 * occlusion.strength:.0f} %"
     words = []
     for modality in ("rgb", "depth"):
         if state.input in (modality, "both"):
