@@ -18,6 +18,7 @@ from madviz.app.rates import Rates
 from madviz.app.server import App, ExploreConfig, check_port, explore, first_choice
 from madviz.app.training import TrainingPanel
 from madviz.app.users import Users
+from madviz.app.versus import VersusPanel
 from madviz.envs.base import make_env
 from madviz.frame import Frame, Pause, SetSpeed
 from madviz.session import Session
@@ -193,3 +194,32 @@ def test_a_training_is_followed_while_the_episode_stands_still(monkeypatch):
         while len(looks) < 6 and time.monotonic() < deadline:
             time.sleep(0.02)
         assert looks[-1] == looks[-2] == looks[-3]  # Looked at again, with the same frame.
+
+
+def test_tables_make_way_for_somebody_who_has_touched_a_camera(monkeypatch):
+    looks: list[int] = []
+    monkeypatch.setattr(VersusPanel, "update", lambda panel, frame: looks.append(1) or [])
+    with users(cap=1) as (them, lobby, made):
+        lobby.come(1)
+        made[0].send(Pause())
+        await_that(lambda: bool(looks))
+        page = them._seats[1].page
+        await_that(lambda: page._wake.is_set() is False and made[0].latest.phase == "paused")
+        page._drawing.acquire()  # Nobody else draws from here on.
+        looks.clear()
+        for shown in page._shown:
+            shown.done, shown.number = -1e9, 0
+        page._hurried.set()
+        page._push(made[0].latest, time.monotonic())
+        assert not looks  # A frame that nobody waits for ends where somebody begins to.
+        page._hurried.clear()
+        page._push(made[0].latest, time.monotonic())
+        assert looks == [1]
+        page._drawing.release()
+
+
+def await_that(happened, patience: float = 20.0) -> None:
+    deadline = time.monotonic() + patience
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)

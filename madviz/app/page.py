@@ -129,6 +129,8 @@ class Page:
         self._touched: object = None
         self._expected: Change | None = None
         self._drawing = threading.Lock()
+        self._hurried = threading.Event()
+        """Somebody has touched a camera and waits for ``_drawing``."""
         self._newest: Frame | Failure | None = None
         self._wake, self._closing = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="madviz-page", daemon=True)
@@ -149,7 +151,9 @@ class Page:
         fresh = change is not None and change is not self._expected and not self._readonly
         self._expected = change
         if fresh and self._built is not None:
+            self._hurried.set()
             self._draw()
+            self._hurried.clear()
         self._wake.set()
 
     def poke(self) -> None:
@@ -242,18 +246,22 @@ class Page:
         urgent = self._touched != (frame.change, frame.policy, frame.phase, frame.error)
         self._touched = (frame.change, frame.policy, frame.phase, frame.error)
         due = [s for s in self._shown if s.number != frame.number]
-        if urgent and frame.speed is not None:  # What somebody waits for goes ahead of the rest.
+        if urgent:  # What somebody waits for goes ahead of the rest.
             for shown in self._shown:
-                shown.done = now + AFTER - shown.patience(frame)
+                rest = now + AFTER - shown.patience(frame)
+                shown.done = rest if frame.speed is not None else max(shown.done, rest)
         ready = [s for s in due if (urgent and s.period <= FASTEST) or now >= s.due(frame)]
         # All in one message, because each one costs the browser a frame.
-        changes = [change for shown in ready for change in shown.panel.update(frame)]
+        changes = []
+        for shown in ready:
+            if self._hurried.is_set() and not urgent:
+                break  # A table is not worth the wait of somebody who has just touched a camera.
+            changes += shown.panel.update(frame)
+            settled = not getattr(shown.panel, "unsettled", False)
+            shown.done, shown.number = now, frame.number if settled else 0
         with self.client.atomic():
             apply(changes)
         self.client.flush()
-        for shown in ready:
-            settled = not getattr(shown.panel, "unsettled", False)
-            shown.done, shown.number = now, frame.number if settled else 0
         later = [s.due(frame) - now for s in due if s.number != frame.number]
         return max(0.01, min(later)) if later else None
 
