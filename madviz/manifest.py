@@ -104,6 +104,9 @@ def policy_spec(config: dict[str, Any], weights_sha256: str) -> PolicySpec:
         render_profile=config["render_profile"],
         cameras=tuple(_camera(camera) for camera in config["cameras"]),
         digest=hashlib.sha256((weights_sha256 + canonical(config)).encode()).hexdigest(),
+        state_dim=config["networks"].get("state_dim", 0),
+        action_dim=config["networks"].get("action_dim", 0),
+        horizon=config["horizon"],
     )
 
 
@@ -160,35 +163,32 @@ def _check_streams(config: dict[str, Any], where: Path) -> None:
         raise UserError(f"{where}: trained_subsets: {error}") from error
 
 
-def check_environment(config: dict[str, Any], env: EnvSpec) -> None:
-    """Raises UserError where ``env`` is not what the policy was trained on."""
-    networks = config["networks"]
-    cameras = {camera["name"]: camera for camera in config["cameras"]}
+def check_environment(policy: PolicySpec, env: EnvSpec) -> None:
+    """Raises UserError where ``env`` is not what ``policy`` was trained on, as far as it says."""
+    cameras = {f"camera {camera.name}": camera for camera in policy.cameras}
     expected = {
-        "task": config["task"],
-        "render profile": config["render_profile"],
-        "state numbers": networks.get("state_dim"),
-        "action numbers": networks.get("action_dim"),
-        "decisions": config["horizon"],
-        **{f"camera {name}": _pose(camera) for name, camera in cameras.items()},
+        **{"task": policy.task, "render profile": policy.render_profile},
+        **{"state numbers": policy.state_dim, "action numbers": policy.action_dim},
+        "decisions": policy.horizon,
+        **{key: _pose(camera) for key, camera in cameras.items()},
     }
     found = {
         **{"task": env.task, "render profile": env.render_profile},
         **{"state numbers": env.state_dim, "action numbers": env.action_dim},
         "decisions": env.horizon,
-        **{f"camera {name}": _pose(asdict(env.camera(name))) for name in cameras},
+        **{key: _pose(env.camera(camera.name)) for key, camera in cameras.items()},
     }
     for fact, value in expected.items():
-        if found[fact] != value:
+        if value and found[fact] != value:
             raise UserError(
-                f"{config['name']} was trained with {fact} = {value}, this environment has "
+                f"{policy.name} was trained with {fact} = {value}, this environment has "
                 f"{found[fact]}; use the version of madviz that trained it, or retrain"
             )
 
 
-def _pose(camera: dict[str, Any]) -> dict[str, Any]:
+def _pose(camera: CameraSpec) -> dict[str, Any]:
     """All of a camera that changes what a policy sees: not what the page calls it."""
-    return {k: v for k, v in json.loads(canonical(camera)).items() if k != "label"}
+    return {k: v for k, v in json.loads(canonical(asdict(camera))).items() if k != "label"}
 
 
 def _hardware() -> str:

@@ -142,7 +142,7 @@ class Runner:
 
     def run(self, job: Job) -> Finished:
         policy = self._loaded(job.policy, job.digest)
-        env = self._environment(policy, job.policy)
+        env = self._environment(policy)
         self._place(env, dict(job.moves))
         mask = mask_of(job.subset, policy.spec.streams)
         ablation = Ablation.from_mask(mask, policy.spec.streams, dict(job.occlusions))
@@ -178,13 +178,12 @@ class Runner:
             self._policies[key] = policy
         return self._policies[key]
 
-    def _environment(self, policy: Policy, reference: str) -> Environment:
+    def _environment(self, policy: Policy) -> Environment:
         key = (policy.spec.task, policy.spec.render_profile, policy.spec.cameras)
         if self._env is None or self._env[0] != key:
             self.close()
             self._env = key, make_env(*key)
-            if checkpoint.is_folder(reference):
-                check_environment(checkpoint.describe(reference).config, self._env[1].spec)
+        check_environment(policy.spec, self._env[1].spec)
         return self._env[1]
 
 

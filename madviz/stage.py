@@ -23,6 +23,7 @@ from madviz.failures import Schedule
 from madviz.frame import Frame, Pair, SetCamera, SetPolicy
 from madviz.journal import Journal
 from madviz.kept import KeptEpisode
+from madviz.manifest import check_environment
 from madviz.moves import MoveCamera
 from madviz.plan import Plan
 from madviz.saliency import LiveSaliency
@@ -75,6 +76,11 @@ class Stage:
         script = self._plan.waiting
         world = script or self._policy.spec
         env = self._make_env(world.task, world.render_profile, world.cameras)
+        try:
+            check_environment(self._policy.spec, env.spec)
+        except UserError:
+            env.close()
+            raise
         ablation = script.ablation if script else Ablation()
         self.simulation = Simulation(env, self._policy, ablation, self.journal)
         self.begin(script.seed if script else self.seed)
@@ -127,12 +133,14 @@ class Stage:
             self.fork()
         old, new = self._policy.spec, policy.spec
         same = (old.task, old.render_profile) == (new.task, new.render_profile)
-        self._policy, live = policy, self.simulation
+        live = self.simulation
         if live is not None and same and sees(live.env.spec, new.cameras):
+            check_environment(new, live.env.spec)
+            self._policy = policy
             live.swap(policy)
             self.saliency.forget()
             return
-        kept = live.ablation if live else Ablation()
+        self._policy, kept = policy, live.ablation if live else Ablation()
         self.open()
         here = {camera.name for camera in self._live.env.spec.cameras}
         for camera, state in kept.cameras.items():

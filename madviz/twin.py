@@ -16,6 +16,7 @@ from collections.abc import Callable
 
 from madviz.ablations import Ablation
 from madviz.frame import Outcome, Pair
+from madviz.manifest import check_environment
 from madviz.simulation import Simulation
 from madviz.statistics import Paired, pair
 from madviz.types import CameraSpec, Environment, Policy
@@ -44,6 +45,7 @@ class Twin:
     ) -> None:
         spec = policy.spec
         env = make_env(spec.task, spec.render_profile, spec.cameras)
+        check_environment(spec, env.spec)
         self.simulation = Simulation(env, policy, ablation)
         self._whole = False
 

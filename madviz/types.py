@@ -225,6 +225,10 @@ class PolicySpec:
     """Its streams' cameras as they stood in training, for ``make_env``; empty: the suite's own."""
     digest: str = ""
     """SHA-256 of weights and config; the key under which results are cached."""
+    state_dim: int = 0
+    """S, A and decisions in an episode of the environment it was trained in; 0: it does not say."""
+    action_dim: int = 0
+    horizon: int = 0
 
 
 class Policy(Protocol):

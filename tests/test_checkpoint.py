@@ -327,8 +327,8 @@ def test_a_failing_disk_leaves_the_old_policy(folder, monkeypatch):
 
 
 def test_another_environment_is_refused():
-    config, env = make_config(), ToyReach().spec
-    manifest.check_environment(config, env)
+    policy, env = manifest.policy_spec(make_config(), ""), ToyReach().spec
+    manifest.check_environment(policy, env)
     moved = replace(env.cameras[0], fovy=61)
     for other, message in (
         (replace(env, render_profile="full"), "render profile = fast"),
@@ -337,9 +337,9 @@ def test_another_environment_is_refused():
         (replace(env, cameras=env.cameras[1:]), "unknown camera 'first'"),
     ):
         with pytest.raises(UserError, match=message):
-            manifest.check_environment(config, other)
+            manifest.check_environment(policy, other)
     relabelled = replace(env.cameras[0], label="Hand camera")
-    manifest.check_environment(config, replace(env, cameras=(relabelled, *env.cameras[1:])))
+    manifest.check_environment(policy, replace(env, cameras=(relabelled, *env.cameras[1:])))
 
 
 # --- Listing ---

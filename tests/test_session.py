@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from madviz.frame import (
     SetPolicy,
     SetSeed,
     SetSpeed,
+    SetTwin,
     StepOnce,
     words,
 )
@@ -288,6 +290,21 @@ def test_an_unknown_policy_leaves_the_old_one(session):
     frame = session.ask(SetPolicy("nonsense"))
     assert frame.policy.name == "toy-mad" and "nonsense" in frame.error
     assert session.ask(Play()).error == ""
+
+
+def test_a_policy_of_another_world_is_refused_and_the_old_one_stays():
+    def odd(name: str) -> FakePolicy:
+        policy = policies("toy-other")
+        policy.spec = replace(policy.spec, state_dim=24)
+        return policy
+
+    session = Recorder()
+    session.at(0.0)
+    session._stage._load = odd
+    for command in (SetPolicy("toy-other"), SetTwin("toy-other")):
+        frame = session.ask(command)
+        assert "state numbers = 24, this environment has 6" in frame.error
+        assert frame.policy.name == "toy-mad" and frame.twin is None
 
 
 def test_a_swapped_policy_gets_the_past_it_would_have_had():
