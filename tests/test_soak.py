@@ -67,13 +67,15 @@ def test_visitors_leave_neither_threads_nor_processes():
     app = App(FakePolicy(), choices, policies, visitors=2)
     crowd = Crowd(app.url, os.getpid(), most=3, seed=1)
     try:
-        first, second = crowd.round(4.0), crowd.round(4.0)
+        looks = [crowd.round(4.0), crowd.round(4.0)]
+        while crowd.touches <= 20 and len(looks) < 10:  # A busy machine gets more rounds.
+            looks.append(crowd.round(4.0))
         deadline = time.monotonic() + 20
         while ours() - before and time.monotonic() < deadline:
             time.sleep(0.05)
         assert not ours() - before
         assert crowd.visits >= 2 and crowd.touches > 20 and crowd.updates > 5
-        assert second.processes == first.processes
+        assert looks[-1].processes == looks[0].processes
         assert not app.users._seats and not app.users._standing
     finally:
         app.stop()

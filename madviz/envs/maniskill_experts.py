@@ -34,6 +34,8 @@ ON_PEG = 0.0365
 """Metres from the peg's middle up to the tool point when the finger tips touch the peg."""
 PRESS = -0.1
 """The downward action that holds the peg by friction and does not tilt the hand."""
+IN_HAND = 0.006
+"""Metres of the tool point above a grasped sphere's middle."""
 GRIPPER_IS_OPEN = 0.035
 """Metres of one finger; 0.04 is all the way."""
 
@@ -104,17 +106,23 @@ def _pick(simulation: Any) -> Array:
 
 
 def _place(simulation: Any) -> Array:
+    """Carries by where the hand is, not by where the sphere is in it: a pixel of a camera that
+    stands aside is a centimetre, so no student could follow a script that waits until the sphere is
+    within 4 mm. Fingers centre it along x, and the bin's walls leave it 3.6 mm along y."""
     tool, sphere = position(simulation.agent.tcp), position(simulation.obj)
     rest = position(simulation.bin) + [0, 0, 0.0225]  # Half a bottom plus the sphere's radius.
+    if simulation.agent.is_grasping(simulation.obj)[0]:
+        error = rest + [0, 0, IN_HAND] - tool
+        aside = np.hypot(error[0], error[1])
+        if aside < 0.003 and error[2] > -0.006:
+            return np.array([0, 0, 0, OPEN])
+        over = 0.045 if aside > 0.006 else 0.0
+        return _towards(error + [0, 0, over], CLOSED, 0.7)
     error = rest - sphere
-    aside = np.hypot(error[0], error[1])
-    if aside < 0.004 and abs(error[2]) < 0.004:
+    if np.hypot(error[0], error[1]) < 0.012 and abs(error[2]) < 0.012:
         opened = float(simulation.agent.robot.get_qpos()[0, -1]) > GRIPPER_IS_OPEN
         return _towards(np.array([0, 0, 0.15 - tool[2] if opened else 0.0]), OPEN, 0.5)
-    if simulation.agent.is_grasping(simulation.obj)[0]:
-        over = 0.045 if aside > 0.008 else 0.0
-        return _towards(error + [0, 0, over], CLOSED, 0.7)
-    return _grasp(tool, sphere + [0, 0, 0.006])
+    return _grasp(tool, sphere + [0, 0, IN_HAND])
 
 
 def _poke(simulation: Any) -> Array:
