@@ -12,6 +12,7 @@ watchers sit at machines of their own, and four browsers on two cores would time
     readout_ms                                               action and Q of every subset
     watchers: {count, updates_per_s, least, owner}           of one simulation, without workers
     with_workers: {updates_per_s, ...}                       the browser again, beside evaluations
+    with_training: {updates_per_s, ...}                      the browser again, beside a training
 """
 
 from __future__ import annotations
@@ -21,13 +22,15 @@ import socket
 import statistics
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from madviz.doctor import find_browser
@@ -100,6 +103,8 @@ class LiveConfig:
     """Draw the 3D scene at full resolution; without it, the browser hardly draws it at all."""
     watchers: int = 0
     """How many watch one simulation in a measurement of their own; 0 leaves it out."""
+    training: bool = False
+    """Measure once more beside a training, as the page's Train tab starts one."""
     chromium: str | None = None
     """The browser; by default the Chromium or Chrome of this machine."""
 
@@ -116,6 +121,8 @@ def bench_live(config: LiveConfig) -> dict[str, Any]:
     if config.workers:
         busy = measure(config, workers=config.workers)
         result["with_workers"] = {**busy, "readout_ms": alone["readout_ms"]}
+    if config.training:
+        result["with_training"] = beside_training(config)
     return result
 
 
@@ -148,13 +155,42 @@ def watched(config: LiveConfig) -> dict[str, Any]:
     }
 
 
+def beside_training(config: LiveConfig) -> dict[str, Any]:
+    """The browser again, while its policy's task is trained at the priority that the page gives to
+    trainings. Raises UserError if the training does not last as long as the measurement."""
+    from madviz.checkpoint import load_policy
+    from madviz.training_job import BUDGETS, JobConfig, TrainingJob
+
+    task = load_policy(config.policy).spec.task
+    with tempfile.TemporaryDirectory() as folder:
+        job = TrainingJob(Path(folder))
+        try:
+            job.start(JobConfig(task, budget=list(BUDGETS["light"])[-1]))
+            # Demonstrations come first, and updates are what takes the time.
+            await_that(lambda: job.status().rows or job.status().state != "running", 300.0)
+            found = measure(config, workers=0)
+            status = job.status()
+        finally:
+            job.close()
+    if status.state != "running":
+        raise UserError(f"expected a training to last, found it {status.state}: {status.why}")
+    return found
+
+
 def await_steps(steps: Sequence[object], patience: float = 60.0) -> None:
     """Returns when something came. Raises UserError if nothing does."""
+    if not await_that(lambda: steps, patience):
+        raise UserError("the page sent no picture; try: madviz explore")
+
+
+def await_that(happened: Callable[[], object], patience: float) -> bool:
+    """Whether it happened within ``patience`` seconds."""
     deadline = time.monotonic() + patience
-    while not steps:
+    while not happened():
         if time.monotonic() > deadline:
-            raise UserError("the page sent no picture; try: madviz explore")
+            return False
         time.sleep(0.05)
+    return True
 
 
 def measure(config: LiveConfig, workers: int) -> dict[str, Any]:
