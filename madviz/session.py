@@ -70,14 +70,15 @@ class Session:
     def __init__(
         self,
         make_env: EnvFactory,
-        policy: Policy,
+        policy: Policy | str,
         load_policy: Callable[[str], Policy] | None = None,
         *,
         seed: int = FIRST_SEED,
         speed: float | None = 10.0,
         script: KeptEpisode | None = None,
     ) -> None:
-        """``script``: an episode to live again, once played; it begins with ``policy``."""
+        """``policy``: one that is there, or the name of one that the session's thread shall load.
+        ``script``: an episode to live again, once played; it begins with ``policy``."""
         self._stage = Stage(make_env, policy, load_policy, seed, script)
         self._inbox: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
         self._backlog: deque[Command] = deque()

@@ -30,7 +30,7 @@ from madviz.saliency import LiveSaliency
 from madviz.simulation import Simulation
 from madviz.timeline import Timeline
 from madviz.twin import MOST_PAIRS, Twin
-from madviz.types import CameraSpec, Environment, Policy, UserError
+from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec, UserError
 
 EnvFactory = Callable[[str, str, tuple[CameraSpec, ...]], Environment]
 """(task, render profile, cameras) -> environment, for example ``madviz.envs.base.make_env``."""
@@ -42,11 +42,12 @@ class Stage:
     def __init__(
         self,
         make_env: EnvFactory,
-        policy: Policy,
+        policy: Policy | str,
         load_policy: Callable[[str], Policy] | None,
         seed: int,
         script: KeptEpisode | None,
     ) -> None:
+        """``policy``: one that is there, or a name that ``load_policy`` knows, for ``open``."""
         self._make_env, self._load = make_env, load_policy
         self._policy, self.seed = policy, seed
         self.journal, self._timeline, self._plan = Journal(), Timeline(), Plan(script)
@@ -73,6 +74,8 @@ class Stage:
     def open(self) -> None:
         """Builds the policy's environment, and begins."""
         self.shut()
+        if isinstance(self._policy, str):
+            self._policy = self._loaded(self._policy)
         script = self._plan.waiting
         world = script or self._policy.spec
         env = self._make_env(world.task, world.render_profile, world.cameras)
@@ -131,11 +134,9 @@ class Stage:
         policy = self._loaded(name)
         if self._timeline.shown is not None:
             self.fork()
-        old, new = self._policy.spec, policy.spec
-        same = (old.task, old.render_profile) == (new.task, new.render_profile)
         live = self.simulation
-        if live is not None and same and sees(live.env.spec, new.cameras):
-            check_environment(new, live.env.spec)
+        if live is not None and self._lives_in(policy.spec, live.env.spec):
+            check_environment(policy.spec, live.env.spec)
             self._policy = policy
             live.swap(policy)
             self.saliency.forget()
@@ -149,6 +150,11 @@ class Stage:
         for camera, move in kept.moves.items():
             if camera in here:
                 self._live.move_camera(MoveCamera(camera, move))
+
+    @staticmethod
+    def _lives_in(policy: PolicySpec, env: EnvSpec) -> bool:
+        same = (policy.task, policy.render_profile) == (env.task, env.render_profile)
+        return same and sees(env, policy.cameras)
 
     def explain(self, now: float, moving: bool, hurried: bool) -> bool:
         """Finds the pixels that matter if somebody asked and it is time; whether it did."""

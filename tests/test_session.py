@@ -292,6 +292,21 @@ def test_an_unknown_policy_leaves_the_old_one(session):
     assert session.ask(Play()).error == ""
 
 
+def test_a_policy_may_come_by_its_name():
+    session = Recorder("toy-other")
+    assert session.latest is None
+    session.at(0.0)
+    assert session.frames[-1].policy.name == "toy-other"
+
+
+def test_a_name_that_nobody_knows_is_said_and_another_policy_helps():
+    session = Recorder("nonsense")
+    session.at(0.0)
+    assert isinstance(session.latest, Failure) and "unknown policy" in session.latest.error
+    session.ask(SetPolicy("toy-other"))
+    assert session.frames[-1].policy.name == "toy-other"
+
+
 def test_a_policy_of_another_world_is_refused_and_the_old_one_stays():
     def odd(name: str) -> FakePolicy:
         policy = policies("toy-other")

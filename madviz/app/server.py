@@ -82,7 +82,7 @@ class App:
 
     def __init__(
         self,
-        policy: Policy,
+        policy: Policy | str,
         choices: Sequence[PolicyChoice],
         load_policy: Callable[[str], Policy],
         *,
@@ -98,13 +98,14 @@ class App:
         runs: Path = Path("runs"),
         script: KeptEpisode | None = None,
     ) -> None:
-        """Trainings from the page get folders in ``runs``. ``port`` 0 takes a free one. ``gate``
-        with a presenter's token makes it a presentation. Raises UserError if the port is taken."""
+        """``policy`` may be a name for ``load_policy``: the page answers while it is being loaded.
+        Trainings from the page get folders in ``runs``. ``port`` 0 takes a free one. ``gate`` with
+        a presenter's token makes it a presentation. Raises UserError if the port is taken."""
         check_port(host, port)
         # A browser may leave while a frame is on its way to it; viser would warn about each.
         warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
         self.rates = rates or Rates()
-        self.gate = gate or Gate()
+        self.gate = gate or Gate(local=stays_here(host))
         with self.gate.guarding():
             self.server = viser.ViserServer(host=host, port=port, label="madviz", verbose=False)
         theme(self.server.gui, light)
@@ -167,12 +168,16 @@ def open_app(config: ExploreConfig) -> App:
     choices = policy_choices(config.task)
     script, loaded = kept_script(config)
     name = next(iter(loaded), None) or config.policy or first_choice(choices, config.task)
-    if name not in loaded:
+    if name not in loaded and not checkpoint.is_folder(name):
         loaded[name] = checkpoint.load_policy(name)
+    # Loading a folder takes seconds, most of them spent on importing torch. Looking at it takes
+    # none, and a browser can use those seconds to open the page.
+    spec = loaded[name].spec if name in loaded else checkpoint.describe(name).spec
 
     def load(wanted: str) -> Policy:
         if wanted not in loaded:
             loaded[wanted] = checkpoint.load_policy(wanted)
+            settle()
         return loaded[wanted]
 
     def reference(spec: PolicySpec) -> str:
@@ -181,15 +186,10 @@ def open_app(config: ExploreConfig) -> App:
     def evaluator(listener: Callable[[Tally], None]) -> Evaluator:
         return Evaluator(config.workers, Store(), listener)
 
-    # What is there now stays; looking through it again for garbage after every visit would take a
-    # fifth of a second from everybody else.
-    gc.collect()
-    gc.freeze()
-    policy = loaded[name]
     if name not in [choice.name for choice in choices]:
-        choices = [PolicyChoice(name, policy.spec.name), *choices]
+        choices = [PolicyChoice(name, spec.name), *choices]
     return App(
-        policy,
+        name,
         choices,
         load,
         rates=Rates(shipped_rates, evaluator if config.workers else None, reference),
@@ -204,10 +204,18 @@ def open_app(config: ExploreConfig) -> App:
     )
 
 
+def settle() -> None:
+    """What is there now stays; looking through it again for garbage after every visit would take a
+    fifth of a second from everybody else."""
+    gc.collect()
+    gc.freeze()
+
+
 def gate_for(config: ExploreConfig) -> Gate:
     """The tokens that a configuration asks for, new ones at every start."""
-    guarded = config.token and not stays_here(config.host)
-    return Gate(new_token() if guarded else None, new_token() if config.present else None)
+    local = stays_here(config.host)
+    guarded = config.token and not local
+    return Gate(new_token() if guarded else None, new_token() if config.present else None, local)
 
 
 def with_token(address: str, token: str | None) -> str:
