@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import asdict, dataclass, field
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 import cv2
 import numpy as np
@@ -22,19 +22,23 @@ from madviz.moves import Displacement
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, UserError, unknown
 
+T = TypeVar("T")
 CameraInput = Literal["rgb", "depth", "both", "off"]
 OcclusionKind = Literal["none", "black", "noise", "freeze", "blur", "patch", "dropout", "delay"]
+PLACE = ("x", "y", "width", "height")
+"""Where a patch is: its middle from the left and the top, and its sides."""
 LATEST = 10
 """Decisions by which a delayed picture is late at most; a second at normal speed."""
 
 
 @dataclass(frozen=True)
 class Occlusion:
-    """How a camera fails. ``strength``, ``x``, ``y`` and ``size`` are fractions in [0, 1].
+    """How a camera fails. All but ``kind`` are fractions in [0, 1].
 
     black   every pixel 0                     noise   blend with uniform noise by ``strength``
     freeze  the picture of the moment         blur    Gaussian, sigma = 8 px x ``strength``
-    patch   a black square of side ``size``, centred at (``x``, ``y``), blended by ``strength``
+    patch   a black rectangle, ``width`` and ``height`` as shares of the picture, whose middle is at
+            (``x``, ``y``), blended by ``strength``
     dropout a picture is lost with probability ``strength``, and the last one that came stays
     delay   every picture comes late, by ``strength`` x 10 decisions
     """
@@ -43,12 +47,13 @@ class Occlusion:
     strength: float = 1.0
     x: float = 0.5
     y: float = 0.5
-    size: float = 0.4
+    width: float = 0.4
+    height: float = 0.4
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(OcclusionKind):
             raise unknown("occlusion", str(self.kind), list(get_args(OcclusionKind)))
-        for name in ("strength", "x", "y", "size"):
+        for name in ("strength", *PLACE):
             value = getattr(self, name)
             if not (isinstance(value, int | float) and 0 <= value <= 1):
                 raise UserError(f"{name} of an occlusion must be between 0 and 1, found {value!r}")
@@ -83,13 +88,29 @@ class Occlusion:
         return self._patched(frame)
 
     def _patched(self, frame: Array) -> Array:
-        height, width = frame.shape[:2]
-        half = self.size / 2
-        rows = slice(round(max(self.y - half, 0) * height), round(min(self.y + half, 1) * height))
-        columns = slice(round(max(self.x - half, 0) * width), round(min(self.x + half, 1) * width))
+        rows = _covered(self.y, self.height, frame.shape[0])
+        columns = _covered(self.x, self.width, frame.shape[1])
         patched = frame.copy()
         patched[rows, columns] = frame[rows, columns] * (1 - self.strength)
         return patched
+
+
+def _covered(middle: float, share: float, count: int) -> slice:
+    """The rows, or columns, of ``count`` that a patch covers."""
+    return slice(
+        round(max(middle - share / 2, 0) * count), round(min(middle + share / 2, 1) * count)
+    )
+
+
+def by_sides(values: dict[str, T]) -> dict[str, T]:
+    """Fields of an occlusion, where ``size`` stands for ``width`` and ``height`` of a square: what
+    patches were at first, and a short way to say it. Raises UserError for a size beside a side."""
+    if "size" not in values:
+        return values
+    if "width" in values or "height" in values:
+        raise UserError("a patch has a size or a width and a height, found both; drop the size")
+    others = {name: value for name, value in values.items() if name != "size"}
+    return {**others, "width": values["size"], "height": values["size"]}
 
 
 @dataclass(frozen=True)
@@ -146,6 +167,10 @@ class Ablation:
         for name, occlusion in sorted(self.occlusions().items()):
             values = asdict(occlusion)
             kind = values.pop("kind")
+            if occlusion.width == occlusion.height:
+                # The name that squares had first: what was stored under it is found again.
+                del values["height"]
+                values["size"] = values.pop("width")
             parts.append(f"{name}:{kind}" + "".join(f",{k}={v:g}" for k, v in values.items()))
         parts += [f"{name}:{move.key()}" for name, move in sorted(self.moves.items())]
         return ";".join(parts)

@@ -3,16 +3,21 @@
     madviz displace --policy NAME --camera third_a --along right --steps 5 --most 0.2
 
 moves one camera to 0, 0.05, 0.10, 0.15 and 0.20 m from where it stood in training and runs the same
-seeds at each place. All else is as in ``madviz eval``: the numbers at 0 are those of its subset, an
-episode is a pure function of its seed, and workers change nothing but the time. Every rate comes
-with its count and interval; with 20 episodes a rate of 0.5 is known to about 0.2 either way, so two
-neighbouring points that differ by less say nothing yet.
+seeds at each place; with ``--both`` also to the left, by as much. All else is as in
+``madviz eval``: the numbers at 0 are those of its subset, an episode is a pure function of its
+seed, and workers change nothing but the time. Every rate comes with its count and interval; with 20
+episodes a rate of 0.5 is known to about 0.2 either way, so two neighbouring points that differ by
+less say nothing yet.
 
-Zoom goes from 1 to its end by equal factors, everything else by equal distances.
+Zoom goes from 1 to its end by equal factors, everything else by equal distances. ``--svg`` draws
+the curve with its intervals. ``--csv`` writes a row for each place that says all of itself, so that
+the tables of several cameras and policies can be put one after the other.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +37,14 @@ from madviz.svg import Line, lines
 from madviz.types import Policy, UserError, unknown
 
 Direction = Literal["forward", "right", "up", "pan", "tilt", "zoom"]
+WAYS = {
+    **{"forward": ("forward", "back"), "right": ("right", "left"), "up": ("up", "down")},
+    **{"pan": ("right", "left"), "tilt": ("up", "down"), "zoom": ("in", "out")},
+}
+"""What more and less of a direction are called."""
 UNITS = {**dict.fromkeys(("forward", "right", "up"), "m"), "pan": "°", "tilt": "°", "zoom": "times"}
+FARTHEST = {"m": 0.2, "°": 20.0, "times": 1.5}
+"""The last place by its unit, where nobody says otherwise."""
 MOST_POINTS = 50
 
 
@@ -48,8 +60,11 @@ class DisplaceConfig:
     """The camera's own axes as it stood in training: right is the picture's right."""
     steps: int = 5
     """Places, the first of which is where it was trained."""
-    most: float = 0.2
-    """The last place: metres, degrees, or times for zoom; negative goes the other way."""
+    most: float | None = None
+    """The last place: metres (0.2 by default), degrees (20), or times for zoom (1.5); negative, or
+    below 1 for zoom, goes the other way."""
+    both: bool = False
+    """Also the other way, to as many places as far away."""
     episodes: int = 20
     """Episodes at each place."""
     seed: int = FIRST_SEED
@@ -60,6 +75,8 @@ class DisplaceConfig:
     """Processes; by default one per core. 0 runs everything in this one."""
     svg: Path | None = None
     """Where to draw the curve."""
+    csv: Path | None = None
+    """Where to write a table with a row for each place."""
     json: str | None = None
     """Where to write the result; - is standard output."""
 
@@ -82,18 +99,25 @@ class Point:
         return wilson(self.successes, self.n)
 
 
-def places(direction: str, most: float, steps: int) -> dict[float, Displacement]:
-    """``steps`` moves by how far they go, from none to ``most``. Raises UserError for a direction
-    nobody knows, a range that is none and a place that is too far."""
-    if not 2 <= steps <= MOST_POINTS:
-        raise UserError(f"expected 2 to {MOST_POINTS} places, found {steps}; say so with --steps")
+def places(
+    direction: str, most: float, steps: int, both: bool = False
+) -> dict[float, Displacement]:
+    """``steps`` moves by how far they go, from none to ``most``; ``both`` ways, from the farthest
+    of the one side to the farthest of the other. Raises UserError for a direction nobody knows, a
+    range that is none and a place that is too far."""
+    count = 2 * steps - 1 if both else steps
+    if not (steps >= 2 and count <= MOST_POINTS):
+        raise UserError(f"expected 2 to {MOST_POINTS} places, found {count}; say so with --steps")
     along(direction, most)
     start = 1.0 if direction == "zoom" else 0.0
     if most == start:
         raise UserError(
             f"expected --most to lead away from {start:g}, found {most:g}; give another"
         )
-    values = np.geomspace(1.0, most, steps) if direction == "zoom" else np.linspace(0, most, steps)
+    zooms = direction == "zoom"
+    values = np.geomspace(1.0, most, steps) if zooms else np.linspace(0.0, most, steps)
+    if both:
+        values = np.r_[(1 / values if zooms else -values)[:0:-1], values]
     return {value: along(direction, value) for value in (round(float(v), 6) for v in values)}
 
 
@@ -160,13 +184,16 @@ def _watched(
 
 def run_displace(config: DisplaceConfig) -> dict[str, Any]:
     """``madviz displace``: always computes; progress goes to standard error."""
-    if config.svg is not None and not config.svg.resolve().parent.is_dir():
-        raise UserError(f"--svg {config.svg}: expected a file in a folder that exists")
+    for name in ("svg", "csv"):
+        file: Path | None = getattr(config, name)
+        if file is not None and not file.resolve().parent.is_dir():
+            raise UserError(f"--{name} {file}: expected a file in a folder that exists")
     spec = checkpoint.load_policy(config.policy).spec
+    most = FARTHEST[UNITS[config.along]] if config.most is None else config.most
     points = displace(
         config.policy,
         config.camera,
-        places(config.along, config.most, config.steps),
+        places(config.along, most, config.steps, config.both),
         subset=config.subset,
         episodes=config.episodes,
         seed=config.seed,
@@ -177,11 +204,31 @@ def run_displace(config: DisplaceConfig) -> dict[str, Any]:
         **{"schema": 1, "policy": spec.name, "digest": spec.digest, "task": spec.task},
         **{"camera": config.camera, "along": config.along, "unit": UNITS[config.along]},
         **{"subset": config.subset, "seed": config.seed},
-        "points": [{"at": p.at, "success": p.rate, "n": p.n, "ci95": list(p.ci95)} for p in points],
+        "points": [
+            {"at": p.at, "successes": p.successes, "success": p.rate, "n": p.n, "ci95": [*p.ci95]}
+            for p in points
+        ],
     }
     if config.svg is not None:
         write_bytes(config.svg, picture(result).encode())
+    if config.csv is not None:
+        write_bytes(config.csv, table_csv(result).encode())
     return result
+
+
+def table_csv(result: dict[str, Any]) -> str:
+    """A row for each place, with all that tells it from rows of other files."""
+    facts = {key: result[key] for key in ("policy", "digest", "task", "subset", "seed", "camera")}
+    facts |= {key: result[key] for key in ("along", "unit")}
+    file = io.StringIO()
+    numbers = ("at", "successes", "n", "success", "ci95_low", "ci95_high")
+    writer = csv.DictWriter(file, [*facts, *numbers], lineterminator="\n")
+    writer.writeheader()
+    for point in result["points"]:
+        low, high = point["ci95"]
+        measured = {name: point[name] for name in numbers[:4]}
+        writer.writerow({**facts, **measured, "ci95_low": low, "ci95_high": high})
+    return file.getvalue()
 
 
 def displacement_table(result: dict[str, Any]) -> str:
@@ -199,18 +246,31 @@ def displacement_table(result: dict[str, Any]) -> str:
 
 def picture(result: dict[str, Any]) -> str:
     """SVG: the rate over how far the camera went, in the axis' own unit, and its interval."""
-    points, start = result["points"], result["points"][0]["at"]
+    points, start = result["points"], 1.0 if result["unit"] == "times" else 0.0
     # The axis begins at nothing, and zoom at 1; it says centimetres, because it has no decimals.
     scale, unit = (100, "cm") if result["unit"] == "m" else (1, result["unit"])
     if result["unit"] == "times":
         scale, unit = 100, "% more or less"
-    curve = Line(
-        [abs(p["at"] - start) * scale for p in points],
-        [p["success"] for p in points],
-        *([p["ci95"][end] for p in points] for end in (0, 1)),
-    )
+    curves = {}
+    for sign, way in zip((1, -1), WAYS[result["along"]], strict=True):
+        side = [p for p in points if sign * (p["at"] - start) >= 0]
+        if len(side) > 1:
+            side.sort(key=lambda p: abs(p["at"] - start))
+            curves[f"{result['subset']}, {way}"] = Line(
+                [abs(p["at"] - start) * scale for p in side],
+                [p["success"] for p in side],
+                *([p["ci95"][end] for p in side] for end in (0, 1)),
+            )
     title = f"{result['policy']}: {result['camera']} moved, n={points[0]['n']} at each place"
-    return lines(title, unit, {result["along"]: {result["subset"]: curve}})
+    return lines(title, unit, {result["along"]: curves})
 
 
-__all__ = ["DisplaceConfig", "Point", "displace", "displacement_table", "places", "run_displace"]
+__all__ = [
+    "DisplaceConfig",
+    "Point",
+    "displace",
+    "displacement_table",
+    "places",
+    "run_displace",
+    "table_csv",
+]

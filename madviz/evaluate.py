@@ -23,7 +23,7 @@ from typing import Any
 from tqdm import tqdm
 
 from madviz import checkpoint
-from madviz.ablations import Occlusion
+from madviz.ablations import Occlusion, by_sides
 from madviz.card import write_card
 from madviz.files import write_json
 from madviz.live import Evaluator, Tally
@@ -260,7 +260,8 @@ class EvalConfig:
     workers: int | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
     occlude: tuple[str, ...] = ()
-    """Cameras that fail, for example ``first=black third_a=noise,strength=0.5``."""
+    """Cameras that fail, for example ``first=black third_a=noise,strength=0.5`` or
+    ``third_b=patch,x=0.5,y=0.8,width=1,height=0.4``."""
     json: str | None = None
     """Where to write the result; - is standard output."""
     card: bool = False
@@ -307,14 +308,15 @@ def joined(known: dict[str, Any] | None, new: dict[str, Any]) -> dict[str, Any]:
 
 
 def parse_occlusions(texts: Iterable[str]) -> dict[str, Occlusion]:
-    """``first=noise,strength=0.5,size=0.3`` -> occlusions by camera. Raises UserError."""
+    """``first=patch,x=0.2,width=0.6,height=0.1`` -> occlusions by camera; for a square ``size=0.3``
+    will do. Raises UserError."""
     found = {}
     for text in texts:
         camera, equals, words = text.partition("=")
         kind, *details = words.split(",")
         try:
             values = {name: float(value) for name, _, value in (d.partition("=") for d in details)}
-            found[camera] = Occlusion(kind, **values)  # type: ignore[arg-type]
+            found[camera] = Occlusion(kind, **by_sides(values))  # type: ignore[arg-type]
         except (TypeError, ValueError) as error:
             raise UserError(
                 f"expected an occlusion like first=noise,strength=0.5, found {text!r}: {error}"

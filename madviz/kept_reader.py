@@ -14,7 +14,7 @@ import re
 from pathlib import Path
 from typing import Any, NoReturn
 
-from madviz.ablations import CameraState, Occlusion
+from madviz.ablations import CameraState, Occlusion, by_sides
 from madviz.frame import SetCamera
 from madviz.kept import (
     SCHEMA,
@@ -205,11 +205,14 @@ class _Value:
         return SetCamera(name, CameraState(input_, occlusion))  # type: ignore[arg-type]
 
     def occlusion(self) -> Occlusion:
-        fields = self.fields(*Occlusion.__dataclass_fields__)
+        # Files from before patches had two sides say how large a square is.
+        square = isinstance(self.found, dict) and "size" in self.found
+        sides = ("size",) if square else ("width", "height")
+        fields = self.fields("kind", "strength", "x", "y", *sides)
         kind = fields.pop("kind").text("[a-z]{1,20}", "a kind of occlusion")
         fractions = {name: value.number(0, 1) for name, value in fields.items()}
         try:
-            return Occlusion(kind, **fractions)  # type: ignore[arg-type]
+            return Occlusion(kind, **by_sides(fractions))  # type: ignore[arg-type]
         except UserError as error:
             raise UserError(f"{self.file}: {self.path}: {error}") from error
 

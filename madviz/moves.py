@@ -30,6 +30,8 @@ LARGEST = {
 """Metres and degrees, either way."""
 MOST_ZOOM = 2.0
 """The picture is enlarged at most that much, or shrunk."""
+HALF_TURN = Rotation.from_euler("x", np.pi)
+"""Between OpenGL axes (y up, looking along -z) and OpenCV axes (y down, looking along +z)."""
 NARROWEST, WIDEST = 5.0, 150.0
 """Degrees of a field of view that environments draw."""
 _WORDS = {
@@ -121,9 +123,18 @@ def along(name: str, value: float) -> Displacement:
 
 def trained_axes(pose: CameraPose, move: Displacement) -> Rotation:
     """OpenGL axes in the world that a camera had in training, which is at ``pose`` by ``move``."""
-    # OpenCV axes to OpenGL axes is half a turn about the camera's x.
-    now = Rotation.from_quat(pose.wxyz, scalar_first=True) * Rotation.from_euler("x", np.pi)
-    return now * move.turn.inv()
+    return Rotation.from_quat(pose.wxyz, scalar_first=True) * HALF_TURN * move.turn.inv()
+
+
+def moved_on(pose: CameraPose, before: Displacement, after: Displacement) -> CameraPose:
+    """Where a camera that is at ``pose`` by ``before`` stands and looks by ``after``."""
+    axes = trained_axes(pose, before)
+    right, up, ahead = (
+        getattr(after, name) - getattr(before, name) for name in ("right", "up", "forward")
+    )
+    place = np.asarray(pose.position, float) + axes.apply([right, up, -ahead])
+    wxyz = (axes * after.turn * HALF_TURN).as_quat(scalar_first=True)
+    return replace(pose, position=place, wxyz=wxyz)
 
 
 def dragged(pose: CameraPose, move: Displacement, place: Array) -> Displacement:
@@ -138,6 +149,23 @@ def dragged(pose: CameraPose, move: Displacement, place: Array) -> Displacement:
     most = LARGEST["forward"]
     goes = {name: round(min(max(value, -most), most), 2) + 0.0 for name, value in asked.items()}
     return replace(move, **goes)
+
+
+def turned(pose: CameraPose, move: Displacement, wxyz: Array) -> Displacement:
+    """``move`` with the camera, which is at ``pose`` by it, turned to look as ``wxyz`` (4,) says,
+    in OpenCV axes as ``pose`` has them: by whole degrees, no further than LARGEST. A picture that
+    would lie on its side stays upright: with R = pan and tilt, R (0, 0, -1) is
+
+        (cos tilt sin pan, sin tilt, -cos tilt cos pan)
+    """
+    ahead = Rotation.from_quat(wxyz, scalar_first=True).apply([0.0, 0.0, 1.0])
+    x, y, z = trained_axes(pose, move).inv().apply(ahead).tolist()
+    level = math.hypot(x, z)
+    # Straight up or down is no direction to pan to.
+    pan = math.degrees(math.atan2(x, -z)) if level > 1e-3 else move.pan
+    tilt, most = math.degrees(math.atan2(y, level)), LARGEST["pan"]
+    pan, tilt = (round(min(max(angle, -most), most)) + 0.0 for angle in (pan, tilt))
+    return replace(move, pan=pan, tilt=tilt)
 
 
 def _check(name: str, value: object, low: float, high: float) -> None:

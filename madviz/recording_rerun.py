@@ -21,6 +21,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from madviz.app.colours import camera_colours, rgb
+from madviz.app.sight import eye, first_look
 from madviz.frame import Frame
 from madviz.recording import Facts, headline, jpeg, verdict
 from madviz.subsets import camera_of, modality_of
@@ -31,6 +32,9 @@ BATCHES = rr.ChunkBatcherConfig(flush_tick=60.0, flush_num_bytes=8_000_000)
 every path: on a busy machine more than half of the file."""
 NEUTRAL = (130, 130, 140)
 """The merged feature's colour here: the page's white is nothing on rerun's light ground."""
+FOV, ASPECT = float(np.radians(55)), 1.2
+"""Vertical field of view of rerun's eye, which a blueprint cannot set, and the shape of the scene's
+part of the layout: narrower than in any window that is wider than high."""
 OTHERS = (NEUTRAL, (77, 182, 255), (255, 138, 61), (60, 170, 100))
 
 
@@ -146,7 +150,9 @@ def layout(frame: Frame) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
-                rrb.Spatial3DView(origin="world", name="Where it happens"),
+                rrb.Spatial3DView(
+                    origin="world", name="Where it happens", eye_controls=first_eye(frame)
+                ),
                 rrb.Grid(*pictures),
                 row_shares=[3, 2],
             ),
@@ -156,6 +162,17 @@ def layout(frame: Frame) -> rrb.Blueprint:
         ),
         rrb.TimePanel(timeline="step", state="collapsed"),
         collapse_panels=True,
+    )
+
+
+def first_eye(frame: Frame) -> rrb.EyeControls3D:
+    """Looks at the scene as the page does at first: rerun by itself begins behind the robot."""
+    position, target = eye(*first_look(frame), ASPECT, FOV)
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=position.tolist(),
+        look_target=target.tolist(),
+        eye_up=(0.0, 0.0, 1.0),
     )
 
 

@@ -7,7 +7,14 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from madviz.ablations import Ablation, CameraState, Occlusion, OcclusionKind, noise_generator
+from madviz.ablations import (
+    Ablation,
+    CameraState,
+    Occlusion,
+    OcclusionKind,
+    by_sides,
+    noise_generator,
+)
 from madviz.envs.base import SETTINGS
 from madviz.subsets import every_mask, mask_of
 from madviz.types import UserError
@@ -67,16 +74,28 @@ def test_noise_differs_between_steps_and_streams() -> None:
 
 
 def test_a_patch_is_where_it_was_put() -> None:
-    patched = arrive(Occlusion("patch", x=0.25, y=0.75, size=0.5))
-    assert not patched[42:, :42].any()
-    assert np.array_equal(patched[:42], FRAME[:42])
-    assert np.array_equal(patched[:, 42:], FRAME[:, 42:])
-    outside = arrive(Occlusion("patch", x=1.0, y=1.0, size=0.2))
+    patched = arrive(Occlusion("patch", x=0.25, y=0.75, width=0.5, height=0.25))
+    assert not patched[52:74, :42].any()
+    for left in (np.s_[:52], np.s_[74:], np.s_[:, 42:]):
+        assert np.array_equal(patched[left], FRAME[left]) and FRAME[left].any()
+    outside = arrive(Occlusion("patch", x=1.0, y=1.0, width=0.2, height=0.2))
     assert not outside[76:, 76:].any() and outside[:70].any()
+    assert not arrive(Occlusion("patch", width=1.0, height=1.0)).any()
+
+
+def test_a_size_is_a_square() -> None:
+    assert by_sides({"x": 0.1, "size": 0.3}) == {"x": 0.1, "width": 0.3, "height": 0.3}
+    assert by_sides({"width": 0.3}) == {"width": 0.3}
+    with pytest.raises(UserError, match="drop the size"):
+        by_sides({"size": 0.3, "height": 0.4})
 
 
 @pytest.mark.parametrize(
-    "bad", [{"strength": 1.5}, {"x": -0.1}, {"size": float("nan")}, {"kind": "rain"}]
+    "bad",
+    [
+        *[{"strength": 1.5}, {"x": -0.1}, {"width": float("nan")}, {"height": 1.01}],
+        *[{"kind": "rain"}, {"height": "0.4"}, {"width": -0.1}],
+    ],
 )
 def test_absurd_values_are_refused(bad: dict) -> None:
     with pytest.raises(UserError):
@@ -102,6 +121,11 @@ def test_switches_of_a_camera() -> None:
 
 def test_a_key_names_occlusions_and_nothing_else() -> None:
     assert Ablation({"first": CameraState("off")}).key() == ""
-    one = Ablation({"first": CameraState("rgb", Occlusion("patch", size=0.3))}).key()
-    two = Ablation({"first": CameraState("rgb", Occlusion("patch", size=0.4))}).key()
-    assert one != two and one.startswith("first:patch")
+    patches = [
+        Occlusion("patch", width=w, height=h) for w, h in ((0.4, 0.4), (0.4, 0.3), (0.3, 0.4))
+    ]
+    keys = [Ablation({"first": CameraState("rgb", patch)}).key() for patch in patches]
+    assert len(set(keys)) == 3
+    # As squares were named before patches had two sides: stored results are found again.
+    assert keys[0] == "first:patch,strength=1,x=0.5,y=0.5,size=0.4"
+    assert keys[1] == "first:patch,strength=1,x=0.5,y=0.5,width=0.4,height=0.3"

@@ -15,7 +15,16 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from madviz.app.access import TRIES, Gate, Tries, cookie_name, new_token, same, stays_here
+from madviz.app.access import (
+    TRIES,
+    Gate,
+    Tries,
+    _is_owned,
+    cookie_name,
+    new_token,
+    same,
+    stays_here,
+)
 from madviz.app.policy import PolicyChoice
 from madviz.app.server import App, ExploreConfig, gate_for
 from madviz.app.visitor import Visitor
@@ -134,6 +143,58 @@ def test_a_page_of_another_site_opens_nothing_here(
         came_in = False
         assert error.response.status_code == 403 and b"another site" in error.response.body
     assert came_in == welcome
+
+
+@pytest.mark.parametrize(
+    ("host", "forwarded", "welcome"),
+    [
+        *[("127.0.0.1:{port}", None, True), ("127.5.0.1:{port}", None, True)],
+        *[("localhost:{port}", None, True), ("LOCALHOST.:{port}", None, True)],
+        *[("[::1]:{port}", None, True), ("madviz.localhost:{port}", None, True)],
+        ("127.0.0.1:9000", None, True),  # A tunnel to another port.
+        ("192.168.1.5:{port}", None, True),  # Or one that others may use: a number is nobody's.
+        *[("evil.example:{port}", None, False), ("127.0.0.1.evil.example:{port}", None, False)],
+        *[("localhost.evil.example:{port}", None, False), ("box:{port}", None, False)],
+        # A notebook's server, which passes its own name on, and one behind a hub.
+        *[("box:8888", None, True), ("hub.example", None, True), ("hub.example:443", None, True)],
+        ("hub.example:{port}", "X-Forwarded-For", True),
+    ],
+)
+def test_who_owns_a_name_cannot_let_it_point_here(
+    open_: App, host: str, forwarded: str | None, welcome: bool
+):
+    port = open_.server.get_port()
+    host = host.format(port=port)
+    headers = {"Origin": f"http://{host}", **({forwarded: "10.0.0.1"} if forwarded else {})}
+    spoken = [Subprotocol(f"viser-v{viser.__version__}")]
+    direct = socket.create_connection(("127.0.0.1", port))
+    try:
+        connect(
+            f"ws://{host}", sock=direct, subprotocols=spoken, additional_headers=headers
+        ).close()
+        came_in = True
+    except InvalidStatus as error:
+        came_in = False
+        assert error.response.status_code == 403
+        assert f"open it as http://127.0.0.1:{port}".encode() in error.response.body
+    assert came_in == welcome
+
+
+def test_only_a_page_for_this_machine_alone_minds_its_name(open_: App):
+    asked = urllib.request.Request(
+        open_.url, headers={"Host": f"evil.example:{open_.server.get_port()}"}
+    )
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(asked, timeout=30)
+    assert _is_owned("evil.example", 80) and not _is_owned("evil.example", 8080)
+    assert _is_owned("evil.example:x", 8080) and not _is_owned("localhost", 80)
+    assert gate_for(ExploreConfig()).local and open_.gate.local
+    assert not gate_for(ExploreConfig(host="0.0.0.0", token=False)).local
+    open_.gate.local = False
+    try:
+        assert urllib.request.urlopen(asked, timeout=30).status == 200
+    finally:
+        open_.gate.local = True
 
 
 def test_without_the_token_not_a_byte_of_the_page(closed: App):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import xml.etree.ElementTree as ElementTree
 
@@ -9,7 +10,15 @@ import numpy as np
 import pytest
 
 from madviz import cli, displacement
-from madviz.displacement import Point, displace, displacement_table, picture, places
+from madviz.displacement import (
+    DisplaceConfig,
+    Point,
+    displace,
+    displacement_table,
+    picture,
+    places,
+    run_displace,
+)
 from madviz.envs.toy import ToyReach
 from madviz.evaluate import evaluate
 from madviz.moves import Displacement
@@ -46,6 +55,17 @@ def test_places_go_from_none_to_the_last_by_equal_steps():
     assert places("right", 0.2, 5)[0.0].is_none
     assert list(places("pan", -20, 3)) == [0.0, -10.0, -20.0]
     assert list(places("zoom", 2, 3)) == pytest.approx([1, 2**0.5, 2], abs=1e-6)
+
+
+def test_both_ways_are_as_far_and_pass_through_none_once():
+    assert list(places("right", 0.2, 3, both=True)) == [-0.2, -0.1, 0.0, 0.1, 0.2]
+    assert list(places("right", -0.2, 3, both=True)) == [0.2, 0.1, 0.0, -0.1, -0.2]
+    zooms = places("zoom", 2, 3, both=True)
+    assert list(zooms) == pytest.approx([0.5, 0.5**0.5, 1, 2**0.5, 2], abs=1e-6)
+    for moves in (places("tilt", 9, 2, both=True), zooms):
+        assert [move.is_none for move in moves.values()].count(True) == 1
+    with pytest.raises(UserError, match="2 to 50 places, found 51"):
+        places("right", 0.2, 26, both=True)
 
 
 @pytest.mark.parametrize(
@@ -121,14 +141,42 @@ def test_the_command_prints_a_table_writes_json_and_draws(tmp_path, capsys):
     words = ["--policy", "tests.test_displacement:make_seeker", "--camera", "third_b"]
     words += ["--along", "right", "--steps", "3", "--most", "0.6", "--episodes", "3"]
     out, drawn = tmp_path / "out.json", tmp_path / "out.svg"
-    words += ["--workers", "0", "--json", str(out), "--svg", str(drawn)]
+    table = tmp_path / "out.csv"
+    words += ["--workers", "0", "--json", str(out), "--svg", str(drawn), "--csv", str(table)]
     assert cli.main(["displace", *words]) == 0
     said, result = capsys.readouterr().out, json.loads(out.read_text())
     assert result["seed"] == 5000 and [p["at"] for p in result["points"]] == [0.0, 0.3, 0.6]
     assert all(p["n"] == 3 and len(p["ci95"]) == 2 for p in result["points"])
     assert "0.3 m" in said and "n=3" in said and "third_b" in said
     assert ElementTree.fromstring(drawn.read_text()).tag.endswith("svg")
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert [float(row["at"]) for row in rows] == [0.0, 0.3, 0.6]
+    for row, point in zip(rows, result["points"], strict=True):
+        assert (row["camera"], row["along"], row["unit"], row["n"]) == (
+            "third_b",
+            "right",
+            "m",
+            "3",
+        )
+        assert int(row["successes"]) == point["successes"] == round(3 * point["success"])
+        bounds = [float(row["ci95_low"]), float(row["ci95_high"])]
+        assert bounds == point["ci95"] == list(wilson(point["successes"], 3))
     assert cli.main(["displace", *words[:2], "--camera", "nose", "--workers", "0"]) == 2
+    nowhere = ["displace", *words[:4], "--csv", str(tmp_path / "none" / "x.csv")]
+    assert cli.main(nowhere) == 2 and "folder that exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("way", "end"), [("up", 0.2), ("pan", 20.0), ("zoom", 1.5)])
+def test_how_far_depends_on_what_it_is_unless_somebody_says(way, end, monkeypatch):
+    asked = []
+
+    def displaced(policy, camera, moves, **_):
+        asked.extend(moves)
+        return (Point(0.0, 1, 1),)
+
+    monkeypatch.setattr(displacement, "displace", displaced)
+    run_displace(DisplaceConfig("tests.test_displacement:make_seeker", "first", way))
+    assert asked[-1] == end and len(asked) == 5
 
 
 def test_table_and_picture_of_zoom():
@@ -139,6 +187,25 @@ def test_table_and_picture_of_zoom():
     }
     assert "0.5 times" in displacement_table(result)
     assert "50 % more or less" in picture(result)
+    assert "all, out" in picture(result) and "all, in" not in picture(result)
+
+
+def test_a_curve_for_each_way():
+    row = {"success": 0.5, "n": 4, "ci95": list(Point(1.0, 2, 4).ci95)}
+    result = {
+        **{"policy": "p", "task": "t", "camera": "first", "along": "pan", "unit": "°"},
+        **{
+            "subset": "rgb",
+            "points": [{"at": at, **row} for at in (-20.0, -10.0, 0.0, 10.0, 20.0)],
+        },
+    }
+    drawn = picture(result)
+    assert drawn.count("<polyline") == 2 and "rgb, right" in drawn and "rgb, left" in drawn
+    assert "20 °" in drawn
+    starts = [
+        line.split('points="')[1].split(",")[0] for line in drawn.splitlines() if "<polyl" in line
+    ]
+    assert starts[0] == starts[1]  # Both begin where the camera stood in training.
 
 
 def test_the_toy_world_is_where_its_spec_says_afterwards():

@@ -8,7 +8,7 @@ import viser
 
 from madviz.ablations import CameraState, Occlusion
 from madviz.app.cameras import CamerasPanel
-from madviz.app.draw import DRAW_SCRIPT, LEAST, Box, parse_box, patched
+from madviz.app.draw import DRAW_SCRIPT, LEAST, THIN, Box, parse_box, patched
 from madviz.app.mosaic import GAP, HEADER, mosaic
 from madviz.app.panel import apply
 from madviz.envs.base import make_env
@@ -22,26 +22,28 @@ RGB = CameraState("rgb")
 
 
 def test_a_line_of_the_script_is_a_box():
-    assert parse_box("7 1 0.4200 0.5500 0.2000", 3) == Box(1, 0.42, 0.55, 0.2)
+    assert parse_box("7 1 0.4200 0.5500 0.2000 0.1000", 3) == Box(1, 0.42, 0.55, 0.2, 0.1)
 
 
 @pytest.mark.parametrize(
     "line",
     [
         "",
-        "1 0 nan 0.5000 0.2000",
-        "1 0 inf 0.5000 0.2000",
-        "1 0 0.5000 0.5000",
-        "1 0 0.5000 0.5000 0.2000 0.1000",
-        "1 0 1.5000 0.5000 0.2000",
-        "1 0 0.5000 0.5000 1.0001",
-        "1 0 0.5000 0.5000 0.0000",
-        "1 0 -0.500 0.5000 0.2000",
-        "1 0 5e-1 0.5000 0.2000",
-        "1 3 0.5000 0.5000 0.2000",
-        "1 -1 0.5000 0.5000 0.2000",
-        "1 ١ 0.5000 0.5000 0.2000",
-        "1 0 0.5000 0.5000 0.2000\n",
+        "1 0 nan 0.5000 0.2000 0.1000",
+        "1 0 inf 0.5000 0.2000 0.1000",
+        "1 0 0.5000 0.5000 0.2000",
+        "1 0 0.5000 0.5000 0.2000 0.1000 0.1000",
+        "1 0 1.5000 0.5000 0.2000 0.1000",
+        "1 0 0.5000 0.5000 1.0001 0.1000",
+        "1 0 0.5000 0.5000 0.1000 1.0001",
+        "1 0 0.5000 0.5000 0.0000 0.1000",
+        "1 0 0.5000 0.5000 0.1000 0.0000",
+        "1 0 -0.500 0.5000 0.2000 0.1000",
+        "1 0 5e-1 0.5000 0.2000 0.1000",
+        "1 3 0.5000 0.5000 0.2000 0.1000",
+        "1 -1 0.5000 0.5000 0.2000 0.1000",
+        "1 ١ 0.5000 0.5000 0.2000 0.1000",
+        "1 0 0.5000 0.5000 0.2000 0.1000\n",
         "x" * 100_000,
     ],
 )
@@ -52,8 +54,8 @@ def test_anything_else_is_refused_in_one_short_line(line):
 
 
 def test_a_patch_that_is_there_keeps_its_strength():
-    box = Box(0, 0.5, 0.25, 0.333)
-    assert patched(RGB, box, TILE).occlusion == Occlusion("patch", 1.0, 0.5, 0.25, 0.33)
+    box = Box(0, 0.5, 0.25, 0.333, 0.004)
+    assert patched(RGB, box, TILE).occlusion == Occlusion("patch", 1.0, 0.5, 0.25, 0.33, 0.01)
     faint = CameraState("rgb", Occlusion("patch", 0.4))
     assert patched(faint, box, TILE).occlusion.strength == 0.4
     blurred = CameraState("rgb", Occlusion("blur", 0.4))
@@ -76,8 +78,8 @@ def frame_with(*commands) -> Frame:
     ("shown", "y"), [("rgb", 0.3), ("rgb", 0.7), ("depth", 0.3), ("both", 0.25), ("both", 0.7)]
 )
 def test_the_patch_lies_where_the_box_was_drawn(shown, y):
-    """Of the tile's pixels that change, the middle is the box's, whatever the tile shows there."""
-    box = Box(1, 0.4, y, 0.2)
+    """The tile's pixels that change are the box's, whatever the tile shows there."""
+    box = Box(1, 0.4, y, 0.3, 0.15)
     before = frame_with(SetPolicy("toy-rgbd"), SetCamera("third_a", CameraState(shown)))
     state = patched(before.camera("third_a"), box, TILE)
     after = frame_with(SetPolicy("toy-rgbd"), SetCamera("third_a", state))
@@ -89,7 +91,8 @@ def test_the_patch_lies_where_the_box_was_drawn(shown, y):
     rows, columns = np.nonzero(changed)
     assert (columns.min() + columns.max()) / 2 == pytest.approx(0.4 * TILE, abs=4)
     assert (rows.min() + rows.max()) / 2 == pytest.approx(y * TILE, abs=4)
-    assert np.ptp(columns) == pytest.approx(0.2 * TILE, abs=6)
+    assert np.ptp(columns) == pytest.approx(0.3 * TILE, abs=6)
+    assert np.ptp(rows) == pytest.approx(0.15 * TILE, abs=6)
 
 
 @pytest.fixture(scope="module")
@@ -104,10 +107,11 @@ def test_the_panel_sends_what_was_drawn_and_nothing_else(server):
     frame = frame_with()
     panel = CamerasPanel(server.gui, sent.append, frame, 620)
     apply(panel.update(frame))
-    panel._draw("1 2 0.5000 0.5000 0.2500")
-    assert sent == [SetCamera("third_b", CameraState("rgb", Occlusion("patch", size=0.25)))]
+    panel._draw("1 2 0.5000 0.5000 0.2500 0.7500")
+    patch = Occlusion("patch", width=0.25, height=0.75)
+    assert sent == [SetCamera("third_b", CameraState("rgb", patch))]
     with pytest.raises(UserError):
-        panel._draw("2 7 0.5000 0.5000 0.2500")
+        panel._draw("2 7 0.5000 0.5000 0.2500 0.7500")
     assert len(sent) == 1
     panel.remove()
 
@@ -119,4 +123,19 @@ def test_who_only_watches_cannot_draw(server):
 
 
 def test_the_script_knows_what_a_click_is():
-    assert f"const LEAST = {LEAST};" in DRAW_SCRIPT
+    assert f"const LEAST = {LEAST}, THIN = {THIN};" in DRAW_SCRIPT
+
+
+def test_a_patch_has_a_slider_for_each_side_and_only_a_patch_has(server):
+    sent = []
+    frame = frame_with(SetCamera("first", CameraState("rgb", Occlusion("patch", width=0.8))))
+    panel = CamerasPanel(server.gui, sent.append, frame, 620)
+    apply(panel.update(frame))
+    first, second = (control.sliders for control in panel._controls[:2])
+    assert [first[side].value for side in ("width", "height")] == [0.8, 0.4]
+    assert all(first[name].visible and first[name].hint for name in ("x", "y", "width", "height"))
+    assert not any(slider.visible for slider in second.values())
+    panel._controls[0]._on_fraction("height", 0.1)
+    patch = Occlusion("patch", width=0.8, height=0.1)
+    assert sent == [SetCamera("first", CameraState("rgb", patch))]
+    panel.remove()

@@ -402,9 +402,11 @@ def test_a_card_is_not_written_about_occluded_cameras_or_somebodys_own_code(fold
 
 
 def test_occlusions_are_written_as_camera_kind_and_details():
-    assert parse_occlusions(["first=black", "third_a=noise,strength=0.5,size=0.1"]) == {
+    strip = "third_b=patch,y=0.9,width=1,height=0.2"
+    assert parse_occlusions(["first=black", "third_a=noise,strength=0.5,size=0.1", strip]) == {
         "first": Occlusion("black"),
-        "third_a": Occlusion("noise", strength=0.5, size=0.1),
+        "third_a": Occlusion("noise", strength=0.5, width=0.1, height=0.1),
+        "third_b": Occlusion("patch", y=0.9, width=1.0, height=0.2),
     }
     for wrong in (
         "first",

@@ -75,7 +75,9 @@ def session_with(world: list[Interrupted], **options: Any) -> Session:
 
 
 def random_camera(rng: np.random.Generator) -> SetCamera:
-    occlusion = Occlusion(str(rng.choice(KINDS)), float(rng.random()), size=float(rng.random()))  # type: ignore[arg-type]
+    width, height = rng.random(2).tolist()
+    kind = str(rng.choice(KINDS))
+    occlusion = Occlusion(kind, float(rng.random()), width=width, height=height)  # type: ignore[arg-type]
     state = CameraState(str(rng.choice(["rgb", "depth", "both", "off", "both"])), occlusion)  # type: ignore[arg-type]
     return SetCamera(str(rng.choice(CAMERAS)), state)
 
@@ -309,6 +311,23 @@ def test_a_file_that_will_not_do_is_refused_in_one_line(path: str, value: Any) -
     line = str(refused.value)
     assert line.startswith("kept.json: expected") and "found" in line and ";" in line
     assert "\n" not in line and len(line) < 400
+
+
+def test_a_file_from_before_patches_had_two_sides_has_squares() -> None:
+    patch = {"kind": "patch", "strength": 1.0, "x": 0.2, "y": 0.5, "size": 0.3}
+    start = [{"camera": "first", "input": "rgb", "occlusion": patch}]
+    read = parse(json.dumps(put(document(), "episodes.0.start", start)).encode(), "old.json")
+    square = Occlusion("patch", x=0.2, width=0.3, height=0.3)
+    assert read.episodes[0].start == (SetCamera("first", CameraState("rgb", square)),)
+    assert parse(read.to_json().encode(), "new.json") == read
+    for wrong in ({"width": 0.3}, {"width": 0.3, "height": 2.0}, {"size": "0.3"}):
+        without = {key: value for key, value in patch.items() if key != "size"}
+        start[0]["occlusion"] = without | wrong
+        with pytest.raises(UserError, match="old.json: expected episodes"):
+            parse(json.dumps(put(document(), "episodes.0.start", start)).encode(), "old.json")
+    start[0]["occlusion"] = patch | {"width": 0.3, "height": 0.3}
+    with pytest.raises(UserError, match="an object with kind, strength, x, y, size"):
+        parse(json.dumps(put(document(), "episodes.0.start", start)).encode(), "old.json")
 
 
 def test_files_that_are_no_kept_session_at_all(tmp_path: Path) -> None:

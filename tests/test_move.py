@@ -30,7 +30,15 @@ from madviz.frame import (
     words,
 )
 from madviz.kept_reader import parse
-from madviz.moves import Displacement, MoveCamera, along, dragged, trained_axes
+from madviz.moves import (
+    Displacement,
+    MoveCamera,
+    along,
+    dragged,
+    moved_on,
+    trained_axes,
+    turned,
+)
 from madviz.replay import live_again
 from madviz.session import Session
 from madviz.types import CameraSpec, UserError
@@ -264,29 +272,73 @@ def test_the_panel_says_where_cameras_are_and_what_counts():
     live = Live()
     assert "Every camera stands where" in move_html(live.now)
     html = move_html(live.ask(ASIDE))
-    assert "0.30 m to the right" in html and "madviz displace" in html and "First" not in html
+    assert "0.30 m to the right" in html and "First" not in html
+    told = "madviz displace --policy toy-mad --camera third_a --along right --most 0.3<"
+    assert told in html
+    html = move_html(live.ask(MoveCamera("third_a", Displacement(tilt=-12, zoom=2))))
+    assert "--along tilt --most -12<" in html
 
 
 @pytest.mark.parametrize("camera", ["first", "third_a"])
-def test_dragging_along_an_arrow_is_what_the_slider_of_that_name_does(camera):
+def test_dragging_counts_along_the_axes_that_the_sliders_have(camera):
     live = Live()
-    turned = Displacement(right=0.1, pan=30, tilt=-20, zoom=1.2)
-    frame = live.ask(Pause(), MoveCamera(camera, turned))
+    aside = Displacement(right=0.1, pan=30, tilt=-20, zoom=1.2)
+    frame = live.ask(Pause(), MoveCamera(camera, aside))
     pose, spec = frame.poses[camera], frame.env.camera(camera)
     trained = Rotation.from_quat(spec.wxyz, scalar_first=True)
-    axes = trained_axes(pose, turned)
+    axes = trained_axes(pose, aside)
     assert axes.as_matrix() == pytest.approx(trained.as_matrix(), abs=1e-9)
-    assert dragged(pose, turned, pose.position) == turned
+    assert dragged(pose, aside, pose.position) == aside
     there = pose.position + trained.apply([0.2, 0.3, -0.4])  # Right, up, forward.
-    assert dragged(pose, turned, there) == replace(turned, right=0.3, up=0.3, forward=0.4)
-    far = dragged(pose, turned, pose.position + trained.apply([50, 0, 0]))
+    assert dragged(pose, aside, there) == replace(aside, right=0.3, up=0.3, forward=0.4)
+    far = dragged(pose, aside, pose.position + trained.apply([50, 0, 0]))
     assert far.right == 1.0 and far.forward == 0
     with pytest.raises(UserError, match="expected a place"):
-        dragged(pose, turned, np.array([np.nan, 0, 0]))
+        dragged(pose, aside, np.array([np.nan, 0, 0]))
 
 
-def test_arrows_stand_where_the_camera_does_unless_they_are_dragged():
+@pytest.mark.parametrize("camera", ["first", "third_a"])
+def test_turning_pans_and_tilts_and_leaves_the_picture_upright(camera):
+    live = Live()
+    aside = Displacement(right=0.1, pan=30, tilt=-20, zoom=1.2)
+    pose = live.ask(Pause(), MoveCamera(camera, aside)).poses[camera]
+
+    def after(turn: Rotation, about_trained: bool = False) -> Displacement:
+        now = Rotation.from_quat(pose.wxyz, scalar_first=True)
+        trained = trained_axes(pose, aside)
+        to = trained * turn * trained.inv() * now if about_trained else now * turn
+        return turned(pose, aside, to.as_quat(scalar_first=True))
+
+    def about(axis: str, degrees: float) -> Rotation:
+        return Rotation.from_euler(axis, degrees, degrees=True)
+
+    assert after(about("x", 0)) == aside
+    assert after(about("z", 25)) == aside  # A picture on its side.
+    assert after(about("x", 15)) == replace(aside, tilt=-5)  # About the picture's own right.
+    assert after(about("y", -12), about_trained=True) == replace(aside, pan=42)
+    assert after(about("y", -140), about_trained=True) == replace(aside, pan=90)
+    assert after(about("x", -70)) == replace(aside, tilt=-90)  # Straight down, and still panned.
+
+
+def test_where_a_camera_will_be_is_where_it_comes_to_be():
+    live = Live()
+    before = Displacement(right=0.1, pan=30, tilt=-20)
+    after = Displacement(up=0.2, forward=-0.1, right=0.3, pan=-7, tilt=11)
+    pose = live.ask(Pause(), MoveCamera("third_a", before)).poses["third_a"]
+    there = live.ask(MoveCamera("third_a", after)).poses["third_a"]
+    will = moved_on(pose, before, after)
+    assert will.position == pytest.approx(there.position, abs=1e-6)
+    assert abs(will.wxyz @ there.wxyz) == pytest.approx(1, abs=1e-9)
+
+
+@pytest.fixture(scope="module")
+def server():
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server
+    server.stop()
+
+
+def test_arrows_stand_where_the_camera_does_unless_they_are_dragged(server):
     live, moved = Live(), []
     frame = live.ask(Pause())
     gizmo = Gizmo(server.scene, frame, 1.0, lambda *said: moved.append(said))
@@ -309,4 +361,37 @@ def test_arrows_stand_where_the_camera_does_unless_they_are_dragged():
     apply(gizmo.update(live.now))
     assert gizmo._handle.position == pytest.approx(live.now.poses["third_a"].position)
     gizmo.remove()
-    server.stop()
+
+
+def test_a_ring_turns_the_camera_and_on_release_stands_as_the_camera_does(server):
+    live, moved = Live(), []
+    gizmo = Gizmo(server.scene, live.ask(Pause()), 1.0, lambda *said: moved.append(said))
+    gizmo.camera = "third_a"
+    apply(gizmo.update(live.ask(ASIDE)))
+    pose, handle = live.now.poses["third_a"], gizmo._handle
+    before = Rotation.from_quat(pose.wxyz, scalar_first=True)
+
+    def hear(phase: str, axes: Rotation) -> None:
+        handle.wxyz = axes.as_quat(scalar_first=True)
+        event = SimpleNamespace(client=object(), phase=phase, target=handle)
+        asyncio.run(gizmo._hear(event))  # type: ignore[arg-type]
+
+    hear("start", before)
+    for angle in (3, 8):
+        hear("update", before * Rotation.from_euler("y", angle, degrees=True))
+    assert [one.pan for _, one in moved] == [0, 3, 8]
+    handle.position = pose.position + 0.1  # Whoever turns does not move.
+    hear("update", before)  # Back again: a ring, and not an arrow that went nowhere.
+    assert moved[-1] == ("third_a", RIGHT)
+    sideways = before * Rotation.from_euler("YZ", [8, 40], degrees=True)
+    hear("end", sideways)
+    assert moved[-1] == ("third_a", replace(RIGHT, pan=8))
+    upright = before * Rotation.from_euler("y", 8, degrees=True)
+    stands = Rotation.from_quat(handle.wxyz, scalar_first=True)
+    assert (stands.inv() * upright).magnitude() < 1e-6
+    assert handle.position == pytest.approx(pose.position)
+    apply(gizmo.update(live.ask(MoveCamera(*moved[-1]))))
+    hear("update", upright)  # The next drag is an arrow's again.
+    assert moved[-1] == ("third_a", replace(RIGHT, pan=8))
+    assert not gizmo._turning
+    gizmo.remove()

@@ -6,6 +6,7 @@ import re
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import imageio.v2 as imageio
@@ -14,10 +15,12 @@ import pytest
 from rerun.chunk import RrdReader
 
 from madviz import cli, recording
+from madviz.app.sight import Sight, first_look
 from madviz.failures import parse_schedule
 from madviz.frame import Frame, SetSchedule
 from madviz.kept_reader import read_kept
 from madviz.recording import Facts, RecordConfig, command_of, frames, run_record, writer_for
+from madviz.recording_rerun import ASPECT, FOV
 from madviz.session import Session
 from madviz.svg_curves import curves
 from madviz.types import UserError
@@ -133,6 +136,30 @@ def test_a_rerun_file_holds_every_step(tmp_path: Path) -> None:
     assert blueprint.application_id == "madviz"
     # Raw pixels of three views would be 63 KB a step.
     assert path.stat().st_size < 26 * 16_000
+
+
+def test_the_viewer_opens_with_the_sight_of_the_page(tmp_path: Path) -> None:
+    path = tmp_path / "x.rrd"
+    first = written(path, 2)[0]
+    (blueprint,) = RrdReader(path).blueprints()
+    chunks = RrdReader(path).stream(store=blueprint)
+    (eye,) = [c.to_record_batch() for c in chunks if c.entity_path.endswith("/EyeControls3D")]
+    place, target, up = (
+        np.array(eye[f"EyeControls3D:{name}"].to_pylist()[0][0])
+        for name in ("position", "look_target", "eye_up")
+    )
+    page = SimpleNamespace(image_width=600, image_height=500)
+    Sight(page, *first_look(first))
+    ahead, ours = target - place, page.look_at - page.position
+    np.testing.assert_allclose(
+        ahead / np.linalg.norm(ahead), ours / np.linalg.norm(ours), atol=1e-5
+    )
+    assert up.tolist() == [0, 0, 1]
+    points, _ = first_look(first)
+    depth = (points - place) @ ahead / np.linalg.norm(ahead)
+    across = np.linalg.norm(np.cross(points - place, ahead / np.linalg.norm(ahead)), axis=1)
+    corner = np.hypot(1, ASPECT) * np.tan(FOV / 2)
+    assert depth.min() > 0 and 0.5 * corner < (across / depth).max() <= corner
 
 
 def test_depth_that_a_policy_takes_is_in_a_rerun_file(tmp_path: Path) -> None:

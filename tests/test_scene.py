@@ -15,8 +15,8 @@ import viser
 from madviz.ablations import CameraState, Occlusion
 from madviz.app.bodies import creased, glb, joined, linear
 from madviz.app.panel import apply
-from madviz.app.scene import MOVE, MOVE_AT_FULL_SPEED, ScenePanel, picture, sight
-from madviz.app.sight import FOV, MARGIN, Sight, nearest_place
+from madviz.app.scene import MOVE, MOVE_AT_FULL_SPEED, ScenePanel, picture
+from madviz.app.sight import FOV, MARGIN, Sight, first_look, nearest_place
 from madviz.envs import bodies
 from madviz.envs.base import make_env
 from madviz.frame import Frame, Pause, SetCamera, SetSpeed, StepOnce
@@ -212,7 +212,7 @@ def test_the_first_place_has_cameras_apart_and_pictures_the_right_way_round():
     frame = session.latest
     assert isinstance(frame, Frame)
     camera = SimpleNamespace(image_width=312, image_height=800)
-    sight(camera, frame, 1.0)
+    Sight(camera, *first_look(frame))
     ahead = camera.look_at - camera.position
     for name in ("third_a", "third_b"):
         _, x, y, z = frame.poses[name].wxyz

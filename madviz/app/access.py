@@ -14,6 +14,13 @@ A browser opens a websocket to any machine that any page names, this one include
 ``Origin`` whose page that was. So, with a token or without, a websocket is opened only for pages
 that came from here: another site's page cannot steer what runs on a visitor's own machine.
 
+Whoever owns a name may let it point anywhere, also at 127.0.0.1 a moment after a browser has loaded
+a page under it (DNS rebinding). That page then counts as one from here, and only ``Host`` still has
+the name it came by. So what serves this machine alone answers to numbers and to localhost, and else
+to what a proxy passes on: that has a port of its own, or says so in a header that pages cannot send
+with a websocket. What is left open is a tunnel (``ssh -L``) whose port here has another number than
+there: it looks like a proxy that says nothing.
+
 There are two tokens. The visitors' lets in; where the page serves beyond this machine, it is there
 by default. The presenter's, in presenter mode, also hands over the controls, so a page that is
 loaded again has them again. Both are 128 random bits, compared in constant time: at five tries a
@@ -68,6 +75,9 @@ FORM = """<!doctype html><html lang="en"><meta charset="utf-8"><title>madviz</ti
 ASKED = "This page needs the token that was printed where it was started."
 WRONG = "This is not the token that was printed where the page was started."
 FOREIGN = "A page of another site asked for this one; open this address itself."
+RENAMED = (
+    "This page is for this machine alone; open it as http://127.0.0.1:{}, or start it with --host."
+)
 TOO_MANY = "Too many wrong tokens from here; wait a second."
 
 
@@ -106,10 +116,13 @@ class Tries:
 
 
 class Gate:
-    """See the module. ``visit`` None: everybody may watch. ``present`` None: nobody presents."""
+    """See the module. ``visit`` None: everybody may watch. ``present`` None: nobody presents.
+    ``local``: what is guarded serves this machine alone."""
 
-    def __init__(self, visit: str | None = None, present: str | None = None) -> None:
-        self.visit, self.present = visit, present
+    def __init__(
+        self, visit: str | None = None, present: str | None = None, local: bool = False
+    ) -> None:
+        self.visit, self.present, self.local = visit, present, local
         self.tries = Tries()
         self._roles: WeakKeyDictionary[ServerConnection, Role] = WeakKeyDictionary()
 
@@ -120,11 +133,13 @@ class Gate:
 
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The gate's own answer to a request; None where viser may give its own."""
+        port = connection.local_address[1]
+        if self.local and _is_renamed(request, port):
+            return _refusal(HTTPStatus.FORBIDDEN, RENAMED.format(port))
         if _is_websocket(request) and _is_foreign(request):
             return _refusal(HTTPStatus.FORBIDDEN, FOREIGN)
         if self.visit is None and self.present is None:
             return None
-        port = connection.local_address[1]
         address = str((connection.remote_address or ("?",))[0])
         asked, carried = _asked(request), _cookie(request, port)
         said = carried if asked is None else asked
@@ -240,6 +255,30 @@ def _is_foreign(request: Request) -> bool:
     except ValueError:
         return True
     return whose not in {name.strip().lower() for name in names}
+
+
+def _is_renamed(request: Request, port: int) -> bool:
+    """Whether a browser has come straight to this ``port`` by a name that somebody else may own. A
+    number is nobody's; a page cannot add headers to a websocket, and a proxy does."""
+    if any(name.lower().startswith(("x-forwarded-", "forwarded")) for name in request.headers):
+        return False
+    return any(_is_owned(host, port) for host in request.headers.get_all("Host"))
+
+
+def _is_owned(host: str, port: int) -> bool:
+    """Whether ``host`` (``name:port``) is ``port`` under a name other than this machine's own."""
+    try:
+        asked = urlsplit(f"//{host.strip()}")
+        name, number = (asked.hostname or "").rstrip("."), asked.port or 80
+    except ValueError:
+        return True
+    if number != port or name == "localhost" or name.endswith(".localhost"):
+        return False
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return True
+    return False
 
 
 def _admission(request: Request, port: int, token: str) -> Response:

@@ -26,16 +26,18 @@ SLIDERS = {
     "strength": ("noise", "blur", "patch", "dropout", "delay"),
     "x": ("patch",),
     "y": ("patch",),
-    "size": ("patch",),
+    "width": ("patch",),
+    "height": ("patch",),
 }
 """Each fraction of an occlusion, and the kinds it matters to."""
 HINTS = {
     "input": "What the policy gets of this camera. Off drops it: its feature leaves the sum.",
     "occlusion": "A failing camera: it stays in the sum, but sends a spoilt picture.",
     "strength": "How strongly the picture is spoilt.",
-    "x": "Centre of the patch, from the left.",
-    "y": "Centre of the patch, from the top.",
-    "size": "Side of the patch, as a part of the picture.",
+    "x": "Centre of the patch, from the left; 0.5 is the middle.",
+    "y": "Centre of the patch, from the top; 0.5 is the middle.",
+    "width": "Width of the patch, as a share of the picture's; 1 is all of it.",
+    "height": "Height of the patch, as a share of the picture's; 1 is all of it.",
 }
 
 

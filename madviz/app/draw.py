@@ -4,14 +4,14 @@ The problem: viser tells nobody where a visitor clicks in a picture, and a scrip
 talk to Python by itself. The idea: it speaks through a text field that nobody sees. The script
 writes a line into it as if somebody had typed, and viser carries that home like any other text:
 
-    drag ─► rubber band ─► "7 1 0.4200 0.5500 0.2000" ─► hidden field ─► SetCamera(patch)
-                            │ │ └ middle and side, parts of the tile
+    drag ─► rubber band ─► "7 1 0.4200 0.5500 0.2000 0.1000" ─► hidden field ─► SetCamera(patch)
+                            │ │ └ middle, width and height, parts of the tile
                             │ └ the tile, from 0
                             └ counts, so that the same box twice is two texts
 
-A patch is a square, so the rubber band is one, too: what is drawn is what is covered. Lines come
-from a page that anybody may have changed, so ``parse_box`` takes nothing but this form. A click, or
-a drag of a few pixels, does nothing. Fingers scroll the panel instead of drawing.
+What is drawn is what is covered: the band ends where its tile does. Lines come from a page that
+anybody may have changed, so ``parse_box`` takes nothing but this form. A click, or a drag of a few
+pixels, does nothing. Fingers scroll the panel instead of drawing.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ from madviz.app.toolkit import selector
 from madviz.types import UserError
 
 HINT = "Drag a box on a picture: a black patch covers it."
-LEAST = 8
-"""Pixels on the screen; a shorter drag is a click with an unsteady hand."""
+LEAST, THIN = 8, 2
+"""Pixels on the screen: a shorter drag is a click with an unsteady hand, a thinner one covers not a
+pixel of what the policy gets."""
 
 DRAW_SCRIPT = (
-    f"const LEAST = {LEAST};"
+    f"const LEAST = {LEAST}, THIN = {THIN};"
     + """
 if (!window.madvizDraw) {
   const draw = window.madvizDraw = {count: 0, drag: null};
@@ -45,11 +46,12 @@ if (!window.madvizDraw) {
     const inside = index >= 0 && index < tiles && x >= 0 && x < side && y >= 0 && y < side;
     return inside ? {image, index, left, top, side, x, y} : null;
   };
-  const square = ({side, x, y}, toX, toY) => {
-    const right = toX >= x, down = toY >= y;
-    const room = Math.min(right ? side - x : x, down ? side - y : y);
-    const size = Math.min(Math.max(Math.abs(toX - x), Math.abs(toY - y)), room);
-    return {left: right ? x : x - size, top: down ? y : y - size, size};
+  const spanned = ({left, top, side, x, y}, event) => {
+    const within = value => Math.min(Math.max(value, 0), side);
+    const toX = within(event.clientX - left), toY = within(event.clientY - top);
+    const width = Math.abs(toX - x), height = Math.abs(toY - y);
+    return {left: Math.min(x, toX), top: Math.min(y, toY), width, height,
+      seen: Math.max(width, height) >= LEAST && Math.min(width, height) >= THIN};
   };
   const tell = (image, text) => {
     const input = document.querySelector(`[data-mv-id="${image.dataset.draw}"] input`);
@@ -75,18 +77,18 @@ if (!window.madvizDraw) {
   addEventListener('pointermove', event => {
     const drag = draw.drag;
     if (!drag) return;
-    const {left, top, size} = square(drag, event.clientX - drag.left, event.clientY - drag.top);
+    const {left, top, width, height, seen} = spanned(drag, event);
     Object.assign(drag.band.style, {
-      display: size < LEAST ? 'none' : 'block', left: drag.left + left + 'px',
-      top: drag.top + top + 'px', width: size + 'px', height: size + 'px'});
+      display: seen ? 'block' : 'none', left: drag.left + left + 'px',
+      top: drag.top + top + 'px', width: width + 'px', height: height + 'px'});
   });
   addEventListener('pointerup', event => {
     const drag = draw.drag;
     end();
     if (!drag) return;
-    const {left, top, size} = square(drag, event.clientX - drag.left, event.clientY - drag.top);
-    if (size < LEAST) return;
-    const parts = [left + size / 2, top + size / 2, size].map(
+    const {left, top, width, height, seen} = spanned(drag, event);
+    if (!seen) return;
+    const parts = [left + width / 2, top + height / 2, width, height].map(
       one => Math.min(Math.max(one / drag.side, 0), 1).toFixed(4));
     tell(drag.image, [++draw.count, drag.index, ...parts].join(' '));
   });
@@ -100,19 +102,20 @@ if (!window.madvizDraw) {
 )
 
 _FRACTION = r"([01]\.\d{4})"
-_LINE = re.compile(rf"[0-9]{{1,9}} ([0-9]{{1,2}}) {_FRACTION} {_FRACTION} {_FRACTION}", re.ASCII)
+_LINE = re.compile(r"[0-9]{1,9} ([0-9]{1,2})" + rf" {_FRACTION}" * 4, re.ASCII)
 
 
 @dataclass(frozen=True)
 class Box:
-    """A square on one tile; everything in parts of the tile's width."""
+    """A rectangle on one tile; everything in parts of the tile, which is as high as wide."""
 
     tile: int
     x: float
     """Middle, from the left."""
     y: float
     """Middle, from the top."""
-    size: float
+    width: float
+    height: float
 
 
 def parse_box(text: str, tiles: int) -> Box:
@@ -122,12 +125,12 @@ def parse_box(text: str, tiles: int) -> Box:
         raise UserError(
             f"expected a box as this page draws one, found {text!r:.60}; load the page again"
         )
-    tile, (x, y, size) = int(found[1]), map(float, found.groups()[1:])
-    if tile >= tiles or max(x, y, size) > 1 or size == 0:
+    tile, numbers = int(found[1]), [float(number) for number in found.groups()[1:]]
+    if tile >= tiles or max(numbers) > 1 or min(numbers[2:]) == 0:
         raise UserError(
             f"expected a box inside one of {tiles} pictures, found {text!r:.60}; draw it again"
         )
-    return Box(tile, x, y, size)
+    return Box(tile, *numbers)
 
 
 def patched(state: CameraState, box: Box, tile: int) -> CameraState:
@@ -136,10 +139,10 @@ def patched(state: CameraState, box: Box, tile: int) -> CameraState:
     if state.input == "off":
         raise UserError("expected a camera that is on, found one that is dropped; switch it on")
     strength = state.occlusion.strength if state.occlusion.kind == "patch" else 1.0
-    y = _row(box.y, state.input, tile)
     # Hundredths, as the sliders have them: less than a pixel of what the policy gets.
-    x, y, size = (round(value, 2) for value in (box.x, y, box.size))
-    return CameraState(state.input, Occlusion("patch", strength, x, y, max(size, 0.01)))
+    x, y = round(box.x, 2), round(_row(box.y, state.input, tile), 2)
+    width, height = (max(round(side, 2), 0.01) for side in (box.width, box.height))
+    return CameraState(state.input, Occlusion("patch", strength, x, y, width, height))
 
 
 def _row(y: float, shown: str, tile: int) -> float:

@@ -1,8 +1,13 @@
-"""Arrows at a camera in the scene: drag one, and the camera goes along.
+"""Arrows and rings at a camera in the scene: drag one, and the camera goes along, or turns.
 
-They point along the camera's own axes, as it stood in training, so that an arrow does what the
-slider of the same direction does. A camera on the hand has them moving with it. While somebody
-drags, where the arrows are is what counts; otherwise they are where the camera is.
+They point along the camera's own axes, as it stands now: to its picture's right and bottom, and
+into it. Those of a camera on the hand move with it. While somebody drags, where the arrows are is
+what counts; otherwise they are where the camera is. So a picture that was turned on its side, which
+no slider does, is upright again on release.
+
+The browser says where the arrows are, and not what of them is held. An arrow leaves the axes as
+they were sent to it; the messages take a moment, and a hand turns meanwhile, so axes that differ
+from all that were sent lately have been turned by a ring.
 """
 
 from __future__ import annotations
@@ -13,11 +18,17 @@ import numpy as np
 import viser
 
 from madviz.app.panel import Assign
+from madviz.app.toolkit import guarded
 from madviz.frame import Frame
-from madviz.moves import Displacement, dragged, trained_axes
+from madviz.moves import Displacement, dragged, moved_on, turned
+from madviz.types import Array, CameraPose
 
 SIZE = 0.25
 """Length of an arrow, as a share of the scene."""
+LATELY = 20
+"""How many axes are remembered: those of a second or two."""
+SAME = float(np.radians(0.1))
+"""Radians between two axes that nobody has turned."""
 
 
 class Gizmo:
@@ -33,20 +44,41 @@ class Gizmo:
         """``size`` in metres, of the whole scene."""
         self.camera = ""
         """Which camera has the arrows; '' for none."""
-        self._frame, self._on_move, self._dragging = frame, on_move, False
+        self._frame, self._on_move = frame, on_move
+        self._dragging, self._turning = False, False
+        self._sent: list[Array] = []
         self._handle = scene.add_transform_controls(
-            "/moved", SIZE * size, disable_rotations=True, disable_sliders=True, visible=False
+            "/moved", SIZE * size, disable_sliders=True, visible=False
         )
         # A coroutine runs in the thread that heard of it; see ``toolkit.Choice``.
         self._handle.on_update(self._hear)
 
     async def _hear(self, event: viser.TransformControlsEvent) -> None:
-        if event.client is None or not self.camera:
-            return
-        self._dragging = event.phase != "end"
+        if event.client is not None and self.camera in self._frame.poses:
+            self._dragging = event.phase != "end"
+            guarded(event.client, lambda: self._follow(event.target))
+            self._turning = self._turning and self._dragging
+
+    def _follow(self, target: viser.TransformControlsHandle) -> None:
+        """Asks for what the arrows say; once they are let go, they stand where the camera will."""
+        pose = self._frame.poses[self.camera]
         move = self._frame.ablation.moves.get(self.camera, Displacement())
-        place = np.asarray(event.target.position, float)
-        self._on_move(self.camera, dragged(self._frame.poses[self.camera], move, place))
+        wxyz = np.asarray(target.wxyz, float)
+        self._turning = self._turning or self._is_turned(wxyz)
+        if self._turning:
+            asked = turned(pose, move, wxyz)
+        else:
+            asked = dragged(pose, move, np.asarray(target.position, float))
+        self._on_move(self.camera, asked)
+        if not self._dragging:
+            for change in self._stand(moved_on(pose, move, asked)):
+                setattr(change.handle, change.name, change.value)
+
+    def _is_turned(self, wxyz: Array) -> bool:
+        """Whether ``wxyz`` (4,) are none of the axes that were sent lately."""
+        sent = self._sent or [np.zeros(4)]
+        alike = np.abs(np.array(sent) @ wxyz)
+        return bool(2 * np.arccos(min(alike.max(), 1.0)) > SAME)
 
     def update(self, frame: Frame) -> list[Assign]:
         """Shows the arrows where the camera is, unless somebody drags them."""
@@ -55,13 +87,14 @@ class Gizmo:
             return [Assign(self._handle, "visible", False)]
         changes = [Assign(self._handle, "visible", True)]
         if not self._dragging:
-            pose = frame.poses[self.camera]
-            axes = trained_axes(pose, frame.ablation.moves.get(self.camera, Displacement()))
-            changes += [
-                Assign(self._handle, "position", np.asarray(pose.position, float)),
-                Assign(self._handle, "wxyz", axes.as_quat(scalar_first=True)),
-            ]
+            changes += self._stand(frame.poses[self.camera])
         return changes
+
+    def _stand(self, pose: CameraPose) -> list[Assign]:
+        place, wxyz = np.asarray(pose.position, float), np.asarray(pose.wxyz, float)
+        # A new list, because another thread may look through the old one.
+        self._sent = [*self._sent[1 - LATELY :], wxyz]
+        return [Assign(self._handle, "position", place), Assign(self._handle, "wxyz", wxyz)]
 
     def remove(self) -> None:
         self._handle.remove()

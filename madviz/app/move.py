@@ -16,7 +16,7 @@ import viser
 from madviz.app.colours import NOTE, camera_colours
 from madviz.app.gizmo import Gizmo
 from madviz.app.panel import Assign
-from madviz.app.scene import extent
+from madviz.app.sight import extent
 from madviz.app.toolkit import Cell, Choice, Shown, grid, on_value, remove_all
 from madviz.frame import Command, Frame
 from madviz.moves import Displacement, MoveCamera
@@ -29,7 +29,7 @@ HINTS = {
     "pan": "Degrees that it turns to the right.",
     "tilt": "Degrees that it turns up.",
     "zoom": "2 shows half as much across, twice as large.",
-    "arrows": "Arrows at the camera in the scene, to drag it along its own axes.",
+    "arrows": "Arrows and rings at the camera in the scene: drag one to move or to turn it.",
     "back": "Back to where the policy was trained with it.",
     "all": "All cameras back to where the policy was trained with them.",
 }
@@ -179,5 +179,17 @@ def move_html(frame: Frame) -> str:
         f'<div class="mv mv-moved" style="border-left:3px solid {NOTE};margin:0 10px;'
         f'padding:2px 8px">{rows}<div class="dim">A setting of its own: its success is that of '
         "whole episodes with the cameras there. Success against distance: "
-        "<code>madviz displace</code>.</div></div>"
+        f"<code>{escape(sweep(frame))}</code></div></div>"
+    )
+
+
+def sweep(frame: Frame) -> str:
+    """The command that measures success on the way to where the first moved camera stands, along
+    the first of its axes that it went; the others it leaves as they were."""
+    camera = next(c.name for c in frame.env.cameras if c.name in frame.ablation.moves)
+    moved, plain = frame.ablation.moves[camera], Displacement()
+    way = next(name for name in RANGES if getattr(moved, name) != getattr(plain, name))
+    return (
+        f"madviz displace --policy {frame.policy.name} --camera {camera} --along {way} "
+        f"--most {getattr(moved, way):g}"
     )

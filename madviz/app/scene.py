@@ -16,16 +16,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import viser
-from scipy.spatial.transform import Rotation
 
 from madviz.app.bodies import Bodies
 from madviz.app.colours import NOTE, camera_colours, rgb
 from madviz.app.panel import Assign
-from madviz.app.sight import Sight, outlook
+from madviz.app.sight import WIDTH, WIDTH_ON_BODY, Sight, extent, first_look
 from madviz.frame import Frame
 from madviz.types import Array, CameraPose
 
@@ -38,8 +36,6 @@ AFTER_TOUCH = 0.2
 browser takes messages in order, and those behind a change of the scene wait until it is drawn."""
 OFF = (110, 112, 116)
 """The colour of a dropped camera."""
-WIDTH, WIDTH_ON_BODY = 0.24, 0.14
-"""How wide a frustum's picture is, as a share of the scene; one on the hand must not hide it."""
 
 
 class ScenePanel:
@@ -68,7 +64,7 @@ class ScenePanel:
             self._bodies = Bodies(client, frame)
             for camera in frame.env.cameras:
                 self._add(client, frame, camera.name, colours[camera.name], on_click)
-        self._sight = sight(client.camera, frame, self._size)
+        self._sight = Sight(client.camera, *first_look(frame))
 
     def update(self, frame: Frame) -> list[Assign]:
         now, hurried = self._clock(), frame.speed is None and frame.phase == "playing"
@@ -208,55 +204,7 @@ def striped(seen: Array) -> Array:
     return np.where(inside[..., None], seen, stripes).astype(np.uint8)
 
 
-def sight(camera: Any, frame: Frame, size: float) -> Sight:
-    """Where the visitor stands first: cameras and whatever is on the table in sight."""
-    pictures, points = [], []
-    for name, pose in frame.poses.items():
-        half = (WIDTH_ON_BODY if frame.env.camera(name).body else WIDTH) * size / 2
-        ahead = half / np.tan(np.radians(pose.fovy) / 2)
-        corners = np.array([[x * half, y * half, ahead] for x in (-1, 1) for y in (-1, 1)])
-        seen = _to_world(np.vstack([np.zeros(3), corners]), np.r_[pose.position, pose.wxyz])
-        pictures.append(seen[1:].mean(0))
-        points.append(seen)
-    points.append(
-        frame.hand + 0.2 * size * np.array([[1, 1, 0], [-1, 1, 0], [1, -1, 0], [-1, -1, 0]])
-    )
-    for body, pose in zip(frame.bodies, frame.body_poses, strict=True):
-        here = _to_world(np.concatenate([part.vertices for part in body.parts]), pose)
-        ends = np.c_[here.min(0), here.max(0)]
-        if np.ptp(ends[:2], axis=1).max() < size and ends[2, 1] >= 0:  # No table, nothing under it.
-            ends[2, 0] = max(ends[2, 0], 0.0)
-            points.append(np.array(np.meshgrid(*ends)).reshape(3, -1).T)
-    seen, places = np.concatenate(points), np.array(pictures)
-    facing = places - np.array([frame.poses[name].position for name in frame.poses])
-    facing /= np.linalg.norm(facing, axis=1, keepdims=True)
-    return Sight(camera, seen, outlook(seen, places, facing, frame.hand))
-
-
-def _to_world(points: Array, pose: Array) -> Array:
-    turned = Rotation.from_quat(np.asarray(pose[3:], float), scalar_first=True).apply(points)
-    return turned + np.asarray(pose[:3], float)
-
-
 def _same(pose: CameraPose, before: CameraPose) -> bool:
     """Whether nobody could tell the two poses apart."""
     near = np.abs(np.subtract(pose.position, before.position)).max() < 0.0005
     return bool(near and np.abs(np.subtract(pose.wxyz, before.wxyz)).max() < 0.002)
-
-
-def extent(frame: Frame) -> float:
-    """Metres: how far the cameras are from what they look at."""
-    centre = _focus(frame)
-    distances = [float(np.linalg.norm(pose.position - centre)) for pose in frame.poses.values()]
-    return max(0.5, max(distances))
-
-
-def _focus(frame: Frame) -> Array:
-    """(3,) the point nearest to all lines of sight, by least squares."""
-    left, right = np.zeros((3, 3)), np.zeros(3)
-    for pose in frame.poses.values():
-        w, x, y, z = pose.wxyz
-        axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
-        across = np.eye(3) - np.outer(axis, axis)
-        left, right = left + across, right + across @ pose.position
-    return np.linalg.lstsq(left, right, rcond=None)[0] if np.isfinite(left).all() else np.zeros(3)

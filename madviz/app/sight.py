@@ -8,6 +8,8 @@ points whose |x - e| <= a (z - f), so
 
     e - a f >= max(x - a z) = P,    e + a f <= min(x + a z) = M
     f = (M - P) / 2a,  e = (M + P) / 2        (the same up and down; the smaller f counts)
+
+Recordings for rerun open with the same look, so nothing here knows viser.
 """
 
 from __future__ import annotations
@@ -15,8 +17,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from madviz.app.panel import Assign, apply
+from madviz.frame import Frame
 from madviz.types import Array
 
 FOV = float(np.radians(50))
@@ -25,20 +29,31 @@ DOWN = 0.6
 """Metres down for each metre ahead, of the direction in which a visitor looks at first."""
 MARGIN = (0.84, 0.94)
 """Share of the picture that the points may fill, across and up; labels are wider than points."""
+WIDTH, WIDTH_ON_BODY = 0.24, 0.14
+"""How wide a frustum's picture is, as a share of the scene; one on the hand must not hide it."""
 
 
-def nearest_place(points: Array, ahead: Array, aspect: float) -> Array:
+def nearest_place(points: Array, ahead: Array, aspect: float, fov: float = FOV) -> Array:
     """(3,) where a camera that looks along ``ahead`` (3,), z upwards, has all ``points`` (n, 3) in
-    sight; ``aspect`` is the picture's width by its height."""
+    sight; ``aspect`` is the picture's width by its height, ``fov`` its vertical field of view in
+    radians."""
     axes = _axes(ahead)
     x, y, z = (points @ axes.T).T
-    half = np.tan(FOV / 2)
+    half = np.tan(fov / 2)
     places = []
     for along, tangent in ((x, MARGIN[0] * half * aspect), (y, MARGIN[1] * half)):
         most, least = (along - tangent * z).max(), (along + tangent * z).min()
         places.append(((least + most) / 2, (least - most) / (2 * tangent)))
     depth = min(place[1] for place in places)
     return np.array([places[0][0], places[1][0], depth]) @ axes
+
+
+def eye(points: Array, ahead: Array, aspect: float, fov: float = FOV) -> tuple[Array, Array]:
+    """(3,) where to stand, and (3,) what to look at: the nearest place, and as far ahead of it as
+    the ``points`` are in the mean. A viewer that turns about what it looks at stays with them."""
+    place = nearest_place(points, ahead, aspect, fov)
+    ahead = ahead / np.linalg.norm(ahead)
+    return place, place + float(((points - place) @ ahead).mean()) * ahead
 
 
 def outlook(points: Array, pictures: Array, facing: Array, hand: Array) -> Array:
@@ -64,6 +79,56 @@ def outlook(points: Array, pictures: Array, facing: Array, hand: Array) -> Array
         if score > most:
             best, most = ahead, score
     return best / np.linalg.norm(best)
+
+
+def first_look(frame: Frame) -> tuple[Array, Array]:
+    """What must be seen at first, (n, 3) points, and along which direction (3,): cameras, the hand
+    and whatever is on the table."""
+    size = extent(frame)
+    pictures, points = [], []
+    for name, pose in frame.poses.items():
+        half = (WIDTH_ON_BODY if frame.env.camera(name).body else WIDTH) * size / 2
+        ahead = half / np.tan(np.radians(pose.fovy) / 2)
+        corners = np.array([[x * half, y * half, ahead] for x in (-1, 1) for y in (-1, 1)])
+        seen = _to_world(np.vstack([np.zeros(3), corners]), np.r_[pose.position, pose.wxyz])
+        pictures.append(seen[1:].mean(0))
+        points.append(seen)
+    points.append(
+        frame.hand + 0.2 * size * np.array([[1, 1, 0], [-1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    )
+    for body, pose in zip(frame.bodies, frame.body_poses, strict=True):
+        here = _to_world(np.concatenate([part.vertices for part in body.parts]), pose)
+        ends = np.c_[here.min(0), here.max(0)]
+        if np.ptp(ends[:2], axis=1).max() < size and ends[2, 1] >= 0:  # No table, nothing under it.
+            ends[2, 0] = max(ends[2, 0], 0.0)
+            points.append(np.array(np.meshgrid(*ends)).reshape(3, -1).T)
+    seen, places = np.concatenate(points), np.array(pictures)
+    facing = places - np.array([frame.poses[name].position for name in frame.poses])
+    facing /= np.linalg.norm(facing, axis=1, keepdims=True)
+    return seen, outlook(seen, places, facing, frame.hand)
+
+
+def _to_world(points: Array, pose: Array) -> Array:
+    turned = Rotation.from_quat(np.asarray(pose[3:], float), scalar_first=True).apply(points)
+    return turned + np.asarray(pose[:3], float)
+
+
+def extent(frame: Frame) -> float:
+    """Metres: how far the cameras are from what they look at."""
+    centre = _focus(frame)
+    distances = [float(np.linalg.norm(pose.position - centre)) for pose in frame.poses.values()]
+    return max(0.5, max(distances))
+
+
+def _focus(frame: Frame) -> Array:
+    """(3,) the point nearest to all lines of sight, by least squares."""
+    left, right = np.zeros((3, 3)), np.zeros(3)
+    for pose in frame.poses.values():
+        w, x, y, z = pose.wxyz
+        axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+        across = np.eye(3) - np.outer(axis, axis)
+        left, right = left + across, right + across @ pose.position
+    return np.linalg.lstsq(left, right, rcond=None)[0] if np.isfinite(left).all() else np.zeros(3)
 
 
 def _axes(ahead: Array) -> Array:
@@ -94,13 +159,11 @@ class Sight:
         away = np.linalg.norm(np.subtract(self._camera.position, self._place)) if not first else 0
         if away > 0.01 * np.linalg.norm(self._place):
             return []  # The visitor has gone to look from elsewhere.
-        ahead = self._ahead / np.linalg.norm(self._ahead)
-        self._place = nearest_place(self._points, ahead, aspect)
-        middle = float(((self._points - self._place) @ ahead).mean())
+        self._place, target = eye(self._points, self._ahead, aspect)
         return [
             Assign(self._camera, "fov", FOV),
             Assign(self._camera, "position", self._place),
-            Assign(self._camera, "look_at", self._place + middle * ahead),
+            Assign(self._camera, "look_at", target),
         ]
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -10,12 +11,13 @@ import viser
 from playwright.sync_api import expect
 from scipy.spatial.transform import Rotation
 
-from madviz.app.gizmo import SIZE
-from madviz.app.scene import extent
 from madviz.app.server import App
 from madviz.frame import Frame
-from madviz.moves import Displacement, MoveCamera, trained_axes
+from madviz.moves import MoveCamera
 from tests.e2e.conftest import PATIENCE, Visitor
+
+RING = 0.65
+"""Radius of a ring, as a share of an arrow's length."""
 
 
 @pytest.fixture
@@ -67,17 +69,20 @@ def test_a_box_drawn_on_a_picture_becomes_a_patch(paused: Visitor):
     assert brightness(paused, 2)[8:14, 8:14].min() > 20
     drag(paused, 2, (0.3, 0.3), (0.5, 0.4))
     band = paused.page.locator(".mv-band").bounding_box()
-    assert band is not None and band["width"] == pytest.approx(band["height"], abs=1)
+    assert band is not None and band["width"] == pytest.approx(band["height"] / 0.4 * 0.5, abs=2)
     paused.page.mouse.up()
     paused.until("status.setting.includes('third_b:patch')")
-    seen = until_tile(paused, 2, lambda tile: tile[8:14, 8:14].max() < 12)
-    assert seen[:4].max() > 60 and seen[18:].max() > 60  # Nothing else of the tile is black.
+    seen = until_tile(paused, 2, lambda tile: tile[8:12, 8:14].max() < 12)
+    assert seen[:4].max() > 60 and seen[15:18, 6:15].min() > 60  # Lower than wide.
     assert paused.page.locator(".mv-band").count() == 0
     place, setting = {}, paused.status("setting")
     for part in setting.split("third_b:patch,")[1].split(","):
         name, value = part.split("=")
         place[name] = float(value)
-    assert place == pytest.approx({"strength": 1, "x": 0.55, "y": 0.55, "size": 0.5}, abs=0.03)
+    drawn = {"strength": 1, "x": 0.55, "y": 0.5, "width": 0.5, "height": 0.4}
+    assert place == pytest.approx(drawn, abs=0.02)
+    width = paused.page.locator("[data-mv-grid=cameras] label", has_text=re.compile("^width$"))
+    assert width.locator("visible=true").count() == 1  # Of the camera with the patch alone.
 
 
 def test_a_click_on_a_picture_or_a_drag_beside_it_does_nothing(paused: Visitor):
@@ -127,31 +132,67 @@ def test_a_moved_camera_sees_something_else_and_goes_back(paused: Visitor):
     expect(box).to_have_value("0", timeout=PATIENCE)
 
 
-def test_an_arrow_in_the_scene_drags_the_camera(paused: Visitor, app: App):
+Place = Callable[[np.ndarray], tuple[float, float]]
+"""Where a point is on the screen: x to Third A's right, y to its bottom, z ahead of it, in lengths
+of an arrow."""
+
+
+@pytest.fixture
+def arrows(paused: Visitor, app: App) -> Iterator[Place]:
+    """Third A has its arrows, seen from above it, where no ring is behind another one."""
     page = paused.page
     (client,) = app.server.get_clients().values()
     session = app.users.session_of(client.client_id)
     assert session is not None and isinstance(session.latest, Frame)
-    frame = session.latest
+    pose = session.latest.poses["third_a"]
+    # Of the scene as it was when the page was opened, hence not known from this frame.
+    size = client.scene._handle_from_transform_controls_name["/moved"].scale
+    axes, eye = Rotation.from_quat(pose.wxyz, scalar_first=True), client.camera
     page.get_by_role("tab", name="Move", exact=True).click()
     page.get_by_role("button", name="Third A", exact=True).click()
     arrows = page.locator("[data-mv-grid=move] input[type=checkbox]")
     arrows.check(force=True)
-    page.wait_for_timeout(3000)  # Nothing of the page says that the scene has been drawn.
-    pose = frame.poses["third_a"]
-    right = trained_axes(pose, Displacement()).apply([SIZE * extent(frame), 0.0, 0.0])
-    start, end = (on_screen(client, pose.position + part * right) for part in (0.85, 1.6))
-    page.mouse.move(*start)
-    page.wait_for_timeout(500)
-    page.mouse.down()
-    for part in (0.3, 0.6, 1.0):
-        page.mouse.move(*(a + part * (b - a) for a, b in zip(start, end, strict=True)))
-        page.wait_for_timeout(300)
-    page.mouse.up()
-    paused.until("status.setting.startsWith('all · third_a:moved,right=0.')")
+    before = eye.position, eye.look_at
+    eye.position = pose.position + size * axes.apply([1.6, -8.0, 0.8])
+    eye.look_at = pose.position
+    page.wait_for_timeout(4000)  # Nothing of the page says that the scene has been drawn.
+    yield lambda point: on_screen(client, pose.position + size * axes.apply(point))
     arrows.uncheck(force=True)
+    eye.position, eye.look_at = before
     page.get_by_role("button", name="all back", exact=True).click()
     paused.until("status.setting === 'all'")
+
+
+def drag_along(visitor: Visitor, points: list[tuple[float, float]]) -> None:
+    """Drags slowly, as the scene takes a while to see it, and lets go."""
+    mouse = visitor.page.mouse
+    mouse.move(*points[0])
+    visitor.page.wait_for_timeout(500)
+    mouse.down()
+    for point in points[1:]:
+        mouse.move(*point)
+        visitor.page.wait_for_timeout(300)
+    mouse.up()
+
+
+def test_an_arrow_in_the_scene_drags_the_camera(paused: Visitor, arrows: Place):
+    drag_along(paused, [arrows(np.array([part, 0, 0])) for part in (0.85, 1.0, 1.3, 1.6)])
+    paused.until("/^all · third_a:moved,right=0\\.\\d+$/.test(status.setting)")
+
+
+def test_a_ring_in_the_scene_turns_the_camera_and_the_slider_follows(
+    paused: Visitor, arrows: Place
+):
+    def on_ring(degrees: float) -> tuple[float, float]:
+        """A point of the ring about the camera's vertical, from straight ahead to the right."""
+        return arrows(Rotation.from_euler("y", degrees, degrees=True).apply([0.0, 0.0, RING]))
+
+    drag_along(paused, [on_ring(degrees) for degrees in (45, 50, 58, 65)])
+    turned = "pan=(1[89]|2[0-2])"  # 20 degrees, to the pixel.
+    paused.until(f"/^all · third_a:moved,{turned}$/.test(status.setting)")
+    pan = paused.status("setting").split("pan=")[1]
+    box = paused.page.locator("[data-mv-grid=move] input[inputmode=decimal]").nth(3)
+    expect(box).to_have_value(pan, timeout=PATIENCE)
 
 
 def on_screen(client: viser.ClientHandle, point: np.ndarray) -> tuple[float, float]:
