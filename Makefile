@@ -4,7 +4,7 @@
 #
 # Variables: PYTHON=python3.12      the Python the environment is made from (3.11 or newer)
 #            TORCH_INDEX=ADDRESS    where to take torch from, for example the index of its CPU builds
-#            ARGS='--port 9000'     more words for madviz explore
+#            ARGS='--port 9000'     more words for madviz explore, or for JupyterLab
 
 PYTHON ?= python3
 POLICY ?= metaworld-hammer-mad-light

@@ -9,8 +9,9 @@ it. ``moments`` plays an episode and yields them; ``moment_at`` goes straight to
     now.stack                  (V, 9, 84, 84) what the network gets
     now.probe.norms            (V,)          the length of every camera's feature
 
-Trainings of a lesson are real ones on ``toy/reach`` with small numbers; ``train_small`` keeps them
-in a folder and does not train again what is there already.
+Trainings of a lesson are real ones on ``toy/reach`` with small numbers (``train_small``), or of the
+light recipe's own size on any task (``train_light``). Both keep them in a folder and do not train
+again what is there already.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,11 +34,14 @@ from madviz import checkpoint
 from madviz.ablations import Ablation, Occlusion, noise_generator
 from madviz.envs.base import make_env
 from madviz.probes import Probe, probe
-from madviz.statistics import wilson
+from madviz.statistics import pair, wilson
 from madviz.streams import StreamStack
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.teaching_show import Figure, Table, Words, bars, table
 from madviz.types import Array, EnvSpec, Policy, PolicySpec, UserError, View
+
+if TYPE_CHECKING:
+    from madviz.light import LightConfig
 
 LESSON_SEED = 2000
 """Moments of lessons are taken from here: no training saw these episodes, no card reports them."""
@@ -136,14 +141,19 @@ def moment_at(
 
 def occluded(moment: Moment, occlusions: Mapping[str, Occlusion]) -> Moment:
     """The same instant as if cameras had failed for as long as the network looks back, and nothing
-    had come of it yet. A frozen camera shows the oldest frame of the stack."""
+    had come of it yet. A frozen camera shows the oldest frame of the stack, and so does a late one:
+    older frames are not there."""
     stack, streams = moment.stack.copy(), moment.policy.spec.streams
     for index, stream in enumerate(streams):
         occlusion = occlusions.get(camera_of(stream), Occlusion())
         frames = frames_of(moment.stack, index)
         failed = [
-            occlusion.apply(frame, frames[0], noise_generator(0, moment.step + age, stream))
-            for age, frame in enumerate(frames)
+            occlusion.apply(
+                frames[max(place - occlusion.late, 0)],
+                frames[0],
+                noise_generator(0, moment.step + place, stream),
+            )
+            for place in range(len(frames))
         ]
         stack[index] = np.concatenate([np.moveaxis(frame, -1, 0) for frame in failed])
     newest = {stream: frames_of(stack, index)[-1] for index, stream in enumerate(streams)}
@@ -184,6 +194,16 @@ def shipped_outcomes(policy: str, subset: str) -> dict[int, bool]:
     return {e["seed"]: e["success"] for e in found["episodes"] if e["subset"] == subset}
 
 
+def shipped_on(task: str) -> dict[str, dict[str, tuple[int, int]]]:
+    """Policy -> its shipped counts, for all that ship for ``task`` with three colour cameras."""
+    found = {}
+    for name, folder in sorted(checkpoint.policy_folders().items()):
+        spec = checkpoint.describe(folder).spec
+        if spec.task == task and spec.setting == "three" and checkpoint.shipped_evaluation(folder):
+            found[name] = shipped(name)
+    return found
+
+
 def success_table(measured: Mapping[str, Mapping[str, tuple[int, int]]]) -> Table:
     """A row per subset, and for each of ``measured`` its rate, interval and count."""
     names = dict.fromkeys(name for one in measured.values() for name in one)
@@ -207,6 +227,22 @@ def success_bars(title: str, measured: Mapping[str, Mapping[str, tuple[int, int]
     groups = [name for name in first if all(name in other for other in others)]
     series = {name: [one[group] for group in groups] for name, one in measured.items()}
     return bars(title, groups, series)
+
+
+def paired_table(
+    names: tuple[str, str], outcomes: Mapping[str, tuple[Mapping[int, bool], Mapping[int, bool]]]
+) -> Table:
+    """Two policies on the scenes that both met (seed -> success, twice), a row for each subset:
+    how they came out, and the difference of their rates with its interval."""
+    rows = []
+    for subset, (first, second) in outcomes.items():
+        met = pair(first, second)
+        low, high = met.interval()
+        difference = f"{met.difference:+.2f} [{low:+.2f}, {high:+.2f}] n={met.n}"
+        counted = (met.both, met.first_only, met.second_only, met.neither)
+        rows.append([subset, *counted, difference])
+    only = [f"only {name}" for name in names]
+    return table(["cameras", "both", *only, "neither", " - ".join(names)], rows)
 
 
 @dataclass(frozen=True)
@@ -238,24 +274,50 @@ def train_small(
 ) -> SmallRun:
     """Trains ``method`` with the light recipe and small numbers: about a minute on ``toy/reach``.
 
-    ``rounds`` of ``updates`` shape what the policy does, ``critic`` updates the Q it shows. A run
-    that is there already is loaded and not repeated. ``folder`` is where runs are kept, by
-    default a temporary one of this user. Raises UserError for unknown names.
+    ``rounds`` of ``updates`` shape what the policy does, ``critic`` updates the Q it shows. For the
+    rest see ``train_light``.
     """
     from madviz.light import LightConfig
+
+    light = LightConfig(rounds=rounds, updates_per_round=updates, batch_size=32, hidden_dim=128)
+    light = replace(light, critic_updates=critic)
+    return train_light(task, method, light, camera=camera, folder=folder, seed=seed)
+
+
+def train_light(
+    task: str,
+    method: str,
+    light: LightConfig | None = None,
+    *,
+    camera: str = "",
+    folder: Path | str | None = None,
+    seed: int = 1,
+) -> SmallRun:
+    """Trains with the light recipe, as ``madviz train`` does; ``light`` None is its own size.
+
+    A run that is there already is loaded and not repeated, and one that was interrupted goes on.
+    ``folder`` is where runs are kept, by default a temporary one of this user. Raises UserError for
+    unknown names, and where the training is stopped before its end.
+    """
+    from madviz.light import LightConfig
+    from madviz.sweep_run import trained
     from madviz.train import TrainConfig, train
 
     begin()
-    light = LightConfig(rounds=rounds, updates_per_round=updates, batch_size=32, hidden_dim=128)
-    light = replace(light, critic_updates=critic)
+    light = light or LightConfig()
     config = TrainConfig(task=task, method=method, camera=camera, seed=seed, light=light)
     root = Path(folder) if folder else Path(tempfile.gettempdir()) / "madviz-lessons"
-    out = root / f"{config.policy_name()}-{rounds}x{updates}-{seed}"
-    began, done = time.monotonic(), (out / "done").exists()
+    own = sha256(repr(light).encode()).hexdigest()[:6]
+    out = root / f"{config.policy_name()}-{light.rounds}x{light.updates_per_round}-{own}-{seed}"
+    began, done = time.monotonic(), trained(out)
     if not done:
         resume = (out / "resume" / "run.json").exists()
         train(replace(config, out=out, resume=resume), _say)
-        (out / "done").touch()
+        if not trained(out):
+            raise UserError(
+                "expected a finished training, found one that was stopped; "
+                "run the cell again, and it goes on where it was"
+            )
     seconds = 0.0 if done else time.monotonic() - began
     return SmallRun(out, checkpoint.load_policy(out), seconds, _read_curve(out / "curve.csv"))
 
@@ -263,7 +325,9 @@ def train_small(
 def _say(event: dict[str, Any]) -> None:
     """One line that grows, so that a class sees the training go on."""
     if event["kind"] == "curve":
-        print(f"round {event['round']}: loss {event['loss']:.3f}", end="  ", flush=True)
+        minutes = round(event["seconds_left"] / 60)
+        left = f" ({minutes} min to go)" if minutes > 1 else ""
+        print(f"round {event['round']}: loss {event['loss']:.3f}{left}", end="  ", flush=True)
 
 
 def _read_curve(file: Path) -> tuple[Mapping[str, Any], ...]:

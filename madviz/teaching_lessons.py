@@ -70,14 +70,15 @@ def state_table(moment: Moment, words: Sequence[str] = ()) -> Table:
 
 
 def occlusion_sheet(moment: Moment, camera: str = "first", size: int = 140) -> Picture:
-    """One camera under every occlusion; ``freeze`` shows the frame before."""
+    """One camera under every occlusion; ``freeze``, ``dropout`` and ``delay`` show the oldest frame
+    of the stack, which differs a little where something moves."""
     frame = moment.views[camera].rgb
     before = frames_of(moment.stack, moment.policy.spec.streams.index(camera))[0]
     shown = {}
     for kind in get_args(OcclusionKind):
-        rng = noise_generator(0, moment.step, camera)
-        shown[kind] = Occlusion(kind).apply(frame, before, rng)
-    return sheet(shown, size, columns=6)
+        occlusion, rng = Occlusion(kind), noise_generator(0, moment.step, camera)
+        shown[kind] = occlusion.apply(before if occlusion.late else frame, before, rng)
+    return sheet(shown, size, columns=4)
 
 
 # What it makes of it.

@@ -159,15 +159,19 @@ def _label(words: str, width: int) -> Array:
 
 
 def bars(
-    title: str, groups: Sequence[str], series: Mapping[str, Sequence[float | tuple[int, int]]]
+    title: str,
+    groups: Sequence[str],
+    series: Mapping[str, Sequence[float | tuple[int, int] | None]],
 ) -> Figure:
     """Bars in groups. A pair (successes, n) becomes a rate with its Wilson interval; a number in
-    [0, 1] stands for itself."""
+    [0, 1] stands for itself; where there is None there is no bar."""
     made = {name: [_bar(value) for value in values] for name, values in series.items()}
     return Figure(svg.bars(title, list(groups), made), f"bars: {title}")
 
 
-def _bar(value: float | tuple[int, int]) -> svg.Bar:
+def _bar(value: float | tuple[int, int] | None) -> svg.Bar | None:
+    if value is None:
+        return None
     if isinstance(value, tuple):
         successes, n = value
         return svg.Bar(successes / n if n else 0.0, *wilson(successes, n))

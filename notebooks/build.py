@@ -2,7 +2,8 @@
 
     python notebooks/build.py            all of them, some minutes
     python notebooks/build.py 02 04      those that begin so
-    python notebooks/build.py --text     no runs: new cells go in, outputs of unchanged ones stay
+    python notebooks/build.py --text     no runs: new cells go in, outputs of unchanged ones stay,
+                                         and cells that show code show today's
 
 The text is what is edited and what a difference shows; the notebook is what a class opens. Cells
 get names that only depend on their place, and times of execution are left out, so that a second
@@ -11,10 +12,12 @@ build changes nothing but what was measured anew.
 
 from __future__ import annotations
 
+import ast
 import os
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import jupytext
 import nbformat
@@ -80,6 +83,27 @@ def keep_outputs(notebook: nbformat.NotebookNode, before: nbformat.NotebookNode)
         notebook.metadata["widgets"] = before.metadata["widgets"]
 
 
+def shown_code(notebook: nbformat.NotebookNode) -> dict[str, Any]:
+    """The cells that show the package's code, by their text, and what they would show now."""
+    cells = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
+    imports = (ast.Import, ast.ImportFrom)
+    body = ast.parse(cells[0]).body
+    first: list[ast.stmt] = [node for node in body if isinstance(node, imports)]
+    names: dict[str, Any] = {}
+    exec(compile(ast.Module(first, []), "imports", "exec"), names)
+    return {text: eval(text, names) for text in cells if text.startswith("source(")}
+
+
+def refresh_code(notebook: nbformat.NotebookNode) -> None:
+    """Puts today's code into the cells that show code and nothing else."""
+    shown = shown_code(notebook)
+    for cell in notebook.cells:
+        if cell.cell_type == "code" and cell.source in shown and cell.get("outputs"):
+            code = shown[cell.source]
+            data = {"text/markdown": code._repr_markdown_(), "text/plain": repr(code)}
+            cell.outputs[0].data = nbformat.from_dict(data)
+
+
 def main(words: list[str]) -> None:
     text_only = "--text" in words
     for name in names([word for word in words if word != "--text"]):
@@ -90,6 +114,7 @@ def main(words: list[str]) -> None:
             tidy(notebook)
         elif file.exists():
             keep_outputs(notebook, nbformat.read(file, 4))
+            refresh_code(notebook)
         nbformat.write(notebook, file)
         took, busy = time.monotonic() - began, processors() - busy
         size = file.stat().st_size / 1024

@@ -10,8 +10,11 @@ import ast
 import importlib
 import json
 import runpy
+import tempfile
 from pathlib import Path
+from typing import Any
 
+import jupytext
 import nbformat
 import pytest
 
@@ -103,6 +106,23 @@ def test_what_it_imports_is_there_and_functions_are_short(file: Path) -> None:
             assert (node.end_lineno or 0) - node.lineno < LINES, f"{node.name} belongs in madviz"
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_code_that_a_lesson_shows_is_the_code_that_ships(name: str) -> None:
+    kept = {cell.source: cell for cell in saved(name).cells if cell.cell_type == "code"}
+    for text, code in BUILD["shown_code"](BUILD["from_text"](name)).items():
+        now = repr(code)
+        assert kept[text].outputs[0].data["text/plain"] == now, "run: notebooks/build.py --text"
+
+
+def test_old_code_in_a_lesson_is_replaced() -> None:
+    notebook = saved(QUICK)
+    cell = next(cell for cell in notebook.cells if cell.source.startswith("source("))
+    before = dict(cell.outputs[0].data)
+    cell.outputs[0].data = {"text/plain": "def old(): ...", "text/markdown": ""}
+    BUILD["refresh_code"](notebook)
+    assert dict(cell.outputs[0].data) == before
+
+
 def test_the_teacher_finds_every_lesson() -> None:
     page = (NOTEBOOKS / "README.md").read_text()
     assert all(f"{name}.ipynb" in page and f"solutions/{name}.py" in page for name in NAMES)
@@ -126,6 +146,80 @@ def test_a_notebook_runs_from_top_to_bottom() -> None:
     assert counts == list(range(1, len(counts) + 1))
 
 
+TINY = (
+    "light.LightConfig(rounds=1, demonstrations=1, episodes_per_round=1, updates_per_round=2, "
+    "batch_size=4, hidden_dim=16, critic_updates=0), 2"
+)
+
+
+def hammer_cells() -> list[str]:
+    """What lesson 3 says about hammer, and the two cells that it needs from before."""
+    cells = [cell for cell in BUILD["from_text"]("03_disentangle").cells]
+    words = [cell.source for cell in cells]
+    begin, end = (
+        next(i for i, text in enumerate(words) if heading in text)
+        for heading in ("## Is it the same on a real robot task?", "## Exercise")
+    )
+    chosen = [cell for cell in cells[begin:end] if cell.cell_type == "code"]
+    before = ("import madviz", "streams =")
+    return [text for text in words if text.startswith(before)] + [cell.source for cell in chosen]
+
+
+def ran(cells: list[str]) -> tuple[dict[str, Any], list[Any]]:
+    """Runs cells in this process: their names, and what each one shows."""
+    names: dict[str, Any] = {}
+    shown = []
+    for cell in cells:
+        *body, last = ast.parse(cell).body
+        exec(compile(ast.Module(body, []), "cell", "exec"), names)
+        if isinstance(last, ast.Expr):
+            shown.append(eval(compile(ast.Expression(last.value), "cell", "eval"), names))
+        else:
+            exec(compile(ast.Module([last], []), "cell", "exec"), names)
+    return names, shown
+
+
+def test_the_hammer_switch_trains_takes_cameras_away_and_compares(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its own cells, with a budget of seconds, and the toy in the place of the simulator."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    text = "\n<<>>\n".join(hammer_cells())
+    for asked, instead in (
+        ("HAMMER = False", "HAMMER = True"),
+        ("evaluate(own.folder", "evaluate(own.policy"),  # In this process: nothing to start.
+        ('"metaworld/hammer", light.LightConfig(), 20', f'"toy/reach", {TINY}'),
+    ):
+        assert text.count(asked) == 1
+        text = text.replace(asked, instead)
+    names, shown = ran(text.split("\n<<>>\n"))
+    own = names["own"]
+    try:
+        assert own.folder.is_relative_to(tmp_path) and own.spec.task == "toy/reach"
+        assert (own.spec.method, names["hammer_explorer"].frame.policy.name) == (
+            "mad",
+            own.spec.name,
+        )
+        counted = names["hammer"]["mad, trained here"]
+        assert {name: n for name, (_, n) in counted.items()} == dict.fromkeys(
+            ("all", "first", "third_a", "third_b"), 2
+        )
+        compared = next(
+            one for one in shown if getattr(one, "head", ())[-1:] == ("mad - merged-only",)
+        )
+        assert [row[0] for row in compared.rows] == ["first", "third_a", "third_b"]
+        assert all(row[-1].endswith("n=2") for row in compared.rows), "the same two scenes"
+    finally:
+        names["hammer_explorer"].close()
+
+
+def test_without_the_switch_nothing_is_trained_on_hammer() -> None:
+    names, shown = ran(hammer_cells())
+    assert names["own"] is None and names["hammer_explorer"] is None
+    assert set(names["hammer"]) == {"mad", "merged-only"}
+    assert "n=100" in repr(shown[-2])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_notebook_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,5 +230,8 @@ def test_every_notebook_runs(name: str, tmp_path: Path, monkeypatch: pytest.Monk
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_every_solution_runs(name: str) -> None:
-    runpy.run_path(str(NOTEBOOKS / "solutions" / f"{name}.py"), run_name="__main__")
+def test_every_solution_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a notebook, which is how JupyterLab opens it."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    done = BUILD["run"](jupytext.read(NOTEBOOKS / "solutions" / f"{name}.py"))
+    assert all(cell.execution_count for cell in done.cells if cell.cell_type == "code")

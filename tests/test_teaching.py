@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,6 +15,7 @@ from madviz import teaching
 from madviz.ablations import Occlusion
 from madviz.agent.methods import METHODS
 from madviz.checkpoint import find_policy
+from madviz.light import LightConfig
 from madviz.streams import StreamStack
 from madviz.teaching_inside import (
     mean_gap,
@@ -83,6 +85,9 @@ def test_the_same_instant_can_be_seen_with_a_failed_camera() -> None:
     assert np.array_equal(failed.stack[2], now.stack[2])
     assert failed.probe.norms[2] == now.probe.norms[2]
     assert failed.arrived["first"].max() == 0
+    late = teaching.occluded(now, {"third_b": Occlusion("delay", strength=0.1)})
+    assert late.stack[2, 3:6].tolist() == now.stack[2, :3].tolist() == late.stack[2, :3].tolist()
+    assert late.stack[2, 6:].tolist() == now.stack[2, 3:6].tolist()
 
 
 def test_moments_refuse_what_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -220,7 +225,7 @@ def test_a_small_training_is_there_the_second_time(
     def train(config: TrainConfig, listener) -> None:
         asked.append(config)
         shutil.copytree(find_policy("metaworld-hammer-mad-light"), str(config.out))
-        listener({"kind": "curve", "round": 1, "loss": 0.25})
+        listener({"kind": "curve", "round": 1, "loss": 0.25, "seconds_left": 290.0})
 
     monkeypatch.setattr("madviz.train.train", train)
     first, again = (
@@ -230,4 +235,45 @@ def test_a_small_training_is_there_the_second_time(
     assert (asked[0].light.rounds, asked[0].light.updates_per_round) == (3, 7)
     assert first.seconds > 0 == again.seconds and first.spec.digest == again.spec.digest
     assert len(first.curve) == len(again.curve) and first.curve[0]["round"] == 1
-    assert capsys.readouterr().out.count("round 1: loss 0.250") == 1
+    assert capsys.readouterr().out.count("round 1: loss 0.250 (5 min to go)") == 1
+    other = teaching.train_light("toy/reach", "mad", LightConfig(rounds=3), folder=tmp_path)
+    assert len(asked) == 2 and asked[1].light == LightConfig(rounds=3) != asked[0].light
+    assert other.folder != first.folder, "another size is another run"
+
+
+def test_a_training_that_was_stopped_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[TrainConfig] = []
+
+    def train(config: TrainConfig, listener) -> None:
+        asked.append(config)
+        assert (out := config.out) is not None
+        if len(asked) == 1:
+            (out / "resume").mkdir(parents=True)
+            (out / "resume" / "run.json").touch()
+        shutil.copytree(find_policy("metaworld-hammer-mad-light"), out, dirs_exist_ok=True)
+        described = json.loads((out / "config.json").read_text())
+        described["training"]["finished"] = len(asked) > 1
+        (out / "config.json").write_text(json.dumps(described))
+
+    monkeypatch.setattr("madviz.train.train", train)
+    with pytest.raises(UserError, match="goes on where it was"):
+        teaching.train_light("toy/reach", "mad", folder=tmp_path)
+    done = teaching.train_light("toy/reach", "mad", folder=tmp_path)
+    assert [config.resume for config in asked] == [False, True]
+    assert asked[0].light == LightConfig() and done.seconds > 0
+
+
+def test_two_policies_are_compared_on_the_scenes_that_both_met() -> None:
+    ours, theirs = {1: True, 2: True, 3: False}, {2: False, 3: False, 4: True}
+    row = teaching.paired_table(("a", "b"), {"first": (ours, theirs)}).rows[0]
+    assert row[:5] == ("first", "0", "1", "0", "1") and row[5].startswith("+0.50 [")
+    assert row[5].endswith("n=2")
+
+
+def test_all_that_ships_for_a_task_is_found() -> None:
+    found = teaching.shipped_on("metaworld/hammer")
+    assert found["metaworld-hammer-mad-light"] == teaching.shipped("metaworld-hammer-mad-light")
+    assert "metaworld-hammer-mad-three-rgbd-light" not in found, "six streams, other subsets"
+    assert teaching.shipped_on("toy/reach") == {}

@@ -21,6 +21,7 @@
 # %%
 import madviz
 from madviz import teaching
+from madviz.agent.networks import Encoder
 from madviz.teaching_lessons import camera_sheet, feature_sheet, measure, stack_sheet, state_table
 from madviz.teaching_show import source, table
 from madviz.widgets import Explorer, Predict
@@ -99,7 +100,7 @@ state_table(now, [f"{f}: {part}{half}" for f in frames for half in halves for pa
 feature_sheet(now)
 
 # %%
-source(type(policy.agent.encoder))
+source(Encoder)
 
 # %%
 names = [now.env.camera(camera).label for camera in policy.spec.streams]

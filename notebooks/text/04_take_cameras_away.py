@@ -39,7 +39,8 @@ now = teaching.moment_at(mad, seed=2000, step=20)
 # **Dropped**: everybody knows that the camera is gone, and its feature is left out of the sum.
 #
 # **Occluded**: the camera still sends pictures, but bad ones: black, noise, the same picture for
-# ever, out of focus, or with something stuck to the lens. Nobody tells the policy.
+# ever (*freeze*), out of focus (*blur*), with something stuck to the lens (*patch*), with pictures
+# missing now and then (*dropout*), or all of them late (*delay*). Nobody tells the policy.
 
 # %%
 occlusion_sheet(now)
@@ -80,8 +81,9 @@ for kind in ("black", "noise", "freeze", "blur"):
 table(["Third A is", "largest change of one action number"], rows)
 
 # %% [markdown]
-# A frozen camera changes little at first, because little has moved. Its picture grows wrong with
-# time.
+# A frozen picture looks harmless, and in the saved run it moves the action most: the policy gets
+# the same picture three times, which says that nothing moves (lesson 1), while the hand does. How
+# far an action moves is not yet success or failure; that is counted below.
 #
 # ## Play
 #
@@ -161,7 +163,7 @@ table(
 # %%
 low, high = compared.interval()
 print(f"difference {compared.difference:+.2f}, 95% interval [{low:+.2f}, {high:+.2f}]")
-print(f"exact p = {compared.mcnemar():.2g}")
+guess_pair.compare(f"exact p = {compared.mcnemar():.2g}, so hardly luck")
 
 # %% [markdown]
 # ## Exercise

@@ -47,9 +47,10 @@ camera_sheet(now)
 camera_sheet(now, "depth")
 
 # %% [markdown]
-# Distance reaches the policy as a number from 0 to 255 over a fixed range, two metres by default.
-# The range does not change from picture to picture: otherwise half a metre would be bright today
-# and dark tomorrow.
+# Distance reaches the policy as a number from 0 to 255 over a range that belongs to the camera: up
+# to 0.45 m for First person, 0.5 to 1.7 m for Third A, 0.8 to 2.0 m for Third B. The range does
+# not change from picture to picture: otherwise half a metre would be bright today and dark
+# tomorrow.
 
 # %%
 source(depth_code)

@@ -1,0 +1,241 @@
+"""What lesson 6 measures: every rival trained small on ``toy/reach``, and cameras taken from it.
+
+A camera goes in one of two ways. It is *dropped*: the policy is told, and its merge does without.
+Or it *sends black*, and nobody tells the policy. A merge that has a place for every camera (pixels
+or features side by side) knows the second way only. So each rival meets the same cases:
+
+    all                 what it was trained for
+    third_a dropped     two cameras are left, where its merge allows that
+    third_a black       three arrive, one of them black
+    only third_a        one is left, where its merge allows that
+
+Ten trainings take longer than a lesson, so ``notebooks/rivals.py`` made them once and kept what
+came out, an episode a digit, seeds counting from 5000. Any two methods can therefore be compared
+scene by scene: "1101" and "1100" differ in the last of four.
+
+    {"seed": 5000, "methods": {"vib": {"all": "1101...", "third_a black": "0100...", ...}}, ...}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from madviz.ablations import Occlusion
+from madviz.agent.agent import TorchPolicy
+from madviz.agent.attention import HEADS, CrossAttention, ViewTransformer, attend
+from madviz.agent.contrast import drawn
+from madviz.evaluate import FIRST_SEED, evaluate
+from madviz.files import read_json, write_json
+from madviz.statistics import wilson
+from madviz.subsets import mask_of
+from madviz.teaching import Moment, SmallRun, train_small
+from madviz.teaching_show import Figure, Table, bars, table
+from madviz.types import Array, Policy, UserError
+
+CAMERAS = ("first", "third_a", "third_b")
+RIVALS = (
+    *("mad", "merged-only", "q-mean", "attention", "vit"),
+    *("mvd", "vib", "concat", "frame-stack", "single"),
+)
+"""Methods in the order of the tables."""
+ROUNDS, UPDATES = 6, 100
+"""Of every training, as in lesson 3."""
+EPISODES = 40
+"""Of every case."""
+
+Outcomes = Mapping[str, str]
+"""Case -> a digit for each episode, 1 for success; a case that the policy refuses is missing."""
+
+
+def cases() -> dict[str, tuple[tuple[str, ...], str]]:
+    """Name of a case -> the cameras that are left, and the one of them that sends black."""
+    return {
+        "all": (CAMERAS, ""),
+        **{f"{gone} dropped": (tuple(c for c in CAMERAS if c != gone), "") for gone in CAMERAS},
+        **{f"{black} black": (CAMERAS, black) for black in CAMERAS},
+        **{f"only {camera}": ((camera,), "") for camera in CAMERAS},
+    }
+
+
+def train_rival(name: str) -> SmallRun:
+    """The small training of one rival: ``single`` learns from Third A, the others from all."""
+    camera = "third_a" if name == "single" else ""
+    return train_small(name, camera=camera, rounds=ROUNDS, updates=UPDATES)
+
+
+def take_away(
+    policy: Policy,
+    names: Sequence[str] = (),
+    episodes: int = EPISODES,
+    seed: int = FIRST_SEED,
+) -> dict[str, str]:
+    """Runs the cases called ``names`` (all of them if there are none) in this process. Where a
+    camera goes that the policy never had, nothing happens, and nothing is run twice."""
+    known = cases()
+    found: dict[str, str] = {}
+    ran: dict[tuple[str, str], str] = {}
+    for name in names or known:
+        cameras, black = known[name]
+        left = [camera for camera in cameras if camera in policy.spec.streams]
+        subset, black = "+".join(left), black if black in left else ""
+        if not left or not policy.supports(mask_of(subset, policy.spec.streams)):
+            continue
+        if (subset, black) not in ran:
+            occlusions = {black: Occlusion("black")} if black else {}
+            result = evaluate(
+                policy, [subset], episodes=episodes, seed=seed, workers=0, occlusions=occlusions
+            )
+            ran[subset, black] = "".join(str(int(one.success)) for one in result.episodes)
+        found[name] = ran[subset, black]
+    return found
+
+
+# What was kept.
+
+
+def keep(file: Path, method: str, outcomes: Outcomes) -> None:
+    """Puts what came of ``method`` into ``file``, beside what is there."""
+    found = {**(kept(file) if file.exists() else {}), method: dict(outcomes)}
+    methods = {name: found[name] for name in RIVALS if name in found}
+    write_json(file, {"task": "toy/reach", "rounds": ROUNDS, "updates": UPDATES, "seed": FIRST_SEED,
+                      "methods": methods})  # fmt: skip
+
+
+def kept(file: Path | str) -> dict[str, dict[str, str]]:
+    """Method -> outcomes, as ``notebooks/rivals.py`` measured them."""
+    return read_json(Path(file))["methods"]
+
+
+def at_best(measured: Mapping[str, Outcomes]) -> dict[str, dict[str, str]]:
+    """What is left of each method when one camera goes, in the way that suits it: dropped where its
+    merge can do without, else black. Cases are then called ``first gone`` and so on."""
+    return {
+        name: {
+            "all": outcomes["all"],
+            **{f"{c} gone": outcomes.get(f"{c} dropped", outcomes[f"{c} black"]) for c in CAMERAS},
+        }
+        for name, outcomes in measured.items()
+    }
+
+
+def counted(measured: Mapping[str, Outcomes], case: str) -> dict[str, tuple[int, int]]:
+    """Method -> (successes, episodes) in ``case``, of those methods that do not refuse it."""
+    return {
+        name: (outcomes[case].count("1"), len(outcomes[case]))
+        for name, outcomes in measured.items()
+        if case in outcomes
+    }
+
+
+def scenes(outcomes: str) -> dict[int, bool]:
+    """Digits -> success by seed, for ``statistics.pair`` and ``teaching.paired_table``."""
+    return {FIRST_SEED + index: digit == "1" for index, digit in enumerate(outcomes)}
+
+
+def gone_table(measured: Mapping[str, Outcomes], names: Sequence[str]) -> Table:
+    """A row per method, and its success in each case with interval and count, or its refusal."""
+    rows = []
+    for method, outcomes in measured.items():
+        cells = [_rate(outcomes[name]) if name in outcomes else "refuses" for name in names]
+        rows.append([method, *cells])
+    return table(["method", *names], rows)
+
+
+def _rate(outcomes: str) -> str:
+    successes, n = outcomes.count("1"), len(outcomes)
+    low, high = wilson(successes, n)
+    return f"{successes / n:.2f} [{low:.2f}, {high:.2f}] n={n}"
+
+
+def gone_bars(title: str, measured: Mapping[str, Outcomes], names: Sequence[str]) -> Figure:
+    """Success by method with a bar for each case; no bar where the method refuses."""
+    counts = {name: counted(measured, name) for name in names}
+    return bars(
+        title, list(measured), {name: [counts[name].get(m) for m in measured] for name in names}
+    )
+
+
+# How they do it.
+
+
+def looks(policy: TorchPolicy, moment: Moment, subset: str) -> Table:
+    """Which share of its attention each present view gives to each view under ``subset``, a mean
+    over heads and places; from the network's own queries and keys.
+
+    Raises UserError for a policy that has no attention.
+    """
+    net = policy.agent.encoder
+    if not isinstance(net, CrossAttention | ViewTransformer):
+        raise UserError(f"expected a policy that attends, found {policy.spec.name}")
+    heard: dict[str, torch.Tensor] = {}
+
+    def listen(name: str):
+        return lambda module, given, said: heard.__setitem__(name, said)
+
+    hooks = [getattr(net, n).register_forward_hook(listen(n)) for n in ("query", "key")]
+    streams = policy.spec.streams
+    mask = mask_of(subset, streams)
+    policy.read(policy.encode(moment.stack, moment.state), mask[None])
+    for hook in hooks:
+        hook.remove()
+    shares = _shares(heard["query"], heard["key"], mask, isinstance(net, ViewTransformer))
+    rows = [[name, *shares[i]] for i, name in enumerate(streams) if mask[i]]
+    return table(["looks at", *streams], rows)
+
+
+def _shares(query: torch.Tensor, key: torch.Tensor, mask: Array, itself: bool) -> Array:
+    """(1, T, D) twice, (V,) -> (V, V) shares, zeros where nobody may be looked at. What a token
+    would tell is replaced by the name of its view, so that the answers are the shares."""
+    views, tokens = len(mask), query.shape[1]
+    places = tokens // views
+    who = np.tile(mask, (views, 1)) & (itself | ~np.eye(views, dtype=bool))
+    allowed = torch.from_numpy(who.repeat(places, 0).repeat(places, 1))
+    query, key = (x.unflatten(-1, (HEADS, -1)).transpose(1, 2) for x in (query, key))
+    names = torch.eye(views).repeat_interleave(places, 0).expand(1, HEADS, -1, -1)
+    told = attend(query, key, names, allowed)[0].unflatten(-1, (HEADS, views)).mean(1)
+    return told.unflatten(0, (views, places)).mean(1).numpy() * who.any(1, keepdims=True)
+
+
+def averaged_heads(policy: TorchPolicy, moment: Moment) -> Table:
+    """Q-mean's actions on single cameras, their mean taken before tanh, and its action on all."""
+    alone = np.stack([moment_action(policy, moment, name) for name in policy.spec.streams])
+    mean = np.tanh(np.arctanh(alone.astype(float)).mean(0))
+    everything = moment_action(policy, moment, "all")
+    rows = [[f"only {n}", _numbers(a)] for n, a in zip(policy.spec.streams, alone, strict=True)]
+    rows += [["mean of the three", _numbers(mean)], ["all", _numbers(everything)]]
+    return table(["cameras", "action"], rows)
+
+
+def put_everywhere(policy: TorchPolicy, moment: Moment, camera: str) -> Table:
+    """VIB's action on ``camera`` alone, and on three cameras that all send its picture."""
+    index = policy.spec.streams.index(camera)
+    thrice = policy.encode(moment.stack[[index] * len(moment.stack)], moment.state)
+    everything = policy.read(thrice, np.ones((1, len(moment.stack)), bool)).action[0]
+    rows = [
+        [f"only {camera}", _numbers(moment_action(policy, moment, camera))],
+        [f"three times {camera}", _numbers(everything)],
+    ]
+    return table(["what arrives", "action"], rows)
+
+
+def unmoved(draws: int, seed: int = 0) -> tuple[int, int]:
+    """How often MVD's draw is the same with Third A as without: (times, draws)."""
+    masks = torch.from_numpy(np.stack([mask_of(s, CAMERAS) for s in ("all", "first+third_b")]))
+    generator = torch.Generator().manual_seed(seed)
+    keys = torch.rand(draws, 2, len(CAMERAS), generator=generator)
+    same = [bool((pairs[:, 0] == pairs[:, 1]).all()) for pairs in (drawn(masks, k) for k in keys)]
+    return sum(same), draws
+
+
+def moment_action(policy: Policy, moment: Moment, subset: str) -> Array:
+    """(A,) what ``policy``, not the moment's own, does on ``subset``."""
+    encoded = policy.encode(moment.stack, moment.state)
+    return policy.read(encoded, mask_of(subset, policy.spec.streams)[None]).action[0]
+
+
+def _numbers(action: Array) -> str:
+    return " ".join(f"{a:+.2f}" for a in action)

@@ -1,0 +1,157 @@
+"""Lesson 6: what is taken from the rivals, what is kept of it, and how each does without."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from madviz import teaching, teaching_rivals
+from madviz.agent.methods import METHODS
+from madviz.agent.supports import SUPPORTS
+from madviz.statistics import pair
+from madviz.subsets import mask_of
+from madviz.teaching_lessons import untrained
+from madviz.teaching_rivals import (
+    CAMERAS,
+    EPISODES,
+    RIVALS,
+    averaged_heads,
+    cases,
+    counted,
+    gone_bars,
+    gone_table,
+    keep,
+    kept,
+    looks,
+    put_everywhere,
+    scenes,
+    take_away,
+    unmoved,
+)
+from madviz.types import UserError
+from tests.fakes import AllOrNothing, FakePolicy
+
+SHIPPED = Path(__file__).resolve().parent.parent / "notebooks" / "measured" / "rivals.json"
+
+
+def test_every_camera_goes_in_every_way() -> None:
+    assert len(cases()) == 1 + 3 * len(CAMERAS)
+    assert cases()["third_a dropped"] == (("first", "third_b"), "")
+    assert cases()["third_a black"] == (CAMERAS, "third_a")
+    assert cases()["only third_a"] == (("third_a",), "")
+
+
+def test_outcomes_are_those_of_the_evaluation() -> None:
+    found = take_away(FakePolicy(), ["all", "first dropped", "first black"], episodes=3)
+    assert {len(digits) for digits in found.values()} == {3}
+    policy = FakePolicy()
+    last = [list(teaching.moments(policy, seed))[-1].success for seed in (5000, 5001, 5002)]
+    assert found["all"] == "".join(str(int(success)) for success in last)
+
+
+def test_what_a_policy_refuses_is_not_there() -> None:
+    found = take_away(AllOrNothing(), episodes=1)
+    assert list(found) == ["all", "first black", "third_a black", "third_b black"]
+
+
+def test_a_camera_that_was_never_there_can_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, dict]] = []
+    whole = teaching_rivals.evaluate
+
+    def evaluate(policy, subsets, **options):
+        asked.append((*subsets, options["occlusions"]))
+        return whole(policy, subsets, **options)
+
+    monkeypatch.setattr(teaching_rivals, "evaluate", evaluate)
+    found = take_away(untrained("single"), episodes=1)
+    assert [(subset, list(black)) for subset, black in asked] == [
+        ("first", []),
+        ("first", ["first"]),
+    ]
+    assert found["all"] == found["third_a dropped"] == found["third_b black"] == found["only first"]
+    assert "first dropped" not in found and "only third_a" not in found
+
+
+def test_what_is_kept_stays_when_another_method_comes(tmp_path: Path) -> None:
+    file = tmp_path / "rivals.json"
+    keep(file, "vib", {"all": "11"})
+    keep(file, "mad", {"all": "10"})
+    keep(file, "vib", {"all": "01", "only first": "00"})
+    assert kept(file) == {"mad": {"all": "10"}, "vib": {"all": "01", "only first": "00"}}
+    assert list(kept(file)) == ["mad", "vib"], "in the order of the tables"
+
+
+def test_methods_are_compared_scene_by_scene() -> None:
+    measured = {"a": {"all": "1101"}, "b": {"all": "1000", "only first": "0000"}}
+    assert scenes("1101") == {5000: True, 5001: True, 5002: False, 5003: True}
+    paired = pair(scenes(measured["a"]["all"]), scenes(measured["b"]["all"]))
+    assert (paired.both, paired.first_only, paired.second_only, paired.neither) == (1, 2, 0, 1)
+    assert counted(measured, "only first") == {"b": (0, 4)}
+
+
+def test_a_camera_goes_in_the_way_that_suits_the_method() -> None:
+    black = {f"{camera} black": "00" for camera in CAMERAS}
+    measured = {
+        "concat": {"all": "11", **black},
+        "sum": {"all": "11", **black, "first dropped": "10"},
+    }
+    best = teaching_rivals.at_best(measured)
+    assert [best[name]["first gone"] for name in measured] == ["00", "10"]
+    assert list(best["sum"]) == ["all", "first gone", "third_a gone", "third_b gone"]
+
+
+def test_a_refusal_is_written_in_the_table_and_has_no_bar() -> None:
+    measured = {"a": {"all": "1101"}, "b": {"all": "1111", "only first": "0001"}}
+    rows = {row[0]: row[1:] for row in gone_table(measured, ["all", "only first"]).rows}
+    assert rows["a"] == ("0.75 [0.30, 0.95] n=4", "refuses")
+    both = gone_bars("t", measured, ["all", "only first"]).svg
+    assert both.count("<rect") == gone_bars("t", measured, ["all"]).svg.count("<rect") + 2
+
+
+def shares(name: str, subset: str) -> dict[str, list[float]]:
+    moment = teaching.moment_at(FakePolicy(), step=1)
+    return {
+        row[0]: [float(x) for x in row[1:]] for row in looks(untrained(name), moment, subset).rows
+    }
+
+
+def test_nobody_looks_at_a_camera_that_is_gone() -> None:
+    for name in ("vit", "attention"):
+        left = shares(name, "first+third_b")
+        assert list(left) == ["first", "third_b"]
+        assert all(
+            given[1] == 0 and sum(given) == pytest.approx(1, abs=0.02) for given in left.values()
+        )
+        assert all(given[1] > 0.1 for who, given in shares(name, "all").items() if who != "third_a")
+    assert shares("attention", "first+third_b")["first"] == [0, 0, 1], "it asks the others only"
+    assert shares("attention", "first") == {"first": [0, 0, 0]}
+    assert shares("vit", "first") == {"first": [1, 0, 0]}
+    with pytest.raises(UserError, match="attends"):
+        shares("mad", "all")
+
+
+def test_looking_leaves_the_network_as_it_was() -> None:
+    policy, moment = untrained("vit"), teaching.moment_at(FakePolicy(), step=1)
+    looks(policy, moment, "all")
+    assert not any(module._forward_hooks for module in policy.agent.modules())
+
+
+def test_each_rival_does_what_the_lesson_says() -> None:
+    moment = teaching.moment_at(FakePolicy(), step=1)
+    mean = {row[0]: row[1] for row in averaged_heads(untrained("q-mean"), moment).rows}
+    assert mean["mean of the three"] == mean["all"] != mean["only first"]
+    thrice = [row[1] for row in put_everywhere(untrained("vib"), moment, "third_a").rows]
+    assert thrice[0] == thrice[1]
+    assert unmoved(2000)[0] / 2000 == pytest.approx(4 / 9, abs=0.03)
+
+
+def test_what_ships_is_whole_and_agrees_with_the_merges() -> None:
+    measured = kept(SHIPPED)
+    assert tuple(measured) == RIVALS
+    for name, outcomes in measured.items():
+        assert {len(digits) for digits in outcomes.values()} == {EPISODES}
+        if not METHODS[name].one_camera:
+            allows = SUPPORTS[METHODS[name].merge].allows
+            for case, (cameras, _) in cases().items():
+                assert (case in outcomes) == allows(mask_of("+".join(cameras), CAMERAS))
