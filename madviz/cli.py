@@ -90,8 +90,8 @@ def bench(words: Sequence[str]) -> int:
 
 def bench_render(words: Sequence[str]) -> int:
     """A three-view Meta-World frame against stock MuJoCo flags."""
-    from madviz.bench import RenderConfig
-    from madviz.bench import bench_render as measure
+    from madviz.bench.render import RenderConfig
+    from madviz.bench.render import bench_render as measure
 
     config = parse(RenderConfig, "bench render", words)
     deliver(config, lambda: measure(config), pretty)
@@ -100,8 +100,8 @@ def bench_render(words: Sequence[str]) -> int:
 
 def bench_live(words: Sequence[str]) -> int:
     """The page in a real browser: updates a second, and how long a toggle takes."""
-    from madviz.bench_live import LiveConfig
-    from madviz.bench_live import bench_live as measure
+    from madviz.bench.live import LiveConfig
+    from madviz.bench.live import bench_live as measure
 
     config = parse(LiveConfig, "bench live", words)
     deliver(config, lambda: measure(config), pretty)
@@ -110,8 +110,8 @@ def bench_live(words: Sequence[str]) -> int:
 
 def bench_update(words: Sequence[str]) -> int:
     """One training update against a straightforward implementation."""
-    from madviz.bench_update import BenchUpdateConfig
-    from madviz.bench_update import bench_update as measure
+    from madviz.bench.update import BenchUpdateConfig
+    from madviz.bench.update import bench_update as measure
 
     config = parse(BenchUpdateConfig, "bench update", words)
     deliver(config, lambda: measure(config), pretty)
@@ -120,8 +120,8 @@ def bench_update(words: Sequence[str]) -> int:
 
 def bench_buffer(words: Sequence[str]) -> int:
     """The replay buffer packed against plain: bytes per transition, time for a batch."""
-    from madviz.bench_buffer import BenchBufferConfig
-    from madviz.bench_buffer import bench_buffer as measure
+    from madviz.bench.buffer import BenchBufferConfig
+    from madviz.bench.buffer import bench_buffer as measure
 
     config = parse(BenchBufferConfig, "bench buffer", words)
     deliver(config, lambda: measure(config), pretty)
@@ -130,7 +130,7 @@ def bench_buffer(words: Sequence[str]) -> int:
 
 def sweep(words: Sequence[str]) -> int:
     """Trains and evaluates every combination in a small file; goes on after a kill."""
-    from madviz.sweep import SweepConfig, run_sweep, sweep_table
+    from madviz.sweep.sweep import SweepConfig, run_sweep, sweep_table
 
     config = parse(SweepConfig, "sweep", words, positional=True)
     return 1 if deliver(config, lambda: run_sweep(config), sweep_table)["failed"] else 0
@@ -147,7 +147,7 @@ def compare(words: Sequence[str]) -> int:
 
 def report(words: Sequence[str]) -> int:
     """Writes RESULTS.md: tables and pictures of all evaluated policies, held against the paper."""
-    from madviz.report import ReportConfig, report_words, run_report
+    from madviz.report.results import ReportConfig, report_words, run_report
 
     config = parse(ReportConfig, "report", words)
     deliver(config, lambda: run_report(config), report_words)
@@ -164,7 +164,7 @@ def replay(words: Sequence[str]) -> int:
 
 def record(words: Sequence[str]) -> int:
     """Records an episode without a page: a rerun file, a film or a report."""
-    from madviz.recording import RecordConfig, record_words, run_record
+    from madviz.recording.record import RecordConfig, record_words, run_record
 
     config = parse(RecordConfig, "record", words)
     deliver(config, lambda: run_record(config), record_words)
@@ -173,8 +173,8 @@ def record(words: Sequence[str]) -> int:
 
 def soak(words: Sequence[str]) -> int:
     """Lets visitors come and go for an hour; says whether anything is left of them."""
-    from madviz.soak import SoakConfig, soak_words
-    from madviz.soak import soak as run
+    from madviz.bench.soak import SoakConfig, soak_words
+    from madviz.bench.soak import soak as run
 
     config = parse(SoakConfig, "soak", words)
     return 0 if deliver(config, lambda: run(config), soak_words)["ok"] else 1

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from madviz import checkpoint, svg
-from madviz.evidence import Evidence, Outcomes, read_evidence
 from madviz.files import write_bytes
+from madviz.report.evidence import Evidence, Outcomes, read_evidence
 from madviz.statistics import Interval, pair, wilson
 from madviz.store import ResultKey, Store
 from madviz.types import UserError

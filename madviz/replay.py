@@ -16,13 +16,13 @@ from typing import Any
 
 from madviz import checkpoint
 from madviz.envs.base import make_env, sees
-from madviz.failures import Event, in_order, in_words
-from madviz.frame import SetCamera
-from madviz.kept import STREAMS, TRACE, KeptEpisode, KeptPolicy, KeptSession, versions_here
-from madviz.kept_reader import read_kept
 from madviz.moves import MoveCamera
 from madviz.rollout import one_thread
-from madviz.simulation import Simulation
+from madviz.session.failures import Event, in_order, in_words
+from madviz.session.frame import SetCamera
+from madviz.session.kept import STREAMS, TRACE, KeptEpisode, KeptPolicy, KeptSession, versions_here
+from madviz.session.kept_reader import read_kept
+from madviz.session.simulation import Simulation
 from madviz.types import Environment, Policy, UserError
 
 EnvFactory = Callable[..., Environment]

@@ -41,7 +41,7 @@ from madviz.teaching_show import Figure, Table, Words, bars, table
 from madviz.types import Array, EnvSpec, Policy, PolicySpec, UserError, View
 
 if TYPE_CHECKING:
-    from madviz.light import LightConfig
+    from madviz.recipes.light import LightConfig
 
 LESSON_SEED = 2000
 """Moments of lessons are taken from here: no training saw these episodes, no card reports them."""
@@ -277,7 +277,7 @@ def train_small(
     ``rounds`` of ``updates`` shape what the policy does, ``critic`` updates the Q it shows. For the
     rest see ``train_light``.
     """
-    from madviz.light import LightConfig
+    from madviz.recipes.light import LightConfig
 
     light = LightConfig(rounds=rounds, updates_per_round=updates, batch_size=32, hidden_dim=128)
     light = replace(light, critic_updates=critic)
@@ -299,8 +299,8 @@ def train_light(
     ``folder`` is where runs are kept, by default a temporary one of this user. Raises UserError for
     unknown names, and where the training is stopped before its end.
     """
-    from madviz.light import LightConfig
-    from madviz.sweep_run import trained
+    from madviz.recipes.light import LightConfig
+    from madviz.sweep.run import trained
     from madviz.train import TrainConfig, train
 
     begin()

@@ -15,7 +15,7 @@ from statistics import fmean
 import numpy as np
 
 from madviz.app.colours import camera_colours, heat
-from madviz.recording import RecordConfig, run_record
+from madviz.recording.record import RecordConfig, run_record
 from madviz.saliency import Target, saliency
 from madviz.shapley import Worth, action_worth, success_interval, success_worth
 from madviz.statistics import wilson

@@ -1,8 +1,8 @@
 """``train``: one way in for every recipe; composes environment, agent, run folder and loop.
 
-    light              minutes on two cores, by imitating a scripted expert   madviz/light.py
-    paper              the paper's reinforcement learning, exactly            madviz/paper.py
-    paper-vectorised   the same losses over many environments                 paper_vectorised.py
+    light              minutes on two cores, by imitating a scripted expert   recipes/light.py
+    paper              the paper's reinforcement learning, exactly            recipes/paper.py
+    paper-vectorised   the same losses over many environments                 recipes/paper_vectorised.py
 
 The folder given with --out is a policy folder from the first checkpoint on: explore it, evaluate
 it, copy it to checkpoints/. Ctrl-C finishes the round, saves, and says how to go on."""
@@ -25,12 +25,12 @@ from madviz.agent.methods import method
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.checkpoint import save_policy
 from madviz.envs.base import choose, make_env
-from madviz.light import LightConfig, LightRun, Recorder, train_light
-from madviz.light_critic import REWARD_SCALE, fit_critic
 from madviz.manifest import policy_config
-from madviz.paper import PaperConfig, train_paper
-from madviz.paper_vectorised import VectorisedConfig, train_vectorised
-from madviz.run import Event, RunFolder
+from madviz.recipes.light import LightConfig, LightRun, Recorder, train_light
+from madviz.recipes.light_critic import REWARD_SCALE, fit_critic
+from madviz.recipes.paper import PaperConfig, train_paper
+from madviz.recipes.paper_vectorised import VectorisedConfig, train_vectorised
+from madviz.recipes.run import Event, RunFolder
 from madviz.subsets import camera_of
 from madviz.types import CameraSpec, EnvSpec, PolicySpec, UserError, unknown
 

@@ -33,7 +33,7 @@ from madviz import checkpoint
 from madviz.ablations import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.app.mosaic import mosaic
 from madviz.envs.base import make_env
-from madviz.frame import (
+from madviz.session.frame import (
     Command,
     Failure,
     Frame,
@@ -45,7 +45,7 @@ from madviz.frame import (
     StepOnce,
     words,
 )
-from madviz.session import EnvFactory, Session
+from madviz.session.session import EnvFactory, Session
 from madviz.subsets import modality_of, name_of
 from madviz.teaching import begin
 from madviz.teaching_show import Draws, Words, jpeg

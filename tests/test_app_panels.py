@@ -24,8 +24,8 @@ from madviz.app.sight import _focus
 from madviz.app.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
 from madviz.app.success import Curve, SuccessPanel, WordsPanel, bars_html, sentence, strip_html
 from madviz.envs.base import make_env
-from madviz.frame import Frame, Pause, SetCamera, SetPolicy, Setting
-from madviz.session import Session
+from madviz.session.frame import Frame, Pause, SetCamera, SetPolicy, Setting
+from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 
 OFF = CameraState("off")

@@ -20,9 +20,9 @@ from madviz.app.training import TrainingPanel
 from madviz.app.users import Users
 from madviz.app.versus import VersusPanel
 from madviz.envs.base import make_env
-from madviz.frame import Frame, Pause, SetSpeed
-from madviz.session import Session
-from madviz.training_job import TrainingJob
+from madviz.recipes.training_job import TrainingJob
+from madviz.session.frame import Frame, Pause, SetSpeed
+from madviz.session.session import Session
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 

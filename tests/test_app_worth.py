@@ -22,9 +22,9 @@ from madviz.app.rates import Rates
 from madviz.app.saliency import SaliencyPanel, saliency_words
 from madviz.app.worth import WorthPanel, action_column, q_column, success_column, worth_html
 from madviz.envs.base import make_env
-from madviz.frame import Frame, Pause, Reset, SetCamera, SetPolicy
 from madviz.projection import DECISIONS
-from madviz.session import Session
+from madviz.session.frame import Frame, Pause, Reset, SetCamera, SetPolicy
+from madviz.session.session import Session
 from madviz.shapley import set_names
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 

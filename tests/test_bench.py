@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from madviz import bench_live, training_job
-from madviz.bench import Frames, RenderConfig, alternate, bench_render
-from madviz.training_job import JobConfig, JobStatus, State
+from madviz.bench import live as bench_live
+from madviz.bench.render import Frames, RenderConfig, alternate, bench_render
+from madviz.recipes import training_job
+from madviz.recipes.training_job import JobConfig, JobStatus, State
 from madviz.types import UserError
 
 

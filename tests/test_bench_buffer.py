@@ -6,9 +6,9 @@ import json
 
 import pytest
 
-from madviz import bench_buffer as module
-from madviz import buffer_packed
-from madviz.bench_buffer import BenchBufferConfig, bench_buffer
+from madviz.bench import buffer as module
+from madviz.bench.buffer import BenchBufferConfig, bench_buffer
+from madviz.recipes import buffer_packed
 from madviz.types import UserError
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from madviz import cli
 from madviz.compare import CompareConfig, comparison_table, over_trainings, run_compare
-from madviz.evidence import read_evidence
+from madviz.report.evidence import read_evidence
 from madviz.statistics import pair
 from madviz.store import EpisodeResult, ResultKey, Store
 from madviz.types import UserError

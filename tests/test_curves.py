@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from madviz.curves import draw_curve, duration, progress, success_lines
+from madviz.recipes.curves import draw_curve, duration, progress, success_lines
 from madviz.statistics import wilson
 
 HEADER = (

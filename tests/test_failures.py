@@ -12,11 +12,11 @@ from madviz.ablations import CameraState, Occlusion
 from madviz.app.failures import FailuresPanel, failures_html
 from madviz.app.keep import KeepPanel
 from madviz.envs.base import make_env
-from madviz.failures import SCENARIOS, Event, in_words, parse_schedule, reached, scenario
-from madviz.frame import Frame, Pause, Play, Reset, Scrub, SetCamera, SetSchedule, SetSeed
-from madviz.journal import Journal
-from madviz.kept_reader import parse
-from madviz.session import Session
+from madviz.session.failures import SCENARIOS, Event, in_words, parse_schedule, reached, scenario
+from madviz.session.frame import Frame, Pause, Play, Reset, Scrub, SetCamera, SetSchedule, SetSeed
+from madviz.session.journal import Journal
+from madviz.session.kept_reader import parse
+from madviz.session.session import Session
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 

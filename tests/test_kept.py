@@ -17,8 +17,9 @@ import pytest
 from madviz import cli
 from madviz.ablations import Ablation, CameraState, Occlusion, OcclusionKind
 from madviz.envs.base import make_env
-from madviz.failures import parse_schedule
-from madviz.frame import (
+from madviz.replay import failures_of, live_again, replay_row, replay_words
+from madviz.session.failures import parse_schedule
+from madviz.session.frame import (
     Fork,
     Frame,
     Pause,
@@ -30,11 +31,10 @@ from madviz.frame import (
     SetSchedule,
     SetSeed,
 )
-from madviz.kept import KeptEpisode, KeptPolicy, KeptSession
-from madviz.kept_reader import LONGEST, parse, read_kept
-from madviz.replay import failures_of, live_again, replay_row, replay_words
-from madviz.session import Session
-from madviz.simulation import Simulation
+from madviz.session.kept import KeptEpisode, KeptPolicy, KeptSession
+from madviz.session.kept_reader import LONGEST, parse, read_kept
+from madviz.session.session import Session
+from madviz.session.simulation import Simulation
 from madviz.types import CameraSpec, Policy, UserError, View
 from tests.fakes import FakePolicy, policies
 

@@ -21,25 +21,24 @@ MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in FI
 LAYERS = (
     "types subsets files statistics processes svg",
     "envs agent ablations streams moves",
-    "buffer manifest checkpoint store rollout evaluate live probes shapley projection saliency "
-    "demonstrations run card evidence curves vector",
-    "light paper train naive",
-    "failures frame kept journal simulation timeline twin plan stage session",
-    "training app bench soak doctor compare displacement report sweep recording replay",
+    "manifest checkpoint store rollout evaluate live probes shapley projection saliency card",
+    "recipes train",
+    "session",
+    "app bench doctor compare displacement report sweep recording replay",
     "teaching widgets",
     "cli main",
 )
 """A module imports from its own line and those above. ``agent`` stands for all of its modules, and
-``bench`` for ``bench_live`` too."""
+``svg`` for ``svg_curves`` too."""
 RANKS = {name: rank for rank, line in enumerate(LAYERS) for name in line.split()}
 APART = (("envs", "agent"), ("agent", "envs"))
 CONFINED = {
     "viser": "app.*",
     **dict.fromkeys(("mujoco", "metaworld"), "envs.metaworld*"),
     **dict.fromkeys(("mani_skill", "sapien"), "envs.maniskill*"),
-    "playwright": "bench_live",
-    "ray": "sweep_ray",
-    "rerun": "recording*",
+    "playwright": "bench.live",
+    "ray": "sweep.ray",
+    "rerun": "recording.*",
     "ipywidgets": "widgets*",
     "captum": "saliency",
     "tyro": "cli",
@@ -47,7 +46,7 @@ CONFINED = {
 
 
 def group(module: str) -> str:
-    """``envs.base`` -> ``envs``, ``bench_live`` -> ``bench``, ``__main__`` -> ``main``."""
+    """``envs.base`` -> ``envs``, ``svg_curves`` -> ``svg``, ``__main__`` -> ``main``."""
     return module.split(".")[0].strip("_").split("_")[0]
 
 

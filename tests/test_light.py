@@ -13,12 +13,12 @@ import torch
 from madviz.agent.agent import Agent, random_policy
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
-from madviz.demonstrations import Dataset, Driver, Episode, record_episode
 from madviz.envs.base import SETTINGS
 from madviz.envs.toy import ToyReach
-from madviz.light import LightConfig, LightRun, imitation_loss, train_light
-from madviz.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
-from madviz.run import RunFolder
+from madviz.recipes.demonstrations import Dataset, Driver, Episode, record_episode
+from madviz.recipes.light import LightConfig, LightRun, imitation_loss, train_light
+from madviz.recipes.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
+from madviz.recipes.run import RunFolder
 from madviz.types import PolicySpec, UserError
 
 THREE, RGBD = SETTINGS["three"].streams, SETTINGS["three-rgbd"].streams

@@ -17,10 +17,10 @@ import pytest
 from madviz import checkpoint
 from madviz.ablations import Ablation, Occlusion
 from madviz.app.rates import Rates
-from madviz.frame import setting_of
 from madviz.live import Evaluator
 from madviz.moves import Displacement
 from madviz.rollout import Runner, Workers
+from madviz.session.frame import setting_of
 from madviz.store import MEMORY, EpisodeResult, Store
 from madviz.types import UserError
 from tests.fakes import FakePolicy

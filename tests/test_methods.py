@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from madviz import checkpoint, light, paper, train
+from madviz import checkpoint, train
 from madviz.ablations import Ablation
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.bottleneck import kl_loss
@@ -23,12 +23,13 @@ from madviz.agent.contrast import contrastive_loss
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.supports import SUPPORTS
-from madviz.demonstrations import Driver, Episode, record_episode
 from madviz.envs.base import SETTINGS
 from madviz.envs.toy import ToyReach
-from madviz.light import LightConfig, LightRun
-from madviz.paper import PaperConfig
 from madviz.probes import probe
+from madviz.recipes import light, paper
+from madviz.recipes.demonstrations import Driver, Episode, record_episode
+from madviz.recipes.light import LightConfig, LightRun
+from madviz.recipes.paper import PaperConfig
 from madviz.rollout import run_episode
 from madviz.subsets import every_mask, mask_of
 from madviz.train import TrainConfig

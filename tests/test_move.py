@@ -17,7 +17,17 @@ from madviz.app.gizmo import Gizmo
 from madviz.app.move import MovePanel, move_html
 from madviz.app.panel import apply
 from madviz.envs.base import make_env
-from madviz.frame import (
+from madviz.moves import (
+    Displacement,
+    MoveCamera,
+    along,
+    dragged,
+    moved_on,
+    trained_axes,
+    turned,
+)
+from madviz.replay import live_again
+from madviz.session.frame import (
     Fork,
     Frame,
     Pause,
@@ -29,18 +39,8 @@ from madviz.frame import (
     setting_of,
     words,
 )
-from madviz.kept_reader import parse
-from madviz.moves import (
-    Displacement,
-    MoveCamera,
-    along,
-    dragged,
-    moved_on,
-    trained_axes,
-    turned,
-)
-from madviz.replay import live_again
-from madviz.session import Session
+from madviz.session.kept_reader import parse
+from madviz.session.session import Session
 from madviz.types import CameraSpec, UserError
 from tests.fakes import FakePolicy, policies
 

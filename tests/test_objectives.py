@@ -24,8 +24,8 @@ from madviz.agent.objectives import (
     weighted,
 )
 from madviz.agent.update import Draw, Learner, LearningConfig
+from madviz.bench.naive import NaiveLearner
 from madviz.envs.base import setting
-from madviz.naive import NaiveLearner
 from madviz.types import UserError
 
 Params = dict[str, Tensor]

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 import torch
 
-from madviz import paper, paper_loop
 from madviz.agent.agent import TorchPolicy
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.update import Learner
 from madviz.checkpoint import load_policy
 from madviz.envs.toy import ToyReach
-from madviz.paper import PaperConfig, PaperRun, train_paper
-from madviz.run import Event, RunFolder
+from madviz.recipes import paper, paper_loop
+from madviz.recipes.paper import PaperConfig, PaperRun, train_paper
+from madviz.recipes.run import Event, RunFolder
 from madviz.train import TrainConfig
 from madviz.types import Environment, PolicySpec, UserError
 

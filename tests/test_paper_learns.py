@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from madviz.paper import PaperConfig
+from madviz.recipes.paper import PaperConfig
 from madviz.train import TrainConfig, train
 
 CONFIG = PaperConfig(

@@ -14,14 +14,15 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from madviz import cli, recording
+from madviz import cli
 from madviz.app.sight import Sight, first_look
-from madviz.failures import parse_schedule
-from madviz.frame import Frame, SetSchedule
-from madviz.kept_reader import read_kept
-from madviz.recording import Facts, RecordConfig, command_of, frames, run_record, writer_for
-from madviz.recording_rerun import ASPECT, FOV
-from madviz.session import Session
+from madviz.recording import record as recording
+from madviz.recording.record import Facts, RecordConfig, command_of, frames, run_record, writer_for
+from madviz.recording.rerun import ASPECT, FOV
+from madviz.session.failures import parse_schedule
+from madviz.session.frame import Frame, SetSchedule
+from madviz.session.kept_reader import read_kept
+from madviz.session.session import Session
 from madviz.svg_curves import curves
 from madviz.types import UserError
 from tests.fakes import FakePolicy, NanPolicy, policies
@@ -315,7 +316,7 @@ def test_rerun_is_loaded_for_nothing_else(tmp_path: Path) -> None:
     import subprocess
 
     program = (
-        "import sys, madviz.recording, madviz.recording_report, madviz.recording_video;"
+        "import sys, madviz.recording.record, madviz.recording.report, madviz.recording.video;"
         "print('rerun' in sys.modules, 'viser' in sys.modules)"
     )
     asked = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from madviz import cli, svg
-from madviz.evidence import find_evidence, read_evidence
-from madviz.report import ReportConfig, judge, run_report
-from madviz.report_claims import claims, same, verdict
-from madviz.report_tables import LAYOUTS, THREE, Table, build, difference, usual_alphas
+from madviz.report.claims import claims, same, verdict
+from madviz.report.evidence import find_evidence, read_evidence
+from madviz.report.results import ReportConfig, judge, run_report
+from madviz.report.tables import LAYOUTS, THREE, Table, build, difference, usual_alphas
 from madviz.types import UserError
 from tests.evidence import rates, write_policy
 

@@ -11,7 +11,7 @@ import pytest
 from madviz.ablations import CameraState, Occlusion
 from madviz.envs.base import make_env
 from madviz.envs.toy import ToyReach
-from madviz.frame import (
+from madviz.session.frame import (
     Failure,
     Fork,
     Frame,
@@ -28,7 +28,7 @@ from madviz.frame import (
     StepOnce,
     words,
 )
-from madviz.session import FIRST_SEED, HOLD, Session
+from madviz.session.session import FIRST_SEED, HOLD, Session
 from madviz.types import UserError
 from tests.fakes import AllOrNothing, FakePolicy, policies
 

@@ -13,7 +13,7 @@ from madviz.ablations import CameraState
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.base import make_env
-from madviz.frame import (
+from madviz.session.frame import (
     Failure,
     Frame,
     Pause,
@@ -25,7 +25,7 @@ from madviz.frame import (
     SetSaliency,
     SetSpeed,
 )
-from madviz.session import Session
+from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from madviz.app.policy import PolicyChoice
 from madviz.app.server import App
-from madviz.bench_live import LiveConfig, watched
-from madviz.soak import Crowd, Sample, SoakConfig, judged, look, soak
+from madviz.bench.live import LiveConfig, watched
+from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, look, soak
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 

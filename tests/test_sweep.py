@@ -16,11 +16,12 @@ from typing import Any
 
 import pytest
 
-from madviz import cli, sweep
-from madviz.sweep import LocalBackend, SweepConfig, Watch, carry_all_out, run_sweep
-from madviz.sweep_plan import read_plan
-from madviz.sweep_ray import RayBackend
-from madviz.sweep_run import Outcome, Run, carry_out, claimed, expected_seconds
+from madviz import cli
+from madviz.sweep import sweep
+from madviz.sweep.plan import read_plan
+from madviz.sweep.ray import RayBackend
+from madviz.sweep.run import Outcome, Run, carry_out, claimed, expected_seconds
+from madviz.sweep.sweep import LocalBackend, SweepConfig, Watch, carry_all_out, run_sweep
 from madviz.types import UserError
 
 PROGRAM = """
@@ -242,7 +243,8 @@ def test_a_training_that_ended_early_is_a_failure(tmp_path: Path) -> None:
 def script(tmp_path: Path, program: list[str], file: str) -> list[str]:
     """A sweep in a process of its own, to be killed."""
     code = (
-        "import sys; from pathlib import Path; from madviz.sweep import SweepConfig, run_sweep\n"
+        "import sys; from pathlib import Path\n"
+        "from madviz.sweep.sweep import SweepConfig, run_sweep\n"
         f"run_sweep(SweepConfig({file!r}, out=Path({str(tmp_path / 'out')!r}), jobs=2), {program})"
     )
     return [sys.executable, "-c", code]
@@ -381,7 +383,7 @@ def test_without_ray_the_error_names_the_way_out(
 
 
 def test_a_sweep_that_is_local_never_imports_ray() -> None:
-    code = "import sys, madviz.sweep; print('ray' in sys.modules)"
+    code = "import sys, madviz.sweep.sweep; print('ray' in sys.modules)"
     asked = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert asked.stdout.strip() == "False"
 

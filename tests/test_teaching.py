@@ -15,7 +15,7 @@ from madviz import teaching
 from madviz.ablations import Occlusion
 from madviz.agent.methods import METHODS
 from madviz.checkpoint import find_policy
-from madviz.light import LightConfig
+from madviz.recipes.light import LightConfig
 from madviz.streams import StreamStack
 from madviz.teaching_inside import (
     mean_gap,

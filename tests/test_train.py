@@ -11,8 +11,8 @@ import pytest
 
 from madviz.checkpoint import load_policy
 from madviz.evaluate import evaluate
-from madviz.light import LightConfig
-from madviz.run import Event, changes
+from madviz.recipes.light import LightConfig
+from madviz.recipes.run import Event, changes
 from madviz.train import TrainConfig, command, train
 from madviz.types import UserError
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from madviz.ablations import Ablation, CameraState
 from madviz.app.versus import versus_html
-from madviz.frame import Outcome, Pair, Scrub, SetCamera, SetPolicy, Setting, SetTwin
-from madviz.twin import tally
+from madviz.session.frame import Outcome, Pair, Scrub, SetCamera, SetPolicy, Setting, SetTwin
+from madviz.session.twin import tally
 from tests.fakes import FakePolicy
 from tests.test_timeline import Played
 

@@ -15,7 +15,7 @@ from madviz.agent.agent import Agent
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.update import Learner, LearningConfig
-from madviz.bench_update import STREAMS, BenchUpdateConfig, bench_update, contiguous, random_batch
+from madviz.bench.update import STREAMS, BenchUpdateConfig, bench_update, contiguous, random_batch
 
 NETWORKS = NetworkConfig(state_dim=5, action_dim=2, hidden_dim=16)
 BATCH = random_batch(4, 3, NETWORKS)

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 import torch
 
-from madviz import paper_loop
 from madviz.checkpoint import load_policy
 from madviz.envs.toy import CAMERAS, ToyReach
-from madviz.paper_vectorised import VectorisedConfig
-from madviz.run import Event
+from madviz.recipes import paper_loop
+from madviz.recipes.paper_vectorised import VectorisedConfig
+from madviz.recipes.run import Event
+from madviz.recipes.vector_envs import Board, Recipe, VectorEnvs
 from madviz.train import TrainConfig, command, train
 from madviz.types import UserError
-from madviz.vector_envs import Board, Recipe, VectorEnvs
 
 STREAMS = ("first.rgb", "first.depth", "third_b.rgb")
 RECIPE = Recipe("toy/reach", "fast", CAMERAS, STREAMS)

@@ -25,7 +25,7 @@ import viser
 
 from madviz.app.colours import MERGED, NOTE, camera_colours, rgb
 from madviz.app.panel import Assign
-from madviz.frame import Frame
+from madviz.session.frame import Frame
 from madviz.shapley import camera_masks
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array

@@ -20,7 +20,7 @@ import numpy as np
 import viser
 
 from madviz.app.panel import Assign
-from madviz.frame import Frame
+from madviz.session.frame import Frame
 from madviz.types import Array, Body
 
 CREASE = 40.0

@@ -22,7 +22,7 @@ from madviz.app.colours import MERGED, NOTE, camera_colours, heat
 from madviz.app.panel import Assign
 from madviz.app.subsets import MODALITY_WORDS
 from madviz.app.toolkit import remove_all
-from madviz.frame import Frame
+from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array
 

@@ -19,8 +19,8 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.toolkit import guarded
-from madviz.frame import Frame
 from madviz.moves import Displacement, dragged, moved_on, turned
+from madviz.session.frame import Frame
 from madviz.types import Array, CameraPose
 
 SIZE = 0.25

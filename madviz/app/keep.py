@@ -10,8 +10,8 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, grid, guarded, remove_all
-from madviz.frame import Frame
-from madviz.kept import KeptSession
+from madviz.session.frame import Frame
+from madviz.session.kept import KeptSession
 
 HINTS = {
     "one": "Downloads the episode that is running: its seed, and what you did at which step.",

@@ -18,7 +18,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from madviz.app.colours import INK, MUTED, NOTE, camera_colours, heat, rgb
-from madviz.frame import Frame
+from madviz.session.frame import Frame
 from madviz.streams import depth_code
 from madviz.types import Array, CameraSpec
 

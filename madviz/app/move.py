@@ -18,8 +18,8 @@ from madviz.app.gizmo import Gizmo
 from madviz.app.panel import Assign
 from madviz.app.sight import extent
 from madviz.app.toolkit import Cell, Choice, Shown, grid, on_value, remove_all
-from madviz.frame import Command, Frame
 from madviz.moves import Displacement, MoveCamera
+from madviz.session.frame import Command, Frame
 
 HINTS = {
     "camera": "Which camera the sliders move.",

@@ -53,7 +53,9 @@ from madviz.app.tour import Tour
 from madviz.app.training import TrainingPanel
 from madviz.app.versus import VersusPanel
 from madviz.app.worth import WorthPanel
-from madviz.frame import (
+from madviz.recipes.training_job import TrainingJob
+from madviz.saliency import Target
+from madviz.session.frame import (
     Change,
     Command,
     Failure,
@@ -67,9 +69,7 @@ from madviz.frame import (
     StepOnce,
     untouched,
 )
-from madviz.saliency import Target
-from madviz.session import Session
-from madviz.training_job import TrainingJob
+from madviz.session.session import Session
 
 FASTEST = 1 / 40
 """Seconds between two frames that are shown: more would be wasted on a browser."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, Protocol
 
-from madviz.frame import Frame
+from madviz.session.frame import Frame
 
 
 class Assign(NamedTuple):

@@ -13,7 +13,7 @@ from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.subsets import action_bars
 from madviz.app.toolkit import Cell, Choice, Shown, grid, guarded, on_value, remove_all
-from madviz.frame import (
+from madviz.session.frame import (
     Command,
     Frame,
     Pause,

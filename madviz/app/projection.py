@@ -20,8 +20,8 @@ from madviz.app.features import NO_VIEWS, stream_label
 from madviz.app.panel import Assign
 from madviz.app.rates import key_of
 from madviz.app.toolkit import remove_all
-from madviz.frame import Frame
 from madviz.projection import DECISIONS, Atlas, Basis
+from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from madviz.ablations import Ablation, CameraState
-from madviz.frame import Setting
 from madviz.live import Evaluator, Tally
+from madviz.session.frame import Setting
 from madviz.statistics import wilson
 from madviz.types import Array, PolicySpec
 

@@ -13,8 +13,8 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, Choice, grid, remove_all
-from madviz.frame import Frame
 from madviz.saliency import Target
+from madviz.session.frame import Frame
 
 OPTIONS: dict[str, str] = {"": "off", "q": "for its Q", "action": "for its action"}
 

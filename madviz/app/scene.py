@@ -24,7 +24,7 @@ from madviz.app.bodies import Bodies
 from madviz.app.colours import NOTE, camera_colours, rgb
 from madviz.app.panel import Assign
 from madviz.app.sight import WIDTH, WIDTH_ON_BODY, Sight, extent, first_look
-from madviz.frame import Frame
+from madviz.session.frame import Frame
 from madviz.types import Array, CameraPose
 
 PERIOD, PERIOD_AT_FULL_SPEED = 0.5, 2.0

@@ -20,13 +20,13 @@ from madviz.app.rates import Rates
 from madviz.app.toolkit import theme
 from madviz.app.users import Users
 from madviz.envs.base import make_env
-from madviz.kept import KeptEpisode
-from madviz.kept_reader import read_kept
 from madviz.live import Evaluator, Tally
+from madviz.recipes.training_job import TrainingJob
 from madviz.replay import check_policies, differences, finder
-from madviz.session import EnvFactory, Session
+from madviz.session.kept import KeptEpisode
+from madviz.session.kept_reader import read_kept
+from madviz.session.session import EnvFactory, Session
 from madviz.store import Store
-from madviz.training_job import TrainingJob
 from madviz.types import CameraSpec, Environment, Policy, PolicySpec, UserError
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from madviz.app.panel import Assign, apply
-from madviz.frame import Frame
+from madviz.session.frame import Frame
 from madviz.types import Array
 
 FOV = float(np.radians(50))

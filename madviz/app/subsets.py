@@ -10,7 +10,7 @@ import viser
 from madviz.app.colours import NOTE, camera_colours
 from madviz.app.panel import Assign, apply
 from madviz.app.toolkit import on_value, remove_all
-from madviz.frame import Frame
+from madviz.session.frame import Frame
 from madviz.shapley import camera_masks
 from madviz.subsets import camera_of, mask_of, modality_of, name_of
 

@@ -16,7 +16,7 @@ from madviz.app.panel import Assign
 from madviz.app.rates import Rate, Rates
 from madviz.app.subsets import is_trained, presence, subset_label
 from madviz.app.toolkit import on_value, remove_all
-from madviz.frame import Change, Frame, Outcome, Setting, words
+from madviz.session.frame import Change, Frame, Outcome, Setting, words
 from madviz.subsets import mask_of, name_of, single_streams
 from madviz.types import PolicySpec
 

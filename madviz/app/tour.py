@@ -23,7 +23,7 @@ import viser
 from madviz.ablations import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.app.policy import PolicyChoice
 from madviz.app.toolkit import Cell, grid, guarded, remove_all, run_script, theme
-from madviz.frame import (
+from madviz.session.frame import (
     Command,
     Failure,
     Frame,

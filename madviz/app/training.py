@@ -1,8 +1,8 @@
 """Train from the page: choose, start, stop, go on, and watch the newest weights at work.
 
 One training for the whole server, whoever started it: two cores hold no more. It is a process of
-its own at the lowest priority (``madviz.training_job``); this panel asks it for its state a few
-times in ten seconds and draws that.
+its own at the lowest priority (``madviz.recipes.training_job``); this panel asks it for its state
+a few times in ten seconds and draws that.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, grid, guarded, notify, on_value, remove_all
 from madviz.envs.base import TASKS
-from madviz.frame import Command, Frame, SetPolicy
-from madviz.training_job import BUDGETS, JobConfig, JobStatus, TrainingJob
+from madviz.recipes.training_job import BUDGETS, JobConfig, JobStatus, TrainingJob
+from madviz.session.frame import Command, Frame, SetPolicy
 
 WORDS = {
     "idle": "Nothing is being trained.",

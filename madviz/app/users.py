@@ -27,8 +27,8 @@ import viser
 from madviz.app.page import Page, waiting_html
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
-from madviz.session import Session
-from madviz.training_job import TrainingJob
+from madviz.recipes.training_job import TrainingJob
+from madviz.session.session import Session
 
 log = logging.getLogger(__name__)
 

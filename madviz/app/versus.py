@@ -16,9 +16,9 @@ from madviz.app.scene import picture
 from madviz.app.screen import jpeg_url
 from madviz.app.subsets import subset_label
 from madviz.app.toolkit import Cell, grid, on_press, remove_all
-from madviz.frame import Command, Frame, SetTwin
+from madviz.session.frame import Command, Frame, SetTwin
+from madviz.session.twin import tally
 from madviz.statistics import Paired
-from madviz.twin import tally
 
 TILE = 84
 """Pixels of a camera's picture on B's side."""

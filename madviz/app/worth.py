@@ -18,7 +18,7 @@ from madviz.app.panel import Assign
 from madviz.app.rates import Rates
 from madviz.app.subsets import subset_label
 from madviz.app.toolkit import remove_all
-from madviz.frame import Frame, Setting
+from madviz.session.frame import Frame, Setting
 from madviz.shapley import (
     Worth,
     action_worth,

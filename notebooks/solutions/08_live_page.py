@@ -7,8 +7,8 @@
 import madviz
 from madviz import teaching
 from madviz.ablations import Ablation, CameraState
-from madviz.frame import SetCamera
-from madviz.simulation import Simulation
+from madviz.session.frame import SetCamera
+from madviz.session.simulation import Simulation
 from madviz.teaching_show import table
 
 teaching.begin()

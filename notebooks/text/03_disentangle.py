@@ -20,9 +20,10 @@
 
 # %%
 import madviz
-from madviz import light, teaching
+from madviz import teaching
 from madviz.agent import objectives
 from madviz.agent.methods import method
+from madviz.recipes import light
 from madviz.statistics import pair
 from madviz.teaching_lessons import camera_sheet, subset_table
 from madviz.teaching_show import curves, source, table

@@ -16,9 +16,9 @@ from madviz.app.access import Gate
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.server import App
-from madviz.bench_live import CHROMIUM_FLAGS
+from madviz.bench.live import CHROMIUM_FLAGS
 from madviz.doctor import find_browser
-from madviz.frame import Frame, Play, Reset, SetCamera, SetPolicy, SetSpeed
+from madviz.session.frame import Frame, Play, Reset, SetCamera, SetPolicy, SetSpeed
 from tests.fakes import policies
 
 PICTURES = Path(__file__).parents[2] / "build" / "e2e"

@@ -11,7 +11,7 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 
 from madviz.app.server import ExploreConfig, open_app
-from madviz.bench_live import CHROMIUM_FLAGS
+from madviz.bench.live import CHROMIUM_FLAGS
 from madviz.doctor import find_browser
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from madviz.app.server import App
-from madviz.frame import Pause, Reset, StepOnce
-from madviz.kept_reader import read_kept
+from madviz.session.frame import Pause, Reset, StepOnce
+from madviz.session.kept_reader import read_kept
 from tests.e2e.conftest import PATIENCE, Visitor
 
 

@@ -12,8 +12,8 @@ from playwright.sync_api import expect
 from scipy.spatial.transform import Rotation
 
 from madviz.app.server import App
-from madviz.frame import Frame
 from madviz.moves import MoveCamera
+from madviz.session.frame import Frame
 from tests.e2e.conftest import PATIENCE, Visitor
 
 RING = 0.65

@@ -9,7 +9,7 @@ import viser
 from scipy.spatial.transform import Rotation
 
 from madviz.app.server import App
-from madviz.frame import Frame
+from madviz.session.frame import Frame
 from madviz.types import CameraPose
 from tests.e2e.conftest import PATIENCE, Visitor, toy_app, wait_until
 

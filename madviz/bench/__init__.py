@@ -1,0 +1,1 @@
+"""Measurements: ratios, the live page under a stop-watch, the soak."""

@@ -1,0 +1,188 @@
+"""``bench buffer``: the replay buffer packed and plain, filled with the same real frames.
+
+Both hold the same transitions and give the same batches, to the bit; that is checked. What is
+compared is what a transition takes and how long a batch takes to be put together, the two sides in
+turns: ``sample_ms`` by the clock, ``sample_cpu_ms`` of this thread, which others do not lengthen.
+Memory for the paper's 500,000 transitions is then a multiplication. ``--fill`` makes a
+packed buffer of that many transitions for real, by repeating the recorded episodes: a pack is made
+from 1,024 instants, and as long as more than that are recorded no pack sees one twice, so that
+repeating changes nothing in its size. The process's memory before and after is measured then.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from madviz.envs.base import make_env
+from madviz.recipes.buffer import BufferSpec, ReplayBuffer
+from madviz.recipes.buffer_packed import TOGETHER
+from madviz.types import Array, Environment, UserError
+
+PAPER = 500_000
+"""Transitions the paper remembers."""
+
+
+@dataclass(frozen=True)
+class BenchBufferConfig:
+    """What is recorded, and what is timed."""
+
+    json: str | None = None
+    """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
+    task: str = "metaworld/hammer"
+    """Whose frames are stored; half of the episodes the expert's, half random."""
+    decisions: int = 1_200
+    """Recorded, in whole episodes; more than the 1,024 instants of a pack."""
+    batch_size: int = 256
+    """Transitions in a timed batch."""
+    rounds: int = 15
+    """Timed batches of each side; one more is not timed."""
+    fill: int = 0
+    """Also fill a packed buffer with so many transitions and measure the process; 0 does not."""
+
+
+@dataclass(frozen=True)
+class Instant:
+    """One row for the buffer; ``action`` led to it, None at the start of an episode."""
+
+    action: Array | None
+    reward: float
+    state: Array
+    frames: list[Array]
+
+
+def bench_buffer(config: BenchBufferConfig) -> dict[str, Any]:
+    """Bytes per transition and milliseconds per batch of both sides, ratios, need for 500,000.
+
+    Raises UserError if too little is asked for to say anything.
+    """
+    if config.decisions <= TOGETHER or config.rounds < 1:
+        raise UserError(
+            f"expected more than {TOGETHER} --decisions and 1 or more --rounds, found "
+            f"{config.decisions} and {config.rounds}"
+        )
+    env = make_env(config.task)
+    try:
+        facts = env.spec
+        recorded = list(_record(env, config.decisions))
+    finally:
+        env.close()
+    streams = tuple(camera.name for camera in facts.cameras)
+    spec = BufferSpec(
+        streams, facts.state_dim, facts.action_dim, len(recorded), horizon=facts.horizon
+    )
+    plain, packed = ReplayBuffer(spec), ReplayBuffer(replace(spec, packed=True))
+    adding = {name: _add(b, recorded) for name, b in (("plain", plain), ("packed", packed))}
+    times, cpu = _sampling({"plain": plain, "packed": packed}, config)
+    sizes, result = _sizes(packed, spec), {"schema": 1, "task": config.task}
+    result |= {"streams": list(streams), "instants": len(recorded), "batch_size": config.batch_size}
+    for name in ("plain", "packed"):
+        result[f"{name}_bytes_per_transition"] = round(sizes[name])
+        result[f"{name}_sample_ms"] = round(1000 * times[name], 2)
+        result[f"{name}_sample_cpu_ms"] = round(1000 * cpu[name], 2)
+        result[f"{name}_add_ms"] = round(1000 * adding[name], 3)
+        result[f"{name}_gb_for_{PAPER}"] = round(sizes[name] * PAPER / 1e9, 2)
+    result["times_smaller"] = round(sizes["plain"] / sizes["packed"], 2)
+    result["times_slower_to_sample"] = round(cpu["packed"] / cpu["plain"], 2)
+    if config.fill:
+        result["filled"] = _fill(replace(spec, packed=True, capacity=config.fill), recorded, config)
+    return result
+
+
+def _record(env: Environment, decisions: int) -> Iterator[Instant]:
+    """Whole episodes of at least ``decisions`` in all, every second one the expert's."""
+    rng, cameras = np.random.default_rng(0), [camera.name for camera in env.spec.cameras]
+    for episode in range(-(-decisions // env.spec.horizon)):
+        now, action = env.reset(episode), None
+        while True:
+            frames = [env.view(camera).rgb for camera in cameras]
+            yield Instant(action, now.reward, now.state, frames)
+            if now.last:
+                break
+            drawn = rng.uniform(-1, 1, env.spec.action_dim).astype(np.float32)
+            action = env.expert() if episode % 2 else drawn
+            now = env.step(action)
+
+
+def _add(buffer: ReplayBuffer, recorded: list[Instant]) -> float:
+    """Adds all of it; seconds for each instant."""
+    began = time.perf_counter()
+    for each in recorded:
+        if each.action is None:
+            buffer.begin(each.state, each.frames)
+        else:
+            buffer.add(each.action, each.reward, 0.99, each.state, each.frames)
+    return (time.perf_counter() - began) / len(recorded)
+
+
+def _sampling(
+    sides: dict[str, ReplayBuffer], config: BenchBufferConfig
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Median seconds for a batch, by the clock and of this thread; each round both sides put the
+    same transitions together."""
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in sides}
+    for number in range(config.rounds + 1):
+        batches = []
+        for name in sorted(sides, reverse=number % 2 == 1):
+            rng = np.random.default_rng(number)
+            *seconds, batch = _timed(lambda: sides[name].sample(config.batch_size, rng))  # noqa: B023
+            times[name].append((seconds[0], seconds[1]))
+            batches.append(batch)
+        first, second = batches
+        if not (first.views.equal(second.views) and first.next_views.equal(second.next_views)):
+            raise RuntimeError("packed frames came back changed")
+    by_the_clock = {name: median(t for t, _ in each[1:]) for name, each in times.items()}
+    return by_the_clock, {name: median(t for _, t in each[1:]) for name, each in times.items()}
+
+
+def _timed(work: Callable[[], Any]) -> tuple[float, float, Any]:
+    """Seconds by the clock, seconds of this thread, and what ``work`` returned."""
+    began, began_cpu = time.perf_counter(), time.thread_time()
+    result = work()
+    return time.perf_counter() - began, time.thread_time() - began_cpu, result
+
+
+def _sizes(packed: ReplayBuffer, spec: BufferSpec) -> dict[str, float]:
+    """Bytes per transition in a long run: an episode takes one instant more than transitions."""
+    more = (spec.horizon + 1) / spec.horizon
+    numbers = spec.bytes_per_row - spec.frame_bytes
+    return {
+        "plain": more * spec.bytes_per_row,
+        "packed": more * (packed.packed_bytes_per_row + numbers),
+    }
+
+
+def _fill(spec: BufferSpec, recorded: list[Instant], config: BenchBufferConfig) -> dict[str, Any]:
+    """A packed buffer of ``spec.capacity`` transitions, made for real."""
+    before = _resident()
+    buffer, began = ReplayBuffer(spec), time.perf_counter()
+    while len(buffer) < spec.capacity:
+        _add(buffer, recorded)
+    seconds, count, grown = time.perf_counter() - began, len(buffer), _resident() - before
+    rng = np.random.default_rng(0)
+    times = [_timed(lambda: buffer.sample(config.batch_size, rng)) for _ in range(config.rounds)]
+    return {
+        "transitions": count,
+        "seconds": round(seconds, 1),
+        "held_gb": round(buffer.bytes_held / 1e9, 3),
+        "process_grew_gb": round(grown / 1e9, 3),
+        "bytes_per_transition": round(grown / count),
+        f"gb_for_{PAPER}": round(grown / count * PAPER / 1e9, 2),
+        "sample_ms": round(1000 * median(t for t, _, _ in times), 2),
+        "sample_cpu_ms": round(1000 * median(t for _, t, _ in times), 2),
+    }
+
+
+def _resident() -> int:
+    """Bytes of memory this process occupies."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        raise UserError("expected Linux for --fill, found no /proc/self/status; leave --fill out")
+    fields = dict(line.split(":", 1) for line in status.read_text().splitlines())
+    return int(fields["VmRSS"].split()[0]) * 1024

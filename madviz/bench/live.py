@@ -1,0 +1,321 @@
+"""The page under a stop-watch: server, simulator, policy and a real browser on the same cores.
+
+Everything is timed inside the browser, by its own clock: an *update* is a simulator step that was
+not seen before and whose picture has been decoded, a *toggle* runs from the click on a button to
+the moment when the picture shows that camera dropped (its tile has lost all colour) and the text of
+the action has changed. The server is a process of its own, as a user would start it, at full speed.
+
+Watchers are timed at the server's wire, by visitors without browsers (``app/visitor.py``): real
+watchers sit at machines of their own, and four browsers on two cores would time each other.
+
+    updates_per_s, toggle_ms_p50, toggle_ms_p95, toggle_ms   one browser, scene and curves on
+    readout_ms                                               action and Q of every subset
+    watchers: {count, updates_per_s, least, owner}           of one simulation, without workers
+    with_workers: {updates_per_s, ...}                       the browser again, beside evaluations
+    with_training: {updates_per_s, ...}                      the browser again, beside a training
+"""
+
+from __future__ import annotations
+
+import random
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from madviz.doctor import find_browser
+from madviz.types import UserError
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+CHROMIUM_FLAGS = (
+    *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"),
+    *("--enable-unsafe-swiftshader", "--disable-background-networking"),
+    *("--disable-component-update", "--disable-sync", "--no-first-run"),
+)
+"""A browser without a GPU, a display or a wish to talk to anybody."""
+
+STOPWATCH = """
+() => {
+  const watch = window.madviz = {steps: [], pending: null, toggles: []};
+  const canvas = document.createElement('canvas').getContext('2d', {willReadFrequently: true});
+  const status = () => document.querySelector('.mv-status').dataset;
+  const action = () => document.querySelector('.mv-action').innerText;
+  // Mean distance of a tile's pixels from grey: a dropped camera's tile has none.
+  const colour = (image, camera, cameras) => {
+    canvas.canvas.width = 60; canvas.canvas.height = 20;
+    canvas.drawImage(image, 0, 0, 60, 20);
+    const wide = 60 / cameras;
+    const pixels = canvas.getImageData(camera * wide + 2, 4, wide - 4, 14).data;
+    let sum = 0;
+    for (let i = 0; i < pixels.length; i += 4)
+      sum += Math.max(pixels[i], pixels[i+1], pixels[i+2])
+           - Math.min(pixels[i], pixels[i+1], pixels[i+2]);
+    return sum / (pixels.length / 4);
+  };
+  document.addEventListener('load', event => {
+    const image = event.target;
+    if (image.className !== 'mv-mosaic') return;
+    const now = performance.now(), seen = status(), p = watch.pending;
+    watch.steps.push([now, image.dataset.step]);
+    if (p === null || seen.setting === p.setting || action() === p.action) return;
+    if ((colour(image, p.camera, p.cameras) < 6) !== p.off) return;
+    watch.toggles.push(performance.now() - p.start);
+    watch.pending = null;
+  }, true);
+  watch.toggle = (camera, off) => {
+    const label = off ? 'off' : 'RGB';
+    const buttons = [...document.querySelectorAll('button')].filter(b => b.innerText === label);
+    watch.pending = {camera, cameras: buttons.length, off, setting: status().setting,
+                     action: action(), start: performance.now()};
+    buttons[camera].click();
+  };
+}
+"""
+
+
+@dataclass(frozen=True)
+class LiveConfig:
+    """Times the live page in a real browser, without and with evaluation workers."""
+
+    json: str | None = None
+    """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
+    policy: str = "metaworld-hammer-mad-light"
+    """A policy that takes RGB of several cameras."""
+    seconds: float = 15.0
+    """How long updates are counted."""
+    toggles: int = 110
+    """How many times a camera is switched off or on."""
+    workers: int = 1
+    """Evaluation workers of the second measurement; 0 leaves it out."""
+    scene: bool = True
+    """Draw the 3D scene at full resolution; without it, the browser hardly draws it at all."""
+    watchers: int = 0
+    """How many watch one simulation in a measurement of their own; 0 leaves it out."""
+    training: bool = False
+    """Measure once more beside a training, as the page's Train tab starts one."""
+    chromium: str | None = None
+    """The browser; by default the Chromium or Chrome of this machine."""
+
+
+def bench_live(config: LiveConfig) -> dict[str, Any]:
+    """Updates a second, milliseconds of toggles and of the readout; the same with workers, and what
+    watchers get."""
+    if config.seconds <= 0 or config.toggles < 1 or config.watchers < 0:
+        raise UserError("expected seconds above 0, at least 1 toggle and no fewer than 0 watchers")
+    alone = {**measure(config, workers=0), "readout_ms": readout_ms(config.policy)}
+    result = {"schema": 1, "policy": config.policy, "scene": config.scene, **alone}
+    if config.watchers:
+        result["watchers"] = watched(config)
+    if config.workers:
+        busy = measure(config, workers=config.workers)
+        result["with_workers"] = {**busy, "readout_ms": alone["readout_ms"]}
+    if config.training:
+        result["with_training"] = beside_training(config)
+    return result
+
+
+def watched(config: LiveConfig) -> dict[str, Any]:
+    """One simulation, its owner and those who watch: what the server sends each of them a second,
+    all at once."""
+    from madviz.app.visitor import Visitor
+
+    words = ("--visitors", "1", "--watchers", str(config.watchers))
+    with served(config.policy, 0, *words) as url, ExitStack() as stack:
+        people: list[Visitor] = []
+        for _ in range(1 + config.watchers):
+            people.append(stack.enter_context(Visitor(url)))
+            await_steps(people[-1].steps)
+        time.sleep(3.0)
+        rates: list[float] = [0.0] * len(people)
+
+        def count(index: int) -> None:
+            rates[index] = round(people[index].updates_per_s(config.seconds), 2)
+
+        threads = [threading.Thread(target=count, args=(n,)) for n in range(len(people))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    owner, *watchers = rates
+    return {
+        **{"count": config.watchers, "updates_per_s": watchers, "least": min(watchers)},
+        "owner": owner,
+    }
+
+
+def beside_training(config: LiveConfig) -> dict[str, Any]:
+    """The browser again, while its policy's task is trained at the priority that the page gives to
+    trainings. Raises UserError if the training does not last as long as the measurement."""
+    from madviz.checkpoint import load_policy
+    from madviz.recipes.training_job import BUDGETS, JobConfig, TrainingJob
+
+    task = load_policy(config.policy).spec.task
+    with tempfile.TemporaryDirectory() as folder:
+        job = TrainingJob(Path(folder))
+        try:
+            job.start(JobConfig(task, budget=list(BUDGETS["light"])[-1]))
+            # Demonstrations come first, and updates are what takes the time.
+            await_that(lambda: job.status().rows or job.status().state != "running", 300.0)
+            found = measure(config, workers=0)
+            status = job.status()
+        finally:
+            job.close()
+    if status.state != "running":
+        raise UserError(f"expected a training to last, found it {status.state}: {status.why}")
+    return found
+
+
+def await_steps(steps: Sequence[object], patience: float = 60.0) -> None:
+    """Returns when something came. Raises UserError if nothing does."""
+    if not await_that(lambda: steps, patience):
+        raise UserError("the page sent no picture; try: madviz explore")
+
+
+def await_that(happened: Callable[[], object], patience: float) -> bool:
+    """Whether it happened within ``patience`` seconds."""
+    deadline = time.monotonic() + patience
+    while not happened():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def measure(config: LiveConfig, workers: int) -> dict[str, Any]:
+    """One server, one browser: counts updates, then switches cameras off and on."""
+    look = "" if config.scene else "/?fixedDpr=0.05"
+    with (
+        served(config.policy, workers) as url,
+        opened(url + look, config.chromium) as page,
+    ):
+        page.evaluate(STOPWATCH)
+        page.wait_for_timeout(3000)
+        updates = updates_per_s(page, config.seconds)
+        raw = toggle_ms(page, config.toggles)
+    ordered = sorted(raw)
+    return {
+        "updates_per_s": round(updates, 2),
+        "toggle_ms_p50": round(statistics.median(ordered), 1),
+        "toggle_ms_p95": round(ordered[min(len(ordered) - 1, int(0.95 * len(ordered)))], 1),
+        "toggle_ms": [round(value, 1) for value in raw],
+    }
+
+
+def updates_per_s(page: Page, seconds: float) -> float:
+    """Distinct simulator steps whose pictures arrived, a second."""
+    page.evaluate("madviz.steps = []; madviz.from = performance.now()")
+    page.wait_for_timeout(1000 * seconds)
+    steps, taken = page.evaluate("[madviz.steps, performance.now() - madviz.from]")
+    return len({name for _, name in steps}) / (taken / 1000)
+
+
+def toggle_ms(page: Page, count: int) -> list[float]:
+    """Milliseconds from click to picture and text, at moments unrelated to steps."""
+    rng = random.Random(0)
+    off = [False, False, False]
+    for number in range(count):
+        camera = number % 3
+        off[camera] = not off[camera]
+        page.evaluate(f"madviz.toggle({camera}, {'true' if off[camera] else 'false'})")
+        page.wait_for_function("madviz.pending === null", timeout=20_000, polling=20)
+        page.wait_for_timeout(rng.uniform(100, 300))
+    return page.evaluate("madviz.toggles")
+
+
+def readout_ms(policy: str, repeats: int = 100) -> float:
+    """Median milliseconds to read action and Q of every subset, features given."""
+    import numpy as np
+
+    from madviz.app.server import env_in_one_thread
+    from madviz.checkpoint import load_policy
+    from madviz.probes import probe
+    from madviz.streams import IMAGE_SIZE
+
+    loaded = load_policy(policy)
+    env = env_in_one_thread(loaded.spec.task, loaded.spec.render_profile, loaded.spec.cameras)
+    state = env.reset(seed=0).state
+    shape = (len(loaded.spec.streams), 3 * loaded.spec.frame_stack, IMAGE_SIZE, IMAGE_SIZE)
+    views = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    encoded, times = loaded.encode(views, state), []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        probe(loaded, encoded)
+        times.append(1000 * (time.perf_counter() - start))
+    env.close()
+    return round(statistics.median(times), 3)
+
+
+@contextmanager
+def served(policy: str, workers: int, *more: str) -> Iterator[str]:
+    """``madviz explore`` at full speed in a process of its own; its address once it answers."""
+    words = ["--policy", policy, "--workers", str(workers), "--speed", "None", *more]
+    with serving(words) as (url, _):
+        yield url
+
+
+@contextmanager
+def serving(
+    words: Sequence[str], log: IO[str] | None = None
+) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """``madviz explore`` with ``words``, on a free port: its address once it answers, and its
+    process. What it writes to standard error goes to ``log``."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [sys.executable, "-m", "madviz", "explore", "--port", str(port), *words]
+    process = subprocess.Popen(command, stdout=sys.stderr, stderr=log)
+    url = f"http://127.0.0.1:{port}"
+    try:
+        await_answer(url, process)
+        yield url, process
+    finally:
+        process.terminate()
+        process.wait(20)
+
+
+def await_answer(url: str, process: subprocess.Popen[bytes], patience: float = 60.0) -> None:
+    """Returns when ``url`` answers. Raises UserError if the server ends or stays silent."""
+    deadline = time.monotonic() + patience
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            urllib.request.urlopen(url, timeout=1).close()
+            return
+        except (urllib.error.URLError, OSError):
+            time.sleep(0.1)
+    raise UserError("the page did not start; try: madviz explore")
+
+
+@contextmanager
+def opened(url: str, chromium: str | None) -> Iterator[Page]:
+    """A headless browser on ``url`` with the page ready. Raises UserError where there is none."""
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError as error:
+        raise UserError("bench live needs Playwright: pip install playwright") from error
+    chromium = chromium or find_browser()
+    if chromium is None:
+        raise UserError("bench live needs a browser: apt-get install chromium")
+    with sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(
+                executable_path=chromium, args=list(CHROMIUM_FLAGS)
+            )
+        except Error as error:
+            raise UserError(f"{chromium} is not a browser that starts") from error
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.goto(url)
+        page.wait_for_selector(".mv-status", timeout=60_000)
+        yield page
+        browser.close()

@@ -1,0 +1,219 @@
+"""``madviz soak``: visitors come, touch everything and go, for an hour; nothing may stay behind.
+
+A server in a process of its own, visitors without browsers (``app/visitor.py``), rounds of 20 s.
+In a round visitors come and go and touch controls at random, by a seed; one more of them may come
+than there are simulations, so some watch and inherit. After each round everybody leaves, and what
+is still there is written down: memory and threads of the server and its children, and how many
+processes that is.
+
+    round   1    2    3  │  4    5    6    7    8    9   10   11
+            warm-up      │  first ─                     last ───   of 11 rounds a third is warm-up
+            665  680  672│ 674  678  676  678  676  678  678  680  MB: 678.8 after 675.8, 0.4 %
+
+The first rounds fill what stays for good: the allocator's pools, caches of glyphs, viser's threads
+for callbacks. Bars: the median of the last third of what follows is at most 2 % above the
+first third's, no more threads (but for ``POOL``) or processes than before, nothing in the log.
+"""
+
+from __future__ import annotations
+
+import random
+import statistics
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from madviz.app.visitor import Visitor
+from madviz.bench.live import serving
+from madviz.types import UserError
+
+ROUND = 20.0
+"""Seconds; shorter where that would make fewer than ``FEWEST`` rounds."""
+FEWEST = 9
+MOST_GROWTH = 0.02
+POOL = 4
+"""Threads that viser's pool for callbacks may have started late: it grows to its busiest moment."""
+SETTLING = 20.0
+"""Seconds that those who left may take to be gone."""
+
+
+@dataclass(frozen=True)
+class SoakConfig:
+    """Lets visitors come and go for long, and tells whether anything is left behind."""
+
+    json: str | None = None
+    """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
+    minutes: float = 60.0
+    """How long; 3 are enough to see a leak of whole pages."""
+    visitors: int = 3
+    """How many are there at most; all but one of them get a simulation."""
+    policy: str = "metaworld-hammer-mad-light"
+    """A name from ``madviz list``, a folder, or module:factory."""
+    workers: int = 0
+    """Processes that measure success in the background."""
+    seed: int = 0
+    """Of the visitors' whims."""
+
+
+class Sample(NamedTuple):
+    """What is there when nobody is."""
+
+    memory_mb: float
+    threads: int
+    processes: int
+
+
+class Crowd:
+    """Visitors of one page, and their whims."""
+
+    def __init__(self, url: str, pid: int, most: int, seed: int) -> None:
+        self._url, self._pid, self._most = url, pid, most
+        self._rng = random.Random(seed)
+        self.visits = self.touches = self.updates = 0
+
+    def round(self, seconds: float) -> Sample:
+        """Some coming, going and touching; then everybody leaves, and what is left is counted."""
+        here: list[Visitor] = []
+        end = time.monotonic() + seconds
+        try:
+            while time.monotonic() < end:
+                self._whim(here)
+                time.sleep(self._rng.uniform(0.02, 0.3))
+        finally:
+            for visitor in here:
+                self._bid_farewell(visitor)
+        return settled(self._pid)
+
+    def _whim(self, here: list[Visitor]) -> None:
+        chance = self._rng.random()
+        if not here or (chance < 0.12 and len(here) < self._most):
+            here.append(Visitor(self._url))
+            self.visits += 1
+        elif chance < 0.18:
+            self._bid_farewell(here.pop(self._rng.randrange(len(here))))
+        else:
+            self._rng.choice(here).toggle(self._rng)
+            self.touches += 1
+
+    def _bid_farewell(self, visitor: Visitor) -> None:
+        self.updates += len(visitor.steps)
+        visitor.close()
+
+
+def soak(config: SoakConfig) -> dict[str, Any]:
+    """Runs server and visitors; see the module. Raises UserError for a machine without /proc."""
+    if config.minutes <= 0 or config.visitors < 1:
+        raise UserError("expected minutes above 0 and at least 1 visitor")
+    owners = max(1, config.visitors - 1)
+    words = ["--policy", config.policy, "--workers", str(config.workers)]
+    with ExitStack() as stack:
+        log = stack.enter_context(tempfile.TemporaryFile("w+"))
+        words += ["--visitors", str(owners)]
+        url, process = stack.enter_context(serving(words, log))
+        crowd = Crowd(url, process.pid, config.visitors, config.seed)
+        samples = rounds(crowd, 60 * config.minutes)
+        died = process.poll() is not None
+        log.seek(0)
+        errors = [line.rstrip() for line in log if line.strip()]
+    errors += ["the server ended by itself"] if died else []
+    return {
+        **{"schema": 1, "policy": config.policy, "minutes": config.minutes},
+        **{"seed": config.seed, "visits": crowd.visits, "touches": crowd.touches},
+        **{"updates": crowd.updates, **judged(samples), "errors": errors[:50]},
+        "ok": judged(samples)["kept"] and not errors,
+    }
+
+
+def rounds(crowd: Crowd, seconds: float) -> list[Sample]:
+    """Rounds until the time is over, ``FEWEST`` at least."""
+    samples: list[Sample] = []
+    length = min(ROUND, seconds / FEWEST)
+    end = time.monotonic() + seconds
+    while len(samples) < FEWEST or time.monotonic() < end:
+        samples.append(crowd.round(length))
+    return samples
+
+
+def judged(samples: Sequence[Sample]) -> dict[str, Any]:
+    """First third (an hour: first tenth) warms up; of the rest, the last third is held against the
+    first. ``kept``: no bar is broken."""
+    warm = samples[len(samples) // (3 if len(samples) < 30 else 10) :]
+    part = max(1, len(warm) // 3)
+    first, last = warm[:part], warm[-part:]
+
+    def middle(some: Sequence[Sample], name: str) -> float:
+        return statistics.median(getattr(sample, name) for sample in some)
+
+    before, after = middle(first, "memory_mb"), middle(last, "memory_mb")
+    growth = after / before - 1
+    threads = (int(max(s.threads for s in first)), int(min(s.threads for s in last)))
+    processes = (max(s.processes for s in first), min(s.processes for s in last))
+    kept = (
+        growth <= MOST_GROWTH and threads[1] <= threads[0] + POOL and processes[1] <= processes[0]
+    )
+    return {
+        "rounds": len(samples),
+        "memory_mb": {
+            **{"after_warm_up": round(before, 1), "end": round(after, 1)},
+            **{"growth": round(growth, 4), "rounds": [round(s.memory_mb, 1) for s in samples]},
+        },
+        "threads": {
+            **{"after_warm_up": threads[0], "end": threads[1]},
+            "rounds": [s.threads for s in samples],
+        },
+        "processes": {"after_warm_up": processes[0], "end": processes[1]},
+        "kept": kept,
+    }
+
+
+def settled(pid: int) -> Sample:
+    """What is left of ``pid`` and its children, once their threads have been the same for 1 s."""
+    seen, since = look(pid), time.monotonic()
+    deadline = since + SETTLING
+    while time.monotonic() < deadline and time.monotonic() - since < 1.0:
+        time.sleep(0.1)
+        now = look(pid)
+        if (now.threads, now.processes) != (seen.threads, seen.processes):
+            since = time.monotonic()
+        seen = now
+    return seen
+
+
+def look(pid: int) -> Sample:
+    """Memory, threads and number of ``pid`` and all its children. Raises UserError where the system
+    does not tell."""
+    if not Path("/proc/self/status").exists():
+        raise UserError("expected Linux for a soak, found no /proc/self/status; run it there")
+    memory = threads = 0
+    family = [pid]
+    for one in family:
+        try:
+            status = Path(f"/proc/{one}/status").read_text()
+            tasks = list(Path(f"/proc/{one}/task").iterdir())
+            for task in tasks:
+                family += map(int, (task / "children").read_text().split())
+        except OSError:  # It ended while it was looked at.
+            continue
+        threads += len(tasks)
+        memory += next((int(r.split()[1]) for r in status.splitlines() if "VmRSS" in r), 0)
+    return Sample(memory / 1024, threads, len(family))
+
+
+def soak_words(result: dict[str, Any]) -> str:
+    """The result in a few lines."""
+    memory, threads = result["memory_mb"], result["threads"]
+    lines = [
+        f"{result['visits']} visits, {result['touches']} touches, {result['updates']} updates in "
+        f"{result['minutes']:g} min",
+        f"memory {memory['after_warm_up']} -> {memory['end']} MB ({100 * memory['growth']:+.1f} %)",
+        f"threads {threads['after_warm_up']} -> {threads['end']}, processes "
+        f"{result['processes']['after_warm_up']} -> {result['processes']['end']}",
+        f"lines in the log: {len(result['errors'])}",
+        *result["errors"][:10],
+        "nothing is left behind" if result["ok"] else "SOMETHING IS LEFT BEHIND, see above",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,321 @@
+"""The replay buffer: every camera frame once, stacks made when they are sampled.
+
+A transition shows each stream's last three frames, before and after: stored as it is used, every
+frame would be there six times. Here an *instant* (what was seen after a reset or a step) is one row
+of a ring, and a transition is two rows that follow each other:
+
+    row      41      42      43      44      45                row 44 starts an episode: age 0
+    age       8       9      10       0       1
+    stack of 43: 41 42 43     of 44: 44 44 44     of 45: 44 44 45      43 -> 44 is no transition
+
+Memory for 500,000 transitions of three 84x84 RGB streams in episodes of 100 decisions: 505,003 rows
+of 63,504 bytes, 32.1 GB, where full stacks of both sides take 190. Frames may be packed without
+loss (``buffer_packed``), which takes 6 to 8 GB, or be on a disk; the need is said before the first
+step is taken, and looked at again when the first frames have been packed.
+
+Several environments that step together share a ring: a row for each of them in turn, its *lanes*.
+What follows the instant i of a lane is then i + lanes.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from madviz.agent.objectives import Batch
+from madviz.recipes import buffer_packed
+from madviz.recipes.buffer_packed import EXPECTED_SHARE, FrameStore, Pack, PackedFrames, PlainFrames
+from madviz.streams import IMAGE_SIZE
+from madviz.subsets import modality_of
+from madviz.types import Array, UserError
+
+
+@dataclass(frozen=True)
+class BufferSpec:
+    """What is stored, and how much of it."""
+
+    streams: tuple[str, ...]
+    state_dim: int
+    action_dim: int
+    capacity: int
+    """Transitions that are kept at least."""
+    horizon: int
+    """Decisions in an episode; one more row than that is needed for it."""
+    frame_stack: int = 3
+    packed: bool = False
+    """Whether frames in memory are packed."""
+    lanes: int = 1
+    """Environments that write in turn."""
+
+    @property
+    def rows(self) -> int:
+        """Instants in the ring; a stack reaches ``frame_stack`` - 1 rows back."""
+        each = -(-self.capacity // self.lanes)
+        return self.lanes * (each + -(-each // self.horizon) + self.frame_stack)
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """Of a stored frame, per stream: 3 for colour, 1 for depth."""
+        return tuple(1 if modality_of(stream) == "depth" else 3 for stream in self.streams)
+
+    @property
+    def bytes_per_row(self) -> int:
+        """What an instant takes, or is expected to take where it is packed."""
+        numbers = 4 * (self.state_dim + self.action_dim + 3) + 1
+        return round(self.frame_bytes * (EXPECTED_SHARE if self.packed else 1)) + numbers
+
+    @property
+    def frame_bytes(self) -> int:
+        """What the frames of an instant take as they are."""
+        return IMAGE_SIZE**2 * sum(self.channels)
+
+
+class ReplayBuffer:
+    """See the module. ``begin`` an episode, ``add`` steps, ``sample`` batches."""
+
+    def __init__(
+        self, spec: BufferSpec, folder: Path | None = None, available: int | None = None
+    ) -> None:
+        """Frames live in memory, or in files in ``folder``.
+
+        ``available`` bytes there may be used, by default what the machine has free. Raises
+        UserError, with need and have, where the buffer will not fit.
+        """
+        self.spec = spec
+        rows = spec.rows
+        self._refuse_if_too_large(rows * spec.bytes_per_row, folder, available)
+        self._frames: FrameStore = _frame_store(spec, folder)
+        self._numbers: dict[str, Array] = {
+            "state": np.zeros((rows, spec.state_dim), np.float32),
+            "action": np.zeros((rows, spec.action_dim), np.float32),
+            "reward": np.zeros(rows, np.float32),
+            "discount": np.zeros(rows, np.float32),
+            "age": np.zeros(rows, np.int32),
+            "goes_on": np.zeros(rows, bool),
+        }
+        self._count = 0
+        """Instants ever written; number i is in row i modulo the rows."""
+        self._saved = 0
+        self._parts: list[str] = []
+
+    def __len__(self) -> int:
+        """Transitions that can be sampled."""
+        return int(self._usable(np.arange(self._oldest, self._count)).sum())
+
+    def begin(self, state: Array, frames: list[Array]) -> None:
+        """The first instant of an episode: ``state`` (S,), a frame (H, W, C) per stream."""
+        self._write(state, frames, age=0)
+
+    def add(
+        self, action: Array, reward: float, discount: float, state: Array, frames: list[Array]
+    ) -> None:
+        """A step: what was done at the newest instant of the lane whose turn it is, and the
+        instant it led to. Raises UserError if frames turn out to pack too badly to fit."""
+        row, age = self._row(self._count - self.spec.lanes), self.age
+        self._numbers["action"][row] = action
+        self._numbers["reward"][row] = reward
+        self._numbers["discount"][row] = discount
+        self._numbers["goes_on"][row] = True
+        self._write(state, frames, age + 1)
+
+    @property
+    def age(self) -> int:
+        """Steps taken in the running episode of the lane whose turn it is."""
+        return int(self._numbers["age"][self._row(self._count - self.spec.lanes)])
+
+    def newest(self) -> tuple[Tensor, Tensor]:
+        """Views (L, V, C, H, W) uint8 and states (L, S) of every lane's newest instant."""
+        index = np.arange(self._count - self.spec.lanes, self._count)
+        return self._stacks(index)[0], self._column("state", index)
+
+    def actions(self) -> Array:
+        """(age, L, A): the actions of the episodes so far, with which they can be replayed."""
+        lanes, age = self.spec.lanes, self.age
+        index = np.arange(self._count - (age + 1) * lanes, self._count - lanes)
+        return self._numbers["action"][self._row(index)].reshape(age, lanes, self.spec.action_dim)
+
+    def sample(self, size: int, rng: np.random.Generator) -> Batch:
+        """``size`` transitions, uniformly and with replacement, from whole and running episodes."""
+        return self.batch(self._draw(size, rng))
+
+    def batch(self, index: Array) -> Batch:
+        """The transitions that begin at the instants numbered ``index`` (B,)."""
+        names, following = ("state", "action", "reward", "discount"), index + self.spec.lanes
+        views, next_views = self._stacks(index, following)
+        return Batch(
+            views=views,
+            **{name: self._column(name, index) for name in names},
+            next_views=next_views,
+            next_state=self._column("state", following),
+        )
+
+    def save(self, folder: Path) -> dict[str, Any]:
+        """Writes what is new since the last ``save`` to ``folder``; returns what ``restore`` needs.
+
+        The newest rows are written again next time, because their actions are not known yet.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        start = max(self._saved - self.spec.lanes, self._oldest, 0)
+        if self._count > self._saved:
+            name = f"part-{start:09d}-{self._count:09d}.npz"
+            numbers = range(start, self._count)
+            columns = {key: column[self._row(np.array(numbers))] for key, column in self._columns}
+            for v in range(len(self.spec.streams)):
+                frames = self._frames.read(v, numbers)
+                pack = Pack.of(np.stack([frames[number] for number in numbers])).arrays()
+                columns |= {f"{key}{v}": array for key, array in pack.items()}
+            with (folder / "part.tmp").open("wb") as file:
+                np.savez(file, allow_pickle=False, **columns)
+            os.replace(folder / "part.tmp", folder / name)
+            self._parts = [p for p in self._parts if _span(p)[1] > self._oldest] + [name]
+            self._saved = self._count
+        return {"count": self._count, "parts": list(self._parts)}
+
+    def restore(self, folder: Path, state: dict[str, Any]) -> None:
+        """The buffer as it was saved; parts written after that are removed."""
+        self._count = 0
+        for name in state["parts"]:
+            start, stop = _span(name)
+            rows = self._row(np.arange(start, stop))
+            with np.load(folder / name) as part:
+                for key, column in self._columns:
+                    column[rows] = part[key]
+                self._restore_frames(part, range(start, stop))
+            self._count = stop
+        for file in folder.glob("part*"):
+            if file.name not in state["parts"]:
+                file.unlink()
+        self._count = self._saved = state["count"]
+        self._parts = list(state["parts"])
+
+    def _restore_frames(self, part: Any, numbers: range) -> None:
+        """Those of a part's frames that no part before it had."""
+        packs = [
+            Pack.from_arrays({key: part[f"{key}{v}"] for key in Pack.KEYS})
+            for v in range(len(self.spec.streams))
+        ]
+        for number in range(max(numbers.start, self._count), numbers.stop):
+            frames = [pack.frames([number - numbers.start])[0] for pack in packs]
+            self._frames.write(number, frames)
+
+    @property
+    def bytes_held(self) -> int:
+        """What all that is stored takes at this moment."""
+        return self._frames.bytes_held + sum(column.nbytes for _, column in self._columns)
+
+    @property
+    def packed_bytes_per_row(self) -> float:
+        """What the frames of an instant take once packed; NaN before the first pack is made."""
+        assert isinstance(self._frames, PackedFrames)
+        size, instants = self._frames.bytes_packed
+        return size / instants if instants else float("nan")
+
+    @property
+    def _columns(self) -> list[tuple[str, Array]]:
+        return list(self._numbers.items())
+
+    @property
+    def _oldest(self) -> int:
+        return max(self._count - self.spec.rows, 0)
+
+    def _row(self, number: Any) -> Any:
+        return number % self.spec.rows
+
+    def _write(self, state: Array, frames: list[Array], age: int) -> None:
+        row = self._row(self._count)
+        self._frames.write(self._count, frames)
+        self._numbers["state"][row] = state
+        self._numbers["age"][row] = age
+        self._numbers["goes_on"][row] = False
+        self._count += 1
+        if isinstance(self._frames, PackedFrames) and self._count == buffer_packed.TOGETHER:
+            # With the first pack made, its size says more than the expectation did.
+            self._refuse_if_too_large(round(self.packed_bytes_per_row * self.spec.rows), None, None)
+
+    def _usable(self, index: Array) -> Array:
+        """Whether a transition begins at these instants whose whole stack is still there."""
+        row = self._row(index)
+        reach = np.minimum(self._numbers["age"][row], self.spec.frame_stack - 1)
+        return self._numbers["goes_on"][row] & (index - reach * self.spec.lanes >= self._oldest)
+
+    def _draw(self, size: int, rng: np.random.Generator) -> Array:
+        found: list[int] = []
+        if not len(self):
+            raise ValueError("expected at least one transition in the buffer, found none")
+        while len(found) < size:
+            index = rng.integers(self._oldest, self._count, size)
+            found += index[self._usable(index)].tolist()
+        return np.array(found[:size])
+
+    def _column(self, name: str, index: Array) -> Tensor:
+        return torch.from_numpy(self._numbers[name][self._row(index)])
+
+    def _stacks(self, *indices: Array) -> list[Tensor]:
+        """Of each (B,) of instants its (B, V, 3 x stack, H, W) uint8, channels last in memory: what
+        the encoder wants. A frame that several stacks show is fetched once."""
+        stack, size = self.spec.frame_stack, IMAGE_SIZE
+        shape = (len(self.spec.streams), size, size, 3 * stack)
+        stacks = [np.empty((len(index), *shape), np.uint8) for index in indices]
+        histories = [self._history(index) for index in indices]
+        needed = np.unique(np.concatenate(histories)).tolist()
+        for v, channels in enumerate(self.spec.channels):
+            frames, repeat = self._frames.read(v, needed), 3 // channels
+            for out, history in zip(stacks, histories, strict=True):
+                for views, numbers in zip(out, history.tolist(), strict=True):
+                    cv2.merge([frames[n] for n in numbers for _ in range(repeat)], views[v])
+        return [torch.from_numpy(out).permute(0, 1, 4, 2, 3) for out in stacks]
+
+    def _history(self, index: Array) -> Array:
+        """(B, stack): the instants that the stacks at ``index`` (B,) show, oldest first."""
+        past = np.arange(self.spec.frame_stack)[::-1]
+        back = np.minimum(past, self._numbers["age"][self._row(index)][:, None])
+        return index[:, None] - back * self.spec.lanes
+
+    def _refuse_if_too_large(self, need: int, folder: Path | None, available: int | None) -> None:
+        spec = self.spec
+        have = _free(folder) if available is None else available
+        if need > have:
+            fits = int(spec.capacity * have / need) // 1000 * 1000
+            raise UserError(
+                f"the replay buffer of {spec.capacity} transitions of {len(spec.streams)} streams "
+                f"needs {need / 1e9:.1f} GB, found {have / 1e9:.1f} GB free "
+                f"{'in memory' if folder is None else f'in {folder}'}; "
+                f"ask for {fits} transitions or fewer"
+                + (", or keep it on disk" if folder is None else "")
+            )
+
+
+def _frame_store(spec: BufferSpec, folder: Path | None) -> FrameStore:
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        files = [folder / f"{stream}.frames" for stream in spec.streams]
+        return PlainFrames(spec.rows, spec.channels, files)
+    kind = PackedFrames if spec.packed else PlainFrames
+    return kind(spec.rows, spec.channels)
+
+
+def _span(part: str) -> tuple[int, int]:
+    """The instants in a part: from, and up to but without."""
+    start, stop = part.removesuffix(".npz").split("-")[1:]
+    return int(start), int(stop)
+
+
+def _free(folder: Path | None) -> int:
+    """Bytes that may be filled: of the nearest disk, or of memory."""
+    if folder is not None:
+        while not folder.exists():
+            folder = folder.absolute().parent
+        disk = os.statvfs(folder)
+        return disk.f_bavail * disk.f_frsize
+    meminfo = Path("/proc/meminfo")
+    if meminfo.exists():
+        fields = dict(line.split(":") for line in meminfo.read_text().splitlines())
+        return int(fields["MemAvailable"].split()[0]) * 1024
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

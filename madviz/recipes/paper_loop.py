@@ -1,0 +1,143 @@
+"""The loop around a run of reinforcement learning: evaluate, save, advance, report.
+
+    while not finished:
+        an evaluation that is due        a row of curve.csv, and curve.svg
+        a checkpoint that is due         resume state, and the policy as it ships
+        run.advance()                    decisions and updates, as the recipe has them
+
+It knows nothing about how a recipe acts and learns; ``paper`` and ``paper_vectorised`` do.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from madviz.checkpoint import save_policy
+from madviz.manifest import policy_config
+from madviz.recipes.curves import draw_curve
+from madviz.recipes.run import interruptible
+from madviz.rollout import Stopped
+
+if TYPE_CHECKING:
+    from madviz.recipes.paper import PaperRun
+    from madviz.train import TrainConfig
+
+PROGRESS_SECONDS = 20
+"""Between lines that say how far a run is."""
+
+
+def train_on(run: PaperRun, config: TrainConfig, command: str) -> None:
+    """From the folder's last state, if it has one, to the end of the run or a Ctrl-C."""
+    state = run.folder.load_state()
+    if state:
+        run.restore(state)
+    # Whatever was reported after that state will be reported again.
+    run.folder.truncate_curve("step", run.step if state else -1)
+    _loop(run, lambda: _save(run, config, command))
+
+
+def _loop(run: PaperRun, save: Callable[[], None]) -> None:
+    saved, began = run.step, time.monotonic() - run.seconds
+    reported, pace = time.monotonic(), Pace(run)
+    with interruptible() as stop:
+        while True:
+            if run.evaluation_due():
+                _evaluate(run, stop.is_set, pace)
+                pace = Pace(run)
+            run.seconds = time.monotonic() - began
+            if run.finished or stop.is_set() or run.step - saved >= run.config.save_every:
+                save()
+                saved = run.step
+            if run.finished or stop.is_set():
+                break
+            before = time.monotonic()
+            run.advance()
+            now = time.monotonic()
+            run.busy += now - before
+            if now - reported > PROGRESS_SECONDS:
+                _report(run, pace)
+                reported = now
+
+
+class Pace:
+    """How fast a run goes since now; evaluating and saving are left out."""
+
+    def __init__(self, run: PaperRun) -> None:
+        self._run, self._before = run, (run.env_steps, run.updates, run.busy)
+
+    def rates(self) -> dict[str, float]:
+        """Simulator steps and updates per second."""
+        run, (steps, updates, busy) = self._run, self._before
+        seconds = max(run.busy - busy, 1e-9)
+        return {
+            "env_steps_per_s": round((run.env_steps - steps) / seconds, 2),
+            "updates_per_s": round((run.updates - updates) / seconds, 3),
+        }
+
+
+def _evaluate(run: PaperRun, stop: Callable[[], bool], pace: Pace) -> None:
+    """A row of the curve, and the picture of all rows."""
+    try:
+        row = run.evaluate(stop)
+    except Stopped:
+        return  # It is due again when the run goes on.
+    counts = {"step": run.step, "env_steps": run.env_steps, "updates": run.updates}
+    losses = {name: round(run.losses.get(name, float("nan")), 5) for name in _LOSSES}
+    left = _seconds_left(run) if run.step else ""
+    clock = {"seconds": round(run.seconds, 1), "seconds_left": left, **pace.rates()}
+    episodes = {"episodes": run.config.eval_episodes}
+    run.folder.report("curve", **counts, **clock, **episodes, **row, **losses)
+    draw_curve(run.folder.path, run.spec.name, run.config.steps)
+
+
+_LOSSES = ("critic_loss", "actor_loss", "temperature", "entropy")
+
+
+def _report(run: PaperRun, pace: Pace) -> None:
+    run.folder.report(
+        "progress",
+        step=run.step,
+        steps=run.config.steps,
+        episodes=run.episodes,
+        updates=run.updates,
+        seconds_left=_seconds_left(run),
+        **pace.rates(),
+        **{name: round(value, 4) for name, value in run.losses.items()},
+    )
+
+
+def _seconds_left(run: PaperRun) -> int:
+    """At the pace of all that was done so far, evaluations included."""
+    return round(run.seconds / max(run.step, 1) * max(run.config.steps - run.step, 0))
+
+
+def _save(run: PaperRun, config: TrainConfig, command: str) -> None:
+    """Resume state, then the policy in its shipped form."""
+    run.folder.save_state(run.state())
+    agent = run.acting_agent()
+    training = {
+        "how": f"reinforcement learning from scratch, {run.SCHEDULE}",
+        "command": command,
+        **{"steps": run.step, "environment_steps": run.env_steps, "episodes": run.episodes},
+        **{"updates": run.updates, "batch_size": run.config.batch_size},
+        "alpha": run.config.alpha,
+        "seeds": f"network and data {config.seed}, episodes below {run.SEEDS}",
+        "wall_time_s": round(run.seconds),
+        "finished": run.finished,
+    }
+    described = policy_config(
+        run.env.spec,
+        agent.config,
+        name=run.spec.name,
+        method=run.spec.method,
+        setting=run.spec.setting,
+        recipe=run.spec.recipe,
+        streams=run.spec.streams,
+        trained_subsets=run.spec.trained_subsets,
+        training=training,
+        merge=agent.merge_name,
+        camera=config.chosen_camera(),
+    )
+    save_policy(run.folder.path, agent, described)

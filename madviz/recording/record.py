@@ -1,0 +1,285 @@
+"""``madviz record``: an episode without a page, as a rerun file, a film or a report.
+
+The same session that a page shows is driven as fast as it goes, and every frame it emits is handed
+to one writer. The name of the file chooses it:
+
+    .rrd   everything, by step, for rerun's viewer: pictures, frusta, features, Q, action, mask
+    .mp4   what the policy sees, with the state of every camera drawn in, and Q under it
+    .html  one page that needs nothing else: pictures, curves, the outcome, how to make it again
+
+With ``--replay`` the episode is a kept one, otherwise a policy and a seed, and cameras that fail
+when ``--drop`` or ``--scenario`` says (``madviz.session.failures``).
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from madviz import checkpoint
+from madviz.envs.base import make_env
+from madviz.replay import Finder, check_horizon, check_policies, failures_of, finder
+from madviz.rollout import one_thread
+from madviz.session.failures import Schedule, in_order, in_words, parse_schedule, scenario
+from madviz.session.frame import Failure, Frame, Play, SetSchedule, occlusion_words
+from madviz.session.kept import KeptEpisode
+from madviz.session.kept_reader import read_kept
+from madviz.session.session import Session
+from madviz.types import Array, Environment, Policy, UserError
+
+FIRST_SEED = 5000
+JPEG_QUALITY = 88
+
+
+@dataclass(frozen=True)
+class RecordConfig:
+    """Records an episode without a page: a rerun file, a film or a report."""
+
+    out: Path
+    """Where to: X.rrd for rerun's viewer, X.mp4 a film, X.html a report in one file."""
+    policy: str | None = None
+    """A name from `madviz list`, a folder, or module:factory; beside --replay, where to find it."""
+    seed: int = FIRST_SEED
+    """Which episode."""
+    drop: tuple[str, ...] = ()
+    """When cameras fail: third_a@20 (dropped), third_a@20-40 (comes back), third_b=noise:0.5@10."""
+    scenario: str | None = None
+    """Failures with a name, for example "lens covered"; see madviz/session/failures.py."""
+    replay: Path | None = None
+    """A kept session to record instead; policy, seed and failures are its own."""
+    episode: int | None = None
+    """Which episode of the kept session, from 1; by default the last."""
+    steps: int | None = None
+    """Decisions to record; by default all there are."""
+    tile: int = 252
+    """Pixels that a camera's picture is wide in a film."""
+    fps: float = 10.0
+    """Decisions in a second of film."""
+    keep: Path | None = None
+    """Also write the episode as a kept session, for `madviz replay`."""
+    json: str | None = None
+    """Write what was recorded to this file; ``-`` is standard output, and nothing else goes there.
+    """
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a recording is of."""
+
+    command: str
+    """Makes it again."""
+    failures: tuple[str, ...]
+    """What happens to cameras, in the language of schedules."""
+    fps: float = 10.0
+    tile: int = 252
+
+
+class Writer(Protocol):
+    """Takes the frames of one episode, one for every step, in order."""
+
+    def add(self, frame: Frame) -> None: ...
+
+    def close(self) -> None:
+        """Completes the file."""
+        ...
+
+
+def check(config: RecordConfig) -> None:
+    """Raises UserError for numbers out of range and words that exclude each other."""
+    for name, low, high in (("tile", 84, 1024), ("fps", 0.5, 120), ("seed", 0, 2**31 - 1)):
+        found = getattr(config, name)
+        if not low <= found <= high:
+            raise UserError(f"expected --{name} from {low} to {high}, found {found}; change it")
+    if config.steps is not None and config.steps < 1:
+        raise UserError(f"expected --steps 1 or more, found {config.steps}; leave it out for all")
+    if config.replay is None and config.policy is None:
+        raise UserError("expected --policy NAME or --replay FILE, found neither; give one")
+    if config.replay is not None and (config.drop or config.scenario or config.steps):
+        raise UserError(
+            "expected a kept session to have failures and length of its own, found --drop, "
+            "--scenario or --steps beside --replay; leave them out"
+        )
+
+
+def writer_for(path: Path, facts: Facts) -> Writer:
+    """The writer that ``path`` asks for. Raises UserError as ``check_out`` does."""
+    check_out(path)
+    if path.suffix == ".rrd":
+        from madviz.recording.rerun import RerunWriter
+
+        return RerunWriter(path, facts)
+    if path.suffix == ".mp4":
+        from madviz.recording.video import VideoWriter
+
+        return VideoWriter(path, facts)
+    from madviz.recording.report import ReportWriter
+
+    return ReportWriter(path, facts)
+
+
+def check_out(path: Path) -> None:
+    """Raises UserError for an ending that is no format, and for a folder that does not exist."""
+    if path.suffix not in (".rrd", ".mp4", ".html"):
+        raise UserError(
+            f"--out {path}: expected a name that ends in .rrd, .mp4 or .html, "
+            f"found {path.suffix or 'no ending'}; choose one of them"
+        )
+    if not path.resolve().parent.is_dir() or path.is_dir():
+        raise UserError(f"--out {path}: expected a file in a folder that exists; make the folder")
+
+
+def run_record(config: RecordConfig) -> dict[str, Any]:
+    """Records what ``config`` says. Raises UserError for whatever in it will not do. ``same`` is
+    whether a kept episode came out as it was, to the bit; null where there was none."""
+    check(config)
+    check_out(config.out)
+    script = read_kept(config.replay).episode(config.episode) if config.replay else None
+    find = finder(() if config.policy is None else (config.policy,))
+    policy = find(script.policy) if script else checkpoint.load_policy(str(config.policy))
+    world = script or policy.spec
+    with closing(make_env(world.task, world.render_profile, world.cameras)) as env, one_thread():
+        session = _session(env, policy, config.seed, script, find)
+        schedule = _schedule(config, env)
+        session.send(SetSchedule(schedule))
+        failures = failures_of(script) if script else in_words(schedule)
+        facts = Facts(command_of(config), tuple(failures), config.fps, config.tile)
+        last = write_all(
+            config.out, facts, frames(session, script.steps if script else config.steps)
+        )
+    if config.keep is not None:
+        session.keep().last().write(config.keep)
+    return {
+        **{"schema": 1, "out": str(config.out), "bytes": config.out.stat().st_size},
+        **{"policy": last.policy.name, "task": last.env.task, "seed": last.seed},
+        **{"steps": last.step, "failures": failures},
+        **{"success": last.success, "success_any": last.success_any, "return": last.total_reward},
+        "same": session.keep().episodes[-1].sha256 == script.sha256 if script else None,
+    }
+
+
+def write_all(out: Path, facts: Facts, episode: Iterator[Frame]) -> Frame:
+    """Writes a whole episode; the last frame. Whoever finds ``out`` finds all of it: until then it
+    has another name, and if the episode stops there is none."""
+    part = out.with_name(f".{out.stem}.part{out.suffix}")
+    writer, last = writer_for(part, facts), None
+    try:
+        for last in episode:
+            writer.add(last)
+        writer.close()
+        os.replace(part, out)
+    except BaseException:
+        writer.close()
+        part.unlink(missing_ok=True)
+        raise
+    assert last is not None
+    return last
+
+
+def record_words(result: dict[str, Any]) -> str:
+    """The result as two lines."""
+    said = [
+        f"{result['out']}: {result['steps']} decisions of {result['policy']}, seed "
+        f"{result['seed']}, {'success' if result['success'] else 'no success'}, "
+        f"{result['bytes'] / 1e6:.2f} MB",
+    ]
+    if result["same"] is False:
+        said.append("it did not come out as it was kept: `madviz replay` says where it differs")
+    return "\n".join(said)
+
+
+def command_of(config: RecordConfig) -> str:
+    """The command line that makes the recording again. Of paths only the last part: a report that
+    is given away says nothing about whose folders it came from."""
+    words = ["madviz", "record"]
+    if config.replay is not None:
+        words += ["--replay", config.replay.name]
+        words += [] if config.episode is None else ["--episode", str(config.episode)]
+    else:
+        words += ["--policy", Path(str(config.policy)).name, "--seed", str(config.seed)]
+        words += ["--drop", *config.drop] if config.drop else []
+        words += ["--scenario", config.scenario] if config.scenario else []
+        words += [] if config.steps is None else ["--steps", str(config.steps)]
+    return shlex.join([*words, "--out", config.out.name])
+
+
+def _schedule(config: RecordConfig, env: Environment) -> Schedule:
+    """Of the scenario and of ``--drop`` together."""
+    named = scenario(config.scenario).schedule(env.spec) if config.scenario else ()
+    cameras = [camera.name for camera in env.spec.cameras]
+    return in_order([*named, *parse_schedule(config.drop, cameras)])
+
+
+def _session(
+    env: Environment, policy: Policy, seed: int, script: KeptEpisode | None, find: Finder
+) -> Session:
+    """A session in ``env`` that waits for nobody."""
+    if script is not None:
+        check_horizon(script, env)
+        check_policies(script, find, env)
+    wanted = {one.name: one for one in (script.policies if script else ())}
+
+    def load(name: str) -> Policy:
+        return find(wanted[name])
+
+    session = Session(lambda *_: env, policy, load, seed=seed, speed=None, script=script)
+    if script is not None:
+        session.send(Play())  # With a script it waits for somebody who watches.
+    return session
+
+
+def frames(session: Session, steps: int | None) -> Iterator[Frame]:
+    """The frames of one episode, from step 0 to its end or to step ``steps``: of every step the
+    last one, after whatever came by itself. Raises UserError where the session stops."""
+    come: list[Frame | Failure] = []
+    session.subscribe(come.append)
+    newest: Frame | None = None
+    while newest is None or not (newest.ended or newest.step == steps):
+        session.tick(0.0)
+        while come:
+            frame = come.pop(0)
+            if frame.error or isinstance(frame, Failure):
+                raise UserError(f"the episode stopped: {frame.error.strip().splitlines()[0]}")
+            if newest is not None and frame.step > newest.step:
+                yield newest
+                if newest.step == steps:
+                    return
+            newest = frame
+    yield newest
+
+
+def jpeg(picture: Array) -> bytes:
+    """(H, W, 3) RGB or (H, W, 1) uint8 -> a JPEG file."""
+    pixels = picture if picture.shape[2] == 1 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    done, encoded = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    assert done
+    return np.asarray(encoded).tobytes()
+
+
+def headline(frame: Frame, facts: Facts) -> str:
+    """Policy, task, seed and failures in one line."""
+    failing = f" · fails: {', '.join(facts.failures)}" if facts.failures else ""
+    return f"{frame.policy.name} · {frame.env.task} · seed {frame.seed}{failing}"
+
+
+def setting_words(frame: Frame) -> str:
+    """Which streams count and which cameras fail how: ``first+third_b, First person is frozen``."""
+    parts = [frame.setting.subset]
+    for name, occlusion in sorted(frame.ablation.occlusions().items()):
+        if frame.camera(name).input != "off":
+            parts.append(f"{frame.env.camera(name).label} {occlusion_words(occlusion)}")
+    return ", ".join(parts)
+
+
+def verdict(frame: Frame) -> str:
+    """How the episode stands, in a word or two."""
+    if not frame.ended:
+        return "goal met" if frame.success else "goal not met"
+    return "SUCCESS" if frame.success else "FAIL"

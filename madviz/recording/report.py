@@ -1,0 +1,178 @@
+"""A report of an episode: one HTML file that needs nothing else, and loads nothing.
+
+Pictures are JPEG files inside it, curves are SVG; it can be mailed, and opened without a network. A
+content security policy in its head says so to the browser: no scripts, nothing from elsewhere.
+"""
+
+from __future__ import annotations
+
+import base64
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from madviz.app.colours import camera_colours
+from madviz.app.mosaic import mosaic
+from madviz.files import write_bytes
+from madviz.recording.record import Facts, jpeg, setting_words
+from madviz.session.frame import Frame
+from madviz.subsets import camera_of
+from madviz.svg_curves import curves
+from madviz.types import Array
+
+PICTURES = 10
+"""In the strip, besides those of steps at which the cameras changed."""
+MOST_MARKED = 14
+TILE = 168
+_DARK = {"#F0E442": "#b3a600", "#56B4E9": "#2f8fc9", "#E69F00": "#c98500"}
+"""Camera colours that are too bright on white, and what stands for them."""
+
+_STYLE = """
+body{font:15px/1.5 sans-serif;max-width:980px;margin:24px auto;padding:0 16px;color:#222;
+background:#fff}h1{font-size:22px;margin:0 0 4px}h2{font-size:16px;margin:24px 0 6px}
+table{border-collapse:collapse}td,th{padding:2px 14px 2px 0;text-align:left;vertical-align:top}
+th{font-weight:600;color:#555;white-space:nowrap}code{background:#f1f1f1;padding:2px 5px;
+overflow-wrap:anywhere}figure{margin:0 0 10px}figcaption{font-size:13px;color:#555}
+.strip{display:grid;grid-template-columns:repeat(auto-fill,minmax(440px,1fr));gap:8px 14px}
+.strip img{width:100%;display:block}.outcome{font-weight:700;padding:1px 10px;border-radius:3px;
+color:#fff}.good{background:#0b6e99}.bad{background:#b4540a}.open{background:#666}
+.marked figcaption{color:#8a6400;font-weight:600}
+svg{max-width:100%;height:auto;display:block;margin-bottom:8px}
+"""
+
+
+class ReportWriter:
+    """See the module. Keeps of every step its numbers, and of all pictures the few it shows."""
+
+    def __init__(self, path: Path, facts: Facts) -> None:
+        self._path, self._facts = path, facts
+        self._frames: list[Frame] = []
+        self._marks: dict[int, str] = {}
+        self._pictures: dict[int, bytes] = {}
+        self._numbers: dict[str, list[Array]] = {}
+
+    def add(self, frame: Frame) -> None:
+        before = self._frames[-1] if self._frames else None
+        if before is not None and _changed(before, frame):
+            self._marks[frame.step] = setting_words(frame)
+        every = max(frame.env.horizon // PICTURES, 1)
+        marked = frame.step in self._marks and len(self._marks) <= MOST_MARKED
+        if marked or frame.step % every == 0 or frame.ended:
+            self._pictures[frame.step] = jpeg(mosaic(frame, TILE))
+        probe, row = frame.probe, frame.row
+        self._note("norms", probe.norms)
+        self._note("merged", np.array([probe.merged_norm(row)]))
+        self._note("cosines", probe.cosines(row))
+        self._note("action", frame.action)
+        self._note("q", np.array([frame.q]))
+        self._note("reward", np.array([frame.reward]))
+        self._frames = [self._frames[0] if self._frames else frame, frame][-2:]
+
+    def close(self) -> None:
+        if self._frames:
+            write_bytes(self._path, self._html().encode())
+
+    def _note(self, name: str, numbers: Array) -> None:
+        self._numbers.setdefault(name, []).append(np.asarray(numbers, float))
+
+    def _html(self) -> str:
+        last = self._frames[-1]
+        title = f"{last.policy.name}, seed {last.seed}"
+        policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+        body = [
+            f"<h1>{escape(title)}</h1>",
+            _outcome(last),
+            f"<h2>What this is</h2>{_facts(last, self._facts)}",
+            f"<h2>What the policy saw</h2>{self._strip()}",
+            f"<h2>What it made of it</h2>{self._curves(last)}",
+            f"<h2>To make it again</h2><p><code>{escape(self._facts.command)}</code></p>",
+        ]
+        return (
+            '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+            f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+            '<meta name="viewport" content="width=device-width">'
+            f"<title>{escape(title)}</title><style>{_STYLE}</style></head>"
+            f"<body>{''.join(body)}</body></html>\n"
+        )
+
+    def _strip(self) -> str:
+        figures = []
+        for step, picture in self._pictures.items():
+            data = base64.b64encode(picture).decode()
+            words = f"step {step}"
+            if step in self._marks:
+                words += f": cameras become {self._marks[step]}"
+            style = ' class="marked"' if step in self._marks else ""
+            figures.append(
+                f'<figure{style}><img alt="all cameras at step {step}" '
+                f'src="data:image/jpeg;base64,{data}"><figcaption>{escape(words)}</figcaption>'
+                "</figure>"
+            )
+        return f'<div class="strip">{"".join(figures)}</div>'
+
+    def _curves(self, last: Frame) -> str:
+        own = camera_colours(last.env.cameras)
+        streams = last.policy.streams
+        colours = {s: _DARK.get(own[camera_of(s)], own[camera_of(s)]) for s in streams}
+        colours |= {"merged": "#222", "Q": "#0b6e99", "reward": "#5c8a3a"}
+        hands = [f"a{index}" for index in range(last.env.action_dim)]
+        colours |= {
+            hand: ("#0b6e99", "#d9730d", "#5c8a3a", "#ad1a72", "#777")[i % 5]
+            for i, hand in enumerate(hands)
+        }
+        end = last.step
+        panels = [
+            ("Q of the next action", self._series("q", ["Q"])),
+            (
+                "Length of the features",
+                self._series("norms", list(streams)) | self._series("merged", ["merged"]),
+            ),
+            ("Cosine to the merged feature", self._series("cosines", list(streams))),
+            ("Action", self._series("action", hands)),
+            ("Reward", self._series("reward", ["reward"])),
+        ]
+        note = "<p>Dashed lines: the cameras changed there.</p>" if self._marks else ""
+        return note + "".join(curves(t, s, colours, self._marks, end) for t, s in panels)
+
+    def _series(self, name: str, names: list[str]) -> dict[str, list[float]]:
+        """Columns of what was noted; a policy that was swapped in may have other streams, and where
+        their number differs there is a gap."""
+        rows = self._numbers[name]
+        return {
+            label: [float(row[i]) if len(row) == len(names) else np.nan for row in rows]
+            for i, label in enumerate(names)
+        }
+
+
+def _changed(before: Frame, now: Frame) -> bool:
+    return (before.setting, before.policy.name) != (now.setting, now.policy.name)
+
+
+def _outcome(last: Frame) -> str:
+    word = ("SUCCESS" if last.success else "FAIL") if last.ended else "UNFINISHED"
+    style = {"SUCCESS": "good", "FAIL": "bad"}.get(word, "open")
+    ever = "" if last.success else ", though it was met before" if last.success_any else ""
+    met = "met" if last.success else "not met"
+    return (
+        f'<p><span class="outcome {style}">{word}</span> '
+        f"after {last.step} of {last.env.horizon} decisions: the goal is {met}{ever}. "
+        f"Sum of rewards {last.total_reward:.2f}.</p>"
+    )
+
+
+def _facts(last: Frame, facts: Facts) -> str:
+    spec = last.policy
+    rows = {
+        "policy": f"{spec.name} (method {spec.method}, setting {spec.setting}, recipe "
+        f"{spec.recipe})",
+        "digest": spec.digest or "none",
+        "trained to work from": ", ".join(spec.trained_subsets),
+        "task": f"{last.env.task}: {last.env.success}",
+        "seed": str(last.seed),
+        "cameras": ", ".join(camera.label for camera in last.env.cameras),
+        "failures": ", ".join(facts.failures) or "none",
+        "drawn with": f"the {spec.render_profile} render profile",
+    }
+    cells = (f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in rows.items())
+    return f"<table>{''.join(cells)}</table>"

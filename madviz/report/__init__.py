@@ -1,0 +1,1 @@
+"""RESULTS.md, from the files of policy folders."""

@@ -1,0 +1,209 @@
+"""Where our numbers agree with the paper's sentences, and where not: computed, never typed.
+
+Only the paper's side is written down here. Our side is a paired difference with its 95% interval,
+and the words follow from where that interval lies:
+
+    interval        paper: +0.30       words
+    [+0.40, +0.60]  below it           agrees in direction; the lead is larger than the paper's
+    [+0.20, +0.45]  inside             agrees, in direction and size
+    [+0.02, +0.15]  above it           agrees in direction; the lead is smaller than the paper's
+    [-0.05, +0.10]                     undecided: no difference could be shown
+    [-0.30, -0.10]                     does not agree: it is behind
+
+The interval is about episodes: other trainings and other tasks would scatter more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from madviz.report.tables import MERGES, THREE, Difference, Table, difference
+from madviz.statistics import Interval
+
+BASELINES = ("single", "mvd", "vib", "mv-mwm")
+COMPONENTS = ("naive-both", "merged-only", "singular-only")
+LEAD = {"metaworld": 0.30, "maniskill": 0.36}
+"""Paper, section on robustness: MAD's lead over the baselines, in success rate."""
+TASKS = {"metaworld": 15, "maniskill": 5}
+FIVE_LEAD, COMPONENT_LEAD, BEST_ALPHA = 0.48, 0.29, "alpha 0.8"
+
+
+def verdict(interval: Interval, claim: float) -> str:
+    """See the module."""
+    low, high = interval
+    if high < 0:
+        return "does not agree: MAD is behind"
+    if low <= 0:
+        return "undecided: no difference could be shown"
+    if low > claim:
+        return "agrees in direction; the lead is larger than the paper's"
+    if high < claim:
+        return "agrees in direction; the lead is smaller than the paper's"
+    return "agrees, in direction and size"
+
+
+def ahead(interval: Interval) -> str:
+    """Where the paper gives an order and no size."""
+    low, high = interval
+    if low > 0:
+        return "agrees: MAD is ahead"
+    return "does not agree: MAD is behind" if high < 0 else verdict(interval, 0.0)
+
+
+def same(interval: Interval, margin: float = 0.1) -> str:
+    """Whether a difference counts as none, which takes an interval within ``margin`` of 0."""
+    low, high = interval
+    if -margin <= low and high <= margin:
+        return f"agrees: within {100 * margin:.0f} points of each other"
+    if low > 0 or high < 0:
+        return "does not agree: they differ"
+    return "undecided: the interval is too wide to call them alike"
+
+
+def claims(table: Table) -> list[str]:
+    """Sentences about one table; one saying so where nothing can be said."""
+    found = CLAIMS[table.layout.key](table) if table.layout.key in CLAIMS else []
+    return found or ["Nothing here can be held against a sentence of the paper yet."]
+
+
+def points(gap: Difference) -> str:
+    """``+73 points [+68, +78], 100 pairs on 1 task``."""
+    low, high = gap.interval
+    tasks = f"{len(gap.tasks)} task{'s' * (len(gap.tasks) > 1)}"
+    return (
+        f"{100 * gap.value:+.0f} points [{100 * low:+.0f}, {100 * high:+.0f}] "
+        f"on the mean of {', '.join(gap.columns)}; n = {gap.n} on {tasks}"
+    )
+
+
+def _lead(
+    table: Table,
+    rivals: Sequence[str],
+    claim: float | None,
+    said: str,
+    others: Sequence[str] = (),
+) -> list[str]:
+    """MAD against each of ``rivals``; the claim is held against the one that comes closest.
+    ``others`` are compared too, but the claim was not about them."""
+    lines: list[str] = []
+    for recipe in _recipes(table):
+        mad = table.average(f"mad{recipe}")
+        gaps: list[tuple[str, Difference]] = []
+        for name in (*rivals, *others):
+            rival = table.average(f"{name}{recipe}")
+            if mad and rival and (gap := difference(mad, rival, table.mean_of or table.columns)):
+                gaps.append((name, gap))
+        lines += [f"MAD minus {name}{recipe}: {points(gap)}." for name, gap in gaps]
+        meant = [each for each in gaps if each[0] in rivals]
+        if meant:
+            name, gap = min(meant, key=lambda each: each[1].value)
+            how = ahead(gap.interval) if claim is None else verdict(gap.interval, claim)
+            lines.append(
+                f"The paper reports {said}. Against the closest of ours, {name}{recipe}: {how}."
+            )
+    return lines
+
+
+def _recipes(table: Table) -> list[str]:
+    """What follows ``mad`` in the labels: '' for the light recipe, ', paper' and so on."""
+    return [r.label.removeprefix("mad") for r in table.averages if r.label.split(",")[0] == "mad"]
+
+
+def _overall(table: Table) -> list[str]:
+    lead, count = LEAD.get(table.suite, 0.0), TASKS.get(table.suite, 0)
+    if not lead:
+        return []
+    said = (
+        f"{100 * lead:+.0f} points over its baselines, by reinforcement learning on {count} tasks"
+    )
+    lines = _lead(table, BASELINES, lead, said, others=COMPONENTS)
+    if not any("closest" in line for line in lines):
+        lines.append(
+            f"The paper reports {said}. None of these baselines ({', '.join(BASELINES)}) was "
+            "measured here on the same episodes, so there is nothing to hold against it yet."
+        )
+    return lines
+
+
+def _components(table: Table) -> list[str]:
+    said = f"{100 * COMPONENT_LEAD:+.0f} points over all three ablations, on five Meta-World tasks"
+    return _lead(table, COMPONENTS, COMPONENT_LEAD, said)
+
+
+def _five(table: Table) -> list[str]:
+    said = f"{100 * FIVE_LEAD:+.0f} points over its baselines with five views"
+    return _lead(table, BASELINES, FIVE_LEAD, said)
+
+
+def _alpha(table: Table) -> list[str]:
+    papers = table.average(BEST_ALPHA)
+    rated = [(rate.value, row) for row in table.averages if (rate := row.mean(THREE))]
+    if papers is None or len(rated) < 2:
+        return []
+    best = max(rated, key=lambda each: each[0])[1]
+    if best.label == BEST_ALPHA:
+        others = [row for _, row in rated if row is not best]
+        gaps = [gap for row in others if (gap := difference(best, row, THREE))]
+        clear = bool(gaps) and all(gap.interval[0] > 0 for gap in gaps)
+        how = "agrees" if clear else "agrees in order, but not every difference could be shown"
+        return [f"The paper finds {BEST_ALPHA} best, and so do we: {how}."]
+    gap = difference(best, papers, THREE)
+    if gap is None:
+        return []
+    how = "undecided: no difference could be shown"
+    if gap.interval[0] > 0:
+        how = "does not agree"
+    return [
+        f"Best here is {best.label}; {best.label} minus {BEST_ALPHA}: {points(gap)}. "
+        f"The paper finds {BEST_ALPHA} best: {how}."
+    ]
+
+
+def _merging(table: Table) -> list[str]:
+    base, lines = table.average("sum"), []
+    for name in MERGES[1:]:
+        row = table.average(name)
+        if base and row and (gap := difference(row, base, ("all",))):
+            lines.append(f"{name} minus sum: {points(gap)}: {_merge_verdict(name, gap)}.")
+    if lines:
+        lines.append("The paper finds all ways to merge alike, and q-mean slightly worse.")
+    return lines
+
+
+def _merge_verdict(name: str, gap: Difference) -> str:
+    if name == "q-mean" and gap.interval[1] < 0:
+        return "agrees: it is behind"
+    return same(gap.interval)
+
+
+def _occlusion(table: Table) -> list[str]:
+    mad, single = table.average("mad"), table.average("single")
+    if mad is None or single is None or not (gap := difference(mad, single, ("all",))):
+        return _lead(table, ("mvd", "vib"), None, "MAD far ahead of MVD and VIB")
+    return [
+        f"MAD minus single, with every camera it has: {points(gap)}. The paper reports 63% and "
+        f"62%, so no difference: {same(gap.interval)}.",
+        *_lead(table, ("mvd", "vib"), None, "MAD far ahead of MVD and VIB"),
+    ]
+
+
+def _modality(table: Table) -> list[str]:
+    lines, mad = [], table.average("mad, one-rgbd")
+    depth, both = table.average("single, one-depth"), table.average("single, one-rgbd")
+    if mad and depth and (gap := difference(mad, depth, ("depth",))):
+        lines.append(
+            f"MAD minus single on depth alone: {points(gap)}. The paper finds MAD ahead: "
+            f"{ahead(gap.interval)}."
+        )
+    if mad and both and (gap := difference(mad, both, ("all",))):
+        lines.append(
+            f"MAD minus single on colour and depth: {points(gap)}. The paper finds them alike: "
+            f"{same(gap.interval)}."
+        )
+    return lines
+
+
+CLAIMS: dict[str, Callable[[Table], list[str]]] = {
+    **{"overall": _overall, "components": _components, "alpha": _alpha, "merging": _merging},
+    **{"occlusion": _occlusion, "modality": _modality, "five": _five},
+}

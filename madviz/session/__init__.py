@@ -1,0 +1,1 @@
+"""One visitor's session: simulation, past, plan and pace."""

@@ -1,0 +1,391 @@
+"""What goes into a session and what comes out of it: commands and frames, all frozen.
+
+A page never touches a simulation. It sends commands; it gets a ``Frame``, a complete picture of one
+instant that nobody changes afterwards, so that no lock is needed anywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from madviz.ablations import Ablation, CameraState, Occlusion
+from madviz.moves import MoveCamera
+from madviz.probes import Probe
+from madviz.session.failures import Schedule
+from madviz.subsets import camera_of, modality_of, name_of
+from madviz.types import Array, Body, CameraPose, EnvSpec, PolicySpec, UserError, View
+
+Phase = Literal["playing", "paused", "ended"]
+
+
+@dataclass(frozen=True)
+class SetCamera:
+    """Another switch or occlusion for one camera."""
+
+    camera: str
+    state: CameraState
+
+
+@dataclass(frozen=True)
+class SetPolicy:
+    """Another policy, by a name ``load_policy`` knows; camera settings stay."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class SetSeed:
+    """Start the episode of this seed."""
+
+    seed: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.seed < 2**31:
+            raise UserError(f"a seed must be between 0 and {2**31 - 1}, found {self.seed}")
+
+
+@dataclass(frozen=True)
+class Play:
+    pass
+
+
+@dataclass(frozen=True)
+class Pause:
+    pass
+
+
+@dataclass(frozen=True)
+class StepOnce:
+    """One decision, then pause."""
+
+
+@dataclass(frozen=True)
+class Reset:
+    """Start again: the same seed, or the next one."""
+
+    next_seed: bool = False
+
+
+@dataclass(frozen=True)
+class SetSpeed:
+    """Decisions per second; None for as fast as it goes."""
+
+    rate: float | None
+
+    def __post_init__(self) -> None:
+        if self.rate is not None and not 0.01 <= self.rate <= 1000:
+            raise UserError(f"speed must be 0.01 to 1000 decisions per second, found {self.rate}")
+
+
+@dataclass(frozen=True)
+class SetAutoNext:
+    """Whether the next seed starts by itself when an episode is over."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
+class Scrub:
+    """Show an earlier step of this episode; None goes back to the newest one."""
+
+    step: int | None
+
+    def __post_init__(self) -> None:
+        if self.step is not None and not 0 <= self.step < 2**31:
+            raise UserError(f"a step must be 0 or more, found {self.step}")
+
+
+@dataclass(frozen=True)
+class SetTwin:
+    """Start B beside this simulation, on the same seeds: another policy or the same one, under
+    ``ablation`` from now on. None ends it."""
+
+    policy: str | None
+    ablation: Ablation = Ablation()
+
+
+@dataclass(frozen=True)
+class Fork:
+    """Go on from the earlier step that is shown, as if what came after had not happened."""
+
+
+@dataclass(frozen=True)
+class SetSaliency:
+    """Which pixels to find, those that Q or those that the action hangs on; None for none."""
+
+    target: Literal["q", "action"] | None
+
+
+@dataclass(frozen=True)
+class SetSchedule:
+    """Failures that come by themselves, in this episode from here on and in all that follow, until
+    there is another schedule; an empty one ends them, and its cameras work again. Events whose step
+    has passed wait for the next episode. A reset keeps it: the same failures with the same seed."""
+
+    events: Schedule = ()
+
+
+Command = (
+    SetCamera
+    | MoveCamera
+    | SetPolicy
+    | SetSeed
+    | Play
+    | Pause
+    | StepOnce
+    | Reset
+    | SetSpeed
+    | SetAutoNext
+    | Scrub
+    | Fork
+    | SetTwin
+    | SetSchedule
+    | SetSaliency
+)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the policy was given: which streams, and which cameras fail how."""
+
+    subset: str
+    occlusions: str = ""
+    """``Ablation.key()``; empty where no camera is occluded or moved."""
+
+    def __str__(self) -> str:
+        return f"{self.subset} · {self.occlusions}" if self.occlusions else self.subset
+
+
+def setting_of(ablation: Ablation, streams: tuple[str, ...]) -> Setting:
+    """What a policy with ``streams`` gets under ``ablation``; how a dropped camera fails is no part
+    of it."""
+    mask = ablation.mask(streams)
+    present = {camera_of(stream) for stream, on in zip(streams, mask, strict=True) if on}
+    noticed = {name: state for name, state in ablation.cameras.items() if name in present}
+    moved = {name: move for name, move in ablation.moves.items() if name in present}
+    return Setting(name_of(mask, streams), Ablation(noticed, moved).key())
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a visitor just did to a camera, and what came of it at that instant."""
+
+    camera: str
+    before: CameraState
+    after: CameraState
+    setting_before: Setting
+    setting_after: Setting
+    action_change: float
+    """Euclidean distance between the two actions."""
+    q_before: float
+    q_after: float
+    moved: str = ""
+    """Where the camera went, in words, if that is what was done."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a live episode ended."""
+
+    policy: PolicySpec
+    """Who acted at the end."""
+    seed: int
+    success: bool
+    """At the last step."""
+    success_any: bool
+    total_reward: float
+    cameras: dict[str, str]
+    """By camera: ``''`` if all was well, else the worst of ``off``, ``occluded``, ``moved``."""
+    setting: Setting | None
+    """The setting, if it and the policy were the same from the first step to the last."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """How one seed ended on both sides of a comparison that nobody touched meanwhile."""
+
+    first: Outcome
+    second: Outcome
+
+    @property
+    def sides(self) -> tuple[tuple[str, str], tuple[str, str]]:
+        """Who was compared: policy and setting, of A and of B."""
+        return _side(self.first), _side(self.second)
+
+
+def _side(outcome: Outcome) -> tuple[str, str]:
+    return outcome.policy.name, str(outcome.setting)
+
+
+class Moment(NamedTuple):
+    """What a timeline draws of one step."""
+
+    q: float
+    reward: float
+    success: bool
+    setting: Setting
+    policy: str
+
+
+@dataclass(frozen=True)
+class Branch:
+    """The future that an episode had before it was forked."""
+
+    at: int
+    """The step both futures share last."""
+    story: tuple[Moment, ...]
+    frame: Frame
+    """At the same step as the frame that holds this branch, or at the branch's last one."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A session that could not even start: there is no frame to show."""
+
+    error: str
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One instant of one session, complete."""
+
+    number: int
+    """Grows with every frame of a session."""
+    env: EnvSpec
+    policy: PolicySpec
+    episode: int
+    seed: int
+    step: int
+    """Decisions taken in this episode."""
+    phase: Phase
+    ablation: Ablation
+    views: dict[str, View]
+    """What each camera really sees."""
+    arrived: dict[str, Array]
+    """(H, W, C) uint8 by stream: what reached the policy, occlusions applied."""
+    poses: dict[str, CameraPose]
+    bodies: tuple[Body, ...]
+    """What the scene holds; the same object as in the frame before, unless it holds others now."""
+    body_poses: Array
+    """(N, 7) float32: position in metres and wxyz in the world, in the order of ``bodies``."""
+    hand: Array
+    """(3,) float32 metres, world frame: the middle between the gripper's fingertips."""
+    probe: Probe
+    reward: float
+    total_reward: float
+    success: bool
+    """The task's condition at this very step."""
+    success_any: bool
+    speed: float | None
+    rate: float
+    """Decisions per second achieved; NaN until there are enough to tell."""
+    auto_next: bool
+    change: Change | None
+    """The last thing done to a camera in this episode."""
+    outcomes: tuple[Outcome, ...]
+    """The last live episodes, oldest first."""
+    error: str = ""
+    """Traceback or one line; the session has paused because of it."""
+    story: tuple[Moment, ...] = ()
+    """By step, all of this episode so far, also where an earlier step of it is shown."""
+    branch: Branch | None = None
+    twin: Frame | None = None
+    """B's side, at the same step."""
+    pairs: tuple[Pair, ...] = ()
+    """The last seeds that A and B both finished."""
+    schedule: Schedule = ()
+    """Failures that come by themselves."""
+    saliency: dict[str, Array] | None = None
+    """(H, W) in [0, 1] by stream: where the policy looks, half a second old at most while an
+    episode runs; None where nobody asked or there is none."""
+
+    @property
+    def mask(self) -> Array:
+        """(V,) bool: the streams that are present."""
+        return self.ablation.mask(self.policy.streams)
+
+    @property
+    def row(self) -> int:
+        """The row of the current subset in ``probe``."""
+        return self.probe.row(self.mask)
+
+    @property
+    def action(self) -> Array:
+        """(A,) what the policy does next."""
+        return self.probe.readout.action[self.row]
+
+    @property
+    def q(self) -> float:
+        return float(self.probe.readout.q[self.row])
+
+    @property
+    def setting(self) -> Setting:
+        return setting_of(self.ablation, self.policy.streams)
+
+    @property
+    def ended(self) -> bool:
+        return self.step >= self.env.horizon
+
+    @property
+    def past(self) -> bool:
+        """Whether this is an earlier step of the episode, shown again."""
+        return self.step < len(self.story) - 1
+
+    @property
+    def capped(self) -> bool:
+        """Whether the machine cannot keep the speed that was asked for."""
+        return self.speed is not None and bool(self.rate < 0.9 * self.speed)
+
+    def camera(self, name: str) -> CameraState:
+        """The state of a camera as a visitor would say it: a policy that knows one modality has
+        cameras in that modality, not in ``both``, unless somebody asked for both."""
+        if name in self.ablation.cameras:
+            return self.ablation.camera(name)
+        return untouched(self.policy)
+
+
+def untouched(policy: PolicySpec) -> CameraState:
+    """The state of a camera nobody has touched, under ``policy``."""
+    known = {modality_of(stream) for stream in policy.streams}
+    return CameraState("both" if len(known) > 1 else "depth" if "depth" in known else "rgb")
+
+
+def words(change: Change, env: EnvSpec) -> str:
+    """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8``."""
+    effect = f"action changed by {change.action_change:.2f}"
+    if not np.isfinite(change.action_change):
+        effect = "this policy cannot act on that"
+    if np.isfinite([change.q_before, change.q_after]).all():
+        effect += f", Q {change.q_before:.1f} → {change.q_after:.1f}"
+    deed = change.moved or _deed(change.before, change.after)
+    return f"{env.camera(change.camera).label} {deed}: {effect}"
+
+
+def _deed(before: CameraState, after: CameraState) -> str:
+    if after.input == "off":
+        return "dropped"
+    if before.input == "off":
+        return "is back"
+    if before.input != after.input:
+        return {"rgb": "gives colour", "depth": "gives depth", "both": "gives colour and depth"}[
+            after.input
+        ]
+    return occlusion_words(after.occlusion)
+
+
+def occlusion_words(occlusion: Occlusion) -> str:
+    """What an occlusion is, as a predicate: ``sends black``."""
+    strength = f"{100 * occlusion.strength:.0f} %"
+    return {
+        "none": "sends its picture again",
+        "black": "sends black",
+        "noise": f"sends {strength} noise",
+        "freeze": "is frozen",
+        "blur": f"is blurred by {strength}",
+        "patch": "has a patch in view",
+        "dropout": f"loses {strength} of its pictures",
+        "delay": f"sends what it saw {occlusion.late} steps ago",
+    }[occlusion.kind]

@@ -1,0 +1,179 @@
+"""What happened in the present episode and the last ones, as far as it matters to live them again.
+
+A simulation tells its journal of every command and every decision; a page asks it, from another
+thread, for a kept session. Two rules make its steps exact:
+
+    A camera touched while step t+1 is being drawn counts at t+1: the decision that led there was
+    taken already. One touched between two decisions counts at the step that is shown.
+    At one step only a camera's last state matters, because the newest picture arrives anew with
+    every command; so a slider that is dragged leaves one line. Not across a change of policy: that
+    rebuilds what went before under the states of that moment.
+
+An episode that broke off with an exception may stand between two steps. It is never kept.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from madviz.ablations import Ablation
+from madviz.moves import MoveCamera
+from madviz.session.frame import SetCamera
+from madviz.session.kept import (
+    STREAMS,
+    KeptCommand,
+    KeptEpisode,
+    KeptPolicy,
+    KeptSession,
+    hashes,
+    trace_of,
+    versions_here,
+)
+from madviz.types import Array, EnvSpec, PolicySpec, TimeStep, UserError
+
+EPISODES = 20
+"""Episodes that are remembered besides the present one."""
+MOST_COMMANDS = 5000
+"""In one episode; somebody who swaps policies more often than that has no episode to keep."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A step of the present episode, to come back to."""
+
+    steps: int
+    commands: tuple[KeptCommand, ...]
+
+
+@dataclass
+class _Present:
+    policy: KeptPolicy
+    env: EnvSpec
+    seed: int
+    start: tuple[SetCamera | MoveCamera, ...]
+    commands: list[KeptCommand] = field(default_factory=list)
+    streams: dict[str, list[bytes]] = field(default_factory=lambda: {s: [] for s in STREAMS})
+    broken: bool = False
+
+    @property
+    def steps(self) -> int:
+        return len(self.streams["actions"])
+
+    def kept(self) -> KeptEpisode | None:
+        """None where there is nothing that could be lived again."""
+        if self.broken or not self.steps:
+            return None
+        success = b"".join(self.streams["success"])
+        return KeptEpisode(
+            *(self.policy, self.env.task, self.env.render_profile, self.env.cameras, self.seed),
+            start=self.start,
+            # A camera may be touched while its step is still to come.
+            commands=tuple(one for one in self.commands if one.step <= self.steps),
+            steps=self.steps,
+            ended=self.steps >= self.env.horizon,
+            success=bool(success[-1]),
+            success_any=any(success),
+            sha256=hashes(self.streams),
+            trace=trace_of(self.streams),
+        )
+
+
+class Journal:
+    """See the module. A simulation writes; ``kept`` is for every thread."""
+
+    def __init__(self) -> None:
+        self._past: deque[KeptEpisode] = deque(maxlen=EPISODES)
+        self._present: _Present | None = None
+        self._lock = threading.Lock()
+
+    def kept(self) -> KeptSession:
+        """The last episodes and the present one so far. Raises UserError if there is no step."""
+        with self._lock:
+            now = self._present.kept() if self._present else None
+            episodes = (*self._past, *((now,) if now else ()))
+        if not episodes:
+            raise UserError("expected an episode with a step to keep, found none; let it run first")
+        return KeptSession(episodes, versions_here())
+
+    def begin(self, policy: PolicySpec, env: EnvSpec, seed: int, ablation: Ablation) -> None:
+        start = (
+            *(SetCamera(name, state) for name, state in ablation.cameras.items()),
+            *(MoveCamera(name, move) for name, move in ablation.moves.items()),
+        )
+        with self._lock:
+            self._file()
+            self._present = _Present(KeptPolicy.of(policy), env, seed, start)
+
+    def camera(self, step: int, command: SetCamera | MoveCamera) -> None:
+        """A camera was set or moved when ``step`` had arrived, or while it was drawn."""
+        with self._lock:
+            if self._present is not None:
+                self._add(self._present, KeptCommand(step, command))
+
+    def policy(self, step: int, spec: PolicySpec) -> None:
+        """Another policy took over at ``step``."""
+        with self._lock:
+            if self._present is not None:
+                self._add(self._present, KeptCommand(step, KeptPolicy.of(spec)))
+
+    def decided(self, step: int, action: Array, moment: TimeStep) -> None:
+        """The decision taken at ``step``, and what the environment made of it."""
+        with self._lock:
+            present = self._present
+            if present is None:
+                return
+            # After a picture that could not be drawn, the simulator is a step ahead of the page.
+            present.broken |= step != present.steps
+            present.streams["actions"].append(np.asarray(action, "<f4").tobytes())
+            present.streams["rewards"].append(np.asarray(moment.reward, "<f8").tobytes())
+            present.streams["success"].append(bytes([bool(moment.success)]))
+
+    def spoil(self) -> None:
+        """Something broke in mid-episode."""
+        with self._lock:
+            if self._present is not None:
+                self._present.broken = True
+
+    def mark(self) -> Mark:
+        """Where the present episode stands."""
+        with self._lock:
+            present = self._present
+            return Mark(present.steps, tuple(present.commands)) if present else Mark(0, ())
+
+    def back(self, mark: Mark) -> None:
+        """The present episode stands where it stood at ``mark``; what came after is kept as an
+        episode of its own."""
+        with self._lock:
+            present = self._present
+            if present is None:
+                return
+            if present.steps > mark.steps:
+                self._file()
+            for stream in present.streams.values():
+                del stream[mark.steps :]
+            present.commands[:] = mark.commands
+
+    def _file(self) -> None:
+        """Puts the present episode among the past ones."""
+        kept = self._present.kept() if self._present else None
+        if kept is not None:
+            self._past.append(kept)
+
+    def _add(self, present: _Present, new: KeptCommand) -> None:
+        present.broken |= len(present.commands) >= MOST_COMMANDS
+        if present.broken:
+            return
+        if not isinstance(new.command, KeptPolicy):
+            for index in reversed(range(len(present.commands))):
+                old = present.commands[index]
+                if old.step != new.step or isinstance(old.command, KeptPolicy):
+                    break
+                same = type(old.command) is type(new.command)
+                if same and old.command.camera == new.command.camera:
+                    del present.commands[index]
+                    break
+        present.commands.append(new)

@@ -1,0 +1,190 @@
+"""A kept session: what it takes to live an episode again, in a small file.
+
+An episode is a function of its seed and of which commands came at which step, so keeping it is
+writing these down: a file of some 2 KB instead of the pictures. A hammer episode in which third_a
+was dropped after 20 decisions:
+
+    {"schema": 1, "versions": {"mujoco": "3.3.0", ...}, "episodes": [{
+      "policy": {"name": "metaworld-hammer-mad-light", "digest": "9f..."},
+      "task": "metaworld/hammer", "render_profile": "fast", "seed": 2000, "cameras": [...],
+      "start": [], "commands": [{"step": 20, "camera": "third_a", "input": "off"}],
+      "steps": 100, "ended": true, "success": true, "success_any": true,
+      "sha256": {"actions": "...", "rewards": "...", "success": "..."}, "trace": "0a1f..."}]}
+
+The hashes are there to check: whoever lives it again gets the same actions, rewards and success to
+the bit, or is told so. ``trace`` has four hexadecimal digits for every step, hence says where two
+episodes part. Files come from anybody, so ``kept_reader`` believes nothing in them; and a policy is
+a plain name in them, never a path or a module that loading would import.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from madviz.ablations import Ablation, CameraState, Occlusion
+from madviz.files import pretty, write_bytes
+from madviz.moves import MoveCamera
+from madviz.session.frame import SetCamera
+from madviz.types import CameraSpec, PolicySpec, UserError
+
+SCHEMA = 1
+PACKAGES = ("madviz", "numpy", "torch", "mujoco", "metaworld", "sapien", "opencv-python")
+"""What actions depend on, to the bit."""
+STREAMS = ("actions", "rewards", "success")
+TRACE = 4
+"""Hexadecimal digits of ``trace`` for every step."""
+
+
+@dataclass(frozen=True)
+class KeptPolicy:
+    """A policy by name, and the digest of the weights and config that acted under it."""
+
+    name: str
+    digest: str
+
+    @staticmethod
+    def of(spec: PolicySpec) -> KeptPolicy:
+        """Names that would be a path or a module lose what makes them one."""
+        name = re.sub(r"[/\\:\x00-\x1f\x7f]", "-", spec.name).strip(" .")[:120]
+        return KeptPolicy(name or "policy", spec.digest)
+
+
+@dataclass(frozen=True)
+class KeptCommand:
+    """A camera or a policy that was set when ``step`` had arrived, before the next decision."""
+
+    step: int
+    command: SetCamera | MoveCamera | KeptPolicy
+
+
+@dataclass(frozen=True)
+class KeptEpisode:
+    """One episode, from its first step to the last one that was taken."""
+
+    policy: KeptPolicy
+    """Who acted first."""
+    task: str
+    render_profile: str
+    cameras: tuple[CameraSpec, ...]
+    """All that the environment drew, the policy's and others."""
+    seed: int
+    start: tuple[SetCamera | MoveCamera, ...]
+    """How cameras were set when the episode began; those that are not named were intact."""
+    commands: tuple[KeptCommand, ...]
+    """In the order in which they were obeyed."""
+    steps: int
+    ended: bool
+    """Whether ``steps`` is the horizon; otherwise somebody left earlier."""
+    success: bool
+    """At the last kept step."""
+    success_any: bool
+    sha256: dict[str, str]
+    """Of ``actions`` (float32), ``rewards`` (float64), ``success`` (one byte), step after step."""
+    trace: str
+
+    @property
+    def ablation(self) -> Ablation:
+        """The states of the cameras at the start."""
+        ablation = Ablation()
+        for command in self.start:
+            if isinstance(command, MoveCamera):
+                ablation = ablation.move(command.camera, command.move)
+            else:
+                ablation = ablation.replace(command.camera, command.state)
+        return ablation
+
+    @property
+    def policies(self) -> tuple[KeptPolicy, ...]:
+        """All that acted, each once, in order."""
+        swapped = [one.command for one in self.commands if isinstance(one.command, KeptPolicy)]
+        return tuple(dict.fromkeys([self.policy, *swapped]))
+
+
+@dataclass(frozen=True)
+class KeptSession:
+    """Episodes in the order in which they were lived."""
+
+    episodes: tuple[KeptEpisode, ...]
+    versions: dict[str, str]
+    """Of the packages that it was made with; with others, the last bits may differ."""
+
+    def last(self) -> KeptSession:
+        """The last episode alone."""
+        return KeptSession(self.episodes[-1:], self.versions)
+
+    def to_json(self) -> str:
+        """As a file has it; ``kept_reader.parse`` is the way back."""
+        return pretty(
+            {
+                **{"schema": SCHEMA, "versions": self.versions},
+                "episodes": [_episode_fields(episode) for episode in self.episodes],
+            }
+        )
+
+    def write(self, path: Path) -> None:
+        write_bytes(path, self.to_json().encode())
+
+    def episode(self, number: int | None) -> KeptEpisode:
+        """Episode ``number``, from 1; None: the last. Raises UserError where there is none."""
+        count = len(self.episodes)
+        if number is not None and not 1 <= number <= count:
+            raise UserError(f"expected an episode from 1 to {count}, found {number}; leave it out")
+        return self.episodes[-1 if number is None else number - 1]
+
+
+@cache
+def versions_here() -> dict[str, str]:
+    """The versions of PACKAGES that are installed."""
+    found = {}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def hashes(streams: dict[str, list[bytes]]) -> dict[str, str]:
+    """SHA-256 of each of STREAMS."""
+    return {name: hashlib.sha256(b"".join(streams[name])).hexdigest() for name in STREAMS}
+
+
+def trace_of(streams: dict[str, list[bytes]]) -> str:
+    """TRACE digits for every step, of its action, reward and success together."""
+    steps = zip(*(streams[name] for name in STREAMS), strict=True)
+    return "".join(hashlib.sha256(b"".join(step)).hexdigest()[:TRACE] for step in steps)
+
+
+def _episode_fields(episode: KeptEpisode) -> dict[str, Any]:
+    fields = {name: getattr(episode, name) for name in episode.__dataclass_fields__}
+    return {
+        **fields,
+        "policy": asdict(episode.policy),
+        "cameras": [asdict(camera) for camera in episode.cameras],
+        "start": [_camera_fields(command) for command in episode.start],
+        "commands": [_command_fields(one) for one in episode.commands],
+    }
+
+
+def _command_fields(kept: KeptCommand) -> dict[str, Any]:
+    if isinstance(kept.command, KeptPolicy):
+        return {"step": kept.step, "policy": kept.command.name, "digest": kept.command.digest}
+    return {"step": kept.step, **_camera_fields(kept.command)}
+
+
+def _camera_fields(command: SetCamera | MoveCamera) -> dict[str, Any]:
+    """The occlusion is left out where it is none; one that is off may still have a strength, as a
+    slider left it, and that is kept: equal means equal."""
+    if isinstance(command, MoveCamera):
+        return {"camera": command.camera, "move": asdict(command.move) if command.move else None}
+    state: CameraState = command.state
+    fields: dict[str, Any] = {"camera": command.camera, "input": state.input}
+    if state.occlusion != Occlusion():
+        fields["occlusion"] = asdict(state.occlusion)
+    return fields

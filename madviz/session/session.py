@@ -1,0 +1,350 @@
+"""One visitor's session: commands in, frozen frames out, at a steady pace.
+
+The problem: a page has many threads, a simulator and its OpenGL context have one. And a decision
+costs 15 to 20 ms, most of it drawing three cameras, while a visitor who switches a camera off wants
+to see the effect at once.
+
+The idea: one thread owns everything and runs ``tick(now)``; everybody else calls ``send``. Commands
+that touch a camera are served between the camera renders of a step, too:
+
+    tick ── serve ── act ── step ── draw A ── serve ── draw B ── serve ── draw C ── encode ── emit
+                                                └─ re-read, emit             (about 5 ms each)
+
+Pacing, with 10 decisions a second: the step at 3.20 s makes the next one due at 3.30 s. If the
+machine gets there at 3.34 s the next is due at 3.40 s; later than a whole period, the debt is
+forgiven, the achieved rate shows it, and the page says CAPPED.
+"""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable
+
+from madviz.moves import MoveCamera
+from madviz.processes import yield_to_others
+from madviz.session.frame import (
+    Command,
+    Failure,
+    Fork,
+    Frame,
+    Pause,
+    Phase,
+    Play,
+    Reset,
+    Scrub,
+    SetAutoNext,
+    SetCamera,
+    SetPolicy,
+    SetSaliency,
+    SetSchedule,
+    SetSeed,
+    SetSpeed,
+    SetTwin,
+    StepOnce,
+)
+from madviz.session.kept import KeptEpisode, KeptSession
+from madviz.session.stage import EnvFactory, Stage
+from madviz.types import Policy, UserError
+
+FIRST_SEED = 2000
+"""Live episodes start here: training is below 1000, selection below 2000, cards from 5000."""
+HOLD = 2.0
+"""Seconds an ended episode stays on the page before the next one starts; none at full speed."""
+NICENESS = 10
+"""Of the simulating thread, on a scale where 19 is the most modest; workers are at 15."""
+RATE_WINDOW = 20
+"""Decisions over which the achieved rate is measured."""
+
+Listener = Callable[[Frame | Failure], None]
+
+
+class Session:
+    """``send``, ``subscribe``, ``unsubscribe``, ``start`` and ``close`` are for everybody; the rest
+    belongs to the thread that ticks."""
+
+    def __init__(
+        self,
+        make_env: EnvFactory,
+        policy: Policy | str,
+        load_policy: Callable[[str], Policy] | None = None,
+        *,
+        seed: int = FIRST_SEED,
+        speed: float | None = 10.0,
+        script: KeptEpisode | None = None,
+    ) -> None:
+        """``policy``: one that is there, or the name of one that the session's thread shall load.
+        ``script``: an episode to live again, once played; it begins with ``policy``."""
+        self._stage = Stage(make_env, policy, load_policy, seed, script)
+        self._inbox: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
+        self._backlog: deque[Command] = deque()
+        self._listeners: tuple[Listener, ...] = ()
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._speed, self._auto_next = speed, True
+        self._phase: Phase = "paused" if script else "playing"
+        self._due = 0.0
+        self._intervals: deque[float] = deque(maxlen=RATE_WINDOW)
+        self._stepped: float | None = None
+        self._number, self._error = 0, ""
+        self.latest: Frame | Failure | None = None
+
+    def send(self, command: Command) -> None:
+        """Queues a command; the session obeys it within one camera render, a step at most."""
+        self._inbox.put(command)
+
+    def subscribe(self, listener: Listener) -> None:
+        """``listener`` gets every frame, in the session's thread, and the latest one at once. It
+        must return quickly: put the frame somewhere and leave."""
+        self._listeners = (*self._listeners, listener)
+        if self.latest is not None:
+            listener(self.latest)
+
+    def keep(self) -> KeptSession:
+        """The last episodes, to be lived again. Raises UserError if there is no step yet."""
+        return self._stage.journal.kept()
+
+    def unsubscribe(self, listener: Listener) -> None:
+        self._listeners = tuple(one for one in self._listeners if one != listener)
+
+    def start(self) -> Session:
+        """Runs ``run`` in a thread of its own."""
+        self._thread = threading.Thread(target=self.run, name="madviz-session", daemon=True)
+        self._thread.start()
+        return self
+
+    def close(self, timeout: float = 10.0) -> None:
+        """Ends the thread, which closes the environment."""
+        self._closing.set()
+        self._inbox.put(None)
+        if self._thread is not None:
+            self._thread.join(timeout)
+
+    def run(self) -> None:
+        """Ticks when a step is due or a command arrives, until ``close``. At full speed it would
+        take a core for itself, so those who carry its frames to the visitor go first."""
+        yield_to_others(NICENESS)
+        while not self._closing.is_set():
+            due = self.tick(time.monotonic())
+            wait = None if due is None else max(0.0, due - time.monotonic())
+            try:
+                command = self._inbox.get(block=wait != 0.0, timeout=wait)
+            except queue.Empty:
+                continue
+            if command is not None:
+                self._backlog.append(command)
+        self._stage.shut()
+
+    def tick(self, now: float) -> float | None:
+        """Obeys what has come, and takes a step or starts an episode if one is due. Returns when to
+        call again; None if nothing happens before the next command."""
+        if not self._stage.is_open and not self._error:
+            self._guarded(lambda: self._open(now))
+        self._collect()
+        while self._backlog and not self._closing.is_set():
+            command = self._backlog.popleft()
+            self._guarded(lambda command=command: self._obey(command, now))
+        if self._moving() and now >= self._due and not self._closing.is_set():
+            self._guarded(lambda: self._advance(now))
+        self._guarded(lambda: self._explain(now))
+        return self._due if self._moving() else None
+
+    def _explain(self, now: float) -> None:
+        """After everything else, because it takes as long as a step."""
+        moving = self._phase == "playing"
+        if self._stage.explain(now, moving, hurried=self._speed is None):
+            self._emit()
+
+    def _moving(self) -> bool:
+        waiting = self._phase == "ended" and self._auto_next
+        return self._stage.is_open and (self._phase == "playing" or waiting)
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        """A failure pauses the session and shows on the page; the session lives on. The one place
+        that catches everything: whatever a policy or a simulator throws, a visitor must see it."""
+        try:
+            work()
+        except Exception as error:
+            first = f"{error}\n\n" if isinstance(error, UserError) else ""
+            if not first:  # Nobody knows how far it came.
+                self._stage.journal.spoil()
+            self._error = first + traceback.format_exc()
+            self._phase = "paused"
+            self._emit(keep=False)
+
+    # What happens.
+
+    def _open(self, now: float) -> None:
+        self._stage.open()
+        self._began(now)
+
+    def _begin(self, seed: int, now: float) -> None:
+        self._stage.begin(seed)
+        self._began(now)
+
+    def _began(self, now: float) -> None:
+        self._error = ""
+        self._due, self._stepped = now + self._period, None
+        self._emit()
+
+    def _advance(self, now: float) -> None:
+        """The next step, or the next episode after the end of one."""
+        if self._stage.ended:
+            self._phase = "playing"
+            self._begin(self._stage.seed + 1, now)
+            return
+        self._stage.step(self._serve_cameras)
+        if self._stepped is not None:
+            self._intervals.append(now - self._stepped)
+        self._stepped = now
+        self._due = max(self._due + self._period, now)
+        if self._stage.ended:
+            self._phase = "ended"
+            self._due = now + (HOLD if self._speed is not None else 0.0)
+        self._emit()
+
+    @property
+    def _period(self) -> float:
+        return 0.0 if self._speed is None else 1 / self._speed
+
+    # Commands.
+
+    def _collect(self) -> None:
+        """Moves what came to the backlog, in order."""
+        while not self._inbox.empty():
+            command = self._inbox.get()
+            if command is not None:
+                self._backlog.append(command)
+
+    def _serve_cameras(self) -> None:
+        """In the middle of a step: previews camera commands, leaves the others for later."""
+        self._collect()
+        for command in [one for one in self._backlog if isinstance(one, SetCamera)]:
+            self._backlog.remove(command)
+            self._guarded(lambda command=command: self._set_camera(command, preview=True))
+
+    def _set_camera(self, command: SetCamera, preview: bool = False) -> None:
+        if self._stage.is_open:
+            self._stage.set_camera(command, preview)
+            self._emit(keep=not preview)
+
+    def _move_camera(self, command: MoveCamera) -> None:
+        """Only the last of several moves of one camera: each is a picture to draw, and a slider
+        that is dragged sends more of them than some simulators can draw."""
+        later = (one for one in self._backlog if isinstance(one, MoveCamera))
+        if self._stage.is_open and all(one.camera != command.camera for one in later):
+            self._stage.move_camera(command)
+            self._emit()
+
+    def _obey(self, command: Command, now: float) -> None:
+        match command:
+            case SetCamera():
+                self._set_camera(command)
+            case MoveCamera():
+                self._move_camera(command)
+            case SetPolicy(name):
+                self._swap(name)
+            case SetSeed(seed):
+                self._restart(seed, now)
+            case Reset(next_seed):
+                self._restart(self._stage.seed + next_seed, now)
+            case Play():
+                self._play(now)
+            case Pause():
+                self._halt()
+            case StepOnce():
+                self._step_once(now)
+            case SetSpeed(rate):
+                self._speed = rate
+                self._due = now if self._phase == "playing" else self._due
+                self._forget_rate()
+                self._emit()
+            case SetAutoNext(on):
+                self._auto_next = on
+                self._emit()
+            case SetSaliency(target):
+                self._stage.saliency.ask(target, lambda: self.send(command))
+                self._emit()
+            case SetSchedule(events):
+                self._stage.reschedule(events)
+                self._emit()
+            case Scrub(step):
+                self._stage.look_back(step)
+                self._halt()
+            case Fork():
+                self._stage.fork()
+                self._play(now)
+                self._due = now + self._period
+            case SetTwin(name, ablation):
+                self._stage.compare(name, ablation)
+                self._began(now)
+
+    def _restart(self, seed: int, now: float) -> None:
+        if self._error or not self._stage.is_open or self._stage.ended:
+            self._phase = "playing"
+        if not self._stage.is_open:
+            self._stage.seed = seed
+            self._open(now)
+        else:
+            self._begin(seed, now)
+
+    def _play(self, now: float) -> None:
+        self._stage.look_back(None)
+        if not self._stage.is_open:
+            self._open(now)
+        elif self._stage.ended:
+            self._begin(self._stage.seed + 1, now)
+        else:
+            self._due = now
+        self._phase, self._error = "playing", ""
+        self._forget_rate()
+        self._emit()
+
+    def _halt(self) -> None:
+        self._phase = "paused"
+        self._forget_rate()
+        self._emit()
+
+    def _step_once(self, now: float) -> None:
+        self._error = ""
+        self._stage.look_back(None)
+        if not self._stage.is_open:
+            self._open(now)
+        else:
+            self._advance(now)
+        self._halt()
+
+    def _swap(self, name: str) -> None:
+        """Another policy. After an error it may be the one that can go on."""
+        self._stage.swap(name)
+        self._error, self._stepped = "", None
+        self._emit()
+
+    # Frames.
+
+    def _forget_rate(self) -> None:
+        self._intervals.clear()
+        self._stepped = None
+
+    def _rate(self) -> float:
+        taken = sum(self._intervals)
+        return len(self._intervals) / taken if len(self._intervals) >= 4 and taken else math.nan
+
+    def _emit(self, keep: bool = True) -> None:
+        self._number += 1
+        frame = self._stage.frame(
+            keep,
+            number=self._number,
+            phase=self._phase,
+            speed=self._speed,
+            rate=self._rate(),
+            auto_next=self._auto_next,
+            error=self._error,
+        )
+        self.latest = frame or Failure(self._error)
+        for listener in self._listeners:
+            listener(self.latest)

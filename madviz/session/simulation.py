@@ -1,0 +1,350 @@
+"""One policy in one environment, with cameras that can fail at any moment. No threads, no clock.
+
+``Simulation`` is the deterministic half of a live session: what an episode does depends on its
+seed and on which commands came at which step, on nothing else. The features of the newest frame are
+kept, with what *every* subset would do with them, so that switching a camera off is a look-up and a
+new occlusion one encoding; neither waits for a picture to be drawn.
+
+A camera touched while step t+1 is being drawn counts as touched when that step has arrived. What is
+shown in between is a preview of step t under the new setting, and leaves no trace, however many of
+them there are: the picture of step t keeps what it arrived under, ``_settled``. The journal counts
+steps the same way, so that an episode can be kept and lived again to the bit.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from madviz.ablations import Ablation
+from madviz.moves import MoveCamera
+from madviz.probes import Probe, probe
+from madviz.saliency import LiveSaliency
+from madviz.session.frame import Change, Outcome, SetCamera, Setting, setting_of, untouched
+from madviz.session.journal import Journal, Mark
+from madviz.streams import StreamStack
+from madviz.subsets import every_mask
+from madviz.types import Array, Body, CameraPose, Environment, Policy, TimeStep, UserError, View
+
+
+@dataclass(frozen=True)
+class Instant:
+    """What one step brought: everything that does not depend on the ablation."""
+
+    time: TimeStep
+    step: int
+    views: dict[str, View]
+    poses: dict[str, CameraPose]
+    bodies: tuple[Body, ...]
+    body_poses: Array
+    hand: Array
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A step of an episode, with all that it takes to go on from it; pictures are shared."""
+
+    actions: tuple[Array, ...]
+    """What led here from the start."""
+    recent: tuple[Instant, ...]
+    stack: tuple
+    policy: Policy
+    ablation: Ablation
+    probe: Probe
+    total_reward: float
+    success_any: bool
+    worst: dict[str, str]
+    settings: frozenset[tuple[str, Setting]]
+    mark: Mark
+
+
+class Simulation:
+    """See the module. Belongs to the thread that created ``env``."""
+
+    def __init__(
+        self,
+        env: Environment,
+        policy: Policy,
+        ablation: Ablation,
+        journal: Journal | None = None,
+    ) -> None:
+        self.env, self.policy = env, policy
+        self.ablation = self._settled = ablation
+        self.journal = journal or Journal()
+        self.outcomes: deque[Outcome] = deque(maxlen=20)
+        self.episode = self.seed = 0
+        self.change: Change | None = None
+        self.total_reward, self.success_any = 0.0, False
+        self._recent: deque[Instant] = deque()
+        """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
+        self._worst: dict[str, str] = {}
+        self._settings: set[tuple[str, Setting]] = set()
+        self._actions: list[Array] = []
+        self._stack: StreamStack
+        self.probe: Probe
+        self._adopt(policy)
+        for camera in env.spec.cameras:
+            if camera.name in ablation.moves:
+                self._place(camera.name)
+
+    @property
+    def now(self) -> Instant:
+        return self._recent[-1]
+
+    @property
+    def ended(self) -> bool:
+        return self.now.time.last
+
+    @property
+    def arrived(self) -> dict[str, Array]:
+        """(H, W, C) uint8 by stream, what reached the policy last."""
+        return self._stack.newest
+
+    @property
+    def setting(self) -> Setting:
+        return setting_of(self.ablation, self.policy.spec.streams)
+
+    def facts(self) -> dict[str, Any]:
+        """What a ``Frame`` of this instant says of the simulation."""
+        now = self.now
+        return dict(
+            env=self.env.spec,
+            policy=self.policy.spec,
+            episode=self.episode,
+            seed=self.seed,
+            step=now.step,
+            ablation=self.ablation,
+            views=now.views,
+            arrived=dict(self.arrived),
+            poses=now.poses,
+            bodies=now.bodies,
+            body_poses=now.body_poses,
+            hand=now.hand,
+            probe=self.probe,
+            reward=now.time.reward,
+            total_reward=self.total_reward,
+            success=now.time.success,
+            success_any=self.success_any,
+            change=self.change,
+            outcomes=tuple(self.outcomes),
+        )
+
+    def explain(self, live: LiveSaliency, now: float, moving: bool, hurried: bool) -> bool:
+        """Looks at where the policy looks if it is time to; whether it was."""
+        mask = self.ablation.mask(self.policy.spec.streams)
+        if not live.due(self.probe, mask, now, moving, hurried):
+            return False
+        live.look(self.policy, self._stack.views, self.now.time.state, mask, self.probe, now)
+        return True
+
+    def begin(self, seed: int) -> None:
+        """Starts the episode of ``seed``; camera settings stay."""
+        moment = self.env.reset(seed)
+        self.episode, self.seed = self.episode + 1, seed
+        self.total_reward, self.success_any, self.change = 0.0, moment.success, None
+        self._recent.clear()
+        self._worst, self._settings, self._actions = {}, set(), []
+        self.journal.begin(self.policy.spec, self.env.spec, seed, self.ablation)
+        self._arrive(moment, self._draw(lambda: None))
+
+    def step(self, between: Callable[[], None]) -> None:
+        """Takes one decision. ``between`` is called after every camera that is drawn, and may call
+        ``set_camera``. Raises UserError if the policy cannot act on the present streams."""
+        mask = self.ablation.mask(self.policy.spec.streams)
+        row = self.probe.row(mask)
+        if not self.probe.supported[row]:
+            raise UserError(
+                f"{self.policy.spec.name} cannot act on {self.setting.subset!r}; "
+                "switch another camera on"
+            )
+        action = self.probe.readout.action[row]
+        moment = self.env.step(action)
+        self._actions.append(action)
+        self.journal.decided(self.now.step, action, moment)
+        self.total_reward += moment.reward
+        self.success_any |= moment.success
+        self._arrive(moment, self._draw(between))
+        if moment.last:
+            self._conclude(moment)
+
+    def set_camera(self, command: SetCamera, preview: bool = False) -> None:
+        """Another state for one camera, seen at once. Raises UserError for an unknown camera."""
+        self.env.spec.camera(command.camera)
+        before, old = self.ablation, self._reading()
+        self.ablation = before.replace(command.camera, command.state)
+        if self.ablation.occlusions() != before.occlusions():
+            self._stack.replace_last(self.ablation)
+            self._read()
+            if preview:
+                self._stack.replace_last(self._settled)
+        new = self._reading()
+        self.change = Change(
+            command.camera,
+            before.cameras.get(command.camera, untouched(self.policy.spec)),
+            command.state,
+            setting_before=old[0],
+            setting_after=new[0],
+            action_change=float(np.linalg.norm(new[1] - old[1])),
+            q_before=old[2],
+            q_after=new[2],
+        )
+        if not preview:
+            self._settled = self.ablation
+            self._note_setting()
+        self.journal.camera(self.now.step + preview, command)
+
+    def move_camera(self, command: MoveCamera) -> None:
+        """One camera elsewhere, seen at once: the newest picture is drawn anew, earlier ones of the
+        stack stay. Raises UserError for an unknown camera. Not in the middle of a step."""
+        name = command.camera
+        self.env.spec.camera(name)
+        before, old = self.ablation, self._reading()
+        self.ablation = self._settled = before.move(name, command.move)
+        if self.ablation.moves == before.moves:
+            return
+        self._place(name)
+        self._look_again(name)
+        new, state = self._reading(), before.cameras.get(name, untouched(self.policy.spec))
+        to = self.ablation.moves.get(name)
+        self.change = Change(
+            *(name, state, state, old[0], new[0]),
+            action_change=float(np.linalg.norm(new[1] - old[1])),
+            q_before=old[2],
+            q_after=new[2],
+            moved=f"moved: {to.words()}" if to else "is back in its place",
+        )
+        self._note_setting()
+        self.journal.camera(self.now.step, command)
+
+    def swap(self, policy: Policy) -> None:
+        """Another policy in the same episode; it gets the newest frames as its past."""
+        kept = list(self._recent)
+        self._adopt(policy)
+        self._recent.clear()
+        for instant in kept[-policy.spec.frame_stack - 1 :]:
+            self._push(instant)
+        self._read()
+        self.change = None
+        self._note_setting()
+        self.journal.policy(self.now.step, policy.spec)
+
+    def save(self) -> Saved:
+        """The present step, for ``return_to``."""
+        return Saved(
+            *(tuple(self._actions), tuple(self._recent), self._stack.saved()),
+            *(self.policy, self.ablation, self.probe, self.total_reward, self.success_any),
+            *(dict(self._worst), frozenset(self._settings), self.journal.mark()),
+        )
+
+    def return_to(self, saved: Saved) -> None:
+        """Stands at an earlier step of this episode again. An episode is its seed and its actions,
+        so the simulator takes those once more, without drawing anything.
+
+        Raises UserError if it does not come to the same state.
+        """
+        strayed, self.ablation = {*self.ablation.moves, *saved.ablation.moves}, saved.ablation
+        for camera in strayed:
+            self._place(camera)
+        moment = self.env.reset(self.seed)
+        for action in saved.actions:
+            moment = self.env.step(action)
+        if not np.array_equal(moment.state, saved.recent[-1].time.state):
+            self.journal.spoil()
+            raise UserError(
+                f"expected {self.env.spec.task} to repeat seed {self.seed} to the bit, found "
+                "another state: its reset or step depends on something else; start the seed again"
+            )
+        self._adopt(saved.policy)
+        self._recent.clear()
+        self._recent.extend(saved.recent)
+        self._stack.restore(saved.stack)
+        self._actions, self.probe = list(saved.actions), saved.probe
+        self.total_reward, self.success_any = saved.total_reward, saved.success_any
+        self._worst, self._settings = dict(saved.worst), set(saved.settings)
+        self._settled, self.change = saved.ablation, None
+        self.journal.back(saved.mark)
+
+    def _adopt(self, policy: Policy) -> None:
+        self.policy = policy
+        spec = policy.spec
+        self._stack = StreamStack(self.env.spec, spec.streams, spec.frame_stack)
+        self._masks = every_mask(len(spec.streams))
+        self._recent = deque(self._recent, maxlen=max(spec.frame_stack, 3) + 1)
+
+    def _place(self, camera: str) -> None:
+        """Puts a camera where the ablation has it."""
+        spec, to = self.env.spec.camera(camera), self.ablation.moves.get(camera)
+        self.env.move_camera(camera, to.placed(spec) if to else None)
+
+    def _look_again(self, camera: str) -> None:
+        """Draws a camera anew, and lets its picture arrive instead of the newest one."""
+        now, view = self.now, self.env.view(camera)
+        self._recent[-1] = replace(
+            now,
+            views={**now.views, camera: view},
+            poses={**now.poses, camera: self.env.pose(camera)},
+        )
+        self._stack.see_again(camera, view)
+        self._stack.replace_last(self.ablation)
+        self._read()
+
+    def _draw(self, between: Callable[[], None]) -> dict[str, View]:
+        """Every camera, always: one that comes back needs its past frames."""
+        views = {}
+        for camera in self.env.spec.cameras:
+            views[camera.name] = self.env.view(camera.name)
+            between()
+        return views
+
+    def _arrive(self, moment: TimeStep, views: dict[str, View]) -> None:
+        step = self.now.step + 1 if self._recent else 0
+        poses = {camera.name: self.env.pose(camera.name) for camera in self.env.spec.cameras}
+        env = self.env
+        self._push(Instant(moment, step, views, poses, env.bodies(), env.body_poses(), env.hand()))
+        self._read()
+        self._note_setting()
+
+    def _push(self, instant: Instant) -> None:
+        self._stack.push(instant.views, self.ablation, self.seed, instant.step)
+        self._settled = self.ablation
+        self._recent.append(instant)
+
+    def _read(self) -> None:
+        encoded = self.policy.encode(self._stack.views, self.now.time.state)
+        self.probe = probe(self.policy, encoded, self._masks)
+
+    def _reading(self) -> tuple[Setting, Array, float]:
+        """The present setting, and the action and Q under it."""
+        row = self.probe.row(self.ablation.mask(self.policy.spec.streams))
+        return self.setting, self.probe.readout.action[row], float(self.probe.readout.q[row])
+
+    def _note_setting(self) -> None:
+        self._settings.add((self.policy.spec.name, self.setting))
+        for camera in self.env.spec.cameras:
+            state = self.ablation.camera(camera.name)
+            if state.input == "off":
+                self._worst[camera.name] = "off"
+            elif state.occlusion.kind != "none" and self._worst.get(camera.name) != "off":
+                self._worst[camera.name] = "occluded"
+            elif camera.name in self.ablation.moves:
+                self._worst.setdefault(camera.name, "moved")
+
+    def _conclude(self, moment: TimeStep) -> None:
+        # What was touched in the very last instant never reached a decision, but it is part of how
+        # the episode looks on the page, so it counts as touched.
+        names = [camera.name for camera in self.env.spec.cameras]
+        self.outcomes.append(
+            Outcome(
+                self.policy.spec,
+                self.seed,
+                moment.success,
+                self.success_any,
+                self.total_reward,
+                {name: self._worst.get(name, "") for name in names},
+                self.setting if len(self._settings) == 1 else None,
+            )
+        )

@@ -1,0 +1,232 @@
+"""What a session shows, without its pace: a simulation, its past, its failures, its twin.
+
+The session knows when something happens and who asked; the stage knows what happens. Everything
+here is a function of the policy, the seeds and the order of calls, so a test needs no clock.
+
+    session: inbox, pace, phase, errors  ──►  stage ─┬─ simulation   one policy, one environment
+                                                     ├─ timeline     every step of it, and a branch
+                                                     ├─ plan         what comes at a step by itself
+                                                     ├─ journal      what it takes to live it again
+                                                     └─ twin         another simulation, lock-step
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from madviz.ablations import Ablation
+from madviz.envs.base import sees
+from madviz.manifest import check_environment
+from madviz.moves import MoveCamera
+from madviz.saliency import LiveSaliency
+from madviz.session.failures import Schedule
+from madviz.session.frame import Frame, Pair, SetCamera, SetPolicy
+from madviz.session.journal import Journal
+from madviz.session.kept import KeptEpisode
+from madviz.session.plan import Plan
+from madviz.session.simulation import Simulation
+from madviz.session.timeline import Timeline
+from madviz.session.twin import MOST_PAIRS, Twin
+from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec, UserError
+
+EnvFactory = Callable[[str, str, tuple[CameraSpec, ...]], Environment]
+"""(task, render profile, cameras) -> environment, for example ``madviz.envs.base.make_env``."""
+
+
+class Stage:
+    """See the module. Belongs to the thread that opens it."""
+
+    def __init__(
+        self,
+        make_env: EnvFactory,
+        policy: Policy | str,
+        load_policy: Callable[[str], Policy] | None,
+        seed: int,
+        script: KeptEpisode | None,
+    ) -> None:
+        """``policy``: one that is there, or a name that ``load_policy`` knows, for ``open``."""
+        self._make_env, self._load = make_env, load_policy
+        self._policy, self.seed = policy, seed
+        self.journal, self._timeline, self._plan = Journal(), Timeline(), Plan(script)
+        self.simulation: Simulation | None = None
+        self.saliency = LiveSaliency()
+        self._twin: Twin | None = None
+        self._pairs: deque[Pair] = deque(maxlen=MOST_PAIRS)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a simulation."""
+        return self.simulation is not None
+
+    @property
+    def ended(self) -> bool:
+        return self.simulation is not None and self.simulation.ended
+
+    @property
+    def _live(self) -> Simulation:
+        if self.simulation is None:
+            raise UserError("there is no simulation; press play to start one")
+        return self.simulation
+
+    def open(self) -> None:
+        """Builds the policy's environment, and begins."""
+        self.shut()
+        if isinstance(self._policy, str):
+            self._policy = self._loaded(self._policy)
+        script = self._plan.waiting
+        world = script or self._policy.spec
+        env = self._make_env(world.task, world.render_profile, world.cameras)
+        try:
+            check_environment(self._policy.spec, env.spec)
+        except UserError:
+            env.close()
+            raise
+        ablation = script.ablation if script else Ablation()
+        self.simulation = Simulation(env, self._policy, ablation, self.journal)
+        self.begin(script.seed if script else self.seed)
+
+    def shut(self) -> None:
+        """Closes the environment and the twin's."""
+        self.compare(None)
+        if self.simulation is not None:
+            self.simulation.env.close()
+            self.simulation = None
+
+    def begin(self, seed: int) -> None:
+        """Starts the episode of ``seed``. Raises UserError where nothing is open."""
+        self._live.begin(seed)
+        self.seed, self._timeline = seed, Timeline()
+        self.saliency.forget()
+        self._plan.begin()
+        if self._twin is not None:
+            self._twin.begin(seed)
+        self._follow()
+
+    def step(self, between: Callable[[], None]) -> None:
+        """One decision, on both sides if there are two; ``between`` as in ``Simulation.step``."""
+        live = self._live
+        live.step(between)
+        if self._twin is not None:
+            self._twin.step()
+        self._follow()
+        if live.ended and self._twin is not None:
+            paired = self._twin.concluded(live.outcomes[-1])
+            self._pairs.extend([paired] if paired else [])
+
+    def set_camera(self, command: SetCamera, preview: bool = False) -> None:
+        """Another state for a camera; in the past, another future begins with it."""
+        if self._timeline.shown is not None:
+            self.fork()
+        self._live.set_camera(command, preview)
+
+    def move_camera(self, command: MoveCamera) -> None:
+        """A camera elsewhere; in the past, another future begins with it."""
+        if self._timeline.shown is not None:
+            self.fork()
+        self._live.move_camera(command)
+
+    def swap(self, name: str) -> None:
+        """Another policy; in the same episode where it belongs to the same task and render profile,
+        otherwise in a new environment. If it cannot be loaded, the old one stays."""
+        policy = self._loaded(name)
+        if self._timeline.shown is not None:
+            self.fork()
+        live = self.simulation
+        if live is not None and self._lives_in(policy.spec, live.env.spec):
+            check_environment(policy.spec, live.env.spec)
+            self._policy = policy
+            live.swap(policy)
+            self.saliency.forget()
+            return
+        self._policy, kept = policy, live.ablation if live else Ablation()
+        self.open()
+        here = {camera.name for camera in self._live.env.spec.cameras}
+        for camera, state in kept.cameras.items():
+            if camera in here:
+                self._live.set_camera(SetCamera(camera, state))
+        for camera, move in kept.moves.items():
+            if camera in here:
+                self._live.move_camera(MoveCamera(camera, move))
+
+    @staticmethod
+    def _lives_in(policy: PolicySpec, env: EnvSpec) -> bool:
+        same = (policy.task, policy.render_profile) == (env.task, env.render_profile)
+        return same and sees(env, policy.cameras)
+
+    def explain(self, now: float, moving: bool, hurried: bool) -> bool:
+        """Finds the pixels that matter if somebody asked and it is time; whether it did."""
+        live = self.simulation
+        if live is None or not hasattr(live, "probe") or self._timeline.shown is not None:
+            return False
+        return live.explain(self.saliency, now, moving, hurried)
+
+    def look_back(self, step: int | None) -> None:
+        """Shows an earlier step from now on; None: the newest one."""
+        if step is not None:
+            self._live.save()  # Where nothing is open there is no past either.
+        self._timeline.show(step)
+
+    def fork(self) -> None:
+        """Stands at the earlier step that is shown; whatever is done next begins another future."""
+        if self._timeline.shown is None:
+            raise UserError("expected an earlier step to fork from; drag the timeline back first")
+        live = self._live
+        live.return_to(self._timeline.fork())
+        self._policy = live.policy
+        if self._twin is not None:
+            self._twin.part()
+
+    def compare(self, name: str | None, ablation: Ablation | None = None) -> None:
+        """Starts B, and the episode again for both; None ends B. Raises UserError if B's policy
+        belongs to another task: there would be nothing to compare."""
+        if self._twin is not None:
+            self._twin.close()
+            self._twin = None
+        self._pairs.clear()
+        if name is None:
+            return
+        policy, live = self._loaded(name), self._live
+        if policy.spec.task != live.env.spec.task:
+            raise UserError(
+                f"expected a policy for {live.env.spec.task} on B's side, found {name!r} for "
+                f"{policy.spec.task}; choose one of the same task"
+            )
+        self._twin = Twin(self._make_env, policy, ablation or Ablation())
+        self.begin(self.seed)
+
+    def reschedule(self, events: Schedule) -> None:
+        """Another schedule of failures; an empty one ends them."""
+        for command in self._plan.reschedule(events, self.simulation):
+            self._live.set_camera(command)
+
+    def frame(self, keep: bool, **pace: Any) -> Frame | None:
+        """All of it at this instant, with what the session says of its pace; None where nothing is
+        to be seen. ``keep``: not for a preview, which is no step one could go back to."""
+        live = self.simulation
+        if live is None or not hasattr(live, "probe"):
+            return None
+        beside = self._twin and Frame(**self._twin.simulation.facts(), **pace)
+        frame = Frame(**live.facts(), **pace, schedule=self._plan.schedule)
+        frame = replace(frame, saliency=self.saliency.maps)
+        frame = self._timeline.live(replace(frame, twin=beside, pairs=tuple(self._pairs)))
+        if keep:
+            self._timeline.keep(frame, live.save())
+        return frame if self._timeline.shown is None else self._timeline.again(frame)
+
+    def _loaded(self, name: str) -> Policy:
+        if self._load is None:
+            raise UserError("this session has no other policies to load")
+        return self._load(name)
+
+    def _follow(self) -> None:
+        """Obeys what comes by itself at the step that has arrived."""
+        for command in self._plan.due(self._live):
+            if isinstance(command, SetPolicy):
+                self.swap(command.name)
+            elif isinstance(command, MoveCamera):
+                self._live.move_camera(command)
+            else:
+                self._live.set_camera(command)

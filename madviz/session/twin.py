@@ -1,0 +1,76 @@
+"""A second simulation in lock-step with the first: two policies or two camera settings, one seed.
+
+Two success rates from different seeds differ by luck alone: at n = 20, by 0.3 one time in twenty.
+The same seeds for both take the scenes out of the comparison, and then only the pairs that came out
+differently count (McNemar):
+
+    A   reset(2007)  step  step  ...  last step, SUCCESS  ┐
+    B   reset(2007)  step  step  ...  last step, FAIL     ┘  one pair, for A
+
+A pair counts if neither side was touched from its first step to its last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from madviz.ablations import Ablation
+from madviz.manifest import check_environment
+from madviz.session.frame import Outcome, Pair
+from madviz.session.simulation import Simulation
+from madviz.statistics import Paired, pair
+from madviz.types import CameraSpec, Environment, Policy
+
+MOST_PAIRS = 1000
+"""Pairs that are remembered."""
+
+
+def tally(pairs: tuple[Pair, ...], sides: tuple[tuple[str, str], tuple[str, str]]) -> Paired:
+    """The counts of all pairs between these two sides; a seed that came twice counts once."""
+    ours = [one for one in pairs if one.sides == sides]
+    return pair(
+        {one.first.seed: one.first.success for one in ours},
+        {one.second.seed: one.second.success for one in ours},
+    )
+
+
+class Twin:
+    """B. Belongs to the thread that has A."""
+
+    def __init__(
+        self,
+        make_env: Callable[[str, str, tuple[CameraSpec, ...]], Environment],
+        policy: Policy,
+        ablation: Ablation,
+    ) -> None:
+        spec = policy.spec
+        env = make_env(spec.task, spec.render_profile, spec.cameras)
+        check_environment(spec, env.spec)
+        self.simulation = Simulation(env, policy, ablation)
+        self._whole = False
+
+    def begin(self, seed: int) -> None:
+        """Both start at ``seed``."""
+        self.simulation.begin(seed)
+        self._whole = True
+
+    def step(self) -> None:
+        """One decision, if there is one left."""
+        if self._whole and not self.simulation.ended:
+            self.simulation.step(lambda: None)
+
+    def part(self) -> None:
+        """A has gone another way, to an earlier step: this episode pairs with nothing."""
+        self._whole = False
+
+    def concluded(self, first: Outcome) -> Pair | None:
+        """The pair of A's ended episode and this one, if both were left alone."""
+        if not (self._whole and self.simulation.ended and self.simulation.outcomes):
+            return None
+        second = self.simulation.outcomes[-1]
+        if first.seed != second.seed or first.setting is None or second.setting is None:
+            return None
+        return Pair(first, second)
+
+    def close(self) -> None:
+        self.simulation.env.close()

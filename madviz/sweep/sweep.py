@@ -1,0 +1,353 @@
+"""``madviz sweep FILE``: many trainings and their evaluations, from one small file.
+
+    madviz sweep rivals.toml --dry-run       what it would do (the file: see plan.py)
+    madviz sweep rivals.toml                 here, a process for each run
+    madviz sweep rivals.toml --backend ray   on a cluster; every node must see the same --out
+
+A sweep has no memory but its folders (run.py). Kill it at any moment and give the same
+command again: finished runs are left alone, a training that was cut off resumes. Two sweeps may
+even work on one folder at a time. A run that fails does not stop the others; it is listed at the
+end, and tried again by the next call.
+
+    plan -> waiting -> backend.submit(run) -> backend.collect() -> finished, failed, waiting again
+
+Backends differ only in where ``carry_out`` is called, so results are the same files.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+from madviz.files import read_json
+from madviz.sweep.plan import Plan, read_plan
+from madviz.sweep.run import (
+    RESULT,
+    Outcome,
+    Run,
+    carry_out,
+    check_same,
+    expected_seconds,
+    finished,
+)
+from madviz.types import UserError
+
+BUSY_SECONDS = 2.0
+"""How long a run that somebody else works on is left alone."""
+
+QUIET_SECONDS = 60.0
+"""Where no bar can be drawn, a line is printed after as long a silence."""
+
+
+@dataclass(frozen=True)
+class SweepConfig:
+    """Trains and evaluates every combination that a small TOML file asks for."""
+
+    file: str
+    """The sweep file: a table [grid] with tasks, methods, settings, seeds, and a table [eval]."""
+    out: Path | None = None
+    """Where the runs' folders go; runs/NAME-OF-FILE if not given. The same folder goes on."""
+    backend: Literal["local", "ray"] = "local"
+    """``local``: processes on this machine. ``ray``: a Ray cluster that shares ``out``."""
+    jobs: int | None = None
+    """Runs at a time; by default one for every two cores here, and what fits on a cluster."""
+    address: str | None = None
+    """Of the Ray cluster; by default $RAY_ADDRESS, or a new one on this machine."""
+    cpus: int = 2
+    """Cores that a run takes on a Ray cluster."""
+    dry_run: bool = False
+    """Only say which runs there are and which are finished."""
+    json: str | None = None
+    """Where to write the outcome of every run; - is standard output."""
+
+
+class Backend(Protocol):
+    """Carries runs out somewhere."""
+
+    @property
+    def slots(self) -> int:
+        """How many runs it takes at a time, now."""
+        ...
+
+    def submit(self, run: Run) -> None: ...
+
+    def collect(self, seconds: float) -> list[tuple[Run, Outcome]]:
+        """What ended since the last call; waits up to ``seconds`` for something."""
+        ...
+
+    def close(self) -> None:
+        """Ends what still runs, politely, and waits for it."""
+        ...
+
+
+class LocalBackend:
+    """Threads of this process that each watch one command."""
+
+    def __init__(self, out: Path, jobs: int, program: Sequence[str] = ()) -> None:
+        self.slots = jobs
+        self._out, self._program, self._stop = out, program, threading.Event()
+        self._workers = max((os.cpu_count() or 1) // jobs, 1)
+        self._pool = ThreadPoolExecutor(jobs)
+        self._running: dict[Future[Outcome], Run] = {}
+
+    def submit(self, run: Run) -> None:
+        arguments = (run, self._out, self._program, self._workers, self._stop)
+        self._running[self._pool.submit(carry_out, *arguments)] = run
+
+    def collect(self, seconds: float) -> list[tuple[Run, Outcome]]:
+        done, _ = wait(self._running, seconds, FIRST_COMPLETED)
+        return [(self._running.pop(future), future.result()) for future in done]
+
+    def close(self) -> None:
+        self._stop.set()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+def run_sweep(
+    config: SweepConfig, program: Sequence[str] = (), backend: Backend | None = None
+) -> dict[str, Any]:
+    """``madviz sweep``: the outcome of every run; progress goes to standard error.
+
+    ``program`` stands for ``madviz`` in every run. Raises UserError before anything runs for a
+    mistake in the file, and for folders that hold runs of another file.
+    """
+    plan = read_plan(config.file)
+    out = config.out or Path("runs") / plan.name
+    if (config.jobs is not None and config.jobs < 1) or config.cpus < 1:
+        raise UserError(f"expected 1 or more jobs and cpus, found {config.jobs} and {config.cpus}")
+    for run in plan.runs:
+        check_same(out / run.name, run)
+    if config.dry_run:
+        return _summary(plan, out, config, {})
+    out.mkdir(parents=True, exist_ok=True)
+    left = [run for run in plan.runs if not finished(out / run.name)]
+    if not left:
+        return _summary(plan, out, config, {})
+    engine = backend or _backend(config, out, program)
+    watch = Watch(len(plan.runs), len(left), lambda run: expected_seconds(out / run.name))
+    try:
+        with watch, interrupted_by_sigterm():
+            outcomes = carry_all_out(left, engine, watch)
+    except KeyboardInterrupt:
+        watch.say("stopping: trainings save first; the same command goes on from there")
+        raise
+    finally:
+        engine.close()
+    return _summary(plan, out, config, outcomes)
+
+
+def _backend(config: SweepConfig, out: Path, program: Sequence[str]) -> Backend:
+    if config.backend == "ray":
+        from madviz.sweep.ray import RayBackend
+
+        return RayBackend(out, config.jobs, config.address, config.cpus, program)
+    return LocalBackend(out, config.jobs or max((os.cpu_count() or 1) // 2, 1), program)
+
+
+def carry_all_out(
+    runs: Sequence[Run],
+    backend: Backend,
+    watch: Watch,
+    now: Callable[[], float] = time.monotonic,
+) -> dict[str, Outcome]:
+    """Every run's last outcome, by name. A busy run goes to the end of the queue."""
+    waiting, running, outcomes = deque(runs), 0, dict[str, Outcome]()
+    earliest: dict[str, float] = {}
+    while waiting or running:
+        for _ in range(len(waiting)):
+            if running >= backend.slots:
+                break
+            run = waiting.popleft()
+            if earliest.get(run.name, 0.0) > now():
+                waiting.append(run)
+                continue
+            backend.submit(run)
+            watch.began(run)
+            running += 1
+        if not running:
+            time.sleep(0.2)
+            continue
+        for run, outcome in backend.collect(1.0):
+            running -= 1
+            if outcome.state == "busy":
+                earliest[run.name] = now() + BUSY_SECONDS
+                waiting.append(run)
+            else:
+                outcomes[run.name] = outcome
+            watch.ended(run, outcome)
+        watch.tick(backend.slots)
+    return outcomes
+
+
+class Watch:
+    """Progress and time left for the whole, on standard error.
+
+    Time left: 24 runs of 600 s that have not begun, 4 at a time, are 24 / 4 x 600 s = 1 h; a run
+    that has begun counts for what the mean leaves of it. The mean is over runs that have ended, and
+    those whose training says how long it will take (``expects``); without any, nothing is said.
+    """
+
+    def __init__(
+        self,
+        total: int,
+        left: int,
+        expects: Callable[[Run], float | None] = lambda run: None,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._now, self._expects, self._slots = now, expects, 1
+        self._said = now()
+        self._total, self._left, self._failed = total, left, 0
+        self._begun: dict[Run, float] = {}
+        self._seconds: list[float] = []
+        console = Console(stderr=True)
+        columns = (TextColumn("sweep"), BarColumn(), MofNCompleteColumn())
+        self._bar = Progress(
+            *columns,
+            TextColumn("{task.fields[words]}"),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bar.add_task("", total=total, completed=total - left, words="")
+
+    def __enter__(self) -> Watch:
+        self.say(f"{self._total} runs, {self._total - self._left} finished before")
+        self._bar.start()
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self._bar.stop()
+
+    def began(self, run: Run) -> None:
+        self._begun[run] = self._now()
+
+    def ended(self, run: Run, outcome: Outcome) -> None:
+        del self._begun[run]
+        if outcome.state in ("busy", "stopped"):
+            return
+        self._left -= 1
+        if outcome.state == "finished":
+            self._seconds.append(outcome.seconds)
+        else:
+            self._failed += 1
+        how = f"finished in {duration(outcome.seconds)}"
+        if outcome.state == "failed":
+            how = f"failed: {outcome.error}"
+        self.say(f"{self._total - self._left} of {self._total}: {run.name} {how}{self._rest()}")
+
+    def tick(self, slots: int) -> None:
+        """Draws; ``slots`` is how many runs go at a time."""
+        self._slots = slots
+        failed = f"{self._failed} failed, " if self._failed else ""
+        words = f"{failed}{len(self._begun)} running{self._rest()}"
+        self._bar.update(self._task, completed=self._total - self._left, words=words)
+        if self._bar.disable and self._now() - self._said > QUIET_SECONDS:
+            self.say(words)
+
+    def seconds_left(self) -> float | None:
+        """None before anybody can know."""
+        expected = [seconds for run in self._begun if (seconds := self._expects(run)) is not None]
+        known = [*self._seconds, *expected]
+        if not known:
+            return None
+        mean = sum(known) / len(known)
+        running = [max(mean - (self._now() - began), 0.0) for began in self._begun.values()]
+        waiting = (self._left - len(running)) * mean
+        return max((waiting + sum(running)) / self._slots, max(running, default=0.0))
+
+    def _rest(self) -> str:
+        left = self.seconds_left()
+        return f"; {duration(left)} left" if left and self._left else ""
+
+    def say(self, line: str) -> None:
+        self._said = self._now()
+        # Through the bar where there is one, so that neither tears the other apart.
+        if self._bar.disable:
+            print(f"[sweep] {line}", file=sys.stderr, flush=True)
+        else:
+            self._bar.console.print(line, markup=False, highlight=False)
+
+
+@contextmanager
+def interrupted_by_sigterm() -> Iterator[None]:
+    """A polite kill ends the sweep as Ctrl-C does: commands are stopped politely in turn."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(number: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def duration(seconds: float) -> str:
+    """``45 s``, ``12 min``, ``3 h 05 min``."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def _summary(
+    plan: Plan, out: Path, config: SweepConfig, outcomes: dict[str, Outcome]
+) -> dict[str, Any]:
+    """What ``--json`` writes. Results are read from the folders, whoever put them there."""
+    runs: list[dict[str, Any]] = []
+    for run in plan.runs:
+        folder, outcome = out / run.name, outcomes.get(run.name)
+        described: dict[str, Any] = {"name": run.name, "path": str(folder), **run.words()}
+        if finished(folder):
+            runs.append({**described, "state": "finished", **_subsets(folder)})
+        elif outcome is not None and outcome.state == "failed":
+            runs.append({**described, "state": "failed", "error": outcome.error})
+        else:
+            runs.append({**described, "state": "waiting"})
+    states = [run["state"] for run in runs]
+    counts = {state: states.count(state) for state in ("finished", "failed", "waiting")}
+    return {"schema": 1, "name": plan.name, "out": str(out), "dry_run": config.dry_run} | {
+        **counts,
+        "runs": runs,
+    }
+
+
+def _subsets(folder: Path) -> dict[str, Any]:
+    rows = read_json(folder / RESULT)["subsets"]
+    return {
+        "subsets": {
+            name: {key: row[key] for key in ("success", "n", "ci95")} for name, row in rows.items()
+        }
+    }
+
+
+def sweep_table(result: dict[str, Any]) -> str:
+    """A sweep as lines; failed runs come last, so that they are seen."""
+    lines = [f"{result['name']}: {len(result['runs'])} runs in {result['out']}"]
+    for run in sorted(result["runs"], key=lambda run: run["state"] == "failed"):
+        words = "  ".join(
+            f"{name} {row['success']:.2f} (n={row['n']})"
+            for name, row in run.get("subsets", {}).items()
+        )
+        lines.append(f"  {run['state']:9} {run['name']}  {run.get('error', words)}".rstrip())
+    counts = (f"{result[state]} {state}" for state in ("finished", "failed", "waiting"))
+    lines.append(", ".join(counts))
+    if result["failed"]:
+        lines.append("the same command tries failed runs again and leaves finished ones alone")
+    return "\n".join(lines)
