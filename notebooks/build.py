@@ -15,6 +15,7 @@ from __future__ import annotations
 import ast
 import os
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -45,12 +46,14 @@ def from_text(name: str) -> nbformat.NotebookNode:
 
 
 def run(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
-    """Executes it in the folder of the notebooks, as JupyterLab does, with this tree's package."""
-    paths = [str(HERE.parent), os.environ.get("PYTHONPATH", "")]
+    """Executes it in the folder of the notebooks, as JupyterLab does, with this tree's package. An
+    empty folder for temporary files: lessons keep their trainings there and do not repeat them."""
+    paths = os.pathsep.join(filter(None, [str(HERE.parent), os.environ.get("PYTHONPATH", "")]))
     client = NotebookClient(
         notebook, timeout=60 * MINUTES, resources={"metadata": {"path": str(HERE)}}
     )
-    return client.execute(env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))})
+    with tempfile.TemporaryDirectory() as fresh:
+        return client.execute(env={**os.environ, "PYTHONPATH": paths, "TMPDIR": fresh})
 
 
 def tidy(notebook: nbformat.NotebookNode) -> None:

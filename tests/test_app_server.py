@@ -204,16 +204,18 @@ def test_tables_make_way_for_somebody_who_has_touched_a_camera(monkeypatch):
         made[0].send(Pause())
         await_that(lambda: bool(looks))
         page = them._seats[1].page
-        await_that(lambda: page._wake.is_set() is False and made[0].latest.phase == "paused")
+        await_that(lambda: getattr(made[0].latest, "phase", "") == "paused")
+        frame = made[0].latest
+        assert frame is not None
         page._drawing.acquire()  # Nobody else draws from here on.
         looks.clear()
         for shown in page._shown:
             shown.done, shown.number = -1e9, 0
         page._hurried.set()
-        page._push(made[0].latest, time.monotonic())
+        page._push(frame, time.monotonic())
         assert not looks  # A frame that nobody waits for ends where somebody begins to.
         page._hurried.clear()
-        page._push(made[0].latest, time.monotonic())
+        page._push(frame, time.monotonic())
         assert looks == [1]
         page._drawing.release()
 

@@ -244,11 +244,11 @@ def test_real_workers_survive_a_kill_and_give_the_right_numbers():
 
     evaluator = Evaluator(1, listener=listen, episodes=60)
     evaluator.request("ann", POLICY, ALL)
-    assert some.wait(60)
+    assert some.wait(300)
     assert evaluator._workers._pool is not None
     (victim,) = evaluator._workers._pool._processes
     os.kill(victim, signal.SIGKILL)
-    assert enough.wait(60)
+    assert enough.wait(300)
     runner, tally = Runner(), evaluator.tally(POLICY, ALL)
     assert tally.results == tuple(runner.run(tally.setting.job(r.seed))[0] for r in tally.results)
     assert [r.seed for r in tally.results] == list(range(5000, 5060))
