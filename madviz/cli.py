@@ -84,7 +84,7 @@ def doctor(words: Sequence[str]) -> int:
 
 
 def bench(words: Sequence[str]) -> int:
-    """Measures: bench render, bench live, bench update, bench buffer."""
+    """Measures: bench render, live, update, buffer, evaluate."""
     return pick(BENCHMARKS, "benchmark", words, "madviz bench")
 
 
@@ -124,6 +124,16 @@ def bench_buffer(words: Sequence[str]) -> int:
     from madviz.bench.buffer import bench_buffer as measure
 
     config = parse(BenchBufferConfig, "bench buffer", words)
+    deliver(config, lambda: measure(config), pretty)
+    return 0
+
+
+def bench_evaluate(words: Sequence[str]) -> int:
+    """Episodes a minute of an evaluation, against a plain loop and a stock one."""
+    from madviz.bench.evaluate import BenchEvaluateConfig
+    from madviz.bench.evaluate import bench_evaluate as measure
+
+    config = parse(BenchEvaluateConfig, "bench evaluate", words)
     deliver(config, lambda: measure(config), pretty)
     return 0
 
@@ -197,7 +207,7 @@ VERBS: dict[str, Verb] = {
 }
 BENCHMARKS: dict[str, Verb] = {
     **{"render": bench_render, "live": bench_live, "update": bench_update},
-    "buffer": bench_buffer,
+    **{"buffer": bench_buffer, "evaluate": bench_evaluate},
 }
 
 

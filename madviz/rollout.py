@@ -140,9 +140,13 @@ class Runner:
         self._moved: set[str] = set()
         """Cameras of that environment that may not stand where its spec has them."""
 
-    def run(self, job: Job) -> Finished:
+    def opened(self, job: Job) -> tuple[Environment, Policy]:
+        """What ``job`` needs: the environment stays until a job needs another one."""
         policy = self._loaded(job.policy, job.digest)
-        env = self._environment(policy)
+        return self._environment(policy), policy
+
+    def run(self, job: Job) -> Finished:
+        env, policy = self.opened(job)
         self._place(env, dict(job.moves))
         mask = mask_of(job.subset, policy.spec.streams)
         ablation = Ablation.from_mask(mask, policy.spec.streams, dict(job.occlusions))

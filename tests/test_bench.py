@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from madviz.bench import evaluate as bench_evaluate
 from madviz.bench import live as bench_live
 from madviz.bench.render import Frames, RenderConfig, alternate, bench_render
 from madviz.recipes import training_job
 from madviz.recipes.training_job import JobConfig, JobStatus, State
-from madviz.types import UserError
+from madviz.rollout import Finished, Job, Workers
+from madviz.store import EpisodeResult
+from madviz.types import Encoded, UserError
+from tests.fakes import FakePolicy
 
 
 class FakeFrames:
@@ -42,6 +47,87 @@ def test_sides_take_turns_and_neither_steps_nor_the_first_round_count() -> None:
 def test_what_cannot_be_measured_is_refused(bad: RenderConfig) -> None:
     with pytest.raises(UserError, match="expected"):
         bench_render(bad)
+
+
+class Clock:
+    """Says what a test has wound it to."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class FakeStock:
+    """Draws for 0.9 s and steps for 0.05; the first picture takes a minute."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock, self._first, self.steps = clock, True, 0
+
+    def draw(self) -> list[np.ndarray]:
+        self._clock.now += 60.0 if self._first else 0.9
+        self._first = self.steps == 0
+        return [np.full((84, 84, 3), number, np.uint8) for number in range(3)]
+
+    def step(self) -> None:
+        self.steps += 1
+        self._clock.now += 0.05
+
+
+def test_a_stock_decision_is_pictures_policy_and_all_its_steps() -> None:
+    clock, seen = Clock(), []
+
+    class Looking(FakePolicy):
+        def encode(self, views: np.ndarray, state: np.ndarray) -> Encoded:
+            seen.append(views)
+            return super().encode(views, state)
+
+    frames, everything = FakeStock(clock), np.ones(3, bool)
+    seconds = bench_evaluate.stock_seconds(frames, Looking(), everything, 2, 4, clock)
+    assert seconds == pytest.approx(0.9 + 2 * 0.05) and frames.steps == 10
+    assert seen[0].shape == (3, 9, 84, 84) and seen[0][2].max() == seen[0][2].min() == 2
+    with pytest.raises(UserError, match="RGB of three cameras"):
+        six = FakePolicy(setting="three-rgbd")
+        bench_evaluate.stock_seconds(frames, six, np.ones(6, bool), 2, 4, clock)
+
+
+class FakeRunner:
+    """Runs a job in ten seconds; the first one takes a minute."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock, self._runs = clock, 0
+
+    def run(self, job: Job) -> Finished:
+        self._runs += 1
+        self._clock.now += 60.0 if self._runs == 1 else 10.0
+        return EpisodeResult("all", job.seed, True, True, 1.0), "reached"
+
+
+def test_a_plain_loop_is_timed_without_its_first_episode() -> None:
+    clock = Clock()
+    jobs = [Job("toy", "digest", "all", (), seed) for seed in range(3)]
+    seconds, found = bench_evaluate.in_turn(jobs, FakeRunner(clock), clock)  # type: ignore[arg-type]
+    assert seconds == 30.0 and [found[job][0].seed for job in jobs] == [0, 1, 2]
+
+
+def test_loops_that_disagree_measure_nothing(monkeypatch) -> None:
+    def ours(jobs: list[Job], workers: Workers) -> tuple[float, dict[Job, Finished]]:
+        return 3.0, {job: (EpisodeResult("all", job.seed, True, True, 1.0), "x") for job in jobs}
+
+    def serial(jobs: list[Job], runner: object) -> tuple[float, dict[Job, Finished]]:
+        return 6.0, {job: (EpisodeResult("all", job.seed, False, True, 1.0), "x") for job in jobs}
+
+    monkeypatch.setattr(bench_evaluate, "in_workers", ours)
+    monkeypatch.setattr(bench_evaluate, "in_turn", serial)
+    with pytest.raises(UserError, match="same results of both loops"):
+        bench_evaluate.bench_evaluate(bench_evaluate.BenchEvaluateConfig(episodes=2))
+
+
+@pytest.mark.parametrize("wrong", [{"episodes": 0}, {"stock_decisions": 0}, {"policy": "nobody"}])
+def test_an_evaluation_that_cannot_be_measured_is_refused(wrong) -> None:
+    with pytest.raises(UserError):
+        bench_evaluate.bench_evaluate(bench_evaluate.BenchEvaluateConfig(**wrong))
 
 
 class FakeJob:

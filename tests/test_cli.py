@@ -58,7 +58,7 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
         "list, record, replay, report, soak, sweep, train\n"
     )
     assert cli.main(["bench", "wurst"]) == 2
-    assert "known: buffer, live, render, update" in capsys.readouterr().err
+    assert "known: buffer, evaluate, live, render, update" in capsys.readouterr().err
 
 
 def test_a_users_mistake_is_one_line_without_a_traceback() -> None:
