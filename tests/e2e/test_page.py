@@ -122,7 +122,7 @@ def test_switching_a_camera_off_shows_everywhere(visitor: Visitor):
     visitor.until(f"document.querySelector('.mv-action').innerText !== `{action}`")
     wait_until(lambda: grey(visitor.tile(1)) < 6)
     assert grey(visitor.tile(0)) > 10
-    assert "Third A · dropped" in visitor.page.content()
+    wait_until(lambda: "Third A · dropped" in visitor.page.content())  # The scene follows.
 
 
 def test_dropped_does_not_look_like_black(visitor: Visitor):
