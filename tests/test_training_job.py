@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -60,6 +61,9 @@ def test_a_job_runs_stops_goes_on_and_ends(job: TrainingJob) -> None:
     job.start(JobConfig("toy/reach"))
     running = until(job, lambda status: len(status.rows) > 2)
     assert running.state == "running" and 0 < running.done < 1
+    assert job._child is not None and os.getpriority(os.PRIO_PROCESS, job._child.pid) == 19
+    if sys.platform == "linux":
+        assert os.sched_getscheduler(job._child.pid) == os.SCHED_IDLE
     with pytest.raises(UserError, match="running already"):
         job.start(JobConfig("toy/reach"))
     job.stop()

@@ -1,7 +1,7 @@
 """Training in a process of its own, started, stopped, resumed and watched from elsewhere.
 
 A page must not stand still while something learns, and a training must not end because a page does
-something wrong. So a job is ``madviz train`` as a child process at the lowest priority, and all
+something wrong. So a job is ``madviz train`` as a child process that lets all others go first, and all
 that this module knows of it comes from the run's folder: rows of ``curve.csv``, the policy once it
 is there, and the last line of its log where it failed. A job that was stopped resumes exactly.
 
@@ -30,6 +30,7 @@ from typing import Literal
 from madviz.agent.methods import method
 from madviz.envs.base import TASKS
 from madviz.files import write_json
+from madviz.processes import let_all_others_go_first
 from madviz.types import UserError, unknown
 
 State = Literal["idle", "running", "stopping", "stopped", "failed", "done"]
@@ -51,8 +52,6 @@ BUDGETS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 """By recipe and name, what is added to the command; nothing stands for the recipe's defaults."""
 POLICY_FILES = ("config.json", "weights.safetensors")
-MODEST = 19
-"""Niceness of a training beside a page."""
 LOG_END = 500
 """Characters of a log's end that may be shown."""
 
@@ -208,7 +207,7 @@ class TrainingJob:
                 start_new_session=True,
             )
         # From here and not between fork and exec, where a process with threads may hang.
-        os.setpriority(os.PRIO_PROCESS, self._child.pid, MODEST)
+        let_all_others_go_first(self._child.pid)
 
     def _state(self) -> State:
         code = self._child.poll() if self._child is not None else None
