@@ -31,9 +31,9 @@ def yield_to_others(niceness: int) -> None:
 
 
 def let_all_others_go_first(pid: int) -> None:
-    """Process ``pid``, and all that it will start, gets what nobody else wants. Niceness alone would
-    leave it an eighth of a core that it shares with ``yield_to_others(10)``; Linux has a policy
-    under which it gets nothing of it."""
+    """Process ``pid``, and all that it will start, gets what nobody else wants. Niceness alone
+    would leave it an eighth of a core that it shares with ``yield_to_others(10)``; Linux has a
+    policy under which it gets next to nothing of it."""
     os.setpriority(os.PRIO_PROCESS, pid, 19)
     if sys.platform == "linux":
         os.sched_setscheduler(pid, os.SCHED_IDLE, os.sched_param(0))

@@ -1,8 +1,8 @@
 """``train``: one way in for every recipe; composes environment, agent, run folder and loop.
 
-    light              minutes on two cores, by imitating a scripted expert   recipes/light.py
-    paper              the paper's reinforcement learning, exactly            recipes/paper.py
-    paper-vectorised   the same losses over many environments                 recipes/paper_vectorised.py
+    light              minutes on two cores, by imitating an expert   recipes/light.py
+    paper              the paper's reinforcement learning, exactly    recipes/paper.py
+    paper-vectorised   the same losses over many environments         recipes/paper_vectorised.py
 
 The folder given with --out is a policy folder from the first checkpoint on: explore it, evaluate
 it, copy it to checkpoints/. Ctrl-C finishes the round, saves, and says how to go on."""

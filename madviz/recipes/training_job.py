@@ -1,9 +1,9 @@
 """Training in a process of its own, started, stopped, resumed and watched from elsewhere.
 
 A page must not stand still while something learns, and a training must not end because a page does
-something wrong. So a job is ``madviz train`` as a child process that lets all others go first, and all
-that this module knows of it comes from the run's folder: rows of ``curve.csv``, the policy once it
-is there, and the last line of its log where it failed. A job that was stopped resumes exactly.
+something wrong. So a job is ``madviz train`` as a child process that lets all others go first, and
+all that this module knows of it comes from the run's folder: rows of ``curve.csv``, the policy once
+it is there, and the last line of its log where it failed. A job that was stopped resumes exactly.
 
     start ── running ── (stop) ── stopped ── (resume) ── running ── done
                  └──────────────── failed, with the reason
