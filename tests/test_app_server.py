@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import viser
 
+from madviz.app.page import Page
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.server import App, ExploreConfig, check_port, explore, first_choice
@@ -145,6 +146,19 @@ def test_who_left_before_sitting_down_keeps_no_seat():
         assert them.sessions == 0
         lobby.leave(browser)
         assert not any(session._thread.is_alive() for session in made if session._thread)
+
+
+def test_who_leaves_before_their_page_starts_leaves_nothing_to_listen(monkeypatch):
+    with users(cap=2) as (them, lobby, _):
+        browser, start = Browser(7, lobby.real), Page.start
+
+        def late(page: Page) -> None:
+            lobby.leave(browser)
+            start(page)
+
+        monkeypatch.setattr(Page, "start", late)
+        lobby.join(browser)
+        assert them.sessions == 0 and them._shared[1]._listeners == ()
 
 
 def test_a_page_that_is_closed_stops_drawing():

@@ -57,7 +57,7 @@ class Rates:
         """By reference: the key of that policy here."""
         self._errors: dict[tuple[str, Setting], str] = {}
         self._lock = threading.Lock()
-        """Between writers; pages and the evaluator add episodes."""
+        """Between writers: pages and the evaluator add episodes, and pages come and go."""
         self._shipped: dict[str, dict[str, Rate]] = {}
         self._live: dict[tuple[str, Setting], dict[int, bool]] = {}
         self._listeners: tuple[Callable[[], None], ...] = ()
@@ -132,10 +132,12 @@ class Rates:
         self._add((self._keys[tally.setting.policy], setting), outcomes, tally.error)
 
     def subscribe(self, listener: Callable[[], None]) -> None:
-        self._listeners = (*self._listeners, listener)
+        with self._lock:
+            self._listeners = (*self._listeners, listener)
 
     def unsubscribe(self, listener: Callable[[], None]) -> None:
-        self._listeners = tuple(one for one in self._listeners if one != listener)
+        with self._lock:
+            self._listeners = tuple(one for one in self._listeners if one != listener)
 
 
 def key_of(spec: PolicySpec) -> str:

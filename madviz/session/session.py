@@ -83,6 +83,8 @@ class Session:
         self._inbox: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
         self._backlog: deque[Command] = deque()
         self._listeners: tuple[Listener, ...] = ()
+        self._lock = threading.Lock()
+        """Between those who come to listen and those who go."""
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         self._speed, self._auto_next = speed, True
@@ -100,7 +102,8 @@ class Session:
     def subscribe(self, listener: Listener) -> None:
         """``listener`` gets every frame, in the session's thread, and the latest one at once. It
         must return quickly: put the frame somewhere and leave."""
-        self._listeners = (*self._listeners, listener)
+        with self._lock:
+            self._listeners = (*self._listeners, listener)
         if self.latest is not None:
             listener(self.latest)
 
@@ -109,7 +112,8 @@ class Session:
         return self._stage.journal.kept()
 
     def unsubscribe(self, listener: Listener) -> None:
-        self._listeners = tuple(one for one in self._listeners if one != listener)
+        with self._lock:
+            self._listeners = tuple(one for one in self._listeners if one != listener)
 
     def start(self) -> Session:
         """Runs ``run`` in a thread of its own."""
