@@ -21,7 +21,7 @@ from pathlib import Path
 words = sys.argv[1:]
 out = Path(words[words.index("--out") + 1])
 stop = []
-signal.signal(signal.SIGINT, lambda *_: stop.append(1))
+signal.signal(signal.SIGTERM, lambda *_: stop.append(1))
 (out / "resume").mkdir(exist_ok=True)
 (out / "resume" / "run.json").write_text("{}")
 if "merged-only" in words:

@@ -142,7 +142,8 @@ class TrainingJob:
         with self._lock:
             if self._child is not None and self._child.poll() is None:
                 self._stopping = True
-                self._child.send_signal(signal.SIGINT)
+                # Not SIGINT: whoever is started in a shell's background is born deaf to it.
+                self._child.send_signal(signal.SIGTERM)
 
     def status(self) -> JobStatus:
         with self._lock:
