@@ -74,6 +74,8 @@ class FakeStock:
         self.steps += 1
         self._clock.now += 0.05
 
+    def close(self) -> None: ...
+
 
 def test_a_stock_decision_is_pictures_policy_and_all_its_steps() -> None:
     clock, seen = Clock(), []
@@ -124,10 +126,22 @@ def test_loops_that_disagree_measure_nothing(monkeypatch) -> None:
         bench_evaluate.bench_evaluate(bench_evaluate.BenchEvaluateConfig(episodes=2))
 
 
-@pytest.mark.parametrize("wrong", [{"episodes": 0}, {"stock_decisions": 0}, {"policy": "nobody"}])
-def test_an_evaluation_that_cannot_be_measured_is_refused(wrong) -> None:
-    with pytest.raises(UserError):
-        bench_evaluate.bench_evaluate(bench_evaluate.BenchEvaluateConfig(**wrong))
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        bench_evaluate.BenchEvaluateConfig(episodes=0),
+        bench_evaluate.BenchEvaluateConfig(stock_decisions=0),
+        bench_evaluate.BenchEvaluateConfig(workers=0),
+    ],
+)
+def test_an_evaluation_of_nothing_is_refused(wrong: bench_evaluate.BenchEvaluateConfig) -> None:
+    with pytest.raises(UserError, match="at least 1 episode, 1 decision to time and 1 worker"):
+        bench_evaluate.bench_evaluate(wrong)
+
+
+def test_an_evaluation_by_nobody_is_refused() -> None:
+    with pytest.raises(UserError, match="nobody"):
+        bench_evaluate.bench_evaluate(bench_evaluate.BenchEvaluateConfig(policy="nobody"))
 
 
 class FakeJob:

@@ -133,14 +133,18 @@ class Page:
         """Somebody has touched a camera and waits for ``_drawing``."""
         self._newest: Frame | Failure | None = None
         self._wake, self._closing = threading.Event(), threading.Event()
+        self._beginning = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="madviz-page", daemon=True)
 
     def start(self) -> None:
-        """Begins to draw."""
-        self._waiting = self.client.gui.add_html(waiting_html("The simulator is starting."))
-        self._thread.start()
-        self.session.subscribe(self.show)
-        self._rates.subscribe(self.poke)
+        """Begins to draw; a page that was closed before, by whoever was quicker, never does."""
+        with self._beginning:
+            if self._closing.is_set():
+                return
+            self._waiting = self.client.gui.add_html(waiting_html("The simulator is starting."))
+            self._thread.start()
+            self.session.subscribe(self.show)
+            self._rates.subscribe(self.poke)
 
     def show(self, frame: Frame | Failure) -> None:
         """Takes a frame, from any thread; an older one that was not shown yet is forgotten. If it
@@ -164,9 +168,10 @@ class Page:
 
     def close(self) -> None:
         """Lets go of session and thread; the browser may be gone already."""
+        with self._beginning:
+            self._closing.set()
         self.session.unsubscribe(self.show)
         self._rates.unsubscribe(self.poke)
-        self._closing.set()
         self._wake.set()
         if self._thread.is_alive():
             self._thread.join(5.0)

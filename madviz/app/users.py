@@ -118,8 +118,6 @@ class Users:
             page.start()
         if client.client_id not in self._server.get_clients():
             self.leave(client)  # It left while its page was being made.
-            if place is not None:
-                page.close()  # It may have been closed before it was started.
 
     def _place(self, presents: bool) -> tuple[Session, bool] | None:
         """The session for one more browser, and whether it gets the controls; None: no seat left.

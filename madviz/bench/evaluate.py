@@ -1,15 +1,15 @@
 """``bench evaluate``: episodes a minute by worker processes, in one process, and drawn as stock.
 
-An evaluation is drawing and little else: a decision of hammer takes 15 ms, 12 of which go into
-three pictures. So three ways to run the same policy are held against each other:
+An evaluation is drawing and little else: a decision of hammer takes 15 to 20 ms, 13 of which go
+into three pictures. So three ways to run the same policy are held against each other:
 
     ours     worker processes, one per core, under the policy's render profile
     serial   the same episodes, one after the other in this process; the results must be the same
     stock    that loop again, with pictures by the simulator's own renderer under its own settings
 
-A stock episode of Meta-World takes a minute and a half, and every decision of it the same: so some
-are timed and their median is counted for a whole one. Starting processes is not counted, because a
-table of 400 episodes does it once; every process runs an episode before the clock does.
+A stock picture takes some 18 times as long, and every decision of an episode the same: so some are
+timed, and their median is counted for all of them. Starting processes is not counted, because a
+table of 400 episodes does it once: there are episodes to run before the clock does.
 """
 
 from __future__ import annotations
@@ -60,17 +60,19 @@ class Stock(Protocol):
 
     def draw(self) -> list[Array]: ...
 
+    def close(self) -> None: ...
+
 
 def bench_evaluate(config: BenchEvaluateConfig) -> dict[str, Any]:
     """``ours``, ``serial`` and ``stock`` in episodes a minute, and the two ratios. Raises UserError
     for what cannot be measured, and where the two loops disagree about an episode."""
-    if config.episodes < 1 or config.stock_decisions < 1:
-        raise UserError("expected at least 1 episode and 1 decision to time")
+    count = (os.cpu_count() or 1) if config.workers is None else config.workers
+    if min(config.episodes, config.stock_decisions, count) < 1:
+        raise UserError("expected at least 1 episode, 1 decision to time and 1 worker")
     spec = checkpoint.describe(config.policy).spec
     suite, task = spec.task.split("/")
     if suite not in STOCK:
         raise UserError(f"expected a policy of {' or '.join(STOCK)}, found one for {spec.task}")
-    count = config.workers or os.cpu_count() or 1
     seeds = range(config.seed, config.seed + config.episodes)
     jobs = [Job(config.policy, spec.digest, config.subset, (), seed) for seed in seeds]
     here, there = Runner(), Workers(count)
@@ -81,10 +83,10 @@ def bench_evaluate(config: BenchEvaluateConfig) -> dict[str, Any]:
     kind: Any = import_module(f"madviz.envs.{suite}_stock").StockFrames
     env, policy = here.opened(jobs[0])
     mask = mask_of(config.subset, spec.streams)
-    decision = stock_seconds(
-        *(kind(task, IMAGE_SIZE), policy, mask, env.spec.action_repeat),
-        config.stock_decisions,
-    )
+    frames = kind(task, IMAGE_SIZE)
+    repeat, decisions = env.spec.action_repeat, config.stock_decisions
+    decision = stock_seconds(frames, policy, mask, repeat, decisions)
+    frames.close()
     here.close()
     rates = {
         "ours": 60 * len(jobs) / ours_seconds,

@@ -168,6 +168,10 @@ def beside_training(config: LiveConfig) -> dict[str, Any]:
             job.start(JobConfig(task, budget=list(BUDGETS["light"])[-1]))
             # Demonstrations come first, and updates are what takes the time.
             await_that(lambda: job.status().rows or job.status().state != "running", 300.0)
+            if not job.status().rows:
+                raise UserError(
+                    "expected a training to begin within 5 minutes, found no round of it"
+                )
             found = measure(config, workers=0)
             status = job.status()
         finally:
