@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -159,6 +161,29 @@ def test_a_heavy_mesh_gets_light_and_keeps_its_shape() -> None:
     assert 200 < len(triangles) <= limit and len(uvs) == len(vertices)
     assert np.abs(np.linalg.norm(vertices, axis=1) - 1).max() < 0.05
     assert (normals * vertices).sum(1).min() > 0.95  # Smooth, and outwards.
+
+
+def test_two_simulators_that_open_at_once_do_not_mix_their_meshes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The library works in variables of its own: never two of its calls at a time."""
+    import trimesh
+
+    inside, most = [], []
+
+    def simplify(vertices, faces, share, agg):
+        inside.append(1)
+        most.append(len(inside))
+        time.sleep(0.05)
+        inside.pop()
+        return vertices, faces[:100]
+
+    monkeypatch.setattr(maniskill_meshes.fast_simplification, "simplify", simplify)
+    ball = trimesh.creation.icosphere(4)
+    with ThreadPoolExecutor(3) as pool:
+        made = [pool.submit(maniskill_meshes.decimate, ball.vertices, ball.faces) for _ in "abc"]
+        assert all(len(one.result()[1]) == 100 for one in made)
+    assert most == [1, 1, 1]
 
 
 def test_a_level_textured_rectangle_becomes_two_triangles() -> None:

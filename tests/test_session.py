@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from madviz.ablations import CameraState, Occlusion
+from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.envs.base import make_env
 from madviz.envs.toy import ToyReach
 from madviz.session.frame import (
@@ -29,6 +29,7 @@ from madviz.session.frame import (
     words,
 )
 from madviz.session.session import FIRST_SEED, HOLD, Session
+from madviz.session.simulation import Simulation, inhabited
 from madviz.types import UserError
 from tests.fakes import AllOrNothing, FakePolicy, policies
 
@@ -382,6 +383,49 @@ def test_thread_closes_its_environment():
     session.close()
     assert closed == [True]
     assert session._thread is not None and not session._thread.is_alive()
+
+
+def test_what_cannot_be_shown_still_ends_with_its_environment_closed(monkeypatch):
+    """Every picture fails, even that of the failure; so does one of those who listen."""
+    closed, told = [], threading.Event()
+
+    class Closing(ToyReach):
+        def close(self):
+            closed.append(True)
+
+    def blind(*_, **__):
+        raise RuntimeError("no picture today")
+
+    def deaf(_):
+        raise RuntimeError("not listening")
+
+    session = Session(lambda *_: Closing(), FakePolicy(), speed=None)
+    monkeypatch.setattr(session._stage, "frame", blind)
+    session.subscribe(deaf)
+    session.subscribe(lambda _: told.set())
+    session.start()
+    assert told.wait(60)
+    assert isinstance(session.latest, Failure) and "no picture today" in session.latest.error
+    session.send(Play())
+    session.close()
+    assert session._thread is not None and not session._thread.is_alive()
+    assert closed == [True]
+
+
+def test_a_policy_that_cannot_live_in_its_environment_leaves_none_open(monkeypatch):
+    closed = []
+
+    class Closing(ToyReach):
+        def close(self):
+            closed.append(True)
+
+    def broken(*_):
+        raise RuntimeError("no place for it")
+
+    monkeypatch.setattr(Simulation, "_adopt", broken)
+    with pytest.raises(RuntimeError, match="no place for it"):
+        inhabited(Closing(), FakePolicy(), Ablation())
+    assert closed == [True]
 
 
 def test_curves_and_cosines(session):

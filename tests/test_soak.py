@@ -11,7 +11,7 @@ import pytest
 from madviz.app.policy import PolicyChoice
 from madviz.app.server import App
 from madviz.bench.live import LiveConfig, watched
-from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, look, soak
+from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, look, settled, soak
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 
@@ -49,6 +49,14 @@ def test_a_look_sees_threads_and_memory():
     thread.join()
     assert after.threads >= before.threads + 1 and after.memory_mb > before.memory_mb + 30
     assert len(block) and look(2**22 + 1).memory_mb == 0.0
+
+
+def test_settling_waits_for_a_thread_that_still_has_to_go():
+    calm = look(os.getpid()).threads
+    thread = threading.Timer(2.5, lambda: None)
+    thread.start()
+    assert settled(os.getpid()).threads == calm + 1  # Nothing is known of what there should be.
+    assert settled(os.getpid(), calm).threads == calm and not thread.is_alive()
 
 
 def test_nonsense_is_refused():

@@ -115,7 +115,11 @@ class Users:
             with self._lock:
                 self._standing[client.client_id] = (client, line)
         else:
-            page.start()
+            try:
+                page.start()
+            except Exception:
+                self.leave(client)
+                raise
         if client.client_id not in self._server.get_clients():
             self.leave(client)  # It left while its page was being made.
 

@@ -17,6 +17,7 @@ first third's, no more threads (but for ``POOL``) or processes than before, noth
 
 from __future__ import annotations
 
+import math
 import random
 import statistics
 import tempfile
@@ -73,6 +74,8 @@ class Crowd:
     def __init__(self, url: str, pid: int, most: int, seed: int) -> None:
         self._url, self._pid, self._most = url, pid, most
         self._rng = random.Random(seed)
+        self._calm: int | None = None
+        """Threads that were left after the last round."""
         self.visits = self.touches = self.updates = 0
 
     def round(self, seconds: float) -> Sample:
@@ -86,7 +89,9 @@ class Crowd:
         finally:
             for visitor in here:
                 self._bid_farewell(visitor)
-        return settled(self._pid)
+        sample = settled(self._pid, self._calm)
+        self._calm = sample.threads
+        return sample
 
     def _whim(self, here: list[Visitor]) -> None:
         chance = self._rng.random()
@@ -170,11 +175,16 @@ def judged(samples: Sequence[Sample]) -> dict[str, Any]:
     }
 
 
-def settled(pid: int) -> Sample:
-    """What is left of ``pid`` and its children, once their threads have been the same for 1 s."""
+def settled(pid: int, calm: int | None = None) -> Sample:
+    """What is left of ``pid`` and its children once their threads have been the same for 1 s, and
+    no more than ``calm`` if that is known: on a busy machine a simulator that is being opened takes
+    seconds before it notices that nobody wants it any more. Waits for ``SETTLING`` at most."""
     seen, since = look(pid), time.monotonic()
     deadline = since + SETTLING
-    while time.monotonic() < deadline and time.monotonic() - since < 1.0:
+    most = math.inf if calm is None else calm
+    while time.monotonic() < deadline:
+        if time.monotonic() - since >= 1.0 and seen.threads <= most:
+            break
         time.sleep(0.1)
         now = look(pid)
         if (now.threads, now.processes) != (seen.threads, seen.processes):

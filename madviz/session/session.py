@@ -17,6 +17,7 @@ forgiven, the achieved rate shows it, and the page says CAPPED.
 
 from __future__ import annotations
 
+import logging
 import math
 import queue
 import threading
@@ -50,6 +51,8 @@ from madviz.session.frame import (
 from madviz.session.kept import KeptEpisode, KeptSession
 from madviz.session.stage import EnvFactory, Stage
 from madviz.types import Policy, UserError
+
+log = logging.getLogger(__name__)
 
 FIRST_SEED = 2000
 """Live episodes start here: training is below 1000, selection below 2000, cards from 5000."""
@@ -132,16 +135,18 @@ class Session:
         """Ticks when a step is due or a command arrives, until ``close``. At full speed it would
         take a core for itself, so those who carry its frames to the visitor go first."""
         yield_to_others(NICENESS)
-        while not self._closing.is_set():
-            due = self.tick(time.monotonic())
-            wait = None if due is None else max(0.0, due - time.monotonic())
-            try:
-                command = self._inbox.get(block=wait != 0.0, timeout=wait)
-            except queue.Empty:
-                continue
-            if command is not None:
-                self._backlog.append(command)
-        self._stage.shut()
+        try:
+            while not self._closing.is_set():
+                due = self.tick(time.monotonic())
+                wait = None if due is None else max(0.0, due - time.monotonic())
+                try:
+                    command = self._inbox.get(block=wait != 0.0, timeout=wait)
+                except queue.Empty:
+                    continue
+                if command is not None:
+                    self._backlog.append(command)
+        finally:
+            self._stage.shut()
 
     def tick(self, now: float) -> float | None:
         """Obeys what has come, and takes a step or starts an episode if one is due. Returns when to
@@ -178,7 +183,10 @@ class Session:
                 self._stage.journal.spoil()
             self._error = first + traceback.format_exc()
             self._phase = "paused"
-            self._emit(keep=False)
+            try:
+                self._emit(keep=False)
+            except Exception:  # Not even a picture of it can be had, but the words can.
+                self._tell(Failure(self._error))
 
     # What happens.
 
@@ -349,6 +357,13 @@ class Session:
             auto_next=self._auto_next,
             error=self._error,
         )
-        self.latest = frame or Failure(self._error)
+        self._tell(frame or Failure(self._error))
+
+    def _tell(self, news: Frame | Failure) -> None:
+        """To everybody. A listener that fails must not take the session from the others."""
+        self.latest = news
         for listener in self._listeners:
-            listener(self.latest)
+            try:
+                listener(news)
+            except Exception:
+                log.exception("somebody who listens to a session failed")

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from madviz.ablations import Ablation
+from madviz.manifest import check_environment
 from madviz.moves import MoveCamera
 from madviz.probes import Probe, probe
 from madviz.saliency import LiveSaliency
@@ -348,3 +349,16 @@ class Simulation:
                 self.setting if len(self._settings) == 1 else None,
             )
         )
+
+
+def inhabited(
+    env: Environment, policy: Policy, ablation: Ablation, journal: Journal | None = None
+) -> Simulation:
+    """``policy`` at work in an ``env`` made for it. Raises what is wrong with the two, and then the
+    environment is closed: nobody else has it."""
+    try:
+        check_environment(policy.spec, env.spec)
+        return Simulation(env, policy, ablation, journal)
+    except BaseException:
+        env.close()
+        raise

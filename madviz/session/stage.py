@@ -27,7 +27,7 @@ from madviz.session.frame import Frame, Pair, SetCamera, SetPolicy
 from madviz.session.journal import Journal
 from madviz.session.kept import KeptEpisode
 from madviz.session.plan import Plan
-from madviz.session.simulation import Simulation
+from madviz.session.simulation import Simulation, inhabited
 from madviz.session.timeline import Timeline
 from madviz.session.twin import MOST_PAIRS, Twin
 from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec, UserError
@@ -79,13 +79,8 @@ class Stage:
         script = self._plan.waiting
         world = script or self._policy.spec
         env = self._make_env(world.task, world.render_profile, world.cameras)
-        try:
-            check_environment(self._policy.spec, env.spec)
-        except UserError:
-            env.close()
-            raise
         ablation = script.ablation if script else Ablation()
-        self.simulation = Simulation(env, self._policy, ablation, self.journal)
+        self.simulation = inhabited(env, self._policy, ablation, self.journal)
         self.begin(script.seed if script else self.seed)
 
     def shut(self) -> None:

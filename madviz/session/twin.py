@@ -15,9 +15,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from madviz.ablations import Ablation
-from madviz.manifest import check_environment
 from madviz.session.frame import Outcome, Pair
-from madviz.session.simulation import Simulation
+from madviz.session.simulation import inhabited
 from madviz.statistics import Paired, pair
 from madviz.types import CameraSpec, Environment, Policy
 
@@ -45,8 +44,7 @@ class Twin:
     ) -> None:
         spec = policy.spec
         env = make_env(spec.task, spec.render_profile, spec.cameras)
-        check_environment(spec, env.spec)
-        self.simulation = Simulation(env, policy, ablation)
+        self.simulation = inhabited(env, policy, ablation)
         self._whole = False
 
     def begin(self, seed: int) -> None:
