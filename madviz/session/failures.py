@@ -7,6 +7,9 @@ that do. A schedule is a few events, each the state of one camera from one step 
     third_a@20-40           dropped at step 20, back at step 40
     third_a=black@20        occluded: it stays in the sum, and sends black
     third_b=noise:0.5@10-30 noise of strength 0.5 for 20 decisions
+    first=patch:1:0.3,0.5,0.4,0.2@5
+                            a patch of strength 1; its middle from the left and the top, its width
+                            and its height follow, as shares of the picture
 
 Step 20 is the instant after 20 decisions; the 21st is the first one taken without the camera. An
 event at step 0 holds for the first picture already. Where several events meet in one camera at one
@@ -23,7 +26,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import get_args
 
-from madviz.ablations import CameraState, Occlusion, OcclusionKind
+from madviz.ablations import PLACE, CameraState, Occlusion, OcclusionKind
 from madviz.types import EnvSpec, UserError, unknown
 
 LATEST = 100_000
@@ -78,15 +81,28 @@ def events_of(camera: str, what: str, begin: int, end: int | None) -> list[Event
 
 
 def _occlusion(what: str) -> Occlusion:
-    kind, _, strength = what.partition(":")
+    """``kind``, ``kind:strength`` or, of a patch, ``kind:strength:x,y,width,height``."""
+    kind, *numbers = what.split(":")
     known = [name for name in get_args(OcclusionKind) if name != "none"]
     if kind not in known:
         raise unknown("failure", kind, [DROPPED, *known])
-    if not strength:
-        return Occlusion(kind)  # type: ignore[arg-type]
-    if not re.fullmatch(r"[01](\.\d{1,6})?|\.\d{1,6}", strength):
-        raise UserError(f"expected a strength from 0 to 1 after {kind!r}, found {strength!r:.20}")
-    return Occlusion(kind, strength=float(strength))  # type: ignore[arg-type]
+    strength = _share(numbers[0], f"after {kind!r}") if numbers else 1.0
+    if len(numbers) < 2:
+        return Occlusion(kind, strength)  # type: ignore[arg-type]
+    place = numbers[1].split(",")
+    if kind != "patch" or len(numbers) > 2 or len(place) != len(PLACE):
+        raise UserError(
+            f"expected a place, {','.join(PLACE)}, of a patch alone, as in "
+            f"patch:1:0.3,0.5,0.4,0.2; found {what!r:.60}"
+        )
+    return Occlusion("patch", strength, *(_share(one, "in a patch's place") for one in place))
+
+
+def _share(word: str, where: str) -> float:
+    """A number in [0, 1]. Raises UserError for anything else."""
+    if not re.fullmatch(r"[01](\.\d{1,6})?|\.\d{1,6}", word) or float(word) > 1:
+        raise UserError(f"expected a number from 0 to 1 {where}, found {word!r:.20}")
+    return float(word)
 
 
 def parse_schedule(words: Sequence[str], cameras: Sequence[str]) -> Schedule:
@@ -94,7 +110,7 @@ def parse_schedule(words: Sequence[str], cameras: Sequence[str]) -> Schedule:
     and for what is none of the forms."""
     events: list[Event] = []
     for word in words:
-        found = re.fullmatch(r"(\w+)(?:=([a-z]+(?::[\d.]+)?))?@(\d{1,6})(?:-(\d{1,6}))?", word)
+        found = re.fullmatch(r"(\w+)(?:=([a-z]+[\d.,:]*))?@(\d{1,6})(?:-(\d{1,6}))?", word)
         if found is None:
             raise UserError(f"expected a failure such as {HOW}; found {word!r:.60}")
         camera, what, begin, end = found.groups()
@@ -111,14 +127,21 @@ def in_words(schedule: Schedule) -> list[str]:
     open_: dict[str, int] = {}
     for event in schedule:
         if not event.works:
-            occlusion = event.occlusion
-            strength = "" if occlusion.strength == 1 else f":{occlusion.strength:g}"
-            what = "" if event.dropped else f"={occlusion.kind}{strength}"
+            what = "" if event.dropped else f"={_spelled(event.occlusion)}"
             open_[event.camera] = len(words)
             words.append(f"{event.camera}{what}@{event.step}")
         elif event.camera in open_:
             words[open_.pop(event.camera)] += f"-{event.step}"
     return words
+
+
+def _spelled(occlusion: Occlusion) -> str:
+    """As briefly as it can be said."""
+    numbers = "" if occlusion.strength == 1 else f":{occlusion.strength:g}"
+    place = [round(getattr(occlusion, name), 3) for name in PLACE]
+    if occlusion.kind == "patch" and place != [getattr(Occlusion(), name) for name in PLACE]:
+        numbers = f":{occlusion.strength:g}:" + ",".join(f"{value:g}" for value in place)
+    return occlusion.kind + numbers
 
 
 @dataclass(frozen=True)
