@@ -60,9 +60,9 @@ def test_the_forms_of_the_language() -> None:
 
 
 def test_a_patch_may_say_where_it_is() -> None:
-    (event,) = parse_schedule(["first=patch:1:0.3,0.5,0.4,0.25@5"], CAMERAS)
+    (event,) = parse_schedule(["first=patch:1:0.3:0.5:0.4:0.25@5"], CAMERAS)
     assert event.occlusion == Occlusion("patch", 1.0, 0.3, 0.5, 0.4, 0.25)
-    assert in_words((event,)) == ["first=patch:1:0.3,0.5,0.4,0.25@5"]
+    assert in_words((event,)) == ["first=patch:1:0.3:0.5:0.4:0.25@5"]
     usual = parse_schedule(["first=patch@5", "first=patch:0.5@6"], CAMERAS)
     assert in_words(usual) == ["first=patch@5", "first=patch:0.5@6"]
 
@@ -71,11 +71,11 @@ def test_a_patch_may_say_where_it_is() -> None:
     "word",
     [
         *(
-            "third_a=patch:1:0.3,0.5,0.4@2",
-            "third_a=patch:1:0.3,0.5,0.4,1.5@2",
-            "third_a=noise:1:0.3,0.5,0.4,0.4@2",
-            "third_a=patch:1:0.3,0.5,0.4,0.4:1@2",
-            "third_a=patch::0.3,0.5,0.4,0.4@2",
+            "third_a=patch:1:0.3:0.5:0.4@2",
+            "third_a=patch:1:0.3:0.5:0.4:1.5@2",
+            "third_a=noise:1:0.3:0.5:0.4:0.4@2",
+            "third_a=patch:1:0.3:0.5:0.4:0.4:1@2",
+            "third_a=patch::0.3:0.5:0.4:0.4@2",
         ),
         *(
             "",

@@ -7,7 +7,7 @@ that do. A schedule is a few events, each the state of one camera from one step 
     third_a@20-40           dropped at step 20, back at step 40
     third_a=black@20        occluded: it stays in the sum, and sends black
     third_b=noise:0.5@10-30 noise of strength 0.5 for 20 decisions
-    first=patch:1:0.3,0.5,0.4,0.2@5
+    first=patch:1:0.3:0.5:0.4:0.2@5
                             a patch of strength 1; its middle from the left and the top, its width
                             and its height follow, as shares of the picture
 
@@ -81,21 +81,19 @@ def events_of(camera: str, what: str, begin: int, end: int | None) -> list[Event
 
 
 def _occlusion(what: str) -> Occlusion:
-    """``kind``, ``kind:strength`` or, of a patch, ``kind:strength:x,y,width,height``."""
+    """``kind``, ``kind:strength`` or, of a patch, ``kind:strength:x:y:width:height``."""
     kind, *numbers = what.split(":")
     known = [name for name in get_args(OcclusionKind) if name != "none"]
     if kind not in known:
         raise unknown("failure", kind, [DROPPED, *known])
-    strength = _share(numbers[0], f"after {kind!r}") if numbers else 1.0
-    if len(numbers) < 2:
-        return Occlusion(kind, strength)  # type: ignore[arg-type]
-    place = numbers[1].split(",")
-    if kind != "patch" or len(numbers) > 2 or len(place) != len(PLACE):
+    most = 1 + len(PLACE) if kind == "patch" else 1
+    if len(numbers) not in (0, 1, most):
         raise UserError(
-            f"expected a place, {','.join(PLACE)}, of a patch alone, as in "
-            f"patch:1:0.3,0.5,0.4,0.2; found {what!r:.60}"
+            f"expected a strength after {kind!r}, and of a patch its {', '.join(PLACE)}, as in "
+            f"patch:1:0.3:0.5:0.4:0.2; found {what!r:.60}"
         )
-    return Occlusion("patch", strength, *(_share(one, "in a patch's place") for one in place))
+    shares = [_share(number, f"after {kind!r}") for number in numbers]
+    return Occlusion(kind, *shares)  # type: ignore[arg-type]
 
 
 def _share(word: str, where: str) -> float:
@@ -110,7 +108,7 @@ def parse_schedule(words: Sequence[str], cameras: Sequence[str]) -> Schedule:
     and for what is none of the forms."""
     events: list[Event] = []
     for word in words:
-        found = re.fullmatch(r"(\w+)(?:=([a-z]+[\d.,:]*))?@(\d{1,6})(?:-(\d{1,6}))?", word)
+        found = re.fullmatch(r"(\w+)(?:=([a-z]+[\d.:]*))?@(\d{1,6})(?:-(\d{1,6}))?", word)
         if found is None:
             raise UserError(f"expected a failure such as {HOW}; found {word!r:.60}")
         camera, what, begin, end = found.groups()
@@ -140,7 +138,7 @@ def _spelled(occlusion: Occlusion) -> str:
     numbers = "" if occlusion.strength == 1 else f":{occlusion.strength:g}"
     place = [round(getattr(occlusion, name), 3) for name in PLACE]
     if occlusion.kind == "patch" and place != [getattr(Occlusion(), name) for name in PLACE]:
-        numbers = f":{occlusion.strength:g}:" + ",".join(f"{value:g}" for value in place)
+        numbers = f":{occlusion.strength:g}:" + ":".join(f"{value:g}" for value in place)
     return occlusion.kind + numbers
 
 
