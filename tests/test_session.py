@@ -385,6 +385,30 @@ def test_thread_closes_its_environment():
     assert session._thread is not None and not session._thread.is_alive()
 
 
+def test_a_session_closed_in_mid_step_ends_though_it_is_paused():
+    """What wakes it from its wait is read in mid-step, with the commands about cameras."""
+    drawing, go_on = threading.Event(), threading.Event()
+
+    class Slow(ToyReach):
+        def step(self, action):
+            drawing.set()
+            assert go_on.wait(60)
+            return super().step(action)
+
+    session, opened = Session(lambda *_: Slow(), FakePolicy(), speed=0.1), threading.Event()
+    session.subscribe(lambda _: opened.set())
+    session.send(Pause())
+    session.start()
+    assert opened.wait(60)
+    session.send(StepOnce())
+    assert drawing.wait(60)
+    session.close(timeout=0.0)
+    go_on.set()
+    assert session._thread is not None
+    session._thread.join(20)
+    assert not session._thread.is_alive()
+
+
 def test_what_cannot_be_shown_still_ends_with_its_environment_closed(monkeypatch):
     """Every picture fails, even that of the failure; so does one of those who listen."""
     closed, told = [], threading.Event()

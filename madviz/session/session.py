@@ -138,6 +138,8 @@ class Session:
         try:
             while not self._closing.is_set():
                 due = self.tick(time.monotonic())
+                if self._closing.is_set():
+                    break  # The word that would end the wait below may have come in mid-tick.
                 wait = None if due is None else max(0.0, due - time.monotonic())
                 try:
                     command = self._inbox.get(block=wait != 0.0, timeout=wait)
