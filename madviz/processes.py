@@ -1,4 +1,5 @@
-"""What every worker process does first, before anything heavy is imported; who goes first.
+"""What every worker process does first, before anything heavy is imported; who goes first, and
+what memory a server keeps.
 
 OpenGL and PyTorch do not survive a fork, so workers are spawned and load what they need themselves.
 Each is meant for one core: Mesa's software renderer would otherwise take them all.
@@ -6,12 +7,19 @@ Each is meant for one core: Mesa's software renderer would otherwise take them a
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import multiprocessing
 import os
 import signal
 import sys
 import threading
 from multiprocessing.connection import wait
+
+ARENAS = 2
+"""Heaps that all threads of the page's server share."""
+_M_ARENA_MAX = -8
+"""Its number in glibc's malloc.h."""
 
 
 def set_up_worker(niceness: int = 0) -> None:
@@ -37,6 +45,26 @@ def let_all_others_go_first(pid: int) -> None:
     os.setpriority(os.PRIO_PROCESS, pid, 19)
     if sys.platform == "linux":
         os.sched_setscheduler(pid, os.SCHED_IDLE, os.sched_param(0))
+
+
+def share_memory_between_threads() -> None:
+    """Bounds what the C library keeps for itself; call it before there are threads. glibc gives
+    every thread a heap of its own, up to 16 on two cores, and a page left in each of them by a
+    visitor who has gone is memory that the next one does not find."""
+    _c_library("mallopt", _M_ARENA_MAX, ARENAS)
+
+
+def give_back() -> None:
+    """Returns to the system what is not needed any more, where the C library can."""
+    gc.collect()
+    _c_library("malloc_trim", 0)
+
+
+def _c_library(function: str, *words: int) -> None:
+    """Calls it, unless this is another C library than glibc; those have ways of their own."""
+    call = getattr(ctypes.CDLL(None), function, None) if sys.platform == "linux" else None
+    if call is not None:
+        call(*words)
 
 
 def _leave_with_parent() -> None:

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from madviz import cli, svg
-from madviz.report.claims import claims, same, verdict
+from madviz import checkpoint, cli, svg
+from madviz.report.claims import claims, same, signed, verdict
 from madviz.report.evidence import find_evidence, read_evidence
 from madviz.report.results import ReportConfig, judge, run_report
 from madviz.report.tables import LAYOUTS, THREE, Table, build, difference, usual_alphas
@@ -242,6 +242,22 @@ def test_the_lead_is_held_against_the_closest_baseline(tmp_path: Path) -> None:
     assert "Against the closest of ours, vib: agrees, in direction and size" in said
     components = "\n".join(claims(table(tmp_path, "components")))
     assert "closest of ours, merged-only: agrees in direction; the lead is smaller" in components
+
+
+def test_nothing_is_no_debt() -> None:
+    assert [signed(share) for share in (-0.002, 0.0, -0.006, 0.42)] == ["+0", "+0", "-1", "+42"]
+
+
+def test_policies_that_are_figures_only_are_named(tmp_path: Path) -> None:
+    bare = write_policy(tmp_path, GOOD, method="vib", merge="vib", folder="bare")
+    whole = write_policy(tmp_path, GOOD, folder="whole")
+    (whole / "weights.safetensors").write_bytes(b"some")
+    told = json.loads((whole / "evaluation.json").read_text())
+    told["digest"] = checkpoint.describe(whole).spec.digest
+    (whole / "evaluation.json").write_text(json.dumps(told))
+    run_report(ReportConfig(tmp_path))
+    said = (tmp_path / "RESULTS.md").read_text()
+    assert f"without weights: `{bare.name}`. They serve" in said
 
 
 def test_nothing_is_claimed_about_baselines_that_were_not_measured(tmp_path: Path) -> None:

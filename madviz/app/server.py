@@ -21,6 +21,7 @@ from madviz.app.toolkit import theme
 from madviz.app.users import Users
 from madviz.envs.base import make_env
 from madviz.live import Evaluator, Tally
+from madviz.processes import share_memory_between_threads
 from madviz.recipes.training_job import TrainingJob
 from madviz.replay import check_policies, differences, finder
 from madviz.session.kept import KeptEpisode
@@ -163,6 +164,7 @@ def explore(config: ExploreConfig | None = None) -> None:
 
 def open_app(config: ExploreConfig) -> App:
     """The page as configured, running."""
+    share_memory_between_threads()
     # Python threads take turns of 5 ms by default; a visitor's click crosses four of them.
     sys.setswitchinterval(0.001)
     choices = policy_choices(config.task)

@@ -15,8 +15,6 @@ be shared by all.
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import logging
 import threading
 from collections.abc import Callable, Sequence
@@ -27,6 +25,7 @@ import viser
 from madviz.app.page import Page, waiting_html
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
+from madviz.processes import give_back
 from madviz.recipes.training_job import TrainingJob
 from madviz.session.session import Session
 
@@ -178,13 +177,3 @@ class Users:
         theirs = [seat.session for seat in seats if seat.owner and seat.session is not spare]
         for session in theirs + ([spare] if spare else []):
             session.close()
-
-
-def give_back() -> None:
-    """Returns to the system what those who left do not need any more, where the C library can."""
-    gc.collect()
-    try:
-        trim = ctypes.CDLL(None).malloc_trim
-    except (AttributeError, OSError):  # Another C library than glibc; it has ways of its own.
-        return
-    trim(0)

@@ -71,9 +71,14 @@ def points(gap: Difference) -> str:
     low, high = gap.interval
     tasks = f"{len(gap.tasks)} task{'s' * (len(gap.tasks) > 1)}"
     return (
-        f"{100 * gap.value:+.0f} points [{100 * low:+.0f}, {100 * high:+.0f}] "
+        f"{signed(gap.value)} points [{signed(low)}, {signed(high)}] "
         f"on the mean of {', '.join(gap.columns)}; n = {gap.n} on {tasks}"
     )
+
+
+def signed(share: float) -> str:
+    """Points with their sign; what rounds to nothing is +0, not -0."""
+    return f"{round(100 * share) + 0.0:+.0f}"
 
 
 def _lead(

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz import svg
+from madviz.checkpoint import WEIGHTS
 from madviz.envs.base import MANISKILL_TASKS, METAWORLD_TASKS
 from madviz.files import write_bytes
 from madviz.report.claims import claims
@@ -183,6 +184,18 @@ def _verdict_json(verdict: Verdict) -> dict[str, Any]:
 # --- The page -------------------------------------------------------------------------------
 
 
+def _without_weights(evidence: Sequence[Evidence]) -> list[str]:
+    """Says which policies are here as figures only."""
+    bare = [e.path.name for e in evidence if not (e.path / WEIGHTS).is_file()]
+    if not bare:
+        return []
+    named = ", ".join(f"`{name}`" for name in bare)
+    return [
+        f"Here as figures only, without weights: {named}. They serve a comparison; the commands "
+        "under its table make them again."
+    ]
+
+
 def _page(
     remake: str,
     evidence: Sequence[Evidence],
@@ -197,6 +210,7 @@ def _page(
         "95% interval in brackets and its count of episodes n, of each subset where it is a mean; "
         "rates have Wilson's interval. Intervals are about episodes: they do not say how another "
         "training or another task would come out. A dash is what was not measured or cannot be.",
+        *_without_weights(evidence),
         _bar_section(verdicts, remake, attempts),
         *(_section(table, remake) for table in tables),
     ]
