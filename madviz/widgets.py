@@ -71,6 +71,9 @@ ROWS = 12
 """Rows of the table of subsets; with six streams there would be 64."""
 
 
+ENDED = "<p>This simulation has ended; run the cell again for a new one.</p>"
+
+
 class Shown(ipywidgets.VBox):
     """A box that also says what it shows where there are no widgets."""
 
@@ -114,7 +117,8 @@ class Explorer(Shown):
         self._play = ipywidgets.Button(button_style="info", layout={"width": "90px"})
         self._play.on_click(lambda _: self._toggle())
         self._rows = {c.name: self._camera_row(first, c) for c in first.env.cameras}
-        super().__init__([self._buttons(), self._picture, *self._rows.values(), self._words])
+        self._bar = self._buttons()
+        super().__init__([self._bar, self._picture, *self._rows.values(), self._words])
         self.children = (*self.children, self._table)
         self.paint(first)
         self._painter = threading.Thread(target=self._run, name="madviz-painter", daemon=True)
@@ -151,10 +155,16 @@ class Explorer(Shown):
             )
 
     def close(self) -> None:
-        """Ends the simulation; the last picture stays."""
+        """Ends the simulation; the last picture stays, and says so."""
         self._closing.set()
         self._ready.set()
         self.session.close()
+        self._painter.join(PATIENCE)
+        for row in (self._bar, *self._rows.values()):
+            for control in row.children:
+                if hasattr(control, "disabled"):
+                    control.disabled = True
+        self._words.value = f"{self._words.value.removesuffix(ENDED)}{ENDED}"
 
     def still(self) -> str:
         picture = b64encode(self._picture.value).decode()

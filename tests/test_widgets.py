@@ -116,8 +116,11 @@ def test_it_is_shown_where_there_are_no_widgets(explorer: Explorer) -> None:
     assert bundle["text/html"].count("<img") == 1 and ">all<" in bundle["text/html"]
 
 
-def test_closing_ends_both_threads(explorer: Explorer) -> None:
+def test_closing_ends_both_threads_and_says_so(explorer: Explorer) -> None:
     explorer.close()
+    assert explorer._play.disabled and switch(explorer, "first")[0].disabled
+    explorer.close()
+    assert explorer._words.value.count("has ended") == 1
     until(lambda: not explorer._painter.is_alive())
     thread = explorer.session._thread
     assert thread is not None and not thread.is_alive()

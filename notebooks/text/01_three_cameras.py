@@ -151,6 +151,3 @@ teaching.in_words(*teaching.shipped("metaworld-hammer-mad-light")["all"])
 # `policy.read(encoded, np.array([[True, True, True]])).action` is the answer to the still
 # pictures, and `now.action("first+third_b")` the one without Third A. A solution is in
 # `solutions/01_three_cameras.py`.
-
-# %%
-explorer.close()

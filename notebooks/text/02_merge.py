@@ -163,4 +163,3 @@ explorer
 
 # %%
 print(now.probe.features.shape, np.linalg.norm(now.probe.features, axis=1).round(1))
-explorer.close()

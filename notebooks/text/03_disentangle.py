@@ -247,8 +247,3 @@ hammer_explorer
 #     singular = teaching.train_small("singular-only", rounds=ROUNDS, updates=UPDATES)
 #
 # A solution is in `solutions/03_disentangle.py`.
-
-# %%
-explorer.close()
-if hammer_explorer:
-    hammer_explorer.close()

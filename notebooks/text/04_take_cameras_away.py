@@ -173,6 +173,3 @@ guess_pair.compare(f"exact p = {compared.mcnemar():.2g}, so hardly luck")
 # least favourable one with `madviz.statistics.Paired`, and compare the p-values. How many scenes
 # would you ask for, if the rates stayed what they are? A solution is in
 # `solutions/04_take_cameras_away.py`.
-
-# %%
-explorer.close()

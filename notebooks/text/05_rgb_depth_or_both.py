@@ -132,6 +132,3 @@ explorer
 # `now.stack`, set the streams that end in `.rgb` to zero, and encode. Is the action nearer to
 # that of `depth` (colour dropped) or to that of `all`? A solution is in
 # `solutions/05_rgb_depth_or_both.py`.
-
-# %%
-explorer.close()

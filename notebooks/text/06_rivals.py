@@ -291,4 +291,3 @@ teaching.success_table(teaching.shipped_on("metaworld/hammer"))
 
 # %%
 print(np.shape(moment.stack))
-explorer.close()

@@ -186,8 +186,3 @@ explorer
 # six orders of the three cameras, note what First person adds in each, and take the mean. Then
 # find two cameras for which "success without this one" alone would have told the wrong story. A
 # solution is in `solutions/07_look_inside.py`.
-
-# %%
-if viewer:
-    viewer.close()
-explorer.close()

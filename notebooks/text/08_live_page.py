@@ -90,7 +90,4 @@ page.direct
 # and test it with ten episodes. What would you need to be sure? A solution with a measurement in
 # code is in `solutions/08_live_page.py`.
 #
-# The last cell ends the page and frees its port.
-
-# %%
-page.close()
+# The page ends with this notebook's kernel, and sooner with `page.close()`.

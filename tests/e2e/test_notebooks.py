@@ -49,8 +49,7 @@ def free_port() -> int:
 
 
 def prepare(folder: Path, name: str) -> None:
-    """A copy of a notebook without outputs, whose policies are fakes; its server may not be asked
-    to close at the end, because the test looks at it then."""
+    """A copy of a notebook without outputs, whose policies are fakes."""
     notebook = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", 4)
     notebook.metadata.pop("widgets", None)
     for cell in notebook.cells:
@@ -58,9 +57,6 @@ def prepare(folder: Path, name: str) -> None:
             cell.outputs, cell.execution_count = [], None
             cell.source = re.sub(r"load_policy\(\S+?\)", f'load_policy("{FAKE}")', cell.source)
             cell.source = cell.source.replace("live_page(POLICY)", f'live_page("{FAKE}")')
-            cell.source = cell.source.replace("page.close()", "pass").replace(
-                "explorer.close()", "pass"
-            )
     nbformat.write(notebook, folder / f"{name}.ipynb")
 
 
