@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import threading
 import time
+import weakref
 
 import pytest
 
 from madviz.app.policy import PolicyChoice
 from madviz.app.server import App
+from madviz.app.visitor import Visitor
 from madviz.bench.live import LiveConfig, watched
 from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, look, settled, soak
 from madviz.types import UserError
@@ -87,6 +89,28 @@ def test_visitors_leave_neither_threads_nor_processes():
         assert not app.users._seats and not app.users._standing
     finally:
         app.stop()
+
+
+def test_a_simulation_is_forgotten_without_waiting_for_the_next_one_to_end():
+    """The call that closes a page holds on to it; somebody must tidy up after that call."""
+    choices = [PolicyChoice("toy-mad", "toy-mad")]
+    app = App(FakePolicy(), choices, policies, visitors=2)
+    try:
+        with Visitor(app.url) as visitor:
+            wait_until(lambda: visitor.steps)
+            (seat,) = app.users._seats.values()
+            session = weakref.ref(seat.session)
+            del seat
+        wait_until(lambda: session() is None)
+    finally:
+        app.stop()
+
+
+def wait_until(true) -> None:
+    deadline = time.monotonic() + 30
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 @pytest.mark.slow

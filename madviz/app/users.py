@@ -37,6 +37,8 @@ WATCHING = (
 )
 PRESENTED = "You are watching a presentation: the presenter has the controls."
 FULL = "All {} seats to watch from are taken. You get one as soon as somebody leaves."
+TIDY_AFTER = 0.5
+"""Seconds from when somebody leaves to when memory is given back."""
 
 
 @dataclass
@@ -71,6 +73,7 @@ class Users:
         self._seats: dict[int, Seat] = {}
         self._standing: dict[int, tuple[viser.ClientHandle, viser.GuiHtmlHandle]] = {}
         """Who found no seat, and the line that tells them."""
+        self._tidying: threading.Timer | None = None
         self._lock = threading.Lock()
         """Guards all of these; never held while a widget is assigned."""
         self._spare: Session | None = new_session().start()
@@ -157,8 +160,6 @@ class Users:
         seat.page.close()
         if theirs:
             seat.session.close()
-        del seat
-        give_back()
         for other in stranded:
             other.page.close()
             other.page.clear()
@@ -166,10 +167,27 @@ class Users:
         for waiting, line in standing:
             line.remove()
             self.join(waiting)
+        self._tidy_soon()
+
+    def _tidy_soon(self) -> None:
+        """Gives memory back once those who call are done: as long as they run they hold on to the
+        page that they close, and all that hangs on it."""
+        with self._lock:
+            if self._tidying is None:
+                self._tidying = threading.Timer(TIDY_AFTER, self._tidy)
+                self._tidying.name, self._tidying.daemon = "madviz-tidy", True
+                self._tidying.start()
+
+    def _tidy(self) -> None:
+        with self._lock:
+            self._tidying = None
+        give_back()
 
     def close(self) -> None:
         """Frees everything."""
         with self._lock:
+            if self._tidying is not None:
+                self._tidying.cancel()
             seats, self._seats = list(self._seats.values()), {}
             spare, self._spare = self._spare, None
         for seat in seats:
