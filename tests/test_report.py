@@ -275,6 +275,20 @@ def test_the_best_alpha_is_said_with_its_difference(tmp_path: Path) -> None:
     assert "Best here is alpha 0.2" in said[0] and said[0].endswith("does not agree.")
 
 
+@pytest.mark.parametrize(
+    ("rate", "end"), [(0.5, "best: agrees."), (0.9, "undecided: no difference could be shown.")]
+)
+def test_the_papers_alpha_is_called_best_only_where_it_shows(
+    tmp_path: Path, rate: float, end: str
+) -> None:
+    for alpha, each in ((0.5, rate), (0.8, 0.91)):
+        write_policy(tmp_path, rates(each, each, each, each), alpha=alpha, folder=f"alpha{alpha}")
+    (said,) = claims(table(tmp_path, "alpha"))
+    assert said.startswith("Best here is alpha 0.8; alpha 0.8 minus alpha 0.5") and said.endswith(
+        end
+    )
+
+
 def test_merges_and_modalities_are_held_against_their_sentences(tmp_path: Path) -> None:
     write_policy(tmp_path, {"all": 1.0}, method="merged-only")
     write_policy(tmp_path, {"all": 1.0}, method="concat", merge="concat")

@@ -145,21 +145,16 @@ def _alpha(table: Table) -> list[str]:
     rated = [(rate.value, row) for row in table.averages if (rate := row.mean(THREE))]
     if papers is None or len(rated) < 2:
         return []
-    best = max(rated, key=lambda each: each[0])[1]
-    if best.label == BEST_ALPHA:
-        others = [row for _, row in rated if row is not best]
-        gaps = [gap for row in others if (gap := difference(best, row, THREE))]
-        clear = bool(gaps) and all(gap.interval[0] > 0 for gap in gaps)
-        how = "agrees" if clear else "agrees in order, but not every difference could be shown"
-        return [f"The paper finds {BEST_ALPHA} best, and so do we: {how}."]
-    gap = difference(best, papers, THREE)
+    best, second, *_ = [row for _, row in sorted(rated, key=lambda each: -each[0])]
+    rival = papers if best is not papers else second
+    gap = difference(best, rival, THREE)
     if gap is None:
         return []
     how = "undecided: no difference could be shown"
     if gap.interval[0] > 0:
-        how = "does not agree"
+        how = "agrees" if best is papers else "does not agree"
     return [
-        f"Best here is {best.label}; {best.label} minus {BEST_ALPHA}: {points(gap)}. "
+        f"Best here is {best.label}; {best.label} minus {rival.label}: {points(gap)}. "
         f"The paper finds {BEST_ALPHA} best: {how}."
     ]
 
