@@ -102,6 +102,7 @@ class Explorer(Shown):
     ) -> None:
         """``tile`` is the width of a camera's picture in pixels. Raises UserError for a policy that
         cannot be found and for a machine that cannot draw."""
+        self._painter: threading.Thread | None = None
         begin()
         loaded = checkpoint.load_policy(policy) if isinstance(policy, str) else policy
         self.session = Session(env_factory or open_env, loaded, seed=seed)
@@ -111,7 +112,11 @@ class Explorer(Shown):
             self.session.send(Pause())
         self.session.subscribe(lambda frame: self._ready.set())
         self.session.start()
-        first = self._first(playing)
+        try:
+            first = self._first(playing)
+        except UserError:
+            self.session.close()
+            raise
         self._picture = ipywidgets.Image(format="jpeg", layout=PICTURE)
         self._words, self._table = ipywidgets.HTML(), ipywidgets.HTML()
         self._play = ipywidgets.Button(button_style="info", layout={"width": "90px"})
@@ -156,6 +161,8 @@ class Explorer(Shown):
 
     def close(self) -> None:
         """Ends the simulation; the last picture stays, and says so."""
+        if self._painter is None:
+            return  # ipywidgets closes what it forgets, and this one was never finished.
         self._closing.set()
         self._ready.set()
         self.session.close()
@@ -203,7 +210,6 @@ class Explorer(Shown):
         while time.monotonic() < deadline:
             latest = self.session.latest
             if isinstance(latest, Failure):
-                self.session.close()
                 break
             if latest is not None and (playing or latest.phase == "paused"):
                 break

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -121,17 +123,29 @@ def test_closing_ends_both_threads_and_says_so(explorer: Explorer) -> None:
     assert explorer._play.disabled and switch(explorer, "first")[0].disabled
     explorer.close()
     assert explorer._words.value.count("has ended") == 1
-    until(lambda: not explorer._painter.is_alive())
+    painter = explorer._painter
+    assert painter is not None
+    until(lambda: not painter.is_alive())
     thread = explorer.session._thread
     assert thread is not None and not thread.is_alive()
 
 
-def test_a_broken_start_is_told_and_leaves_no_thread() -> None:
+def test_a_broken_start_is_told_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither a thread nor, when what was half made is forgotten, an error nobody can catch."""
+
     def broken(*_: object):
         raise UserError("expected a simulator, found none")
 
+    def sessions() -> set[threading.Thread]:
+        return {one for one in threading.enumerate() if one.name == "madviz-session"}
+
+    before, unraisable = sessions(), []
+    monkeypatch.setattr(sys, "unraisablehook", lambda told: unraisable.append(str(told.exc_value)))
     with pytest.raises(UserError, match="expected a simulator, found none"):
         Explorer(FakePolicy(), env_factory=broken)
+    assert sessions() == before
+    gc.collect()
+    assert not [one for one in unraisable if "Explorer" in one]
 
 
 def test_a_slider_draws_again_in_place() -> None:

@@ -259,7 +259,9 @@ def test_a_closed_page_frees_its_session(visitor: Visitor, visit, app: App):
 
 
 def our_threads() -> set[threading.Thread]:
-    return {thread for thread in threading.enumerate() if thread.name.startswith("madviz")}
+    """Of pages and sessions; who tidies up after them comes and goes."""
+    names = ("madviz-page", "madviz-session")
+    return {thread for thread in threading.enumerate() if thread.name in names}
 
 
 def test_over_the_cap_one_watches_and_then_inherits(visit):
