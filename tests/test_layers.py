@@ -36,6 +36,7 @@ CONFINED = {
     "viser": "app.*",
     **dict.fromkeys(("mujoco", "metaworld"), "envs.metaworld*"),
     **dict.fromkeys(("mani_skill", "sapien"), "envs.maniskill*"),
+    "fast_simplification": "envs.decimation",
     "playwright": "bench.live",
     "ray": "sweep.ray",
     "rerun": "recording.*",

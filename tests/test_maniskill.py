@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from madviz.doctor import check_vulkan
-from madviz.envs import maniskill_meshes, maniskill_vulkan
+from madviz.envs import decimation, maniskill_meshes, maniskill_vulkan
 from madviz.envs.base import MANISKILL_TASKS, SETTINGS, make_env, setting_cameras
 from madviz.envs.maniskill import ManiSkill, cameras_of
 from madviz.envs.maniskill_tasks import MANISKILL_SUCCESS, position
@@ -178,7 +178,7 @@ def test_two_simulators_that_open_at_once_do_not_mix_their_meshes(
         inside.pop()
         return vertices, faces[:100]
 
-    monkeypatch.setattr(maniskill_meshes.fast_simplification, "simplify", simplify)
+    monkeypatch.setattr(decimation.fast_simplification, "simplify", simplify)
     ball = trimesh.creation.icosphere(4)
     with ThreadPoolExecutor(3) as pool:
         made = [pool.submit(maniskill_meshes.decimate, ball.vertices, ball.faces) for _ in "abc"]

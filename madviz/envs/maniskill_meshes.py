@@ -16,13 +16,12 @@ from __future__ import annotations
 import hashlib
 import io
 import os
-import threading
 from pathlib import Path
 from typing import Any
 
-import fast_simplification
 import numpy as np
 
+from madviz.envs.decimation import simplify
 from madviz.files import write_bytes
 from madviz.types import Array
 
@@ -34,10 +33,6 @@ CREASE = 40.0
 """Degrees between triangles from which on their edge is drawn sharp."""
 _FORMAT = 2
 """Goes up when what is computed here changes, so that old caches are not read."""
-
-_SIMPLIFYING = threading.Lock()
-"""fast_simplification keeps the mesh it works on in variables of the library: two visitors whose
-simulators open at once would get each other's triangles, or none."""
 
 Mesh = tuple[Array, Array, Array, Array]
 """Vertices (n, 3), triangles (m, 3), normals (n, 3), texture coordinates (n, 2)."""
@@ -121,12 +116,10 @@ def decimate(vertices: Array, triangles: Array, wanted: int = TRIANGLES) -> tupl
         unique, place = np.unique(rows, return_inverse=True)
         small = unique.view(np.float32).reshape(-1, 3)
         faces = place.reshape(-1)[triangles].astype(np.int32)
-    simplify: Any = fast_simplification.simplify  # Its types say less than it takes.
     for eagerness in (7.0, 9.0):
         if len(faces) > ENOUGH * wanted:
             share = 1 - wanted / len(faces)
-            with _SIMPLIFYING:
-                small, faces = simplify(small, faces, share, agg=eagerness)
+            small, faces = simplify(small, faces, share, eagerness)
     for cells in (64, 48, 32, 24, 16):
         if len(faces) > ENOUGH * wanted:
             small, faces = snap(small, faces, cells)

@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import fast_simplification
 import mujoco
 import numpy as np
 
+from madviz.envs.decimation import simplify
 from madviz.types import Array
 
 TRIANGLES = 1000
@@ -50,7 +50,7 @@ def _decimate(model: mujoco.MjModel, mesh: int) -> None:
     vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]]
     faces = model.mesh_face[face : face + model.mesh_facenum[mesh]]
     share = 1 - TRIANGLES / len(faces)
-    small, triangles, *_ = fast_simplification.simplify(vertices.copy(), faces.copy(), share)
+    small, triangles = simplify(vertices.copy(), faces.copy(), share)
     normals, normal = _vertex_normals(small, triangles), model.mesh_normaladr[mesh]
     if len(small) > min(model.mesh_vertnum[mesh], model.mesh_normalnum[mesh]):
         return  # It would not fit; the mesh stays as it is.
