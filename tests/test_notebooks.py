@@ -220,6 +220,13 @@ def test_without_the_switch_nothing_is_trained_on_hammer() -> None:
     assert "n=100" in repr(shown[-2])
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_after_run_all_the_widgets_of_a_lesson_are_alive(name: str) -> None:
+    """What a cell closes is dead by the time somebody wants to play with it."""
+    cells = BUILD["from_text"](name).cells
+    assert not [c.source for c in cells if c.cell_type == "code" and ".close()" in c.source]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_notebook_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
