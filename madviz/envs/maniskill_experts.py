@@ -34,6 +34,8 @@ ON_PEG = 0.0365
 """Metres from the peg's middle up to the tool point when the finger tips touch the peg."""
 PRESS = -0.1
 """The downward action that holds the peg by friction and does not tilt the hand."""
+POKE_REACH = 0.14
+"""Metres from the peg's middle to the cube's when they touch."""
 IN_HAND = 0.006
 """Metres of the tool point above a grasped sphere's middle."""
 CALM = 0.4
@@ -132,21 +134,28 @@ def _place(simulation: Any) -> Array:
 
 
 def _poke(simulation: Any) -> Array:
+    """Lines the peg up with the cube, then drags it. Both are done slowly and with room for error:
+    a peg that is pushed fast slides on by centimetres, and the hand that wanted it within 6 mm went
+    from one flank to the other until time was up. With normal noise of 0.15 on every action until
+    the last six it succeeds in 20 of 24 episodes; that hand did in 4 of 12."""
     tool, peg = position(simulation.agent.tcp), position(simulation.peg)
     cube, goal = position(simulation.cube), position(simulation.goal_region)
-    if np.hypot(*(goal - cube)[:2]) < 0.035:
+    left = (goal - cube)[0]
+    if left < 0 or np.hypot(*(goal - cube)[:2]) < 0.035:
         return np.array([0, 0, 0, OPEN])
     aside, low = cube[1] - peg[1], tool[2] < 0.045
-    if cube[0] - peg[0] > 0.17 and abs(aside) > (0.006 if low else 0.02):
+    if cube[0] - peg[0] > 0.17 and abs(aside) > (0.012 if low else 0.015):
         return _line_up(tool, peg, aside)
     if low:
         return np.array([0, 0, 1, OPEN])
     error = peg + [-0.075, 0, ON_PEG] - tool
-    if abs(error[0]) > 0.025 or abs(error[1]) > 0.02:
+    if not -0.035 < error[0] < 0.025 or abs(error[1]) > 0.02:
         return _towards(error + [0, 0, 0.4 * ABOVE], OPEN)
     if error[2] < -0.006:
         return _towards(error, OPEN, 0.4)
-    drag = _towards(np.array([0.05, aside, 0.0]), OPEN, 0.4 if tool[0] < 0.12 else 0.2)
+    gap = max(cube[0] - peg[0] - POKE_REACH, 0)
+    speed = np.clip(gap + left - 0.03, 0.035, 0.05)
+    drag = _towards(np.array([speed, 0, 0]), OPEN, 0.4 if tool[0] < 0.12 else 0.2)
     drag[2] = PRESS
     return drag
 
@@ -157,7 +166,7 @@ def _line_up(tool: Array, peg: Array, aside: float) -> Array:
     behind = np.sign(aside) * (peg - tool)[1]
     error = peg - [0, np.sign(aside) * 0.06, 0] - tool
     if tool[2] < 0.045 and behind > 0.02:
-        return _towards(np.array([error[0], aside, error[2]]), OPEN, 0.6)
+        return _towards(np.array([error[0], aside, error[2]]), OPEN, 0.4, 0.8)
     if behind > 0.045 and abs(error[0]) < 0.03:
         return _towards(error, OPEN)
     if tool[2] < 0.07:
