@@ -132,6 +132,18 @@ def test_our_scripts_hold_where_metaworlds_fail(task: str, seed: int) -> None:
     assert success_at_the_end(task, seed)
 
 
+@pytest.mark.parametrize("task", ["assembly", "hand-insert", "pick-place-wall"])
+def test_our_scripts_survive_the_errors_a_student_makes(task: str) -> None:
+    """Under this noise Meta-World's scripts succeeded in 42 to 46 % of 24 episodes."""
+    env, rng = MetaWorld(task), np.random.default_rng(1)
+    for seed in range(7000, 7004):
+        now = env.reset(seed)
+        while not now.last:
+            noise = rng.normal(0, 0.3, 4) * [1, 1, 1, 0]
+            now = env.step(np.clip(env.expert() + noise, -1, 1).astype(np.float32))
+        assert now.success, seed
+
+
 def test_a_hand_comes_to_rest_where_the_scripts_think_it_will() -> None:
     env = MetaWorld("soccer")
     env.reset(0)

@@ -9,6 +9,10 @@ whose opening still changes therefore stays where it is.
 
 A script is a function of the present observation alone. What was done so far is read off the
 scene: fingers open and far from the object mean "go there", closed around it means "carry".
+
+What holds without noise need not teach: a student is off by a little at every decision. With normal
+noise of 0.3 on every action, Meta-World's scripts of assembly, hand-insert and pick-place-wall
+succeed in 42 to 46 % of 24 episodes, ours in all of them.
 """
 
 from __future__ import annotations
@@ -25,6 +29,9 @@ STEP = 0.02
 """Metres that the hand's target moves in one decision at full action (two steps of 0.01)."""
 OPEN = 0.93
 """Openings above this are a hand that has not begun to close."""
+
+WALL = 0.75
+"""Where the wall of pick-place-wall stands, along y."""
 
 
 class Scene:
@@ -170,7 +177,53 @@ def stick_pull(scene: Scene) -> Array:
     return scene.bring(np.array([rest[0] - 0.03 + max(left[0], 0.0), sideways, level]))
 
 
+def assembly(scene: Scene) -> Array:
+    """Lifts the wrench by the end of its handle, brings its ring over the peg, then lowers it. The
+    wrench hangs down from the hand a little: the ring is found by its whole turn, not only its yaw.
+
+    It comes down as through a funnel, from 0.06 m beside the peg on. A script that went down within
+    12 mm and up beyond them was right without fail, and taught students, who see no better than a
+    centimetre, to hover over the peg; the ring slides onto it from further away than that.
+    """
+    action = pick(scene, scene.object + [-0.02, 0.0, 0.02], slack=0.04)
+    if action is not None:
+        return action
+    w, x, y, z = scene.quaternion
+    along = -np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+    ring = scene.object - 0.13 * along
+    aside = float(np.linalg.norm((ring - scene.goal)[:2]))
+    target = scene.goal + [0.0, 0.0, 0.1 * min(max(aside / 0.03 - 1, 0.0), 1.0) - 0.05]
+    if aside > 0.05 and ring[2] < scene.goal[2] + 0.02:
+        target[:2] = ring[:2]
+    return scene.go(scene.hand + target - ring, 1.0)
+
+
+def hand_insert(scene: Scene) -> Array:
+    """Carries the cube over the hole and lowers it, the hand going in with it."""
+    action = pick(scene, scene.object + [0.0, 0.0, 0.02])
+    if action is not None:
+        return action
+    far = float(np.linalg.norm((scene.object - scene.goal)[:2]))
+    return scene.bring(scene.goal + [0.0, 0.0, 0.12 if far > 0.02 else 0.0])
+
+
+def pick_place_wall(scene: Scene) -> Array:
+    """Lifts the puck in front of the wall, 0.12 m high, crosses it, and lowers it behind."""
+    action = pick(scene, scene.object + [0.0, 0.0, 0.02])
+    if action is not None:
+        return action
+    wanted = scene.goal.copy()
+    if scene.object[1] < WALL + 0.04:
+        wanted[2] = max(wanted[2], 0.2)
+        if scene.object[2] < 0.16:
+            wanted[:2] = scene.object[0], min(scene.object[1], WALL - 0.08)
+    return scene.bring(wanted)
+
+
 SCRIPTS: dict[str, Callable[[Scene], Array]] = {
+    "assembly": assembly,
+    "hand-insert": hand_insert,
+    "pick-place-wall": pick_place_wall,
     "basketball": basketball,
     "shelf-place": shelf_place,
     "disassemble": disassemble,
