@@ -1,5 +1,5 @@
 """What every worker process does first, before anything heavy is imported; who goes first, and
-what memory a server keeps.
+what memory a server or a training keeps.
 
 OpenGL and PyTorch do not survive a fork, so workers are spawned and load what they need themselves.
 Each is meant for one core: Mesa's software renderer would otherwise take them all.
@@ -18,8 +18,10 @@ from multiprocessing.connection import wait
 
 ARENAS = 2
 """Heaps that all threads of the page's server share."""
-_M_ARENA_MAX = -8
-"""Its number in glibc's malloc.h."""
+LARGEST_BLOCK = 32 << 20
+"""Bytes; glibc takes larger ones from the system whatever it is told."""
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
+"""Their numbers in glibc's malloc.h."""
 
 
 def set_up_worker(niceness: int = 0) -> None:
@@ -52,6 +54,15 @@ def share_memory_between_threads() -> None:
     every thread a heap of its own, up to 16 on two cores, and a page left in each of them by a
     visitor who has gone is memory that the next one does not find."""
     _c_library("mallopt", _M_ARENA_MAX, ARENAS)
+
+
+def keep_large_blocks() -> None:
+    """Lets a training use the memory of one update again for the next. glibc returns large blocks
+    to the system as soon as they are free, and a new one is zeroed page by page as it is touched:
+    18,700 page faults in an update of the light recipe, a third of its time (118 ms of a core, 78
+    without them). It keeps what the largest update needed, some 70 MB more there."""
+    _c_library("mallopt", _M_MMAP_THRESHOLD, LARGEST_BLOCK)
+    _c_library("mallopt", _M_TRIM_THRESHOLD, 2**31 - 1)
 
 
 def give_back() -> None:

@@ -26,6 +26,7 @@ from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.checkpoint import save_policy
 from madviz.envs.base import choose, make_env
 from madviz.manifest import policy_config
+from madviz.processes import keep_large_blocks
 from madviz.recipes.light import LightConfig, LightRun, Recorder, train_light
 from madviz.recipes.light_critic import REWARD_SCALE, fit_critic
 from madviz.recipes.paper import PaperConfig, train_paper
@@ -161,6 +162,7 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
         )
     chosen.merge_for(config.streams(), config.merge)
     make_env(config.task, config.render_profile, config.drawn()).close()
+    keep_large_blocks()
     everything = os.cpu_count() or 1
     threads = {"light": 1, "paper": everything}.get(config.recipe)
     torch.set_num_threads(
