@@ -9,9 +9,11 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec.msgpack
 import numpy as np
 import pytest
 import viser
+import zstandard
 
 from madviz.app.page import Page
 from madviz.app.policy import PolicyChoice
@@ -20,6 +22,7 @@ from madviz.app.server import App, ExploreConfig, check_port, explore, first_cho
 from madviz.app.training import TrainingPanel
 from madviz.app.users import Users
 from madviz.app.versus import VersusPanel
+from madviz.app.visitor import Visitor
 from madviz.envs.base import make_env
 from madviz.recipes.training_job import TrainingJob
 from madviz.session.frame import Frame, Pause, SetSpeed
@@ -46,6 +49,26 @@ def test_an_app_frees_its_port():
         check_port("127.0.0.1", port)
     app.stop()
     check_port("127.0.0.1", port)
+
+
+def test_no_message_looks_as_if_it_were_part_of_an_animation():
+    """viser's page holds back what was written within 0.1 s of the message before it."""
+    app = App(FakePolicy(), [PolicyChoice("toy-mad", "MAD")], policies, speed=40.0)
+    stamps: list[float] = []
+
+    class Reader(Visitor):
+        def _take(self, data: bytes) -> None:
+            packed = data[16 : 16 + int.from_bytes(data[8:16], "little")]
+            inner = zstandard.ZstdDecompressor().decompress(packed)
+            stamps.append(msgspec.msgpack.decode(inner)["timestampSec"])
+            super()._take(data)
+
+    try:
+        with Reader(app.url) as visitor:
+            await_that(lambda: len(set(visitor.steps)) > 20)
+    finally:
+        app.stop()
+    assert len(stamps) > 20 and np.diff(stamps).min() > 0.1
 
 
 def test_without_policies_the_next_move_is_named():

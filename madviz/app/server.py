@@ -15,6 +15,7 @@ import viser
 
 from madviz import checkpoint
 from madviz.app.access import Gate, new_token, stays_here
+from madviz.app.haste import obey_at_once
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.toolkit import theme
@@ -105,6 +106,7 @@ class App:
         check_port(host, port)
         # A browser may leave while a frame is on its way to it; viser would warn about each.
         warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
+        obey_at_once()
         self.rates = rates or Rates()
         self.gate = gate or Gate(local=stays_here(host))
         with self.gate.guarding():
