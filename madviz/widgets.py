@@ -24,7 +24,7 @@ import time
 from base64 import b64encode
 from collections.abc import Callable, Sequence
 from html import escape
-from typing import Any
+from typing import Any, ClassVar
 
 import ipywidgets
 import numpy as np
@@ -70,7 +70,9 @@ PATIENCE = 120.0
 ROWS = 12
 """Rows of the table of subsets; with six streams there would be 64."""
 
-
+ALIVE = 3
+"""Explorers of one kernel at once, some 200 MB each. A cell that is run again adds one, whatever
+becomes of the name it had, so one too many ends the oldest."""
 ENDED = "<p>This simulation has ended; run the cell again for a new one.</p>"
 
 
@@ -89,7 +91,10 @@ class Shown(ipywidgets.VBox):
 
 
 class Explorer(Shown):
-    """A policy at work, and switches for its cameras. ``close`` ends its simulation."""
+    """A policy at work, and switches for its cameras. ``close`` ends its simulation, and so does
+    the ``ALIVE``-th explorer after it."""
+
+    _alive: ClassVar[list[Explorer]] = []
 
     def __init__(
         self,
@@ -128,6 +133,9 @@ class Explorer(Shown):
         self.paint(first)
         self._painter = threading.Thread(target=self._run, name="madviz-painter", daemon=True)
         self._painter.start()
+        self._alive.append(self)
+        if len(self._alive) > ALIVE:
+            self._alive[0].close()
 
     # What a cell can do.
 
@@ -163,6 +171,8 @@ class Explorer(Shown):
         """Ends the simulation; the last picture stays, and says so."""
         if self._painter is None:
             return  # ipywidgets closes what it forgets, and this one was never finished.
+        if self in self._alive:
+            self._alive.remove(self)
         self._closing.set()
         self._ready.set()
         self.session.close()

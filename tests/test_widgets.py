@@ -22,7 +22,16 @@ from madviz.session.frame import Play, SetSpeed
 from madviz.teaching_inside import record
 from madviz.teaching_lessons import interval_figure
 from madviz.types import UserError
-from madviz.widgets import ROWS, Explorer, Predict, TryOut, Viewer, control_for, live_page
+from madviz.widgets import (
+    ALIVE,
+    ROWS,
+    Explorer,
+    Predict,
+    TryOut,
+    Viewer,
+    control_for,
+    live_page,
+)
 from tests.fakes import AllOrNothing, FakePolicy
 
 
@@ -128,6 +137,18 @@ def test_closing_ends_both_threads_and_says_so(explorer: Explorer) -> None:
     until(lambda: not painter.is_alive())
     thread = explorer.session._thread
     assert thread is not None and not thread.is_alive()
+
+
+def test_a_cell_that_is_run_again_and_again_keeps_no_simulation_for_each(
+    explorer: Explorer,
+) -> None:
+    later = [Explorer(FakePolicy()) for _ in range(ALIVE)]
+    assert explorer._words.value.count("has ended") == 1
+    assert explorer._painter is not None and not explorer._painter.is_alive()
+    assert all("has ended" not in one._words.value for one in later)
+    for one in later:
+        one.close()
+    assert not Explorer._alive
 
 
 def test_a_broken_start_is_told_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
