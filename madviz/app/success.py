@@ -171,7 +171,7 @@ def bars_html(frame: Frame, rates: Rates) -> str:
     key = (
         f'<span class="dot" style="background:{MUTED};height:5px"></span>shipped'
         f'<span class="dot" style="background:{GOOD};height:5px;margin-left:8px"></span>'
-        "measured here · † off-training"
+        f'measured here · † off-training · <b style="color:{NOTE}">▸</b> now'
     )
     return (
         f'<div class="mv"><h4>Success at the last step</h4><div class="dim">{key}'
@@ -190,7 +190,7 @@ def _bar_row(frame: Frame, setting: Setting, shipped: Rate, live: Rate, height: 
     style, now = "border-left:3px solid transparent", ""
     if setting == frame.setting:
         style = f"border-left:3px solid {NOTE};background:rgba(255,209,102,0.12)"
-        now = f'<b style="color:{NOTE}">now</b> '
+        now = f'<b style="color:{NOTE}">▸</b>'
     title = escape(f"{label}: {_in_words(shipped, 'shipped')}; {_in_words(live, 'measured here')}")
     style += f";height:{height}px"
     return (
