@@ -191,7 +191,8 @@ def _without_weights(evidence: Sequence[Evidence]) -> list[str]:
         return []
     named = ", ".join(f"`{name}`" for name in bare)
     return [
-        f"Here as figures only, without weights: {named}. They serve a comparison; the commands "
+        f"Here as figures only, without weights: {named}. They serve a comparison, or fall "
+        f"short by too much to be shown at work; the commands "
         "under its table make them again."
     ]
 
