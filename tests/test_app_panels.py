@@ -269,6 +269,13 @@ def test_labels_and_squares():
     assert "linear-gradient(90deg,#E69F00 50%,transparent 50%)" in half
 
 
+def test_a_machine_that_cannot_keep_up_says_so():
+    playing = {"phase": "playing", "speed": 10.0}
+    kept = status_html(replace(frame_with(), rate=9.6, **playing))
+    behind = status_html(replace(frame_with(), rate=4.2, **playing))
+    assert ">9.6/s<" in kept and ">4.2 of 10/s<" in behind
+
+
 def test_success_bars_tell_shipped_from_measured(server):
     rates = Rates(lambda spec: {"all": {"success": 0.94, "n": 100}})
     frame = frame_with(SetCamera("third_a", OFF))
@@ -278,7 +285,7 @@ def test_success_bars_tell_shipped_from_measured(server):
     html = bars_html(frame, rates)
     assert "shipped 0.94 [0.88, 0.97], n=100; nothing measured here" in html
     assert "nothing shipped; measured here 0.50 [0.09, 0.91], n=2" in html
-    assert "† First person + Third B" in html
+    assert "† first+third_b<" in html and 'title="First person + Third B:' in html
     panel = SuccessPanel(server.gui, frame, rates, visitor=1)
     apply(panel.update(frame))
     panel.remove()

@@ -93,14 +93,14 @@ def test_achieved_rate_is_measured(session):
     for eighth in range(10):
         session.at(eighth / 8)
     assert session.frames[-1].rate == pytest.approx(8)
-    assert not session.frames[-1].capped
+    assert not session.frames[-1].behind
 
 
-def test_a_slow_machine_is_called_capped_and_its_debt_is_forgiven(session):
+def test_a_slow_machine_is_called_behind_and_its_debt_is_forgiven(session):
     for quarter in range(1, 10):
         due = session.at(quarter / 4)
     assert session.frames[-1].rate == pytest.approx(4)
-    assert session.frames[-1].capped
+    assert session.frames[-1].behind
     assert due == pytest.approx(9 / 4)
     assert session.frames[-1].step == 9
 

@@ -220,8 +220,10 @@ def _action(frame: Frame) -> str:
 def _pace(frame: Frame) -> str:
     if frame.phase != "playing" or not np.isfinite(frame.rate):
         return ""
-    capped = f' <b style="color:{NOTE}">[CAPPED]</b>' if frame.capped else ""
-    return f"{frame.rate:.1f}/s{capped}"
+    if not frame.behind:
+        return f"{frame.rate:.1f}/s"
+    title = "Steps a second; this machine cannot do more now."
+    return f'<b style="color:{NOTE}" title="{title}">{frame.rate:.1f} of {frame.speed:g}/s</b>'
 
 
 def _error(frame: Frame) -> str:

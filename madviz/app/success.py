@@ -28,6 +28,8 @@ EDGE = "rgba(77, 182, 255, 0.5)"
 """The ends of the interval around the success curve."""
 BELOW = -1.0
 """Where the success curve keeps what is not to be seen; its axis ends at 0."""
+LABEL = 14
+"""Letters that a row has room for; a longer label gives way to the subset's own name."""
 HISTORY = 200
 """Points of the success curve that are kept."""
 
@@ -171,7 +173,7 @@ def bars_html(frame: Frame, rates: Rates) -> str:
     key = (
         f'<span class="dot" style="background:{MUTED};height:5px"></span>shipped'
         f'<span class="dot" style="background:{GOOD};height:5px;margin-left:8px"></span>'
-        f'measured here · † off-training · <b style="color:{NOTE}">▸</b> now'
+        f'here · † off-training · <b style="color:{NOTE}">▸</b> now'
     )
     return (
         f'<div class="mv"><h4>Success at the last step</h4><div class="dim">{key}'
@@ -182,8 +184,10 @@ def bars_html(frame: Frame, rates: Rates) -> str:
 def _bar_row(frame: Frame, setting: Setting, shipped: Rate, live: Rate, height: int) -> str:
     mask = mask_of(setting.subset, frame.policy.streams)
     label = subset_label(frame, setting.subset)
+    short = label if len(label) <= LABEL else setting.subset
     if setting.occlusions:
-        label += " · " + ", ".join(p.split(",")[0] for p in setting.occlusions.split(";"))
+        words = " · " + ", ".join(p.split(",")[0] for p in setting.occlusions.split(";"))
+        label, short = label + words, short + words
     dagger = "" if is_trained(frame, mask) else "† "
     joined = live if live.n >= shipped.n else shipped
     number = f"<b>{joined.mean:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"
@@ -198,7 +202,7 @@ def _bar_row(frame: Frame, setting: Setting, shipped: Rate, live: Rate, height: 
         'padding-left:3px;margin-left:-6px;white-space:nowrap">'
         f"<span>{presence(frame, mask)}</span>"
         '<span style="width:104px;overflow:hidden;text-overflow:ellipsis;font-size:12px">'
-        f"{now}{dagger}{escape(label)}</span>"
+        f"{now}{dagger}{escape(short)}</span>"
         '<div style="position:relative;flex:1;height:12px;background:#33363b;border-radius:2px">'
         f"{_interval(shipped, MUTED, 0)}{_interval(live, GOOD, 6)}</div>"
         f'<span class="num" style="width:82px">{number}</span></div>'

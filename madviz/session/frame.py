@@ -335,7 +335,7 @@ class Frame:
         return self.step < len(self.story) - 1
 
     @property
-    def capped(self) -> bool:
+    def behind(self) -> bool:
         """Whether the machine cannot keep the speed that was asked for."""
         return self.speed is not None and bool(self.rate < 0.9 * self.speed)
 

@@ -12,7 +12,7 @@ that touch a camera are served between the camera renders of a step, too:
 
 Pacing, with 10 decisions a second: the step at 3.20 s makes the next one due at 3.30 s. If the
 machine gets there at 3.34 s the next is due at 3.40 s; later than a whole period, the debt is
-forgiven, the achieved rate shows it, and the page says CAPPED.
+forgiven, and the page says which rate was achieved.
 """
 
 from __future__ import annotations
