@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from madviz.checkpoint import load_policy as load_policy
     from madviz.checkpoint import save_policy as save_policy
     from madviz.envs.base import make_env as make_env
+    from madviz.envs.own import allow_task as allow_task
     from madviz.evaluate import evaluate as evaluate
     from madviz.rollout import run_episode as run_episode
     from madviz.types import UserError as UserError
@@ -30,6 +31,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "ExploreConfig": "madviz.app.server",
+    "allow_task": "madviz.envs.own",
     "evaluate": "madviz.evaluate",
     "explore": "madviz.app.server",
     "list_policies": "madviz.checkpoint",

@@ -17,16 +17,14 @@ policy in the store of results: whoever changes either file starts from zero epi
 from __future__ import annotations
 
 import hashlib
-import importlib
 import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from madviz.envs.own import allow_task
+from madviz.factories import made_by
 from madviz.files import read_json, write_bytes, write_json
 from madviz.manifest import FORMAT, check_config, policy_spec
 from madviz.types import Policy, PolicySpec, UserError
@@ -200,31 +198,14 @@ def _check_tensors(where: Path, found: dict[str, Any], expected: dict[str, Any])
 
 
 def _from_factory(policy: str) -> Policy:
-    module, _, factory = policy.partition(":")
-    try:
-        with _importable_from_here():
-            made = getattr(importlib.import_module(module), factory)()
-    except (ImportError, AttributeError) as error:
+    made = made_by(policy, "a policy (madviz.types.Policy)", ("spec", "encode", "read", "supports"))
+    if not isinstance(made.spec, PolicySpec):
         raise UserError(
-            f"{policy}: expected module:factory that can be imported from here, found: {error}"
-        ) from error
-    lacking = [part for part in ("spec", "encode", "read", "supports") if not hasattr(made, part)]
-    if lacking:
-        raise UserError(
-            f"{policy}: expected a policy (madviz.types.Policy), found a {type(made).__name__} "
-            f"without {', '.join(lacking)}; return an object that has them"
+            f"{policy}: expected a spec of the kind madviz.types.PolicySpec, found a "
+            f"{type(made.spec).__name__}; fill one in"
         )
+    allow_task(made.spec.task)  # Whoever named the policy's code names its task.
     return made
-
-
-@contextmanager
-def _importable_from_here() -> Iterator[None]:
-    """A console script does not look for modules in the working directory; its user does."""
-    sys.path.insert(0, os.getcwd())
-    try:
-        yield
-    finally:
-        sys.path.remove(os.getcwd())
 
 
 def shipped_evaluation(policy: str | Path) -> dict[str, Any] | None:
@@ -270,7 +251,7 @@ def list_everything() -> dict[str, Any]:
     """
     from madviz.agent.methods import METHODS
     from madviz.agent.supports import SUPPORTS
-    from madviz.envs.base import SETTINGS, TASKS
+    from madviz.envs.base import SETTINGS, known_tasks
 
     policies, broken = list_policies()
     methods = {
@@ -283,7 +264,7 @@ def list_everything() -> dict[str, Any]:
     }
     return {
         "schema": 1,
-        **{"tasks": list(TASKS), "settings": list(SETTINGS), "methods": methods},
+        **{"tasks": list(known_tasks()), "settings": list(SETTINGS), "methods": methods},
         "merges": {name: {"supports": support.words} for name, support in SUPPORTS.items()},
         **{"policies": policies, "broken": broken},
     }

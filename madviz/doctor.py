@@ -107,7 +107,7 @@ def mesa_version(gl_version: str) -> str:
 def probe_opengl(backend: str) -> dict[str, str] | None:
     """Version and renderer under ``MUJOCO_GL=backend``, asked of another process; None if that
     process found nothing, hung or did not survive."""
-    return _ask("madviz.envs.metaworld_gl", {"MUJOCO_GL": backend})
+    return _ask("madviz.envs.mujoco_gl", {"MUJOCO_GL": backend})
 
 
 def probe_vulkan() -> dict[str, str] | None:

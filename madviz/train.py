@@ -10,6 +10,7 @@ it, copy it to checkpoints/. Ctrl-C finishes the round, saves, and says how to g
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import sys
 import time
@@ -25,6 +26,7 @@ from madviz.agent.methods import method
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.checkpoint import save_policy
 from madviz.envs.base import choose, make_env
+from madviz.envs.own import allow_task
 from madviz.manifest import policy_config
 from madviz.processes import keep_large_blocks
 from madviz.recipes.light import LightConfig, LightRun, Recorder, train_light
@@ -44,7 +46,7 @@ class TrainConfig:
     """Which policy to train, how, and where to."""
 
     task: str = "metaworld/hammer"
-    """suite/task; ``madviz list`` shows them."""
+    """suite/task; ``madviz list`` shows them. Or one of your own, module:factory."""
     method: str = "mad"
     """What is trained on which subsets of streams."""
     recipe: str = "light"
@@ -140,7 +142,7 @@ class TrainConfig:
     def policy_name(self) -> str:
         """{suite}-{task}-{method}[-{merge}][-{camera}][-{setting}]-{recipe}."""
         own = method(self.method).merge
-        parts = [self.task.replace("/", "-"), self.method]
+        parts = [re.sub(r"\W+", "-", self.task), self.method]
         parts += [self.merge] if self.merge not in ("", own) else []
         parts += [self.chosen_camera()] if self.chosen_camera() else []
         parts += [self.setting] if self.setting != "three" else []
@@ -152,6 +154,7 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
     """Trains and returns the policy's folder. Events go to ``listener``, by default one line each
     on standard error. Raises UserError for unknown names and for a folder that holds another run.
     """
+    allow_task(config.task)
     if config.recipe not in RECIPES:
         raise unknown("recipe", config.recipe, list(RECIPES))
     chosen = method(config.method)

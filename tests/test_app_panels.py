@@ -23,6 +23,7 @@ from madviz.app.screen import Screen
 from madviz.app.sight import _focus
 from madviz.app.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
 from madviz.app.success import Curve, SuccessPanel, WordsPanel, bars_html, sentence, strip_html
+from madviz.checkpoint import load_policy
 from madviz.envs.base import make_env
 from madviz.session.frame import Frame, Pause, SetCamera, SetPolicy, Setting
 from madviz.session.session import Session
@@ -274,6 +275,12 @@ def test_a_machine_that_cannot_keep_up_says_so():
     kept = status_html(replace(frame_with(), rate=9.6, **playing))
     behind = status_html(replace(frame_with(), rate=4.2, **playing))
     assert ">9.6/s<" in kept and ">4.2 of 10/s<" in behind
+
+
+def test_a_policy_without_a_critic_has_no_value():
+    frame = frame_with(policy=load_policy("madviz.examples.own_policy:make"))  # type: ignore
+    assert "Q <b>–</b>" in status_html(frame)
+    assert "nan" not in status_html(frame) + subsets_html(frame)
 
 
 def test_success_bars_tell_shipped_from_measured(server):

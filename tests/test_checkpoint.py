@@ -205,10 +205,13 @@ def test_an_unknown_policy_lists_the_known_ones(folder, monkeypatch):
 def test_bring_your_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine_1.py").write_text(
-        "class Mine:\n    spec = encode = read = supports = 0\ndef make(): return Mine()\n"
+        "from madviz.examples.own_policy import make\n"
+        "class Mine: spec = encode = read = supports = 0\n"
         "def wrong(): return 3\n"
     )
-    assert type(load_policy("mine_1:make")).__name__ == "Mine"
+    assert load_policy("mine_1:make").spec.name == "finder"
+    with pytest.raises(UserError, match="kind madviz.types.PolicySpec, found a int"):
+        load_policy("mine_1:Mine")
     with pytest.raises(UserError, match="found a int without spec, encode"):
         load_policy("mine_1:wrong")
     for missing in ("mine_1:absent", "absent_module:make"):

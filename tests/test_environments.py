@@ -15,14 +15,17 @@ from madviz.types import Environment, UserError
 CONTRACT_TASKS = (
     *("toy/reach", "metaworld/hammer", "metaworld/push"),
     *("maniskill/push-cube", "maniskill/place-sphere"),
+    "madviz.examples.own_task:make",
 )
 
 
 @pytest.fixture(scope="module", params=CONTRACT_TASKS)
 def env(request: pytest.FixtureRequest) -> Iterator[Environment]:
-    made = make_env(request.param)
-    yield made
-    made.close()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MADVIZ_TASKS", "madviz.examples.own_task:make")
+        made = make_env(request.param)
+        yield made
+        made.close()
 
 
 def play(env: Environment, seed: int, decisions: int) -> list[np.ndarray]:
@@ -202,7 +205,7 @@ def test_a_camera_is_not_moved_to_nowhere(env: Environment) -> None:
     assert env.pose("third_a").fovy == camera.fovy
 
 
-@pytest.mark.parametrize("bad", [np.full(4, np.nan), np.zeros(3), np.full(4, np.inf)])
+@pytest.mark.parametrize("bad", [np.full(4, np.nan), np.zeros(5), np.full(4, np.inf)])
 def test_a_broken_action_is_refused(env: Environment, bad: np.ndarray) -> None:
     env.reset(0)
     with pytest.raises(UserError, match="expected a finite action"):

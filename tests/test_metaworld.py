@@ -67,7 +67,7 @@ def test_the_first_person_camera_rides_on_the_hand() -> None:
 def test_decimation_leaves_the_model_as_it_was() -> None:
     import mujoco
 
-    from madviz.envs.metaworld_meshes import TRIANGLES, lighter_meshes
+    from madviz.envs.mujoco_meshes import TRIANGLES, lighter_meshes
 
     model: mujoco.MjModel = MetaWorld("push")._simulation.model
     before = model.mesh_vert.copy(), model.mesh_facenum.copy()

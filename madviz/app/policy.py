@@ -182,8 +182,13 @@ def status_html(frame: Frame) -> str:
         f"{_progress(frame)}{_goal(frame)}<h4>{seed}Action and its value Q</h4>"
         '<div class="mv-action" style="display:flex;gap:8px;align-items:center">'
         f'<div style="flex:1">{_action(frame)}</div>'
-        f'<span class="num">Q <b>{frame.q:.1f}</b></span></div>{_error(frame)}</div>'
+        f'<span class="num">Q <b>{_value(frame.q)}</b></span></div>{_error(frame)}</div>'
     )
+
+
+def _value(q: float) -> str:
+    """A policy without a critic has none."""
+    return f"{q:.1f}" if np.isfinite(q) else "–"
 
 
 def _progress(frame: Frame) -> str:

@@ -21,6 +21,7 @@ from madviz.app.rates import Rates
 from madviz.app.toolkit import theme
 from madviz.app.users import Users
 from madviz.envs.base import make_env
+from madviz.envs.own import allow_task
 from madviz.live import Evaluator, Tally
 from madviz.processes import share_memory_between_threads
 from madviz.recipes.training_job import TrainingJob
@@ -41,7 +42,8 @@ class ExploreConfig:
     policy: str | None = None
     """A name from ``madviz list``, a folder, or module:factory. By default the first that fits."""
     task: str | None = None
-    """Offer only policies of this task, for example metaworld/hammer."""
+    """Offer only policies of this task, for example metaworld/hammer or, one of your own,
+    module:factory."""
     port: int = 8080
     """Where to serve."""
     host: str = "127.0.0.1"
@@ -169,6 +171,7 @@ def open_app(config: ExploreConfig) -> App:
     share_memory_between_threads()
     # Python threads take turns of 5 ms by default; a visitor's click crosses four of them.
     sys.setswitchinterval(0.001)
+    allow_task(config.task)
     choices = policy_choices(config.task)
     script, loaded = kept_script(config)
     name = next(iter(loaded), None) or config.policy or first_choice(choices, config.task)

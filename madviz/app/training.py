@@ -18,7 +18,7 @@ from madviz.agent.methods import METHODS
 from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, grid, guarded, notify, on_value, remove_all
-from madviz.envs.base import TASKS
+from madviz.envs.base import known_tasks
 from madviz.recipes.training_job import BUDGETS, JobConfig, JobStatus, TrainingJob
 from madviz.session.frame import Command, Frame, SetPolicy
 
@@ -75,7 +75,9 @@ class TrainingPanel:
     def _add_controls(
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
     ) -> None:
-        task = gui.add_dropdown("Task", TASKS, initial_value=frame.env.task, hint=HINTS["task"])
+        task = gui.add_dropdown(
+            "Task", known_tasks(), initial_value=frame.env.task, hint=HINTS["task"]
+        )
         method = gui.add_dropdown(
             "Method", tuple(METHODS), initial_value="mad", hint=HINTS["method"]
         )

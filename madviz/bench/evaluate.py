@@ -70,7 +70,7 @@ def bench_evaluate(config: BenchEvaluateConfig) -> dict[str, Any]:
     if min(config.episodes, config.stock_decisions, count) < 1:
         raise UserError("expected at least 1 episode, 1 decision to time and 1 worker")
     spec = checkpoint.describe(config.policy).spec
-    suite, task = spec.task.split("/")
+    suite, _, task = spec.task.partition("/")
     if suite not in STOCK:
         raise UserError(f"expected a policy of {' or '.join(STOCK)}, found one for {spec.task}")
     seeds = range(config.seed, config.seed + config.episodes)

@@ -19,6 +19,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from madviz.envs import own
 from madviz.envs.cameras import read_cameras
 from madviz.types import Array, CameraSpec, Environment, EnvSpec, Modality, UserError, unknown
 
@@ -38,6 +39,19 @@ TASKS = (
     *(f"maniskill/{task}" for task in MANISKILL_TASKS),
     "toy/reach",
 )
+
+
+def known_tasks() -> tuple[str, ...]:
+    """madviz's tasks, and those of your own that were named here (``own.py``)."""
+    return (*TASKS, *own.own_tasks())
+
+
+def check_task(task: str) -> None:
+    """Raises UserError, listing the known ones, for a task that cannot be made here."""
+    if own.is_own(task):
+        own.check_allowed(task)
+    elif task not in TASKS:
+        raise unknown("task", task, list(known_tasks()))
 
 
 @dataclass(frozen=True)
@@ -102,10 +116,12 @@ def choose(
     task: str, name: str, file: str | Path | None = None
 ) -> tuple[Setting, tuple[CameraSpec, ...]]:
     """What to train with: a setting and its cameras; or, where there is a ``file``, the user's own
-    cameras in the modalities of that setting. Raises UserError for unknown names and bad files."""
-    if file is None:
+    cameras in the modalities of that setting. A task of one's own has its cameras, under whatever
+    names, where the setting asks for the usual three.
+    Raises UserError for unknown names and bad files."""
+    if file is None and not (own.is_own(task) and _same_three(name)):
         return setting(name), setting_cameras(task, name)
-    cameras = read_cameras(file)
+    cameras = read_cameras(file) if file else _suite_cameras(task)[0]
     return Setting(tuple(c.name for c in cameras), setting(name).modalities), cameras
 
 
@@ -127,6 +143,11 @@ def sees(env: EnvSpec, cameras: tuple[CameraSpec, ...]) -> bool:
     return all(drawn.get(camera.name) == replace(camera, label="") for camera in cameras)
 
 
+def _same_three(name: str) -> bool:
+    """Whether the setting is a suite's own three cameras as they are, in whatever modalities."""
+    return SETTINGS[name].cameras == THREE and name not in ("turned-away", "mixed-resolution")
+
+
 def _same_cameras(name: str) -> bool:
     """Whether the setting needs nothing but a suite's three cameras."""
     return set(SETTINGS[name].cameras) <= set(THREE) and name != "turned-away"
@@ -136,8 +157,11 @@ def _suite_cameras(
     task: str,
 ) -> tuple[tuple[CameraSpec, ...], dict[str, tuple[CameraSpec, ...]]]:
     """A suite's own cameras, and by setting those that are added or stand elsewhere."""
-    if task not in TASKS:
-        raise unknown("task", task, list(TASKS))
+    check_task(task)
+    if own.is_own(task):
+        made = make_env(task)
+        made.close()
+        return made.spec.cameras, {}
     if task.startswith("toy/"):
         from madviz.envs.toy import CAMERAS as TOY_CAMERAS
 
@@ -167,18 +191,22 @@ def make_env(
     on a CPU) or ``full`` (the simulator's stock flags). A policy must see what it was trained on.
     ``cameras`` are the suite's own unless others are given: ``PolicySpec.cameras`` of a policy,
     ``setting_cameras`` of a setting, ``envs.cameras.read_cameras`` of a user's file.
+    A task of your own is ``module:factory`` (``own.py``).
     Raises UserError for unknown names and for a machine that cannot draw.
     """
     if render_profile not in get_args(RenderProfile):
         raise unknown("render profile", render_profile, list(get_args(RenderProfile)))
-    if task not in TASKS:
-        raise unknown("task", task, list(TASKS))
+    check_task(task)
+    if own.is_own(task):
+        _draw_without_a_display()
+        return own.make_own(task, render_profile, cameras)
     suite, name = task.split("/")
     if suite == "toy":
         from madviz.envs.toy import ToyReach
 
         toy = ToyReach()
-        toy.spec = replace(toy.spec, cameras=_toy_cameras(toy.spec, cameras))
+        placed = own.cameras_in_place(task, toy.spec.cameras, cameras)
+        toy.spec = replace(toy.spec, cameras=placed)
         return toy
     if suite == "maniskill":
         from madviz.envs.maniskill import ManiSkill
@@ -188,18 +216,6 @@ def make_env(
     from madviz.envs.metaworld import MetaWorld
 
     return MetaWorld(name, render_profile, cameras)
-
-
-def _toy_cameras(env: EnvSpec, given: tuple[CameraSpec, ...]) -> tuple[CameraSpec, ...]:
-    """The toy world is painted for its own three cameras: only their sizes may differ."""
-    own = {camera.name: camera for camera in env.cameras}
-    for camera in given:
-        if camera.name not in own or replace(own[camera.name], size=camera.size) != camera:
-            raise UserError(
-                f"{env.task} has the cameras {', '.join(own)} where they are, and no others; "
-                f"found {camera.name!r} placed elsewhere: use a Meta-World task"
-            )
-    return standing(env.cameras, given)
 
 
 def check_action(action: Array, action_dim: int) -> None:

@@ -21,14 +21,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from madviz.envs.base import check_action, standing
 from madviz.envs.cameras import look_at
 from madviz.envs.metaworld_experts import METAWORLD_SUCCESS, Expert
-from madviz.envs.metaworld_gl import check_gl
-from madviz.envs.placement import Placements
-from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, TimeStep, View
+from madviz.envs.mujoco_gl import check_gl
+from madviz.envs.mujoco_world import MuJoCoWorld
+from madviz.types import Array, CameraSpec, EnvSpec, TimeStep
 
 ACTION_REPEAT = 2
 HORIZON = 100
@@ -79,20 +78,19 @@ SETTING_CAMERAS: dict[str, tuple[CameraSpec, ...]] = {
 }
 """By setting, the cameras added or moved. ``third_c`` looks across the table from the side opposite
 Third A, so that what the arm hides from one the other sees; ``top`` looks down on it from its far
-end.
 end. In ``turned-away`` First looks to the robot's right over the table's edge, and Third B at the
 sky (the paper says "uninformative directions" and gives none); neither sees hand, object or goal,
 but for the thermos of the stick tasks, which stands on First's way."""
 
 
-class MetaWorld:
+class MetaWorld(MuJoCoWorld):
     """One task; see the module. Not thread-safe, and bound to the thread that makes it."""
 
     def __init__(
         self, task: str, render_profile: str = "fast", cameras: tuple[CameraSpec, ...] = ()
     ) -> None:
         """``cameras`` as in ``make_env``. Raises UserError for one on a body that is not there."""
-        self.spec = EnvSpec(
+        spec = EnvSpec(
             f"metaworld/{task}",
             standing(CAMERAS, cameras),
             state_dim=24,
@@ -104,17 +102,11 @@ class MetaWorld:
             success=METAWORLD_SUCCESS[task],
         )
         self._simulation = _simulation(task)
-        model = self._simulation.model
-        self._placements = Placements([model.body(i).name for i in range(1, model.nbody)])
-        for camera in self.spec.cameras:
-            self._placements.check(camera)
+        super().__init__(spec, self._simulation.model, self._simulation.data)
         self._expert = Expert(task)
         self._observation = np.zeros(39)
         self._states: list[Array] = []
         self._step, self._success = 0, False
-        # Made when they are first asked for: many uses never draw.
-        self._cameras: Any = None
-        self._bodies: Any = None
 
     def reset(self, seed: int) -> TimeStep:
         simulation = self._simulation
@@ -124,7 +116,7 @@ class MetaWorld:
         self._observation, _, _, _, info = simulation.step(np.zeros(4, np.float32))
         self._step, self._success = 0, bool(info["success"])
         self._states = [self._frame_state()] * 3
-        self._moved()
+        self.moved()
         return TimeStep(self._state(), 0.0, self._success, last=False)
 
     def step(self, action: Array) -> TimeStep:
@@ -136,30 +128,8 @@ class MetaWorld:
             reward += float(gained)
         self._step, self._success = self._step + 1, bool(info["success"])
         self._states = [*self._states[1:], self._frame_state()]
-        self._moved()
+        self.moved()
         return TimeStep(self._state(), reward, self._success, self._step >= HORIZON)
-
-    def view(self, camera: str, size: int | None = None) -> View:
-        spec = self._placements.of(self.spec, camera)
-        if self._cameras is None:
-            self._cameras = _scene_cameras(self._simulation, self.spec.render_profile)
-        rotation = Rotation.from_quat(spec.wxyz, scalar_first=True).as_matrix()
-        return self._cameras.draw(self._position(spec), rotation, spec.fovy, size or spec.size)
-
-    def pose(self, camera: str) -> CameraPose:
-        spec = self._placements.of(self.spec, camera)
-        # OpenGL axes to OpenCV axes is half a turn about the camera's x.
-        turned = Rotation.from_quat(spec.wxyz, scalar_first=True) * Rotation.from_euler("x", np.pi)
-        return CameraPose(self._position(spec), turned.as_quat(scalar_first=True), spec.fovy)
-
-    def move_camera(self, camera: str, to: CameraSpec | None) -> None:
-        self._placements.move(self.spec, camera, to)
-
-    def bodies(self) -> tuple[Body, ...]:
-        return self._scenery().bodies
-
-    def body_poses(self) -> Array:
-        return self._scenery().poses(self._simulation.data)
 
     def hand(self) -> Array:
         return np.asarray(self._simulation.tcp_center, np.float32)
@@ -167,38 +137,11 @@ class MetaWorld:
     def expert(self) -> Array:
         return self._expert.action(self._observation, self._success)
 
-    def close(self) -> None:
-        if self._cameras is not None:
-            self._cameras.close()
-            self._cameras = None
-
-    def _scenery(self) -> Any:
-        if self._bodies is None:
-            from madviz.envs.metaworld_bodies import Scenery
-
-            self._bodies = Scenery(self._simulation.model, self._simulation.data)
-        return self._bodies
-
-    def _moved(self) -> None:
-        if self._cameras is not None:
-            self._cameras.scene_changed()
-
-    def _position(self, spec: CameraSpec) -> Array:
-        origin = self._simulation.data.body(spec.body).xpos if spec.body else np.zeros(3)
-        return np.asarray(origin) + np.asarray(spec.position)
-
     def _frame_state(self) -> Array:
         return np.concatenate([self._observation[:4], self._observation[18:22]]).astype(np.float32)
 
     def _state(self) -> Array:
         return np.concatenate(self._states)
-
-
-def _scene_cameras(simulation: Any, render_profile: str) -> Any:
-    # MuJoCo loads an OpenGL library while it is imported: not before ``check_gl`` has looked.
-    from madviz.envs.metaworld_render import SceneCameras
-
-    return SceneCameras(simulation.model, simulation.data, render_profile)
 
 
 def _simulation(task: str) -> Any:

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Literal
 
 from madviz.agent.methods import method
-from madviz.envs.base import TASKS
+from madviz.envs.base import check_task
 from madviz.files import write_json
 from madviz.processes import let_all_others_go_first
 from madviz.types import UserError, unknown
@@ -66,8 +66,7 @@ class JobConfig:
     budget: str = "a look"
 
     def __post_init__(self) -> None:
-        if self.task not in TASKS:
-            raise unknown("task", self.task, list(TASKS))
+        check_task(self.task)
         recipes = [one for one in method(self.method).recipes if one in BUDGETS]
         if self.recipe not in recipes:
             raise unknown(f"recipe of {self.method}", self.recipe, recipes)

@@ -30,6 +30,8 @@ MERGES = ("sum", "concat", "frame-stack", "attention", "vit", "q-mean")
 OWN_MERGE = {"mvd": "mvd", "vib": "vib"}
 """How a method merges where it is not by a sum."""
 ORDER = ("mad", "single", "mvd", "vib", "mv-mwm", "naive-both", "merged-only", "singular-only")
+SUITES = {"metaworld", "maniskill"}
+"""Whose tasks have tables; the toy and tasks of a user's own do not."""
 HARD = METAWORLD_TASKS[5:10]
 """The paper's five hard tasks, on which its ablations run."""
 
@@ -220,7 +222,7 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[Table]:
     pool = list(evidence) if layout.all_alphas else usual_alphas(evidence)
     chosen = [(label, each) for each in pool if (label := layout.label(each))]
     tables = []
-    for suite in sorted({each.task.split("/")[0] for _, each in chosen} - {"toy"}):
+    for suite in sorted({each.task.split("/")[0] for _, each in chosen} & SUITES):
         mine = [(label, each) for label, each in chosen if each.task.startswith(f"{suite}/")]
         labels = sorted({label for label, _ in mine}, key=_rank)
         if len(labels) < layout.needs:
@@ -292,6 +294,6 @@ def _rank(label: str) -> tuple[int, str]:
 
 
 def _task_rank(task: str) -> tuple[int, str]:
-    name = task.split("/")[1]
+    name = task.split("/")[-1]
     known = name in METAWORLD_TASKS
     return (METAWORLD_TASKS.index(name) if known else len(METAWORLD_TASKS), task)

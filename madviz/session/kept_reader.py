@@ -36,7 +36,7 @@ NEXT = "keep the session again, or mend the file"
 _CAMERA = r"[a-z][a-z0-9_]{0,23}"
 _POLICY = r"[^/\\:\x00-\x1f\x7f. ][^/\\:\x00-\x1f\x7f]{0,119}"
 _DIGEST = r"[A-Za-z0-9._-]{0,128}"
-_TASK = r"[a-z0-9]{1,20}/[a-z0-9-]{1,60}"
+_TASK = r"[a-z0-9]{1,20}/[a-z0-9-]{1,60}|[A-Za-z0-9_.]{1,120}:[A-Za-z0-9_]{1,60}"
 _SHORT = r"[^\x00-\x1f\x7f]{1,60}"
 
 

@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz.agent.methods import method
-from madviz.envs.base import TASKS, setting
+from madviz.envs.base import check_task, setting
 from madviz.sweep.run import Run
 from madviz.types import UserError, unknown
 
@@ -105,8 +105,7 @@ def _expand(path: Path, grid: Any, evaluation: tuple[str, ...]) -> list[Run]:
 
 def _check(axes: dict[str, list[Any]]) -> None:
     for task in axes["tasks"]:
-        if task not in TASKS:
-            raise unknown("task", task, list(TASKS))
+        check_task(task)
     for name in axes["methods"]:
         for recipe in axes["recipes"]:
             if recipe not in method(name).recipes:

@@ -1,0 +1,1 @@
+"""Policies and tasks that are not madviz's, to start your own from."""

@@ -1,0 +1,42 @@
+"""``module:factory``: an object out of a user's own code, imported as if from a shell beside it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from madviz.types import UserError
+
+
+def made_by(reference: str, kind: str, parts: Sequence[str]) -> Any:
+    """What ``module:factory`` returns. Raises UserError where it cannot be imported, and where the
+    result lacks one of ``parts``; ``kind`` says in words what it should be."""
+    module, _, factory = reference.partition(":")
+    try:
+        with _importable_from_here():
+            made = getattr(importlib.import_module(module), factory)()
+    except (ImportError, AttributeError, ValueError) as error:
+        raise UserError(
+            f"{reference}: expected module:factory that can be imported from here, found: {error}"
+        ) from error
+    lacking = [part for part in parts if not hasattr(made, part)]
+    if lacking:
+        raise UserError(
+            f"{reference}: expected {kind}, found a {type(made).__name__} without "
+            f"{', '.join(lacking)}; return an object that has them"
+        )
+    return made
+
+
+@contextmanager
+def _importable_from_here() -> Iterator[None]:
+    """A console script does not look for modules in the working directory; its user does."""
+    sys.path.insert(0, os.getcwd())
+    try:
+        yield
+    finally:
+        sys.path.remove(os.getcwd())
