@@ -173,6 +173,10 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
     )
     out = config.out or Path("runs") / config.policy_name()
     folder = RunFolder(out, config.identity(), config.resume, listener or print_event)
+    if folder.finished:
+        folder.finish()  # Again: the first time may have been cut off.
+        folder.report("done", seconds=0.0, path=str(folder.path))
+        return folder.path
     if config.recipe == "paper":
         train_paper(config, folder, command(config))
     elif config.recipe == "paper-vectorised":

@@ -55,9 +55,18 @@ class Killed(Exception):
 def run(
     folder: Path, config: PaperConfig = TINY, resume: bool = False, listener: Any = None
 ) -> None:
-    """As ``madviz train`` does it."""
+    """As ``madviz train`` does it, but the last state stays, to be compared."""
     whole = TrainConfig("toy/reach", "mad", "paper", seed=3, paper=config)
-    train_paper(whole, RunFolder(folder, whole, resume, listener), "the command")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RunFolder, "finish", lambda self: None)
+        train_paper(whole, RunFolder(folder, whole, resume, listener), "the command")
+
+
+def test_a_finished_run_gives_back_the_room_of_its_buffer(tmp_path: Path) -> None:
+    whole = TrainConfig("toy/reach", "mad", "paper", seed=3, paper=TINY)
+    train_paper(whole, RunFolder(tmp_path, whole, False, None), "the command")
+    assert {file.name for file in (tmp_path / "resume").iterdir()} == {"run.json", "finished"}
+    assert load_policy(tmp_path).spec.recipe == "paper"
 
 
 def final(folder: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:

@@ -91,6 +91,19 @@ label = "Third B"
 """
 
 
+def test_a_finished_run_keeps_the_policy_alone_and_has_nothing_left_to_do(tmp_path: Path) -> None:
+    config = TrainConfig("toy/reach", out=tmp_path, light=replace(TINY, rounds=1))
+    train(config, lambda event: None)
+    assert {file.name for file in (tmp_path / "resume").iterdir()} == {"run.json", "finished"}
+    weights = (tmp_path / "weights.safetensors").read_bytes()
+    (tmp_path / "resume" / "state.pt").touch()  # As if it had been killed while it tidied up.
+    events: list[Event] = []
+    train(replace(config, resume=True), events.append)
+    assert [event["kind"] for event in events] == ["done"]
+    assert not (tmp_path / "resume" / "state.pt").exists()
+    assert (tmp_path / "weights.safetensors").read_bytes() == weights
+
+
 def test_a_resumed_run_has_the_same_cameras_wherever_their_file_is(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(CAMERAS.format(size=84))

@@ -18,7 +18,7 @@ from madviz.checkpoint import load_policy
 from madviz.envs.toy import CAMERAS, ToyReach
 from madviz.recipes import paper_loop
 from madviz.recipes.paper_vectorised import VectorisedConfig
-from madviz.recipes.run import Event
+from madviz.recipes.run import Event, RunFolder
 from madviz.recipes.vector_envs import Board, Recipe, VectorEnvs
 from madviz.train import TrainConfig, command, train
 from madviz.types import UserError
@@ -42,12 +42,14 @@ def one_thread() -> Iterator[None]:
 def run(
     folder: Path, config: VectorisedConfig = TINY, resume: bool = False, listener: Any = None
 ) -> dict[str, Any]:
-    """As ``madviz train`` does it; the last state."""
+    """As ``madviz train`` does it; the last state, which stays to be compared."""
     whole = TrainConfig(
         "toy/reach", "mad", "paper-vectorised", out=folder, seed=3, resume=resume, threads=1,
         vectorised=config,
     )  # fmt: skip
-    train(whole, listener or (lambda event: None))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RunFolder, "finish", lambda self: None)
+        train(whole, listener or (lambda event: None))
     return torch.load(folder / "resume" / "state.pt", weights_only=True)
 
 

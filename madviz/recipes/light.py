@@ -318,6 +318,7 @@ def train_light(run: LightRun, folder: RunFolder, recorder: Recorder, save: Any)
                 save(run, final=False)
         if run.round >= config.rounds:
             save(run, final=True)
+            folder.finish()
 
 
 def _report(run: LightRun, folder: RunFolder, loss: float, episodes: list[Episode]) -> None:

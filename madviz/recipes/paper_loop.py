@@ -59,6 +59,9 @@ def _loop(run: PaperRun, save: Callable[[], None]) -> None:
             if now - reported > PROGRESS_SECONDS:
                 _report(run, pace)
                 reported = now
+        # Not where somebody stopped it: the last evaluation may still be due.
+        if run.finished and not stop.is_set():
+            run.folder.finish()
 
 
 class Pace:

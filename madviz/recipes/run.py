@@ -4,11 +4,12 @@
     DIR/curve.csv                          one row per progress report
     DIR/resume/run.json                    the run's configuration; a resumed run must have the same
     DIR/resume/state.pt                    full-precision tensors and numbers, to go on exactly
+    DIR/resume/finished                    the run is over: nothing else is left in resume/
     DIR/curve.svg                          the curve as a picture, where it has success by subset
 
-DIR can be explored and evaluated at any time; ``resume/`` may be deleted when the run is over.
-State is written to a neighbour and renamed, so a run killed at any moment finds its last whole
-state."""
+DIR can be explored and evaluated at any time. State is written to a neighbour and renamed, so a run
+killed at any moment finds its last whole state. With the recorded episodes it takes much room: 1 GB
+for 20 rounds of hammer under the light recipe, of which the 3 MB of the policy stay at the end."""
 
 from __future__ import annotations
 
@@ -16,6 +17,7 @@ import csv
 import dataclasses
 import json
 import os
+import shutil
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -49,6 +51,7 @@ class RunFolder:
         self.path = Path(path)
         self.resume = self.path / "resume"
         self._listener = listener
+        self._over = self.resume / "finished"
         facts = config if isinstance(config, dict) else dataclasses.asdict(config)
         described = json.dumps(facts, indent=1, sort_keys=True)
         file = self.resume / "run.json"
@@ -68,6 +71,20 @@ class RunFolder:
             )
         self.resume.mkdir(parents=True, exist_ok=True)
         write_bytes(file, described.encode())
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run is over; a run that is, has no state."""
+        return self._over.exists()
+
+    def finish(self) -> None:
+        """The run is over: removes what only a run that goes on needs."""
+        self._over.touch()
+        for one in self.resume.iterdir():
+            if one.is_dir():
+                shutil.rmtree(one)
+            elif one.name not in (self._over.name, "run.json"):
+                one.unlink()
 
     def save_state(self, state: dict[str, Any]) -> None:
         """``state`` may hold tensors, numbers, strings, lists and dicts; no other objects."""
