@@ -26,7 +26,7 @@ notebooks: .venv/notebooks.stamp
 	cd notebooks && ../$(BIN)/jupyter lab $(ARGS)
 
 test: setup-dev
-	$(BIN)/python -m pytest -m "not slow and not e2e" -n 2
+	$(BIN)/python -m pytest -m "not slow and not e2e" -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m "e2e and not slow"
 
 test-slow: setup-dev

@@ -113,7 +113,6 @@ def wait_until(true) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.slow
 def test_three_minutes_leave_nothing():
     result = soak(SoakConfig(minutes=3.0, policy="tests.fakes:FakePolicy"))
     assert result["errors"] == []
