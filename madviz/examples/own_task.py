@@ -37,8 +37,8 @@ SCENE = """
 HAND, BALL = 0, 1
 STEP = 0.04
 """Metres the hand moves for an action of 1."""
-NEAR = 0.04
-"""Metres between hand and ball's middle that count as a touch."""
+NEAR = 0.065
+"""Metres between the middles of fingertip and ball when they touch."""
 LOW, HIGH = np.array([-0.4, -0.4, 0.05]), np.array([0.4, 0.4, 0.4])
 """Corners of the box, in metres, that hand and ball stay in."""
 
@@ -60,7 +60,7 @@ class TouchBall(MuJoCoWorld):
     """State: the hand's x, y, z. Action: x, y, z."""
 
     def __init__(self) -> None:
-        success = f"the hand is within {NEAR} m of the ball's middle"
+        success = "the hand touches the ball"
         spec = EnvSpec("touch-ball", CAMERAS, 3, 3, horizon=40, success=success)
         model = mujoco.MjModel.from_xml_string(SCENE)
         super().__init__(spec, model, mujoco.MjData(model))
