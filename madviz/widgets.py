@@ -33,18 +33,8 @@ from madviz import checkpoint
 from madviz.ablations import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.app.mosaic import mosaic
 from madviz.envs.base import make_env
-from madviz.session.frame import (
-    Command,
-    Failure,
-    Frame,
-    Pause,
-    Play,
-    Reset,
-    SetCamera,
-    SetSpeed,
-    StepOnce,
-    words,
-)
+from madviz.session.commands import Command, Pause, Play, Reset, SetCamera, SetSpeed, StepOnce
+from madviz.session.frame import Failure, Frame, words
 from madviz.session.session import EnvFactory, Session
 from madviz.subsets import modality_of, name_of
 from madviz.teaching import begin

@@ -25,7 +25,8 @@ from madviz.app.subsets import SubsetsPanel, distances, presence, subset_label, 
 from madviz.app.success import Curve, SuccessPanel, WordsPanel, bars_html, sentence, strip_html
 from madviz.checkpoint import load_policy
 from madviz.envs.base import make_env
-from madviz.session.frame import Frame, Pause, SetCamera, SetPolicy, Setting
+from madviz.session.commands import Pause, SetCamera, SetPolicy
+from madviz.session.frame import Frame, Setting
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 

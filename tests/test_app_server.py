@@ -25,7 +25,8 @@ from madviz.app.versus import VersusPanel
 from madviz.app.visitor import Visitor
 from madviz.envs.base import make_env
 from madviz.recipes.training_job import TrainingJob
-from madviz.session.frame import Frame, Pause, SetSpeed
+from madviz.session.commands import Pause, SetSpeed
+from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies

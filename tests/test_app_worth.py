@@ -23,7 +23,8 @@ from madviz.app.saliency import SaliencyPanel, saliency_words
 from madviz.app.worth import WorthPanel, action_column, q_column, success_column, worth_html
 from madviz.envs.base import make_env
 from madviz.projection import DECISIONS
-from madviz.session.frame import Frame, Pause, Reset, SetCamera, SetPolicy
+from madviz.session.commands import Pause, Reset, SetCamera, SetPolicy
+from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.shapley import set_names
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies

@@ -12,7 +12,8 @@ from madviz.app.draw import DRAW_SCRIPT, LEAST, THIN, Box, parse_box, patched
 from madviz.app.mosaic import GAP, HEADER, mosaic
 from madviz.app.panel import apply
 from madviz.envs.base import make_env
-from madviz.session.frame import Frame, Pause, SetCamera, SetPolicy
+from madviz.session.commands import Pause, SetCamera, SetPolicy
+from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies

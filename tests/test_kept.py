@@ -18,10 +18,8 @@ from madviz import cli
 from madviz.ablations import Ablation, CameraState, Occlusion, OcclusionKind
 from madviz.envs.base import make_env
 from madviz.replay import failures_of, live_again, replay_row, replay_words
-from madviz.session.failures import parse_schedule
-from madviz.session.frame import (
+from madviz.session.commands import (
     Fork,
-    Frame,
     Pause,
     Play,
     Reset,
@@ -31,6 +29,8 @@ from madviz.session.frame import (
     SetSchedule,
     SetSeed,
 )
+from madviz.session.failures import parse_schedule
+from madviz.session.frame import Frame
 from madviz.session.kept import KeptEpisode, KeptPolicy, KeptSession
 from madviz.session.kept_reader import LONGEST, parse, read_kept
 from madviz.session.session import Session

@@ -27,18 +27,8 @@ from madviz.moves import (
     turned,
 )
 from madviz.replay import live_again
-from madviz.session.frame import (
-    Fork,
-    Frame,
-    Pause,
-    Reset,
-    Scrub,
-    SetCamera,
-    SetPolicy,
-    SetTwin,
-    setting_of,
-    words,
-)
+from madviz.session.commands import Fork, Pause, Reset, Scrub, SetCamera, SetPolicy, SetTwin
+from madviz.session.frame import Frame, setting_of, words
 from madviz.session.kept_reader import parse
 from madviz.session.session import Session
 from madviz.types import CameraSpec, UserError

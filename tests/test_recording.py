@@ -19,8 +19,9 @@ from madviz.app.sight import Sight, first_look
 from madviz.recording import record as recording
 from madviz.recording.record import Facts, RecordConfig, command_of, frames, run_record, writer_for
 from madviz.recording.rerun import ASPECT, FOV
+from madviz.session.commands import SetSchedule
 from madviz.session.failures import parse_schedule
-from madviz.session.frame import Frame, SetSchedule
+from madviz.session.frame import Frame
 from madviz.session.kept_reader import read_kept
 from madviz.session.session import Session
 from madviz.svg_curves import curves

@@ -19,7 +19,8 @@ from madviz.app.scene import MOVE, MOVE_AT_FULL_SPEED, ScenePanel, picture
 from madviz.app.sight import FOV, MARGIN, Sight, first_look, nearest_place
 from madviz.envs import bodies
 from madviz.envs.base import make_env
-from madviz.session.frame import Frame, Pause, SetCamera, SetSpeed, StepOnce
+from madviz.session.commands import Pause, SetCamera, SetSpeed, StepOnce
+from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.types import Body, CameraPose
 from tests.fakes import FakePolicy, policies

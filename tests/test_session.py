@@ -11,10 +11,8 @@ import pytest
 from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.envs.base import make_env
 from madviz.envs.toy import ToyReach
-from madviz.session.frame import (
-    Failure,
+from madviz.session.commands import (
     Fork,
-    Frame,
     Pause,
     Play,
     Reset,
@@ -26,8 +24,8 @@ from madviz.session.frame import (
     SetSpeed,
     SetTwin,
     StepOnce,
-    words,
 )
+from madviz.session.frame import Failure, Frame, words
 from madviz.session.session import FIRST_SEED, HOLD, Session
 from madviz.session.simulation import Simulation, inhabited
 from madviz.types import UserError

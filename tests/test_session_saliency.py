@@ -13,9 +13,7 @@ from madviz.ablations import CameraState
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.base import make_env
-from madviz.session.frame import (
-    Failure,
-    Frame,
+from madviz.session.commands import (
     Pause,
     Play,
     Reset,
@@ -25,6 +23,7 @@ from madviz.session.frame import (
     SetSaliency,
     SetSpeed,
 )
+from madviz.session.frame import Failure, Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies
 

@@ -12,7 +12,8 @@ from madviz.ablations import CameraState
 from madviz.app.panel import apply
 from madviz.app.timeline import PATIENCE, TimelinePanel, marks, timeline_html
 from madviz.envs.base import make_env
-from madviz.session.frame import Command, Fork, Frame, Scrub, SetCamera, SetPolicy
+from madviz.session.commands import Command, Fork, Scrub, SetCamera, SetPolicy
+from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.session.timeline import MOST_ROWS
 from madviz.types import TimeStep

@@ -8,7 +8,8 @@ import numpy as np
 
 from madviz.ablations import Ablation, CameraState
 from madviz.app.versus import versus_html
-from madviz.session.frame import Outcome, Pair, Scrub, SetCamera, SetPolicy, Setting, SetTwin
+from madviz.session.commands import Scrub, SetCamera, SetPolicy, SetTwin
+from madviz.session.frame import Outcome, Pair, Setting
 from madviz.session.twin import tally
 from tests.fakes import FakePolicy
 from tests.test_timeline import Played

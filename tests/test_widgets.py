@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from madviz import widgets_page
-from madviz.session.frame import Play, SetSpeed
+from madviz.session.commands import Play, SetSpeed
 from madviz.teaching_inside import record
 from madviz.teaching_lessons import interval_figure
 from madviz.types import UserError

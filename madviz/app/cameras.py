@@ -13,7 +13,8 @@ from madviz.app.mosaic import GAP, mosaic
 from madviz.app.panel import Assign
 from madviz.app.screen import Screen
 from madviz.app.toolkit import STYLE, Cell, Choice, Shown, grid, on_value, remove_all
-from madviz.session.frame import Frame, SetCamera, untouched
+from madviz.session.commands import SetCamera
+from madviz.session.frame import Frame, untouched
 from madviz.subsets import modality_of
 from madviz.types import CameraSpec
 

@@ -19,7 +19,8 @@ from madviz.app.panel import Assign
 from madviz.app.sight import extent
 from madviz.app.toolkit import Cell, Choice, Shown, grid, on_value, remove_all
 from madviz.moves import Displacement, MoveCamera
-from madviz.session.frame import Command, Frame
+from madviz.session.commands import Command
+from madviz.session.frame import Frame
 
 HINTS = {
     "camera": "Which camera the sliders move.",

@@ -55,11 +55,8 @@ from madviz.app.versus import VersusPanel
 from madviz.app.worth import WorthPanel
 from madviz.recipes.training_job import TrainingJob
 from madviz.saliency import Target
-from madviz.session.frame import (
-    Change,
+from madviz.session.commands import (
     Command,
-    Failure,
-    Frame,
     Pause,
     Play,
     Reset,
@@ -67,8 +64,8 @@ from madviz.session.frame import (
     SetSaliency,
     SetSpeed,
     StepOnce,
-    untouched,
 )
+from madviz.session.frame import Change, Failure, Frame, untouched
 from madviz.session.session import Session
 
 FASTEST = 1 / 40

@@ -13,9 +13,8 @@ from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.subsets import action_bars
 from madviz.app.toolkit import Cell, Choice, Shown, grid, guarded, on_value, remove_all
-from madviz.session.frame import (
+from madviz.session.commands import (
     Command,
-    Frame,
     Pause,
     Play,
     Reset,
@@ -25,6 +24,7 @@ from madviz.session.frame import (
     SetSpeed,
     StepOnce,
 )
+from madviz.session.frame import Frame
 from madviz.types import PolicySpec
 
 SPEEDS: dict[str, float | None] = {"1": 1.0, "5": 5.0, "10": 10.0, "20": 20.0, "max": None}

@@ -19,7 +19,8 @@ from madviz.app.panel import Assign
 from madviz.app.scene import picture
 from madviz.app.screen import jpeg_url
 from madviz.app.toolkit import Cell, Shown, grid, on_press, on_value, remove_all
-from madviz.session.frame import Command, Fork, Frame, Moment, Scrub
+from madviz.session.commands import Command, Fork, Scrub
+from madviz.session.frame import Frame, Moment
 
 WIDTH, LANE, LEFT, TOP = 600, 40, 44, 14
 """Pixels of the drawing, of a lane, left of the lanes and above them."""

@@ -20,7 +20,8 @@ from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, grid, guarded, notify, on_value, remove_all
 from madviz.envs.base import known_tasks
 from madviz.recipes.training_job import BUDGETS, JobConfig, JobStatus, TrainingJob
-from madviz.session.frame import Command, Frame, SetPolicy
+from madviz.session.commands import Command, SetPolicy
+from madviz.session.frame import Frame
 
 WORDS = {
     "idle": "Nothing is being trained.",

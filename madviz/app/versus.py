@@ -16,7 +16,8 @@ from madviz.app.scene import picture
 from madviz.app.screen import jpeg_url
 from madviz.app.subsets import subset_label
 from madviz.app.toolkit import Cell, grid, on_press, remove_all
-from madviz.session.frame import Command, Frame, SetTwin
+from madviz.session.commands import Command, SetTwin
+from madviz.session.frame import Frame
 from madviz.session.twin import tally
 from madviz.statistics import Paired
 

@@ -28,8 +28,9 @@ from madviz import checkpoint
 from madviz.envs.base import make_env
 from madviz.replay import Finder, check_horizon, check_policies, failures_of, finder
 from madviz.rollout import one_thread
+from madviz.session.commands import Play, SetSchedule
 from madviz.session.failures import Schedule, in_order, in_words, parse_schedule, scenario
-from madviz.session.frame import Failure, Frame, Play, SetSchedule, occlusion_words
+from madviz.session.frame import Failure, Frame, occlusion_words
 from madviz.session.kept import KeptEpisode
 from madviz.session.kept_reader import read_kept
 from madviz.session.session import Session

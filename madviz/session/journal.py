@@ -22,7 +22,7 @@ import numpy as np
 
 from madviz.ablations import Ablation
 from madviz.moves import MoveCamera
-from madviz.session.frame import SetCamera
+from madviz.session.commands import SetCamera
 from madviz.session.kept import (
     STREAMS,
     KeptCommand,

@@ -30,7 +30,7 @@ from typing import Any
 from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.files import pretty, write_bytes
 from madviz.moves import MoveCamera
-from madviz.session.frame import SetCamera
+from madviz.session.commands import SetCamera
 from madviz.types import CameraSpec, PolicySpec, UserError
 
 SCHEMA = 1

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 from madviz.ablations import CameraState, Occlusion, by_sides
 from madviz.moves import Displacement, MoveCamera
-from madviz.session.frame import SetCamera
+from madviz.session.commands import SetCamera
 from madviz.session.kept import (
     SCHEMA,
     STREAMS,

@@ -28,13 +28,10 @@ from collections.abc import Callable
 
 from madviz.moves import MoveCamera
 from madviz.processes import yield_to_others
-from madviz.session.frame import (
+from madviz.session.commands import (
     Command,
-    Failure,
     Fork,
-    Frame,
     Pause,
-    Phase,
     Play,
     Reset,
     Scrub,
@@ -48,6 +45,7 @@ from madviz.session.frame import (
     SetTwin,
     StepOnce,
 )
+from madviz.session.frame import Failure, Frame, Phase
 from madviz.session.kept import KeptEpisode, KeptSession
 from madviz.session.stage import EnvFactory, Stage
 from madviz.types import Policy, UserError

@@ -25,7 +25,8 @@ from madviz.manifest import check_environment
 from madviz.moves import MoveCamera
 from madviz.probes import Probe, probe
 from madviz.saliency import LiveSaliency
-from madviz.session.frame import Change, Outcome, SetCamera, Setting, setting_of, untouched
+from madviz.session.commands import SetCamera
+from madviz.session.frame import Change, Outcome, Setting, setting_of, untouched
 from madviz.session.journal import Journal, Mark
 from madviz.streams import StreamStack
 from madviz.subsets import every_mask

@@ -22,8 +22,9 @@ from madviz.envs.base import sees
 from madviz.manifest import check_environment
 from madviz.moves import MoveCamera
 from madviz.saliency import LiveSaliency
+from madviz.session.commands import SetCamera, SetPolicy
 from madviz.session.failures import Schedule
-from madviz.session.frame import Frame, Pair, SetCamera, SetPolicy
+from madviz.session.frame import Frame, Pair
 from madviz.session.journal import Journal
 from madviz.session.kept import KeptEpisode
 from madviz.session.plan import Plan

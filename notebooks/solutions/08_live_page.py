@@ -7,7 +7,7 @@
 import madviz
 from madviz import teaching
 from madviz.ablations import Ablation, CameraState
-from madviz.session.frame import SetCamera
+from madviz.session.commands import SetCamera
 from madviz.session.simulation import Simulation
 from madviz.teaching_show import table
 

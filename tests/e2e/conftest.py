@@ -18,7 +18,8 @@ from madviz.app.rates import Rates
 from madviz.app.server import App
 from madviz.bench.live import CHROMIUM_FLAGS
 from madviz.doctor import find_browser
-from madviz.session.frame import Frame, Play, Reset, SetCamera, SetPolicy, SetSpeed
+from madviz.session.commands import Play, Reset, SetCamera, SetPolicy, SetSpeed
+from madviz.session.frame import Frame
 from tests.fakes import policies
 
 PICTURES = Path(__file__).parents[2] / "build" / "e2e"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from madviz.app.server import App
-from madviz.session.frame import Pause, Reset, StepOnce
+from madviz.session.commands import Pause, Reset, StepOnce
 from madviz.session.kept_reader import read_kept
 from tests.e2e.conftest import PATIENCE, Visitor
 

@@ -1,0 +1,141 @@
+"""What a session can be asked to do: commands, all frozen, checked where they are made.
+
+A page never touches a simulation; it sends one of these, from any thread, and the simulation's own
+thread serves it, between two camera renders if it must be quick.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from madviz.ablations import Ablation, CameraState
+from madviz.moves import MoveCamera
+from madviz.session.failures import Schedule
+from madviz.types import UserError
+
+
+@dataclass(frozen=True)
+class SetCamera:
+    """Another switch or occlusion for one camera."""
+
+    camera: str
+    state: CameraState
+
+
+@dataclass(frozen=True)
+class SetPolicy:
+    """Another policy, by a name ``load_policy`` knows; camera settings stay."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class SetSeed:
+    """Start the episode of this seed."""
+
+    seed: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.seed < 2**31:
+            raise UserError(f"a seed must be between 0 and {2**31 - 1}, found {self.seed}")
+
+
+@dataclass(frozen=True)
+class Play:
+    pass
+
+
+@dataclass(frozen=True)
+class Pause:
+    pass
+
+
+@dataclass(frozen=True)
+class StepOnce:
+    """One decision, then pause."""
+
+
+@dataclass(frozen=True)
+class Reset:
+    """Start again: the same seed, or the next one."""
+
+    next_seed: bool = False
+
+
+@dataclass(frozen=True)
+class SetSpeed:
+    """Decisions per second; None for as fast as it goes."""
+
+    rate: float | None
+
+    def __post_init__(self) -> None:
+        if self.rate is not None and not 0.01 <= self.rate <= 1000:
+            raise UserError(f"speed must be 0.01 to 1000 decisions per second, found {self.rate}")
+
+
+@dataclass(frozen=True)
+class SetAutoNext:
+    """Whether the next seed starts by itself when an episode is over."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
+class Scrub:
+    """Show an earlier step of this episode; None goes back to the newest one."""
+
+    step: int | None
+
+    def __post_init__(self) -> None:
+        if self.step is not None and not 0 <= self.step < 2**31:
+            raise UserError(f"a step must be 0 or more, found {self.step}")
+
+
+@dataclass(frozen=True)
+class SetTwin:
+    """Start B beside this simulation, on the same seeds: another policy or the same one, under
+    ``ablation`` from now on. None ends it."""
+
+    policy: str | None
+    ablation: Ablation = Ablation()
+
+
+@dataclass(frozen=True)
+class Fork:
+    """Go on from the earlier step that is shown, as if what came after had not happened."""
+
+
+@dataclass(frozen=True)
+class SetSaliency:
+    """Which pixels to find, those that Q or those that the action hangs on; None for none."""
+
+    target: Literal["q", "action"] | None
+
+
+@dataclass(frozen=True)
+class SetSchedule:
+    """Failures that come by themselves, in this episode from here on and in all that follow, until
+    there is another schedule; an empty one ends them, and its cameras work again. Events whose step
+    has passed wait for the next episode. A reset keeps it: the same failures with the same seed."""
+
+    events: Schedule = ()
+
+
+Command = (
+    SetCamera
+    | MoveCamera
+    | SetPolicy
+    | SetSeed
+    | Play
+    | Pause
+    | StepOnce
+    | Reset
+    | SetSpeed
+    | SetAutoNext
+    | Scrub
+    | Fork
+    | SetTwin
+    | SetSchedule
+    | SetSaliency
+)
