@@ -41,7 +41,7 @@ CONFINED = {
     "playwright": "bench.live",
     "ray": "sweep.ray",
     "rerun": "recording.*",
-    "ipywidgets": "widgets*",
+    "ipywidgets": "widgets.*",
     "captum": "saliency",
     "tyro": "cli",
 }

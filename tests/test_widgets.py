@@ -17,21 +17,15 @@ import cv2
 import numpy as np
 import pytest
 
-from madviz import widgets_page
 from madviz.session.commands import Play, SetSpeed
 from madviz.teaching_inside import record
 from madviz.teaching_lessons import interval_figure
 from madviz.types import UserError
-from madviz.widgets import (
-    ALIVE,
-    ROWS,
-    Explorer,
-    Predict,
-    TryOut,
-    Viewer,
-    control_for,
-    live_page,
-)
+from madviz.widgets import Explorer, Predict, TryOut, Viewer, live_page
+from madviz.widgets import page as widgets_page
+from madviz.widgets.explorer import ALIVE
+from madviz.widgets.questions import control_for
+from madviz.widgets.table import ROWS
 from tests.fakes import AllOrNothing, FakePolicy
 
 

@@ -1,4 +1,4 @@
-"""Widgets for notebooks: a policy to play with, functions with sliders, questions before answers.
+"""A policy to play with in a notebook: pictures, switches, and what every set of cameras would do.
 
     from madviz.widgets import Explorer
     Explorer("metaworld-hammer-mad-light")
@@ -13,8 +13,6 @@ frame, draws it, and puts the JPEG into one image that stays where it is:
 
 A picture of three cameras is 20 to 30 kB, so 20 a second are half a megabyte a second. Clicks wait
 while a cell runs, because the kernel hears them in between cells; the pictures do not.
-
-Every widget shows its present state also where a notebook is only displayed, and has no kernel.
 """
 
 from __future__ import annotations
@@ -22,27 +20,25 @@ from __future__ import annotations
 import threading
 import time
 from base64 import b64encode
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from html import escape
 from typing import Any, ClassVar
 
 import ipywidgets
-import numpy as np
 
 from madviz import checkpoint
 from madviz.ablations import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.app.mosaic import mosaic
 from madviz.envs.base import make_env
 from madviz.session.commands import Command, Pause, Play, Reset, SetCamera, SetSpeed, StepOnce
-from madviz.session.frame import Failure, Frame, words
+from madviz.session.frame import Failure, Frame
 from madviz.session.session import EnvFactory, Session
-from madviz.subsets import modality_of, name_of
+from madviz.subsets import modality_of
 from madviz.teaching import begin
-from madviz.teaching_show import Draws, Words, jpeg
-from madviz.types import Array, CameraSpec, Environment, Policy, UserError
-from madviz.widgets_page import LivePage, Viewer, live_page
-
-__all__ = ["Explorer", "LivePage", "Predict", "TryOut", "Viewer", "live_page"]
+from madviz.teaching_show import jpeg
+from madviz.types import CameraSpec, Environment, Policy, UserError
+from madviz.widgets.shown import Shown
+from madviz.widgets.table import table_html, words_html
 
 INPUTS: dict[str, CameraInput] = {"colour": "rgb", "depth": "depth", "both": "both", "off": "off"}
 OCCLUSIONS: dict[str, OcclusionKind] = {
@@ -57,27 +53,11 @@ PICTURES = 20.0
 """Pictures a second at most; a browser draws no more than it is sent."""
 PATIENCE = 120.0
 """Seconds to wait for a simulator to open on a busy machine."""
-ROWS = 12
-"""Rows of the table of subsets; with six streams there would be 64."""
 
 ALIVE = 3
 """Explorers of one kernel at once, some 200 MB each. A cell that is run again adds one, whatever
 becomes of the name it had, so one too many ends the oldest."""
 ENDED = "<p>This simulation has ended; run the cell again for a new one.</p>"
-
-
-class Shown(ipywidgets.VBox):
-    """A box that also says what it shows where there are no widgets."""
-
-    def still(self) -> str:
-        """HTML for a page without a kernel."""
-        return ""
-
-    def _repr_mimebundle_(self, **kwargs: Any) -> Any:
-        bundle = super()._repr_mimebundle_(**kwargs)
-        if isinstance(bundle, dict):
-            bundle["text/html"] = self.still()
-        return bundle
 
 
 class Explorer(Shown):
@@ -268,118 +248,3 @@ def open_env(task: str, render_profile: str, cameras: tuple[CameraSpec, ...] = (
     """``make_env`` in the session's thread, which computes on one core (see ``teaching.begin``)."""
     begin()
     return make_env(task, render_profile, cameras)
-
-
-def words_html(frame: Frame) -> str:
-    """Where the episode stands, and what came of the last click."""
-    fate = "success" if frame.success else "not yet" if not frame.ended else "failed"
-    lines = [
-        f"seed {frame.seed}, decision {frame.step} of {frame.env.horizon}: <b>{fate}</b>",
-        escape(words(frame.change, frame.env)) if frame.change else "",
-        escape(frame.error.splitlines()[0]) if frame.error else "",
-    ]
-    return "<br>".join(line for line in lines if line)
-
-
-def table_html(frame: Frame) -> str:
-    """The present subset, the trained ones and others: action, how far it is from now's, Q."""
-    probe, streams = frame.probe, frame.policy.streams
-    head = "".join(f"<th>{w}</th>" for w in ("cameras", "", "action", "differs by", "Q"))
-    rows = [
-        _subset_row(frame, row, name_of(probe.masks[row], streams)) for row in shown_rows(frame)
-    ]
-    return f"<table><tr>{head}</tr>{''.join(rows)}</table>"
-
-
-def shown_rows(frame: Frame) -> list[int]:
-    """At most ROWS rows of the probe: the present subset, then the trained ones, then the rest."""
-    trained = set(frame.policy.trained_subsets)
-    names = [name_of(mask, frame.policy.streams) for mask in frame.probe.masks]
-    order = sorted(range(len(names)), key=lambda r: (r != frame.row, names[r] not in trained, r))
-    return order[:ROWS]
-
-
-def _subset_row(frame: Frame, row: int, name: str) -> str:
-    readout, note = frame.probe.readout, []
-    if row == frame.row:
-        note.append("now")
-    if name not in frame.policy.trained_subsets:
-        note.append("off-training")
-    action: Array = readout.action[row]
-    if not np.isfinite(action).all():
-        cells = ["cannot act on this", "", ""]
-    else:
-        apart = float(np.linalg.norm(action - frame.action))
-        cells = [" ".join(f"{a:+.2f}" for a in action), f"{apart:.2f}", f"{readout.q[row]:.1f}"]
-    return "".join(
-        ("<tr>", *(f"<td>{escape(c)}</td>" for c in (name, ", ".join(note), *cells)), "</tr>")
-    )
-
-
-class TryOut(Shown):
-    """A function that draws, and a control for each of its arguments.
-
-    ``TryOut(draw, n=(5, 200), rate=(0.0, 1.0, 0.05), camera=["first", "third_a"], squared=True)``:
-    a pair or triple becomes a slider, a list a menu, True or False a tick.
-    """
-
-    def __init__(self, draw: Draws, **choices: Any) -> None:
-        """``draw`` returns something of ``madviz.teaching_show``."""
-        self.controls = {name: control_for(value) for name, value in choices.items()}
-        self._draw, self._drawn = draw, ipywidgets.HTML()
-        for name, control in self.controls.items():
-            control.description = name.replace("_", " ")
-            control.style.description_width = "110px"
-            control.layout.width = "420px"
-            control.observe(lambda _: self._show(), "value")
-        super().__init__([*self.controls.values(), self._drawn])
-        self._show()
-
-    def _show(self) -> None:
-        values = {name: control.value for name, control in self.controls.items()}
-        self._drawn.value = self._draw(**values).html
-
-    def still(self) -> str:
-        values = (f"{name} = {control.value}" for name, control in self.controls.items())
-        return f"<p>{escape(', '.join(values))}</p>{self._drawn.value}"
-
-
-def control_for(choice: Any) -> Any:
-    """The control for an argument: a tick for a truth, a menu for a list, a slider for (lowest,
-    highest) or (lowest, highest, step). Raises UserError for anything else."""
-    if isinstance(choice, bool):
-        return ipywidgets.Checkbox(choice)
-    if isinstance(choice, list) and choice:
-        return ipywidgets.Dropdown(options=choice)
-    if isinstance(choice, tuple) and len(choice) in (2, 3):
-        whole = all(isinstance(number, int) for number in choice)
-        low, high, *steps = choice
-        step = steps[0] if steps else 1 if whole else (high - low) / 100
-        if whole:
-            return ipywidgets.IntSlider((low + high) // 2, low, high, step)
-        return ipywidgets.FloatSlider((low + high) / 2, min=low, max=high, step=step)
-    raise UserError(f"expected True, False, a list or (lowest, highest), found {choice!r}")
-
-
-class Predict(Shown):
-    """A question to answer before the next cell is run; nobody is told a grade."""
-
-    def __init__(self, question: str, options: Sequence[str]) -> None:
-        self._options = tuple(options)
-        self.choice = ipywidgets.RadioButtons(
-            options=self._options, value=None, layout={"width": "max-content"}
-        )
-        self._question = ipywidgets.HTML(f"<b>Predict first.</b> {escape(question)}")
-        super().__init__([self._question, self.choice])
-
-    @property
-    def said(self) -> str | None:
-        return self.choice.value
-
-    def still(self) -> str:
-        items = "".join(f"<li>{escape(option)}</li>" for option in self._options)
-        return f"{self._question.value}<ul>{items}</ul>"
-
-    def compare(self, measured: str) -> Words:
-        """The prediction beside what was measured."""
-        return Words(f"You predicted: {self.said or 'nothing yet'}. Measured: {measured}.")

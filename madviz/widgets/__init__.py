@@ -1,0 +1,11 @@
+"""Widgets for notebooks: a policy to play with, functions with sliders, questions before answers.
+
+from madviz.widgets import Explorer
+Explorer("metaworld-hammer-mad-light")
+"""
+
+from madviz.widgets.explorer import Explorer
+from madviz.widgets.page import LivePage, Viewer, live_page
+from madviz.widgets.questions import Predict, TryOut
+
+__all__ = ["Explorer", "LivePage", "Predict", "TryOut", "Viewer", "live_page"]

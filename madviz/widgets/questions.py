@@ -1,0 +1,82 @@
+"""What a lesson asks of its reader: to move a slider and look, and to predict before measuring."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import ipywidgets
+
+from madviz.teaching_show import Draws, Words
+from madviz.types import UserError
+from madviz.widgets.shown import Shown
+
+
+class TryOut(Shown):
+    """A function that draws, and a control for each of its arguments.
+
+    ``TryOut(draw, n=(5, 200), rate=(0.0, 1.0, 0.05), camera=["first", "third_a"], squared=True)``:
+    a pair or triple becomes a slider, a list a menu, True or False a tick.
+    """
+
+    def __init__(self, draw: Draws, **choices: Any) -> None:
+        """``draw`` returns something of ``madviz.teaching_show``."""
+        self.controls = {name: control_for(value) for name, value in choices.items()}
+        self._draw, self._drawn = draw, ipywidgets.HTML()
+        for name, control in self.controls.items():
+            control.description = name.replace("_", " ")
+            control.style.description_width = "110px"
+            control.layout.width = "420px"
+            control.observe(lambda _: self._show(), "value")
+        super().__init__([*self.controls.values(), self._drawn])
+        self._show()
+
+    def _show(self) -> None:
+        values = {name: control.value for name, control in self.controls.items()}
+        self._drawn.value = self._draw(**values).html
+
+    def still(self) -> str:
+        values = (f"{name} = {control.value}" for name, control in self.controls.items())
+        return f"<p>{escape(', '.join(values))}</p>{self._drawn.value}"
+
+
+def control_for(choice: Any) -> Any:
+    """The control for an argument: a tick for a truth, a menu for a list, a slider for (lowest,
+    highest) or (lowest, highest, step). Raises UserError for anything else."""
+    if isinstance(choice, bool):
+        return ipywidgets.Checkbox(choice)
+    if isinstance(choice, list) and choice:
+        return ipywidgets.Dropdown(options=choice)
+    if isinstance(choice, tuple) and len(choice) in (2, 3):
+        whole = all(isinstance(number, int) for number in choice)
+        low, high, *steps = choice
+        step = steps[0] if steps else 1 if whole else (high - low) / 100
+        if whole:
+            return ipywidgets.IntSlider((low + high) // 2, low, high, step)
+        return ipywidgets.FloatSlider((low + high) / 2, min=low, max=high, step=step)
+    raise UserError(f"expected True, False, a list or (lowest, highest), found {choice!r}")
+
+
+class Predict(Shown):
+    """A question to answer before the next cell is run; nobody is told a grade."""
+
+    def __init__(self, question: str, options: Sequence[str]) -> None:
+        self._options = tuple(options)
+        self.choice = ipywidgets.RadioButtons(
+            options=self._options, value=None, layout={"width": "max-content"}
+        )
+        self._question = ipywidgets.HTML(f"<b>Predict first.</b> {escape(question)}")
+        super().__init__([self._question, self.choice])
+
+    @property
+    def said(self) -> str | None:
+        return self.choice.value
+
+    def still(self) -> str:
+        items = "".join(f"<li>{escape(option)}</li>" for option in self._options)
+        return f"{self._question.value}<ul>{items}</ul>"
+
+    def compare(self, measured: str) -> Words:
+        """The prediction beside what was measured."""
+        return Words(f"You predicted: {self.said or 'nothing yet'}. Measured: {measured}.")

@@ -1,0 +1,60 @@
+"""What an explorer says of an instant: where the episode stands, and every set of cameras."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from madviz.session.frame import Frame, words
+from madviz.subsets import name_of
+from madviz.types import Array
+
+ROWS = 12
+"""Rows of the table of subsets; with six streams there would be 64."""
+
+
+def words_html(frame: Frame) -> str:
+    """Where the episode stands, and what came of the last click."""
+    fate = "success" if frame.success else "not yet" if not frame.ended else "failed"
+    lines = [
+        f"seed {frame.seed}, decision {frame.step} of {frame.env.horizon}: <b>{fate}</b>",
+        escape(words(frame.change, frame.env)) if frame.change else "",
+        escape(frame.error.splitlines()[0]) if frame.error else "",
+    ]
+    return "<br>".join(line for line in lines if line)
+
+
+def table_html(frame: Frame) -> str:
+    """The present subset, the trained ones and others: action, how far it is from now's, Q."""
+    probe, streams = frame.probe, frame.policy.streams
+    head = "".join(f"<th>{w}</th>" for w in ("cameras", "", "action", "differs by", "Q"))
+    rows = [
+        _subset_row(frame, row, name_of(probe.masks[row], streams)) for row in shown_rows(frame)
+    ]
+    return f"<table><tr>{head}</tr>{''.join(rows)}</table>"
+
+
+def shown_rows(frame: Frame) -> list[int]:
+    """At most ROWS rows of the probe: the present subset, then the trained ones, then the rest."""
+    trained = set(frame.policy.trained_subsets)
+    names = [name_of(mask, frame.policy.streams) for mask in frame.probe.masks]
+    order = sorted(range(len(names)), key=lambda r: (r != frame.row, names[r] not in trained, r))
+    return order[:ROWS]
+
+
+def _subset_row(frame: Frame, row: int, name: str) -> str:
+    readout, note = frame.probe.readout, []
+    if row == frame.row:
+        note.append("now")
+    if name not in frame.policy.trained_subsets:
+        note.append("off-training")
+    action: Array = readout.action[row]
+    if not np.isfinite(action).all():
+        cells = ["cannot act on this", "", ""]
+    else:
+        apart = float(np.linalg.norm(action - frame.action))
+        cells = [" ".join(f"{a:+.2f}" for a in action), f"{apart:.2f}", f"{readout.q[row]:.1f}"]
+    return "".join(
+        ("<tr>", *(f"<td>{escape(c)}</td>" for c in (name, ", ".join(note), *cells)), "</tr>")
+    )
