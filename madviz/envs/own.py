@@ -81,16 +81,12 @@ def cameras_in_place(
 ) -> tuple[CameraSpec, ...]:
     """``own`` in the sizes of ``given``, for worlds whose cameras stand where they stand. Raises
     UserError for a camera that is another one, or elsewhere."""
-    sized = {camera.name: camera for camera in given}
-    for camera in own:
-        asked = sized.pop(camera.name, camera)
-        if replace(camera, size=asked.size) != asked:
-            sized[camera.name] = asked
-            break
-    if sized:
-        raise UserError(
-            f"{task} has the cameras {', '.join(camera.name for camera in own)} where they are, "
-            f"and no others; found {next(iter(sized))!r} placed elsewhere: use a Meta-World task"
-        )
-    named = {camera.name: camera for camera in given}
-    return tuple(named.get(camera.name, camera) for camera in own)
+    places = {camera.name: camera for camera in own}
+    for camera in given:
+        if camera.name not in places or replace(places[camera.name], size=camera.size) != camera:
+            raise UserError(
+                f"{task} has the cameras {', '.join(places)} where they are, and no others; found "
+                f"{camera.name!r} placed elsewhere: use a Meta-World task"
+            )
+    places |= {camera.name: camera for camera in given}
+    return tuple(places.values())
