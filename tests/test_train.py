@@ -95,6 +95,8 @@ def test_a_finished_run_keeps_the_policy_alone_and_has_nothing_left_to_do(tmp_pa
     config = TrainConfig("toy/reach", out=tmp_path, light=replace(TINY, rounds=1))
     train(config, lambda event: None)
     assert {file.name for file in (tmp_path / "resume").iterdir()} == {"run.json", "finished"}
+    with pytest.raises(UserError, match="holds a finished run; choose another --out"):
+        train(config, lambda event: None)
     weights = (tmp_path / "weights.safetensors").read_bytes()
     (tmp_path / "resume" / "state.pt").touch()  # As if it had been killed while it tidied up.
     events: list[Event] = []

@@ -59,6 +59,8 @@ class RunFolder:
             raise UserError(f"expected a folder, found the file {self.path}; choose another --out")
         if resume and not file.exists():
             raise UserError(f"nothing to resume: expected a run in {self.path}, found none")
+        if self.finished and not resume:
+            raise UserError(f"{self.path} holds a finished run; choose another --out")
         if file.exists() and not resume:
             raise UserError(
                 f"{self.path} holds a run already; add --resume or choose another --out"

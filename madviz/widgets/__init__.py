@@ -1,7 +1,9 @@
 """Widgets for notebooks: a policy to play with, functions with sliders, questions before answers.
 
-from madviz.widgets import Explorer
-Explorer("metaworld-hammer-mad-light")
+    from madviz.widgets import Explorer
+    Explorer("metaworld-hammer-mad-light")
+
+Each shows its present state also where a notebook is only displayed, and has no kernel.
 """
 
 from madviz.widgets.explorer import Explorer
