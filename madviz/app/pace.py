@@ -5,11 +5,10 @@ arrives late. With a GPU nobody notices. Without one, a scene that changes four 
 drawn all the time, and the page is as slow as if it had stopped: what a visitor waits for shares
 two cores with pictures that are all the same.
 
-The browser asks for the time twice: when a message comes, and in the drawing loop, to see whether
-250 ms have passed. So this script lets the clock run 250 ms ahead inside that loop, and nowhere
-else. A message is then drawn once. Whatever really comes late, such as a decoded texture, asks for
-a picture of its own; and viser draws one every second in any case. The loop is told from other
-callbacks by what it does: it draws, and it asks for itself. (What mounts the scene draws as well.)
+Whatever changes asks viser for a picture, and viser notes until when it shall go on:
+now + 250 ms. So this script lets the clock run 250 ms late while viser takes that note, and nowhere
+else. A change is then drawn once. Whatever really comes late, such as a decoded texture, asks for a
+picture of its own; and viser draws one every second in any case.
 
 viser also lets messages that concern the scene, and all that come after them, wait until the next
 picture is drawn, unless the page is hidden; then it obeys them when they come. They may do so here:
@@ -25,27 +24,19 @@ from __future__ import annotations
 PACE_SCRIPT = """
 if (!window.madvizPace) {
   window.madvizPace = true;
-  const AHEAD = 260;  // Milliseconds; viser's RENDER_SETTLE_MS is 250.
-  const request = window.requestAnimationFrame.bind(window);
+  const SETTLES = 250;  // Milliseconds; viser's RENDER_SETTLE_MS.
   const now = performance.now.bind(performance);
-  const canvas = WebGL2RenderingContext.prototype, draw = canvas.drawElements;
-  let loop = null, running = null, drew = false, again = false;
-  canvas.drawElements = function (...rest) { drew = true; return draw.apply(this, rest); };
-  const watched = callback => time => {
-    running = callback; drew = again = false;
-    callback(time);
-    running = null;
-    if (drew && again) { loop = callback; canvas.drawElements = draw; }
-  };
-  const paced = callback => time => {
-    performance.now = () => now() + AHEAD;
-    try { callback(time); } finally { delete performance.now; }
-  };
-  window.requestAnimationFrame = callback => {
-    again ||= callback === running;
-    const known = loop !== null;
-    return request(!known ? watched(callback) : callback === loop ? paced(callback) : callback);
-  };
+  const found = setInterval(() => {
+    const viser = window.__viserMutable;  // There when the scene is.
+    if (!viser) return;
+    clearInterval(found);
+    let ask = viser.requestRender;
+    const askOnce = () => {
+      performance.now = () => now() - SETTLES;
+      try { ask(); } finally { delete performance.now; }
+    };
+    Object.defineProperty(viser, 'requestRender', {get: () => askOnce, set: to => { ask = to; }});
+  }, 20);
   const CHANGES = /^(GuiUpdate|SetPosition|SetOrientation|SceneNodeUpdate|SetSceneNodeVis)/;
   const workers = Worker.prototype, post = workers.postMessage;
   workers.postMessage = function (...rest) {

@@ -46,11 +46,31 @@ def test_the_note_that_there_is_no_gpu_goes_by_itself(visit, app: App):
 
 
 DRAWS = """() => new Promise(done => {
-  const canvas = WebGL2RenderingContext.prototype, clear = canvas.clear, ahead = [];
-  canvas.clear = function (...rest) {
-    ahead.push(Object.hasOwn(performance, 'now'));
-    return clear.apply(this, rest);
-  };
+  const canvas = WebGL2RenderingContext.prototype, clear = canvas.clear;
+  const clock = Performance.prototype, now = clock.now, later = performance.now() + 60000;
+  let drawn = 0;
+  canvas.clear = function (...rest) { drawn += 1; return clear.apply(this, rest); };
+  clock.now = () => later;
+  window.__viserMutable.requestRender();
+  setTimeout(() => {
+    canvas.clear = clear;
+    clock.now = now;
+    done(drawn);
+  }, 4000);
+})"""
+"""Pictures of the scene in four seconds, after one that was asked for: viser's clock stands still
+in the next minute, so whatever it would go on drawing for a while is drawn all the time."""
+
+
+def test_the_scene_is_drawn_once_for_each_change(visitor: Visitor):
+    visitor.page.mouse.click(800, 700)
+    visitor.page.keyboard.press(" ")
+    visitor.until("status.phase === 'paused'")
+    drawn = visitor.page.evaluate(DRAWS)
+    assert 1 <= drawn <= 8  # viser itself draws one every second.
+
+
+AT_ONCE = """() => new Promise(done => {
   const define = Object.defineProperty;
   let taken = 0;
   Object.defineProperty = (what, name, how) => {
@@ -58,20 +78,15 @@ DRAWS = """() => new Promise(done => {
     return define(what, name, how);
   };
   setTimeout(() => {
-    canvas.clear = clear;
     Object.defineProperty = define;
-    done([ahead, taken]);
+    done(taken);
   }, 3000);
 })"""
-"""Of each picture of the scene in three seconds: whether viser was told that none need follow;
-and how many changes of the scene did not wait for a picture."""
+"""How many changes of the scene in three seconds did not wait for a picture."""
 
 
-def test_the_scene_is_drawn_once_for_each_change(visitor: Visitor):
-    visitor.page.mouse.click(800, 700)
-    visitor.page.keyboard.press("f")
-    drawn, at_once = visitor.page.evaluate(DRAWS)
-    assert len(drawn) >= 2 and all(drawn) and at_once >= 1
+def test_a_change_of_the_scene_does_not_wait_for_a_picture(visitor: Visitor):
+    assert visitor.page.evaluate(AT_ONCE) >= 1
     assert not visitor.page.evaluate("document.hidden || Object.hasOwn(performance, 'now')")
 
 
