@@ -25,6 +25,7 @@ def write_policy(
     recipe: str = "light",
     merge: str = "sum",
     alpha: float = 0.5,
+    updates: int = 6000,
     seed: int = 1,
     episodes: int = 100,
     first_seed: int = 5000,
@@ -48,6 +49,7 @@ def write_policy(
         "training": {
             "command": f"madviz train --task {task} --method {method} --seed {seed}",
             "alpha": alpha,
+            "updates": updates,
         },
     }
     write_json(path / "config.json", config)

@@ -38,6 +38,8 @@ class Evidence:
     merge: str
     alpha: float | None
     """Weight of the merged feature; None where the config does not say."""
+    updates: int | None
+    """Gradient steps of the training, its budget; None where the config does not say."""
     seed: int
     """Of the training."""
     streams: tuple[str, ...]
@@ -91,6 +93,7 @@ def read_evidence(folder: str | Path) -> Evidence:
         path,
         **{key: config[key] for key in ("name", "task", "method", "setting", "recipe", "merge")},
         alpha=training.get("alpha"),
+        updates=training.get("updates"),
         seed=_seed(training.get("command", "")),
         streams=tuple(config["streams"]),
         command=training.get("command", ""),

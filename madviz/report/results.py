@@ -236,11 +236,27 @@ def _bar_section(verdicts: Sequence[Verdict], remake: str, attempts: dict[str, l
         cells = [_cell(None if row is None else row.rate(column)) for column in THREE]
         name = "–" if row is None else f"`{row.evidence[0].path.name}`"
         lines.append(_line((verdict.task, name, *cells, _cell(verdict.mean), verdict.words)))
+    for suite in dict.fromkeys(task.split("/")[0] for task in TWENTY):
+        whole = _whole(suite, verdicts)
+        cells = [_cell(whole.rate(column)) for column in THREE]
+        label = f"average of {len(whole.tasks)} in {suite}"
+        if len(whole.tasks) > 1:
+            lines.append(_line((label, "", *cells, _cell(whole.mean(THREE)), "")))
     if attempts:
         lines += ["", f"What was tried on the way (`{TRIED}`; weights were not kept):", ""]
         lines += [f"- {task}: {line}" for task, tries in attempts.items() for line in tries]
     used = [e for verdict in verdicts if verdict.row for e in verdict.row.evidence]
     return "\n".join([*lines, "", _commands(used, remake)])
+
+
+def _whole(suite: str, verdicts: Sequence[Verdict]) -> Row:
+    """All of a suite's policies in one row."""
+    whole = Row(suite)
+    for verdict in verdicts:
+        if verdict.row is not None and verdict.task.startswith(f"{suite}/"):
+            for column, cell in verdict.row.cells.items():
+                whole.cells.setdefault(column, {}).update(cell)
+    return whole
 
 
 def _section(table: Table, remake: str) -> str:

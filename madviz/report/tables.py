@@ -10,6 +10,9 @@ several seeds pool by themselves, and an average over tasks is the same code as 
 
 The paper's Single Camera baseline is three trainings, each with one camera; its row takes each
 camera's cell from the policy that has this camera, and has no cell for all cameras.
+
+What was trained for longer is no rival: a task's rows are those of one budget of updates, the one
+that most of them have.
 """
 
 from __future__ import annotations
@@ -127,7 +130,7 @@ class Layout:
     mean_of: tuple[str, ...] = ()
     """Columns of the last one, the mean; none: no such column."""
     needs: int = 1
-    """Rows without which the table would compare nothing."""
+    """Rows without which a task would compare nothing, and stays out."""
     all_alphas: bool = False
     """Whether policies count that differ from a method's usual alpha."""
 
@@ -181,7 +184,7 @@ def _modality(evidence: Evidence) -> str | None:
 
 
 LAYOUTS = (
-    Layout("overall", "Overall robustness", _overall, THREE, THREE),
+    Layout("overall", "Overall robustness", _overall, THREE, THREE, needs=2),
     Layout(
         "components",
         "Component ablation",
@@ -218,15 +221,15 @@ class Table:
 
 
 def build(layout: Layout, evidence: Sequence[Evidence]) -> list[Table]:
-    """The tables of one layout, one for each suite that has enough rows."""
+    """The tables of one layout, one for each suite with a task that has enough rows."""
     pool = list(evidence) if layout.all_alphas else usual_alphas(evidence)
     chosen = [(label, each) for each in pool if (label := layout.label(each))]
+    tasks = {each.task for _, each in chosen}
+    chosen = [pair for task in sorted(tasks) for pair in _rivals(layout, task, chosen)]
     tables = []
     for suite in sorted({each.task.split("/")[0] for _, each in chosen} & SUITES):
         mine = [(label, each) for label, each in chosen if each.task.startswith(f"{suite}/")]
         labels = sorted({label for label, _ in mine}, key=_rank)
-        if len(labels) < layout.needs:
-            continue
         columns, mean_of = _columns(layout, [each for _, each in mine])
         rows = [
             (
@@ -242,6 +245,22 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[Table]:
         rows = [(task, row) for task, row in rows if row.cells]
         tables.append(Table(layout, suite, columns, mean_of, tuple(rows), tuple(averages)))
     return tables
+
+
+def _rivals(
+    layout: Layout, task: str, chosen: Sequence[tuple[str, Evidence]]
+) -> list[tuple[str, Evidence]]:
+    """Rows of a task that can be compared: of one budget, and enough of them."""
+    here = [(label, each) for label, each in chosen if each.task == task]
+    kept = []
+    for recipe in sorted({each.recipe for _, each in here}):
+        mine = [(label, each) for label, each in here if each.recipe == recipe]
+        rows: dict[int, set[str]] = {}
+        for label, each in mine:
+            rows.setdefault(each.updates or 0, set()).add(label)
+        budget = max(rows, key=lambda updates: (len(rows[updates]), updates))
+        kept += [pair for pair in mine if (pair[1].updates or 0) == budget]
+    return kept if len({label for label, _ in kept}) >= layout.needs else []
 
 
 def _columns(layout: Layout, mine: list[Evidence]) -> tuple[tuple[str, ...], tuple[str, ...]]:
