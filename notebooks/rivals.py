@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from madviz.teaching_rivals import RIVALS, keep, take_away, train_rival
+from madviz.teaching.rivals import RIVALS, keep, take_away, train_rival
 
 FILE = Path(__file__).resolve().parent / "measured" / "rivals.json"
 

@@ -17,7 +17,7 @@ from madviz.agent.methods import METHODS
 from madviz.checkpoint import find_policy
 from madviz.recipes.light import LightConfig
 from madviz.streams import StreamStack
-from madviz.teaching_inside import (
+from madviz.teaching.inside import (
     mean_gap,
     norm_curves,
     report,
@@ -26,7 +26,7 @@ from madviz.teaching_inside import (
     success_worths,
     worth_curves,
 )
-from madviz.teaching_lessons import (
+from madviz.teaching.lessons import (
     action_gaps,
     answers,
     camera_sheet,
@@ -42,7 +42,7 @@ from madviz.teaching_lessons import (
     untrained,
     width_table,
 )
-from madviz.teaching_show import LABEL, bars, curves, sheet, source, table
+from madviz.teaching.show import LABEL, bars, curves, sheet, source, table
 from madviz.train import TrainConfig
 from madviz.types import UserError
 from tests.fakes import AllOrNothing, FakePolicy

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from madviz import teaching, teaching_rivals
+from madviz import teaching
 from madviz.agent.methods import METHODS
 from madviz.agent.supports import SUPPORTS
 from madviz.statistics import pair
 from madviz.subsets import mask_of
-from madviz.teaching_lessons import untrained
-from madviz.teaching_rivals import (
+from madviz.teaching import rivals
+from madviz.teaching.lessons import untrained
+from madviz.teaching.rivals import (
     CAMERAS,
     EPISODES,
     RIVALS,
@@ -57,13 +58,13 @@ def test_what_a_policy_refuses_is_not_there() -> None:
 
 def test_a_camera_that_was_never_there_can_go(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[str, dict]] = []
-    whole = teaching_rivals.evaluate
+    whole = rivals.evaluate
 
     def evaluate(policy, subsets, **options):
         asked.append((*subsets, options["occlusions"]))
         return whole(policy, subsets, **options)
 
-    monkeypatch.setattr(teaching_rivals, "evaluate", evaluate)
+    monkeypatch.setattr(rivals, "evaluate", evaluate)
     found = take_away(untrained("single"), episodes=1)
     assert [(subset, list(black)) for subset, black in asked] == [
         ("first", []),
@@ -96,7 +97,7 @@ def test_a_camera_goes_in_the_way_that_suits_the_method() -> None:
         "concat": {"all": "11", **black},
         "sum": {"all": "11", **black, "first dropped": "10"},
     }
-    best = teaching_rivals.at_best(measured)
+    best = rivals.at_best(measured)
     assert [best[name]["first gone"] for name in measured] == ["00", "10"]
     assert list(best["sum"]) == ["all", "first gone", "third_a gone", "third_b gone"]
 

@@ -35,7 +35,7 @@ from madviz.session.frame import Failure, Frame
 from madviz.session.session import EnvFactory, Session
 from madviz.subsets import modality_of
 from madviz.teaching import begin
-from madviz.teaching_show import jpeg
+from madviz.teaching.show import jpeg
 from madviz.types import CameraSpec, Environment, Policy, UserError
 from madviz.widgets.shown import Shown
 from madviz.widgets.table import table_html, words_html

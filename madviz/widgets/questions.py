@@ -8,7 +8,7 @@ from typing import Any
 
 import ipywidgets
 
-from madviz.teaching_show import Draws, Words
+from madviz.teaching.show import Draws, Words
 from madviz.types import UserError
 from madviz.widgets.shown import Shown
 
@@ -21,7 +21,7 @@ class TryOut(Shown):
     """
 
     def __init__(self, draw: Draws, **choices: Any) -> None:
-        """``draw`` returns something of ``madviz.teaching_show``."""
+        """``draw`` returns something of ``madviz.teaching.show``."""
         self.controls = {name: control_for(value) for name, value in choices.items()}
         self._draw, self._drawn = draw, ipywidgets.HTML()
         for name, control in self.controls.items():

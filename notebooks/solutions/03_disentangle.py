@@ -7,7 +7,7 @@
 
 # %%
 from madviz import teaching
-from madviz.teaching_lessons import measure
+from madviz.teaching.lessons import measure
 
 teaching.begin()
 singular = teaching.train_small("singular-only", rounds=6, updates=100)

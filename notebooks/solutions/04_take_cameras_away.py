@@ -3,7 +3,7 @@
 
 # %%
 from madviz.statistics import Paired
-from madviz.teaching_show import table
+from madviz.teaching.show import table
 
 best = Paired(both=7, first_only=2, second_only=0, neither=1)
 worst = Paired(both=6, first_only=3, second_only=1, neither=0)

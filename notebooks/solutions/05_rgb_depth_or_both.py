@@ -6,7 +6,7 @@ import numpy as np
 
 import madviz
 from madviz import teaching
-from madviz.teaching_show import table
+from madviz.teaching.show import table
 
 teaching.begin()
 policy = madviz.load_policy("metaworld-hammer-mad-three-rgbd-light")

@@ -5,8 +5,8 @@
 import numpy as np
 
 from madviz import teaching
-from madviz.teaching_lessons import untrained
-from madviz.teaching_show import table
+from madviz.teaching.lessons import untrained
+from madviz.teaching.show import table
 
 teaching.begin()
 mad, concat = untrained("mad"), untrained("concat")

@@ -7,8 +7,8 @@ from itertools import permutations
 import madviz
 from madviz import teaching
 from madviz.subsets import mask_of, name_of
-from madviz.teaching_inside import success_worths
-from madviz.teaching_show import table
+from madviz.teaching.inside import success_worths
+from madviz.teaching.show import table
 
 name = "metaworld-hammer-merged-only-light"
 streams = madviz.load_policy(name).spec.streams

@@ -9,7 +9,7 @@ from madviz import teaching
 from madviz.ablations import Ablation, CameraState
 from madviz.session.commands import SetCamera
 from madviz.session.simulation import Simulation
-from madviz.teaching_show import table
+from madviz.teaching.show import table
 
 teaching.begin()
 policy = madviz.load_policy("metaworld-hammer-merged-only-light")

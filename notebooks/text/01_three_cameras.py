@@ -22,8 +22,8 @@
 import madviz
 from madviz import teaching
 from madviz.agent.networks import Encoder
-from madviz.teaching_lessons import camera_sheet, feature_sheet, measure, stack_sheet, state_table
-from madviz.teaching_show import source, table
+from madviz.teaching.lessons import camera_sheet, feature_sheet, measure, stack_sheet, state_table
+from madviz.teaching.show import source, table
 from madviz.widgets import Explorer, Predict
 
 teaching.begin()

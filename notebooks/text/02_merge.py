@@ -28,7 +28,7 @@ from madviz import teaching
 from madviz.agent.merge import merge_sum
 from madviz.agent.networks import FEATURE_SIZE
 from madviz.subsets import every_mask
-from madviz.teaching_lessons import (
+from madviz.teaching.lessons import (
     answers,
     count_views,
     lengths_by_views,
@@ -36,7 +36,7 @@ from madviz.teaching_lessons import (
     subset_table,
     untrained,
 )
-from madviz.teaching_show import source, table
+from madviz.teaching.show import source, table
 from madviz.widgets import Explorer, Predict
 
 teaching.begin()

@@ -25,8 +25,8 @@ from madviz.agent import objectives
 from madviz.agent.methods import method
 from madviz.recipes import light
 from madviz.statistics import pair
-from madviz.teaching_lessons import camera_sheet, subset_table
-from madviz.teaching_show import curves, source, table
+from madviz.teaching.lessons import camera_sheet, subset_table
+from madviz.teaching.show import curves, source, table
 from madviz.widgets import Explorer, Predict
 
 teaching.begin()

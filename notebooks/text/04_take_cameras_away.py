@@ -19,13 +19,13 @@ import madviz
 from madviz import teaching
 from madviz.ablations import Occlusion
 from madviz.statistics import pair
-from madviz.teaching_lessons import (
+from madviz.teaching.lessons import (
     interval_figure,
     measure,
     occlusion_sheet,
     width_table,
 )
-from madviz.teaching_show import table
+from madviz.teaching.show import table
 from madviz.widgets import Explorer, Predict, TryOut
 
 teaching.begin()

@@ -21,14 +21,14 @@
 import madviz
 from madviz import teaching
 from madviz.streams import depth_code
-from madviz.teaching_lessons import (
+from madviz.teaching.lessons import (
     action_gaps,
     camera_sheet,
     feature_sheet,
     measure,
     subset_table,
 )
-from madviz.teaching_show import bars, source, table
+from madviz.teaching.show import bars, source, table
 from madviz.widgets import Explorer, Predict
 
 teaching.begin()

@@ -27,8 +27,8 @@ from madviz.agent.bottleneck import kl_loss
 from madviz.agent.contrast import drawn
 from madviz.agent.merge import concatenated, stacked_pixels
 from madviz.agent.per_view import mean_of_present
-from madviz.teaching_lessons import answers, support_table, untrained
-from madviz.teaching_rivals import (
+from madviz.teaching.lessons import answers, support_table, untrained
+from madviz.teaching.rivals import (
     CAMERAS,
     at_best,
     averaged_heads,
@@ -43,7 +43,7 @@ from madviz.teaching_rivals import (
     train_rival,
     unmoved,
 )
-from madviz.teaching_show import source
+from madviz.teaching.show import source
 from madviz.widgets import Explorer, Predict
 
 teaching.begin()

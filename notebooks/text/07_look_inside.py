@@ -24,7 +24,7 @@ from pathlib import Path
 import madviz
 from madviz import teaching
 from madviz.shapley import action_worth
-from madviz.teaching_inside import (
+from madviz.teaching.inside import (
     mean_gap,
     norm_curves,
     record,
@@ -34,8 +34,8 @@ from madviz.teaching_inside import (
     success_worths,
     worth_curves,
 )
-from madviz.teaching_lessons import camera_sheet
-from madviz.teaching_show import source
+from madviz.teaching.lessons import camera_sheet
+from madviz.teaching.show import source
 from madviz.widgets import Explorer, Predict, Viewer
 
 teaching.begin()

@@ -21,8 +21,8 @@
 
 # %%
 from madviz import teaching
-from madviz.teaching_lessons import interval_figure
-from madviz.teaching_show import table
+from madviz.teaching.lessons import interval_figure
+from madviz.teaching.show import table
 from madviz.widgets import Predict, TryOut, live_page
 
 teaching.begin()

@@ -1,6 +1,6 @@
 """One function for each thing that a lesson draws or counts; the words are in the notebooks.
 
-They take moments, policies or counts and return what draws itself (``madviz.teaching_show``), so
+They take moments, policies or counts and return what draws itself (``madviz.teaching.show``), so
 that a cell is one line and its result also fits into a widget's place.
 """
 
@@ -23,7 +23,7 @@ from madviz.statistics import wilson
 from madviz.streams import depth_code
 from madviz.subsets import every_mask, name_of
 from madviz.teaching import Moment, counts, frames_of, moments
-from madviz.teaching_show import MARK, Figure, Picture, Table, bars, presence, sheet, table
+from madviz.teaching.show import MARK, Figure, Picture, Table, bars, presence, sheet, table
 from madviz.types import Array, Policy, PolicySpec, UserError
 
 # What a policy sees.

@@ -33,7 +33,7 @@ from madviz.files import read_json, write_json
 from madviz.statistics import wilson
 from madviz.subsets import mask_of
 from madviz.teaching import Moment, SmallRun, train_small
-from madviz.teaching_show import Figure, Table, bars, table
+from madviz.teaching.show import Figure, Table, bars, table
 from madviz.types import Array, Policy, UserError
 
 CAMERAS = ("first", "third_a", "third_b")

@@ -22,7 +22,7 @@ from madviz.statistics import wilson
 from madviz.subsets import camera_of, mask_of
 from madviz.svg_curves import curves
 from madviz.teaching import Moment, frames_of
-from madviz.teaching_show import Figure, Picture, Table, sheet, table
+from madviz.teaching.show import Figure, Picture, Table, sheet, table
 from madviz.types import UserError
 
 MERGED = "#222222"

@@ -1,0 +1,91 @@
+"""Successes in words, tables and bars: always with their number of episodes and an interval."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from madviz import checkpoint
+from madviz.statistics import pair, wilson
+from madviz.teaching.show import Figure, Table, Words, bars, table
+from madviz.types import UserError
+
+
+def in_words(successes: int, n: int) -> Words:
+    """``8 of 10 = 0.80, 95% interval [0.49, 0.94]``."""
+    low, high = wilson(successes, n)
+    rate = successes / n if n else float("nan")
+    return Words(f"{successes} of {n} = {rate:.2f}, 95% interval [{low:.2f}, {high:.2f}]")
+
+
+def counts(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[int, int]]:
+    """Subset -> (successes, episodes), from the rows of an evaluation or of evaluation.json."""
+    return {name: (round(row["success"] * row["n"]), row["n"]) for name, row in rows.items()}
+
+
+def shipped(policy: str) -> dict[str, tuple[int, int]]:
+    """Subset -> (successes, episodes) of a policy's evaluation.json: measured before, not here.
+
+    Raises UserError where the policy has none.
+    """
+    found = checkpoint.shipped_evaluation(checkpoint.find_policy(policy))
+    if found is None:
+        raise UserError(f"{policy}: expected an evaluation.json; make one: madviz eval --card")
+    return counts(found["subsets"])
+
+
+def shipped_outcomes(policy: str, subset: str) -> dict[int, bool]:
+    """Seed -> success of a policy's evaluation.json, for ``statistics.pair``."""
+    found = checkpoint.shipped_evaluation(checkpoint.find_policy(policy)) or {"episodes": []}
+    return {e["seed"]: e["success"] for e in found["episodes"] if e["subset"] == subset}
+
+
+def shipped_on(task: str) -> dict[str, dict[str, tuple[int, int]]]:
+    """Policy -> its shipped counts, for all that ship for ``task`` with three colour cameras."""
+    found = {}
+    for name, folder in sorted(checkpoint.policy_folders().items()):
+        spec = checkpoint.describe(folder).spec
+        if spec.task == task and spec.setting == "three" and checkpoint.shipped_evaluation(folder):
+            found[name] = shipped(name)
+    return found
+
+
+def success_table(measured: Mapping[str, Mapping[str, tuple[int, int]]]) -> Table:
+    """A row per subset, and for each of ``measured`` its rate, interval and count."""
+    names = dict.fromkeys(name for one in measured.values() for name in one)
+    rows = []
+    for name in names:
+        cells = []
+        for one in measured.values():
+            if name in one:
+                low, high = wilson(*one[name])
+                rate = one[name][0] / one[name][1]
+                cells.append(f"{rate:.2f} [{low:.2f}, {high:.2f}] n={one[name][1]}")
+            else:
+                cells.append("not measured")
+        rows.append([name, *cells])
+    return table(["cameras", *measured], rows)
+
+
+def success_bars(title: str, measured: Mapping[str, Mapping[str, tuple[int, int]]]) -> Figure:
+    """Success by subset, with Wilson intervals; only subsets that all of ``measured`` have."""
+    first, *others = measured.values()
+    groups = [name for name in first if all(name in other for other in others)]
+    series = {name: [one[group] for group in groups] for name, one in measured.items()}
+    return bars(title, groups, series)
+
+
+def paired_table(
+    names: tuple[str, str], outcomes: Mapping[str, tuple[Mapping[int, bool], Mapping[int, bool]]]
+) -> Table:
+    """Two policies on the scenes that both met (seed -> success, twice), a row for each subset:
+    how they came out, and the difference of their rates with its interval."""
+    rows = []
+    for subset, (first, second) in outcomes.items():
+        met = pair(first, second)
+        low, high = met.interval()
+        difference = f"{met.difference:+.2f} [{low:+.2f}, {high:+.2f}] n={met.n}"
+        counted = (met.both, met.first_only, met.second_only, met.neither)
+        rows.append([subset, *counted, difference])
+    only = [f"only {name}" for name in names]
+    return table(["cameras", "both", *only, "neither", " - ".join(names)], rows)

@@ -1,0 +1,116 @@
+"""Trainings of a lesson: real ones, small on ``toy/reach`` or of the light recipe's own size.
+
+They are kept in a folder, and what is there already is not trained again: a lesson that is run a
+second time has its policies at once.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from madviz import checkpoint
+from madviz.teaching.episode import begin
+from madviz.types import Policy, PolicySpec, UserError
+
+if TYPE_CHECKING:
+    from madviz.recipes.light import LightConfig
+
+
+@dataclass(frozen=True)
+class SmallRun:
+    """A training of a lesson."""
+
+    folder: Path
+    policy: Policy
+    seconds: float
+    """Wall time; 0 where it was there already."""
+    curve: tuple[Mapping[str, Any], ...]
+    """One row per round, as in curve.csv."""
+
+    @property
+    def spec(self) -> PolicySpec:
+        return self.policy.spec
+
+
+def train_small(
+    method: str,
+    *,
+    rounds: int = 8,
+    updates: int = 100,
+    critic: int = 100,
+    camera: str = "",
+    task: str = "toy/reach",
+    folder: Path | str | None = None,
+    seed: int = 1,
+) -> SmallRun:
+    """Trains ``method`` with the light recipe and small numbers: about a minute on ``toy/reach``.
+
+    ``rounds`` of ``updates`` shape what the policy does, ``critic`` updates the Q it shows. For the
+    rest see ``train_light``.
+    """
+    from madviz.recipes.light import LightConfig
+
+    light = LightConfig(rounds=rounds, updates_per_round=updates, batch_size=32, hidden_dim=128)
+    light = replace(light, critic_updates=critic)
+    return train_light(task, method, light, camera=camera, folder=folder, seed=seed)
+
+
+def train_light(
+    task: str,
+    method: str,
+    light: LightConfig | None = None,
+    *,
+    camera: str = "",
+    folder: Path | str | None = None,
+    seed: int = 1,
+) -> SmallRun:
+    """Trains with the light recipe, as ``madviz train`` does; ``light`` None is its own size.
+
+    A run that is there already is loaded and not repeated, and one that was interrupted goes on.
+    ``folder`` is where runs are kept, by default a temporary one of this user. Raises UserError for
+    unknown names, and where the training is stopped before its end.
+    """
+    from madviz.recipes.light import LightConfig
+    from madviz.sweep.run import trained
+    from madviz.train import TrainConfig, train
+
+    begin()
+    light = light or LightConfig()
+    config = TrainConfig(task=task, method=method, camera=camera, seed=seed, light=light)
+    root = Path(folder) if folder else Path(tempfile.gettempdir()) / "madviz-lessons"
+    own = sha256(repr(light).encode()).hexdigest()[:6]
+    out = root / f"{config.policy_name()}-{light.rounds}x{light.updates_per_round}-{own}-{seed}"
+    began, done = time.monotonic(), trained(out)
+    if not done:
+        resume = (out / "resume" / "run.json").exists()
+        train(replace(config, out=out, resume=resume), _say)
+        if not trained(out):
+            raise UserError(
+                "expected a finished training, found one that was stopped; "
+                "run the cell again, and it goes on where it was"
+            )
+    seconds = 0.0 if done else time.monotonic() - began
+    return SmallRun(out, checkpoint.load_policy(out), seconds, _read_curve(out / "curve.csv"))
+
+
+def _say(event: dict[str, Any]) -> None:
+    """One line that grows, so that a class sees the training go on."""
+    if event["kind"] == "curve":
+        minutes = round(event["seconds_left"] / 60)
+        left = f" ({minutes} min to go)" if minutes > 1 else ""
+        print(f"round {event['round']}: loss {event['loss']:.3f}{left}", end="  ", flush=True)
+
+
+def _read_curve(file: Path) -> tuple[Mapping[str, Any], ...]:
+    import csv
+
+    with file.open(newline="") as handle:
+        return tuple(
+            {key: float(v or "nan") for key, v in row.items()} for row in csv.DictReader(handle)
+        )
