@@ -182,7 +182,7 @@ def test_who_leaves_before_their_page_starts_leaves_nothing_to_listen(monkeypatc
 
         monkeypatch.setattr(Page, "start", late)
         lobby.join(browser)
-        assert them.sessions == 0 and them._shared[1]._listeners == ()
+        assert them.sessions == 0 and them._shared.rates._listeners == ()
 
 
 def test_a_page_that_is_closed_stops_drawing():
@@ -204,7 +204,7 @@ def test_a_panel_that_cannot_be_built_is_tried_once_and_said(monkeypatch):
         tries.append(1)
         raise RuntimeError("no such widget")
 
-    monkeypatch.setattr("madviz.app.page.KeepPanel", broken)
+    monkeypatch.setattr("madviz.app.panels.KeepPanel", broken)
     with users(cap=1) as (them, lobby, made):
         lobby.come(1)
         made[0].send(SetSpeed(None))
@@ -247,7 +247,8 @@ def test_tables_make_way_for_somebody_who_has_touched_a_camera(monkeypatch):
         assert frame is not None
         page._drawing.acquire()  # Nobody else draws from here on.
         looks.clear()
-        for shown in page._shown:
+        assert page._panels is not None
+        for shown in page._panels.shown:
             shown.done, shown.number = -1e9, 0
         page._hurried.set()
         page._push(frame, time.monotonic())

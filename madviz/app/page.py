@@ -15,87 +15,24 @@ import logging
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from html import escape
 
 import viser
 
-from madviz.ablations import CameraState
-from madviz.app.arrows import ArrowsPanel
-from madviz.app.cameras import CamerasPanel
 from madviz.app.draw import DRAW_SCRIPT
-from madviz.app.failures import FailuresPanel
-from madviz.app.features import FeaturesPanel
-from madviz.app.keep import KeepPanel
-from madviz.app.move import MovePanel
 from madviz.app.pace import PACE_SCRIPT
-from madviz.app.panel import Panel, apply
-from madviz.app.policy import PolicyChoice, PolicyPanel
-from madviz.app.projection import MapPanel
-from madviz.app.saliency import SaliencyPanel
-from madviz.app.scene import ScenePanel, extent
+from madviz.app.panel import apply
+from madviz.app.panels import FASTEST, Panels, Shared
 from madviz.app.screen import SCREEN_SCRIPT
-from madviz.app.subsets import SubsetsPanel
-from madviz.app.success import Rates, SuccessPanel, WordsPanel
-from madviz.app.timeline import TimelinePanel
-from madviz.app.toolkit import (
-    LEFT_WIDTH,
-    LEFT_WIDTH_WIDE,
-    STYLE,
-    commands,
-    dock,
-    run_layout,
-    run_script,
-    window_is_wide,
-)
-from madviz.app.tour import Tour
-from madviz.app.training import TrainingPanel
-from madviz.app.versus import VersusPanel
-from madviz.app.worth import WorthPanel
-from madviz.recipes.training_job import TrainingJob
-from madviz.saliency import Target
-from madviz.session.commands import (
-    Command,
-    Pause,
-    Play,
-    Reset,
-    SetCamera,
-    SetSaliency,
-    SetSpeed,
-    StepOnce,
-)
-from madviz.session.frame import Change, Failure, Frame, untouched
+from madviz.app.toolkit import STYLE, run_layout, run_script, window_is_wide
+from madviz.session.frame import Change, Failure, Frame
 from madviz.session.session import Session
 
-FASTEST = 1 / 40
-"""Seconds between two frames that are shown: more would be wasted on a browser."""
 AFTER = 0.1
 """Seconds after which tables, curves and the scene follow when something was touched; at full speed
 they keep to their own times, or they would be in the way of the next touch."""
 
 log = logging.getLogger(__name__)
-
-
-@dataclass
-class Shown:
-    """A panel, and how often it is brought up to date while nothing is touched."""
-
-    panel: Panel
-    period: float
-    """Seconds."""
-    done: float = -1e9
-    number: int = 0
-    """The last frame it showed."""
-
-    def patience(self, frame: Frame) -> float:
-        """Seconds between two updates. At full speed, what is not watched all the time waits twice
-        as long: the machine is wanted for the simulator and the pictures."""
-        return self.period * (2 if frame.speed is None and self.period > FASTEST else 1)
-
-    def due(self, frame: Frame) -> float:
-        """When it is brought up to date next."""
-        return self.done + self.patience(frame)
 
 
 class Page:
@@ -105,24 +42,18 @@ class Page:
         self,
         client: viser.ClientHandle,
         session: Session,
-        choices: Sequence[PolicyChoice],
-        rates: Rates,
-        job: TrainingJob,
+        shared: Shared,
         notice: str = "",
         readonly: bool = False,
     ) -> None:
-        self.client, self.session = client, session
-        self._choices, self._rates, self._job = choices, rates, job
+        self.client, self.session, self._shared = client, session, shared
         self._notice, self._readonly = notice, readonly
         self._wide = window_is_wide(client)
         self._waiting: viser.GuiHtmlHandle | None = None
-        self._extras: list = []
-        self._shown: list[Shown] = []
+        self._panels: Panels | None = None
         self._wanted: object = None
-        self._built: object = None
-        """The task and cameras whose panels were to be built, and were."""
+        """The task and cameras whose panels were to be built last."""
         self._reported = ""
-        self._curves: FeaturesPanel | None = None
         self._touched: object = None
         self._expected: Change | None = None
         self._drawing = threading.Lock()
@@ -141,7 +72,7 @@ class Page:
             self._waiting = self.client.gui.add_html(waiting_html("The simulator is starting."))
             self._thread.start()
             self.session.subscribe(self.show)
-            self._rates.subscribe(self.poke)
+            self._shared.rates.subscribe(self.poke)
 
     def show(self, frame: Frame | Failure) -> None:
         """Takes a frame, from any thread; an older one that was not shown yet is forgotten. If it
@@ -151,7 +82,7 @@ class Page:
         change = frame.change if isinstance(frame, Frame) else None
         fresh = change is not None and change is not self._expected and not self._readonly
         self._expected = change
-        if fresh and self._built is not None:
+        if fresh and self._panels is not None:
             self._hurried.set()
             self._draw()
             self._hurried.clear()
@@ -159,7 +90,7 @@ class Page:
 
     def poke(self) -> None:
         """Shows the newest frame again: something beside it has changed."""
-        for shown in self._shown:
+        for shown in self._panels.shown if self._panels else ():
             shown.number = 0
         self._wake.set()
 
@@ -168,11 +99,11 @@ class Page:
         with self._beginning:
             self._closing.set()
         self.session.unsubscribe(self.show)
-        self._rates.unsubscribe(self.poke)
+        self._shared.rates.unsubscribe(self.poke)
         self._wake.set()
         if self._thread.is_alive():
             self._thread.join(5.0)
-        self._rates.forget(self.client.client_id)
+        self._shared.rates.forget(self.client.client_id)
 
     def clear(self) -> None:
         """Takes everything off the page, after ``close``."""
@@ -182,11 +113,9 @@ class Page:
 
     def _strip(self) -> None:
         """Takes panels and scene off the page."""
-        for shown in self._shown:
-            shown.panel.remove()
-        for handle in self._extras:
-            handle.remove()
-        self._shown, self._extras = [], []
+        panels, self._panels = self._panels, None
+        if panels is not None:
+            panels.remove()
 
     # The page's own thread.
 
@@ -214,7 +143,7 @@ class Page:
     def _forgive(self) -> None:
         """Takes back what ``_report`` said: a later frame was shown, nothing is broken."""
         if (
-            self._built is not None
+            self._panels is not None
             and self._reported
             and self._waiting is not None
             and isinstance(self._newest, Frame)
@@ -237,19 +166,18 @@ class Page:
             return None
         wanted = (frame.env.task, frame.env.cameras)
         if wanted != self._wanted:  # Once: what cannot be built now cannot at the next frame.
-            self._wanted, self._built = wanted, None
+            self._wanted = wanted
             self._build(frame)
-            self._built = wanted
-        if self._built is None:
+        panels = self._panels
+        if panels is None:
             return None
-        assert self._curves is not None
         if not frame.past:
-            self._curves.note(frame)
+            panels.curves.note(frame)
         urgent = self._touched != (frame.change, frame.policy, frame.phase, frame.error)
         self._touched = (frame.change, frame.policy, frame.phase, frame.error)
-        due = [s for s in self._shown if s.number != frame.number]
+        due = [s for s in panels.shown if s.number != frame.number]
         if urgent:  # What somebody waits for goes ahead of the rest.
-            for shown in self._shown:
+            for shown in panels.shown:
                 rest = now + AFTER - shown.patience(frame)
                 shown.done = rest if frame.speed is not None else max(shown.done, rest)
         ready = [s for s in due if (urgent and s.period <= FASTEST) or now >= s.due(frame)]
@@ -269,108 +197,17 @@ class Page:
 
     def _build(self, frame: Frame) -> None:
         self._strip()
-        client, gui = self.client, self.client.gui
-        send = None if self._readonly else self.session.send
-        visitor = None if self._readonly else client.client_id
         assert self._waiting is not None
         self._waiting.content = waiting_html(self._notice) if self._notice else ""
-        run_layout(client)
-        run_script(client, SCREEN_SCRIPT)
-        run_script(client, DRAW_SCRIPT)
-        run_script(client, PACE_SCRIPT)
-        with client.atomic():
-            tour = Tour(client, send, lambda: self._newest, self._choices, self._keys(frame))
-            policy = PolicyPanel(gui, send, frame, self._choices)
-            success = SuccessPanel(gui, frame, self._rates, visitor)
-            dockable = dock(client, self._wide)
-            with dockable.add_tab("Cameras", viser.Icon.CAMERA):
-                width = (LEFT_WIDTH_WIDE if self._wide else LEFT_WIDTH) - 18
-                cameras = CamerasPanel(gui, send, frame, width)
-                words = WordsPanel(gui, frame, self._rates)
-                tabs = gui.add_tab_group()
-            tabbed = self._build_tabs(tabs, send, frame)
-            self._extras = [dockable, tour, *commands(client, self._shortcuts(frame))]
-        self._shown = [
-            *(Shown(cameras, FASTEST), Shown(policy, FASTEST), Shown(words, FASTEST)),
-            *(*tabbed, Shown(success, 0.5)),
-            Shown(ScenePanel(client, frame, None if self._readonly else self._toggle), 0.05),
-            Shown(ArrowsPanel(client, frame, extent(frame)), 0.25),
-        ]
-
-    def _build_tabs(
-        self, tabs: viser.GuiTabGroupHandle, send: Callable[[Command], None] | None, frame: Frame
-    ) -> list[Shown]:
-        """What stands under the cameras, a tab each. Names are short: ten fit into one row."""
-        gui, wide = self.client.gui, self._wide
-        explain = self._explain if send else None
-        table: list[tuple[str, list[tuple[Callable[[], Panel], float]]]] = [
-            ("Features", [(lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25)]),
-            ("Subsets", [(lambda: SubsetsPanel(gui, frame), 0.5)]),
-            ("Worth", [(lambda: WorthPanel(gui, frame, self._rates), 0.5)]),
-            (
-                "Inside",
-                [
-                    (lambda: SaliencyPanel(gui, explain, frame), 0.25),
-                    (lambda: MapPanel(gui, frame, 330 if wide else 170), 0.4),
-                ],
-            ),
-            ("Move", [(lambda: MovePanel(gui, send, frame, self.client.scene), 0.25)]),
-            ("Timeline", [(lambda: TimelinePanel(gui, send, frame), 0.5)]),
-            ("A/B", [(lambda: VersusPanel(gui, send, frame, self._choices), 0.5)]),
-            ("Failures", [(lambda: FailuresPanel(gui, send, frame), 0.5)]),
-            ("Train", [(lambda: TrainingPanel(gui, send, frame, self._job), 1.0)]),
-            ("Keep", [(lambda: KeepPanel(gui, self.session.keep, frame), 1.0)]),
-        ]
-        shown = []
-        for name, panels in table:
-            with tabs.add_tab(name):
-                shown += [Shown(build(), period) for build, period in panels]
-        self._curves = next(s.panel for s in shown if isinstance(s.panel, FeaturesPanel))
-        return shown
-
-    def _explain(self, target: Target | None) -> None:
-        self.session.send(SetSaliency(target))
-
-    def _toggle(self, camera: str) -> None:
-        """Drops a camera, or takes it back in the modalities the policy knows."""
-        frame = self._newest
-        if isinstance(frame, Frame):
-            state = frame.camera(camera)
-            back = untouched(frame.policy).input
-            switch = back if state.input == "off" else "off"
-            self.session.send(SetCamera(camera, CameraState(switch, state.occlusion)))
-
-    def _keys(self, frame: Frame) -> list[tuple[str, str]]:
-        """Keys and what they do, for the help."""
-        return [(key, label) for label, key, _ in self._shortcuts(frame)]
-
-    def _shortcuts(self, frame: Frame) -> list[tuple[str, str, Callable[[], None]]]:
-        if self._readonly:
-            return []
-        send = self.session.send
-        table: list[tuple[str, str, Callable[[], None]]] = [
-            ("Play or pause", "space", self._play_or_pause),
-            ("One step", "S", lambda: send(StepOnce())),
-            ("Same seed again", "R", lambda: send(Reset())),
-            ("Next seed", "N", lambda: send(Reset(next_seed=True))),
-            ("Full speed", "F", lambda: send(SetSpeed(None))),
-            ("Normal speed", "G", lambda: send(SetSpeed(10.0))),
-        ]
-        for index, camera in enumerate(frame.env.cameras):
-            name = camera.name
-            table.append(
-                (
-                    f"Drop {camera.label}, or take it back",
-                    str(index + 1),
-                    lambda name=name: self._toggle(name),
-                )
+        run_layout(self.client)
+        for script in (SCREEN_SCRIPT, DRAW_SCRIPT, PACE_SCRIPT):
+            run_script(self.client, script)
+        with self.client.atomic():
+            self._panels = Panels(
+                *(self.client, self.session, self._shared, frame, lambda: self._newest),
+                wide=self._wide,
+                readonly=self._readonly,
             )
-        return table
-
-    def _play_or_pause(self) -> None:
-        frame = self._newest
-        playing = isinstance(frame, Frame) and frame.phase == "playing"
-        self.session.send(Pause() if playing else Play())
 
 
 def waiting_html(text: str, error: str = "") -> str:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import viser
 
 from madviz.app.page import Page, waiting_html
+from madviz.app.panels import Shared
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.processes import give_back
@@ -68,7 +69,7 @@ class Users:
         """``cap`` simulations and ``watchers`` seats beside them. ``presents`` tells the presenter
         from the others; None: there is no presenter."""
         self._server, self._new_session = server, new_session
-        self._shared = (choices, rates, job)
+        self._shared = Shared(choices, rates, job)
         self._cap, self._most_watchers, self._presents = cap, watchers, presents
         self._seats: dict[int, Seat] = {}
         self._standing: dict[int, tuple[viser.ClientHandle, viser.GuiHtmlHandle]] = {}
@@ -107,7 +108,7 @@ class Users:
             if place is not None:
                 session, owner = place
                 page = Page(
-                    *(client, session, *self._shared),
+                    *(client, session, self._shared),
                     notice="" if owner else self._watching_words(),
                     readonly=not owner,
                 )

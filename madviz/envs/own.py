@@ -86,7 +86,8 @@ def cameras_in_place(
         if camera.name not in places or replace(places[camera.name], size=camera.size) != camera:
             raise UserError(
                 f"{task} has the cameras {', '.join(places)} where they are, and no others; found "
-                f"{camera.name!r} placed elsewhere: use a Meta-World task"
+                f"{camera.name!r} placed elsewhere; leave it out, or take a task of Meta-World or "
+                "ManiSkill"
             )
     places |= {camera.name: camera for camera in given}
     return tuple(places.values())

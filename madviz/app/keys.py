@@ -1,0 +1,74 @@
+"""What the keys of a page do, for the browser, its command palette and the help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from madviz.ablations import CameraState
+from madviz.session.commands import (
+    Command,
+    Pause,
+    Play,
+    Reset,
+    SetCamera,
+    SetSpeed,
+    StepOnce,
+)
+from madviz.session.frame import Failure, Frame, untouched
+
+
+class Keys:
+    """A visitor's keys. They act on what the page shows last, ``newest``."""
+
+    def __init__(
+        self,
+        send: Callable[[Command], None] | None,
+        newest: Callable[[], Frame | Failure | None],
+        frame: Frame,
+    ) -> None:
+        """``send`` is None for a visitor who only watches, and has none."""
+        self._newest = newest
+        self._send: Callable[[Command], None] = send or (lambda command: None)
+        self._cameras, self._watches = frame.env.cameras, send is None
+
+    @property
+    def table(self) -> list[tuple[str, str, Callable[[], None]]]:
+        """Label, key, what it does."""
+        if self._watches:
+            return []
+        send = self._send
+        return [
+            ("Play or pause", "space", self._play_or_pause),
+            ("One step", "S", lambda: send(StepOnce())),
+            ("Same seed again", "R", lambda: send(Reset())),
+            ("Next seed", "N", lambda: send(Reset(next_seed=True))),
+            ("Full speed", "F", lambda: send(SetSpeed(None))),
+            ("Normal speed", "G", lambda: send(SetSpeed(10.0))),
+            *(
+                (
+                    f"Drop {camera.label}, or take it back",
+                    str(number),
+                    lambda name=camera.name: self.toggle(name),
+                )
+                for number, camera in enumerate(self._cameras, 1)
+            ),
+        ]
+
+    @property
+    def help(self) -> list[tuple[str, str]]:
+        """Key, label."""
+        return [(key, label) for label, key, _ in self.table]
+
+    def toggle(self, camera: str) -> None:
+        """Drops a camera, or takes it back in the modalities the policy knows."""
+        frame = self._newest()
+        if isinstance(frame, Frame):
+            state = frame.camera(camera)
+            back = untouched(frame.policy).input
+            switch = back if state.input == "off" else "off"
+            self._send(SetCamera(camera, CameraState(switch, state.occlusion)))
+
+    def _play_or_pause(self) -> None:
+        frame = self._newest()
+        playing = isinstance(frame, Frame) and frame.phase == "playing"
+        self._send(Pause() if playing else Play())

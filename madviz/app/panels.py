@@ -1,0 +1,155 @@
+"""What stands on a page and where: every panel, and how often it is brought up to date.
+
+    left    what the cameras send, their switches, the words; under them a tab for each way to look
+    middle  the scene, and the arrows in it
+    right   who acts and how fast, success by subset
+
+Pictures, actions and states are watched all the time and come with every frame; tables, textures
+and curves a few times a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import viser
+
+from madviz.app.arrows import ArrowsPanel
+from madviz.app.cameras import CamerasPanel
+from madviz.app.failures import FailuresPanel
+from madviz.app.features import FeaturesPanel
+from madviz.app.keep import KeepPanel
+from madviz.app.keys import Keys
+from madviz.app.move import MovePanel
+from madviz.app.panel import Panel
+from madviz.app.policy import PolicyChoice, PolicyPanel
+from madviz.app.projection import MapPanel
+from madviz.app.saliency import SaliencyPanel
+from madviz.app.scene import ScenePanel, extent
+from madviz.app.subsets import SubsetsPanel
+from madviz.app.success import Rates, SuccessPanel, WordsPanel
+from madviz.app.timeline import TimelinePanel
+from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
+from madviz.app.tour import Tour
+from madviz.app.training import TrainingPanel
+from madviz.app.versus import VersusPanel
+from madviz.app.worth import WorthPanel
+from madviz.recipes.training_job import TrainingJob
+from madviz.saliency import Target
+from madviz.session.commands import SetSaliency
+from madviz.session.frame import Failure, Frame
+from madviz.session.session import Session
+
+FASTEST = 1 / 40
+"""Seconds between two frames that are shown: more would be wasted on a browser."""
+
+
+@dataclass
+class Shown:
+    """A panel, and how often it is brought up to date while nothing is touched."""
+
+    panel: Panel
+    period: float
+    """Seconds."""
+    done: float = -1e9
+    number: int = 0
+    """The last frame it showed."""
+
+    def patience(self, frame: Frame) -> float:
+        """Seconds between two updates. At full speed, what is not watched all the time waits twice
+        as long: the machine is wanted for the simulator and the pictures."""
+        return self.period * (2 if frame.speed is None and self.period > FASTEST else 1)
+
+    def due(self, frame: Frame) -> float:
+        """When it is brought up to date next."""
+        return self.done + self.patience(frame)
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What all visitors of a server have in common."""
+
+    choices: Sequence[PolicyChoice]
+    rates: Rates
+    training: TrainingJob
+
+
+class Panels:
+    """All panels of one page, for one task and its cameras."""
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        session: Session,
+        shared: Shared,
+        frame: Frame,
+        newest: Callable[[], Frame | Failure | None],
+        *,
+        wide: bool,
+        readonly: bool,
+    ) -> None:
+        """``newest`` is what the page shows last; ``wide`` windows have more room; who is
+        ``readonly`` watches somebody else's session."""
+        self._client, self._session, self._shared = client, session, shared
+        self._send = None if readonly else session.send
+        self._wide = wide
+        gui, choices, rates = client.gui, shared.choices, shared.rates
+        visitor = None if readonly else client.client_id
+        keys = Keys(self._send, newest, frame)
+        tour = Tour(client, self._send, newest, choices, keys.help)
+        policy = PolicyPanel(gui, self._send, frame, choices)
+        success = SuccessPanel(gui, frame, rates, visitor)
+        dockable = dock(client, wide)
+        with dockable.add_tab("Cameras", viser.Icon.CAMERA):
+            width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
+            cameras = CamerasPanel(gui, self._send, frame, width)
+            words = WordsPanel(gui, frame, rates)
+            tabs = gui.add_tab_group()
+        tabbed = self._build_tabs(tabs, frame)
+        self._extras = [dockable, tour, *commands(client, keys.table)]
+        self.shown = [
+            *(Shown(cameras, FASTEST), Shown(policy, FASTEST), Shown(words, FASTEST)),
+            *(*tabbed, Shown(success, 0.5)),
+            Shown(ScenePanel(client, frame, None if readonly else keys.toggle), 0.05),
+            Shown(ArrowsPanel(client, frame, extent(frame)), 0.25),
+        ]
+        self.curves = next(s.panel for s in tabbed if isinstance(s.panel, FeaturesPanel))
+
+    def remove(self) -> None:
+        """Takes panels and scene off the page."""
+        for shown in self.shown:
+            shown.panel.remove()
+        for handle in self._extras:
+            handle.remove()
+
+    def _build_tabs(self, tabs: viser.GuiTabGroupHandle, frame: Frame) -> list[Shown]:
+        """What stands under the cameras, a tab each. Names are short: ten fit into one row."""
+        gui, send, wide, shared = self._client.gui, self._send, self._wide, self._shared
+        explain = self._explain if send else None
+        table: list[tuple[str, list[tuple[Callable[[], Panel], float]]]] = [
+            ("Features", [(lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25)]),
+            ("Subsets", [(lambda: SubsetsPanel(gui, frame), 0.5)]),
+            ("Worth", [(lambda: WorthPanel(gui, frame, shared.rates), 0.5)]),
+            (
+                "Inside",
+                [
+                    (lambda: SaliencyPanel(gui, explain, frame), 0.25),
+                    (lambda: MapPanel(gui, frame, 330 if wide else 170), 0.4),
+                ],
+            ),
+            ("Move", [(lambda: MovePanel(gui, send, frame, self._client.scene), 0.25)]),
+            ("Timeline", [(lambda: TimelinePanel(gui, send, frame), 0.5)]),
+            ("A/B", [(lambda: VersusPanel(gui, send, frame, shared.choices), 0.5)]),
+            ("Failures", [(lambda: FailuresPanel(gui, send, frame), 0.5)]),
+            ("Train", [(lambda: TrainingPanel(gui, send, frame, shared.training), 1.0)]),
+            ("Keep", [(lambda: KeepPanel(gui, self._session.keep, frame), 1.0)]),
+        ]
+        shown = []
+        for name, panels in table:
+            with tabs.add_tab(name):
+                shown += [Shown(build(), period) for build, period in panels]
+        return shown
+
+    def _explain(self, target: Target | None) -> None:
+        self._session.send(SetSaliency(target))
