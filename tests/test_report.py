@@ -272,6 +272,14 @@ def test_the_lead_is_held_against_the_closest_baseline(tmp_path: Path) -> None:
     assert "closest of ours, merged-only: agrees in direction; the lead is smaller" in components
 
 
+def test_one_training_under_two_names_is_said_to_be_one(tmp_path: Path) -> None:
+    for task, alpha in (("metaworld/hammer", 0.5), ("metaworld/push", 0.25)):
+        for method in ("mad", "naive-both"):
+            write_policy(tmp_path, GOOD, task=task, method=method, alpha=alpha)
+    said = [line for line in claims(table(tmp_path, "components")) if "one and the same" in line]
+    assert len(said) == 1 and said[0].startswith("On metaworld/push naive-both and MAD")
+
+
 def test_nothing_is_no_debt() -> None:
     assert [signed(share) for share in (-0.002, 0.0, -0.006, 0.42)] == ["+0", "+0", "-1", "+42"]
 

@@ -121,7 +121,7 @@ def _overall(table: Table) -> list[str]:
     said = (
         f"{100 * lead:+.0f} points over its baselines, by reinforcement learning on {count} tasks"
     )
-    lines = _lead(table, BASELINES, lead, said, others=COMPONENTS)
+    lines = [*_lead(table, BASELINES, lead, said, others=COMPONENTS), *_one_and_the_same(table)]
     if not any("closest" in line for line in lines):
         lines.append(
             f"The paper reports {said}. None of these baselines ({', '.join(BASELINES)}) was "
@@ -132,7 +132,24 @@ def _overall(table: Table) -> list[str]:
 
 def _components(table: Table) -> list[str]:
     said = f"{100 * COMPONENT_LEAD:+.0f} points over all three ablations, on five Meta-World tasks"
-    return _lead(table, COMPONENTS, COMPONENT_LEAD, said)
+    return [*_lead(table, COMPONENTS, COMPONENT_LEAD, said), *_one_and_the_same(table)]
+
+
+def _one_and_the_same(table: Table) -> list[str]:
+    """Naive Both weighs all rows alike. Where an expert labels, no row is another's teacher, so
+    MAD with alpha 1 / (1 + V) is the same training."""
+    both, mad = table.average("naive-both"), table.average("mad")
+    if both is None or mad is None:
+        return []
+    tasks = {each.task for each in both.evidence}
+    return [
+        f"On {each.task} naive-both and MAD are one and the same training: with alpha "
+        f"{each.alpha:g} MAD weighs the sum and each of {len(each.streams)} streams alike, and "
+        "under the light recipe the expert is the only teacher, so that nothing else tells them "
+        "apart."
+        for each in mad.evidence
+        if each.task in tasks and each.alpha == 1 / (1 + len(each.streams))
+    ]
 
 
 def _five(table: Table) -> list[str]:
