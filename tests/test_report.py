@@ -172,6 +172,16 @@ def test_trainings_of_several_seeds_pool_and_tasks_average(tmp_path: Path) -> No
     assert "| average of 2 | mad | 2 | 0.60 [0.54, 0.65] n=300 |" in report(tmp_path)[1]
 
 
+def test_an_average_takes_the_episodes_that_a_tasks_rows_share(tmp_path: Path) -> None:
+    write_policy(tmp_path, rates(1, 1, 1, 1), episodes=200)
+    write_policy(tmp_path, rates(1, 1, 1, 1), method="naive-both", episodes=50)
+    for method in ("mad", "naive-both"):
+        write_policy(tmp_path, rates(0, 0, 0, 0), task="metaworld/push", method=method, episodes=50)
+    for row in table(tmp_path, "overall").averages:
+        found = row.rate("all")
+        assert found is not None and (found.value, found.n) == (0.5, 100)
+
+
 def test_what_was_trained_for_longer_is_no_rival(tmp_path: Path) -> None:
     push: dict[str, Any] = {"task": "metaworld/push"}
     write_policy(tmp_path, rates(1, 1, 1, 1), **push, updates=15000, folder="long")

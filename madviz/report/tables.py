@@ -12,13 +12,14 @@ The paper's Single Camera baseline is three trainings, each with one camera; its
 camera's cell from the policy that has this camera, and has no cell for all cameras.
 
 What was trained for longer is no rival: a task's rows are those of one budget of updates, the one
-that most of them have.
+that most of them have. An average takes of every task the episodes that all its rows have, so that
+a policy that was evaluated for longer does not pull the average towards its task.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from madviz.envs.base import METAWORLD_TASKS
@@ -214,7 +215,7 @@ class Table:
     rows: tuple[tuple[str, Row], ...]
     """Task and row, tasks in order."""
     averages: tuple[Row, ...]
-    """A row for every label over all its tasks."""
+    """A row for every label over all its tasks, of the episodes that a task's rows share."""
 
     def average(self, label: str) -> Row | None:
         return next((row for row in self.averages if row.label == label), None)
@@ -239,10 +240,12 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[Table]:
             for task in sorted({each.task for _, each in mine}, key=_task_rank)
             for label in labels
         ]
-        averages = [
-            _row(label, columns, [e for name, e in mine if name == label]) for label in labels
-        ]
         rows = [(task, row) for task, row in rows if row.cells]
+        shared = _shared_seeds(rows)
+        averages = [
+            _row(label, columns, [e for name, e in mine if name == label], shared)
+            for label in labels
+        ]
         tables.append(Table(layout, suite, columns, mean_of, tuple(rows), tuple(averages)))
     return tables
 
@@ -270,7 +273,23 @@ def _columns(layout: Layout, mine: list[Evidence]) -> tuple[tuple[str, ...], tup
     return ("all", *streams), ("all", *streams)
 
 
-def _row(label: str, columns: Sequence[str], members: Sequence[Evidence]) -> Row:
+def _shared_seeds(rows: Sequence[tuple[str, Row]]) -> dict[str, set[int]]:
+    """By task, the seeds of the episodes that all of its rows and their columns have."""
+    shared: dict[str, set[int]] = {}
+    for task, row in rows:
+        for cell in row.cells.values():
+            seeds = {unit[2] for unit in cell}
+            shared[task] = shared.get(task, seeds) & seeds
+    return shared
+
+
+def _row(
+    label: str,
+    columns: Sequence[str],
+    members: Sequence[Evidence],
+    seeds: Mapping[str, set[int]] | None = None,
+) -> Row:
+    """``seeds``: by task, the only episodes that count; None: all of them."""
     row = Row(label)
     for each in members:
         for column in columns:
@@ -278,6 +297,8 @@ def _row(label: str, columns: Sequence[str], members: Sequence[Evidence]) -> Row
             alone = len(each.streams) == 1 and column == "all" and "third_b" in columns
             found = None if alone else each.of(column)
             for seed, success in (found or {}).items():
+                if seeds is not None and seed not in seeds.get(each.task, ()):
+                    continue
                 cell = row.cells.setdefault(column, {})
                 cell.setdefault((each.task, each.seed, seed), success)
         row.evidence.append(each)
