@@ -209,9 +209,9 @@ def test_a_panel_that_cannot_be_built_is_tried_once_and_said(monkeypatch):
         lobby.come(1)
         made[0].send(SetSpeed(None))
         page = them._seats[1].page
-        deadline = time.monotonic() + 20
-        while getattr(made[0].latest, "number", 0) < 15 and time.monotonic() < deadline:
-            time.sleep(0.01)
+        await_that(lambda: bool(tries))
+        frames = getattr(made[0].latest, "number", 0)
+        await_that(lambda: getattr(made[0].latest, "number", 0) >= frames + 15)
         assert len(tries) == 1
         assert page._waiting is not None and "no such widget" in page._waiting.content
 
@@ -228,10 +228,8 @@ def test_a_training_is_followed_while_the_episode_stands_still(monkeypatch):
     with users(cap=1) as (_, lobby, made):
         lobby.come(1)
         made[0].send(Pause())
-        deadline = time.monotonic() + 30
-        while len(looks) < 6 and time.monotonic() < deadline:
-            time.sleep(0.02)
-        assert looks[-1] == looks[-2] == looks[-3]  # Looked at again, with the same frame.
+        # Looked at again, with the same frame.
+        await_that(lambda: len(looks) >= 6 and looks[-1] == looks[-2] == looks[-3])
 
 
 def test_tables_make_way_for_somebody_who_has_touched_a_camera(monkeypatch):
