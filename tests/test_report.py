@@ -241,7 +241,13 @@ def test_an_alpha_ablation_stays_out_of_the_other_tables(tmp_path: Path) -> None
 def test_recipes_are_never_pooled(tmp_path: Path) -> None:
     write_policy(tmp_path, GOOD)
     write_policy(tmp_path, rates(0.1, 0.1, 0.1, 0.1), recipe="paper", alpha=0.8)
-    assert [row.label for row in table(tmp_path, "overall").averages] == ["mad", "mad, paper"]
+    assert report(tmp_path)[0]["tables"] == ["scratch-metaworld"]  # Another recipe is no rival.
+    assert [row.label for row in table(tmp_path, "scratch").averages] == ["mad, paper"]
+    for recipe in ("light", "paper"):
+        write_policy(tmp_path, GOOD, method="naive-both", recipe=recipe)
+    assert [row.label for row in table(tmp_path, "overall").averages] == [
+        *("mad", "mad, paper", "naive-both", "naive-both, paper"),
+    ]
 
 
 # --- Sentences ---

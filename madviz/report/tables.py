@@ -184,8 +184,13 @@ def _modality(evidence: Evidence) -> str | None:
     return f"{_method(evidence)}, {evidence.setting}" if inside else None
 
 
+def _scratch(evidence: Evidence) -> str | None:
+    return None if evidence.recipe == "light" else _overall(evidence)
+
+
 LAYOUTS = (
     Layout("overall", "Overall robustness", _overall, THREE, THREE, needs=2),
+    Layout("scratch", "Reinforcement learning from scratch", _scratch, THREE, THREE),
     Layout(
         "components",
         "Component ablation",
@@ -253,7 +258,7 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[Table]:
 def _rivals(
     layout: Layout, task: str, chosen: Sequence[tuple[str, Evidence]]
 ) -> list[tuple[str, Evidence]]:
-    """Rows of a task that can be compared: of one budget, and enough of them."""
+    """Rows of a task that can be compared: of one recipe and budget, and enough of them."""
     here = [(label, each) for label, each in chosen if each.task == task]
     kept = []
     for recipe in sorted({each.recipe for _, each in here}):
@@ -262,8 +267,9 @@ def _rivals(
         for label, each in mine:
             rows.setdefault(each.updates or 0, set()).add(label)
         budget = max(rows, key=lambda updates: (len(rows[updates]), updates))
-        kept += [pair for pair in mine if (pair[1].updates or 0) == budget]
-    return kept if len({label for label, _ in kept}) >= layout.needs else []
+        if len(rows[budget]) >= layout.needs:
+            kept += [pair for pair in mine if (pair[1].updates or 0) == budget]
+    return kept
 
 
 def _columns(layout: Layout, mine: list[Evidence]) -> tuple[tuple[str, ...], tuple[str, ...]]:
