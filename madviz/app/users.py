@@ -108,7 +108,9 @@ class Users:
             if place is not None:
                 session, owner = place
                 page = Page(
-                    *(client, session, self._shared),
+                    client,
+                    session,
+                    self._shared,
                     notice="" if owner else self._watching_words(),
                     readonly=not owner,
                 )

@@ -148,7 +148,7 @@ def _one_and_the_same(table: Table) -> list[str]:
         "under the light recipe the expert is the only teacher, so that nothing else tells them "
         "apart."
         for each in mad.evidence
-        if each.task in tasks and each.alpha == 1 / (1 + len(each.streams))
+        if each.task in tasks and abs((each.alpha or 0) - 1 / (1 + len(each.streams))) < 1e-3
     ]
 
 

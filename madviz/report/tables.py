@@ -36,8 +36,6 @@ OWN_MERGE = {"mvd": "mvd", "vib": "vib"}
 ORDER = ("mad", "single", "mvd", "vib", "mv-mwm", "naive-both", "merged-only", "singular-only")
 SUITES = {"metaworld", "maniskill"}
 """Whose tasks have tables; the toy and tasks of a user's own do not."""
-HARD = METAWORLD_TASKS[5:10]
-"""The paper's five hard tasks, on which its ablations run."""
 
 
 @dataclass(frozen=True)
