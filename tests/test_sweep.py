@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from madviz import cli
+from madviz.envs.own import VARIABLE, own_tasks
 from madviz.sweep import sweep
 from madviz.sweep.plan import read_plan
 from madviz.sweep.ray import RayBackend
@@ -451,6 +452,19 @@ def test_the_ray_backend_hands_runs_over_and_reports_those_that_ray_gave_up(
     backend.submit(Run("a", (), ()))
     backend.close()
     assert len(fake.cancelled) == 1
+
+
+def test_nodes_hear_which_tasks_of_ones_own_are_known(
+    tmp_path: Path, program: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", FakeRay())
+    monkeypatch.setenv(VARIABLE, "mine:push,mine:pull")
+    backend = RayBackend(tmp_path, None, cpus=1, program=program)
+    monkeypatch.delenv(VARIABLE)  # A node was started by somebody else, before.
+    backend.submit(Run("a", (), ()))
+    backend.collect(0.0)
+    assert own_tasks() == ("mine:push", "mine:pull")
+    monkeypatch.delenv(VARIABLE)
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from madviz.envs.own import allow_task, own_tasks
 from madviz.sweep.run import Outcome, Run, carry_out
 from madviz.types import UserError
 
@@ -40,8 +41,8 @@ class RayBackend:
             self._connect(address or os.environ.get("RAY_ADDRESS"), cpus)
         self._check_cores(cpus)
         self._jobs, self._cpus = jobs, cpus
-        self._arguments = (out.resolve(), tuple(program), cpus)
-        self._task = self._ray.remote(num_cpus=cpus, max_retries=RETRIES)(carry_out)
+        self._arguments = (own_tasks(), out.resolve(), tuple(program), cpus)
+        self._task = self._ray.remote(num_cpus=cpus, max_retries=RETRIES)(_on_node)
         self._running: dict[Any, Run] = {}
 
     @property
@@ -96,6 +97,16 @@ class RayBackend:
     def _cores(self) -> list[float]:
         """Of every node that is alive."""
         return [n["Resources"].get("CPU", 0) for n in self._ray.nodes() if n["Alive"]]
+
+
+def _on_node(
+    run: Run, tasks: Sequence[str], out: Path, program: Sequence[str], cpus: int
+) -> Outcome:
+    """``carry_out`` in a process that never heard which tasks of one's own the driver knows: nodes
+    have the environment variables that they were started with."""
+    for task in tasks:
+        allow_task(task)
+    return carry_out(run, out, program, cpus)
 
 
 def _ray() -> Any:
