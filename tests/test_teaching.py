@@ -270,10 +270,3 @@ def test_two_policies_are_compared_on_the_scenes_that_both_met() -> None:
     row = teaching.paired_table(("a", "b"), {"first": (ours, theirs)}).rows[0]
     assert row[:5] == ("first", "0", "1", "0", "1") and row[5].startswith("+0.50 [")
     assert row[5].endswith("n=2")
-
-
-def test_all_that_ships_for_a_task_is_found() -> None:
-    found = teaching.shipped_on("metaworld/hammer")
-    assert found["metaworld-hammer-mad-light"] == teaching.shipped("metaworld-hammer-mad-light")
-    assert "metaworld-hammer-mad-three-rgbd-light" not in found, "six streams, other subsets"
-    assert teaching.shipped_on("toy/reach") == {}

@@ -9,6 +9,7 @@ import pytest
 from madviz import teaching
 from madviz.agent.methods import METHODS
 from madviz.agent.supports import SUPPORTS
+from madviz.files import read_json
 from madviz.statistics import pair
 from madviz.subsets import mask_of
 from madviz.teaching import rivals
@@ -25,12 +26,14 @@ from madviz.teaching.rivals import (
     keep,
     kept,
     looks,
+    on_robot,
     put_everywhere,
     scenes,
     take_away,
     unmoved,
 )
 from madviz.types import UserError
+from tests.evidence import write_policy
 from tests.fakes import AllOrNothing, FakePolicy
 
 SHIPPED = Path(__file__).resolve().parent.parent / "notebooks" / "measured" / "rivals.json"
@@ -156,3 +159,35 @@ def test_what_ships_is_whole_and_agrees_with_the_merges() -> None:
             allows = SUPPORTS[METHODS[name].merge].allows
             for case, (cameras, _) in cases().items():
                 assert (case in outcomes) == allows(mask_of("+".join(cameras), CAMERAS))
+
+
+def test_rivals_on_a_robot_are_those_of_one_budget(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    everywhere = {"all": 0.9, "first": 0.8, "third_a": 0.7, "third_b": 0.6}
+    write_policy(tmp_path, everywhere, episodes=10)
+    write_policy(tmp_path, {"all": 0.5}, method="concat", merge="concat", episodes=10)
+    write_policy(tmp_path, {"all": 0.4}, method="single", setting="one-rgb", episodes=10,
+                 streams=("third_a",), folder="alone")  # fmt: skip
+    write_policy(tmp_path, everywhere, method="vib", merge="vib", updates=9, episodes=10)
+    write_policy(tmp_path, everywhere, method="mvd", task="metaworld/push", episodes=10)
+    monkeypatch.setenv("MADVIZ_CHECKPOINTS", str(tmp_path))
+    found = on_robot("metaworld/hammer")
+    assert {name: list(outcomes) for name, outcomes in found.items()} == {
+        "mad": list(everywhere), "single": ["third_a"], "concat": ["all"]
+    }  # fmt: skip
+    assert counted(found, "third_a") == {"mad": (7, 10), "single": (4, 10)}
+    # Scene by scene, in the order of seeds.
+    kept = read_json(tmp_path / "metaworld-hammer-mad-light" / "evaluation.json")["episodes"]
+    digits = {e["seed"]: str(int(e["success"])) for e in kept if e["subset"] == "first"}
+    assert found["mad"]["first"] == "".join(digits[seed] for seed in sorted(digits))
+    assert [row[1] for row in gone_table(found, ["all"], missing="–").rows] == [
+        *("0.90 [0.60, 0.98] n=10", "–", "0.50 [0.24, 0.76] n=10")
+    ]
+    assert on_robot("toy/reach") == {}
+
+
+def test_the_shipped_rivals_on_push_met_the_same_scenes() -> None:
+    found = on_robot("metaworld/push")
+    assert {"mad", "single", "vib", "merged-only", "singular-only"} <= found.keys()
+    assert {len(digits) for outcomes in found.values() for digits in outcomes.values()} == {50}

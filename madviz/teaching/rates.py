@@ -40,16 +40,6 @@ def shipped_outcomes(policy: str, subset: str) -> dict[int, bool]:
     return {e["seed"]: e["success"] for e in found["episodes"] if e["subset"] == subset}
 
 
-def shipped_on(task: str) -> dict[str, dict[str, tuple[int, int]]]:
-    """Policy -> its shipped counts, for all that ship for ``task`` with three colour cameras."""
-    found = {}
-    for name, folder in sorted(checkpoint.policy_folders().items()):
-        spec = checkpoint.describe(folder).spec
-        if spec.task == task and spec.setting == "three" and checkpoint.shipped_evaluation(folder):
-            found[name] = shipped(name)
-    return found
-
-
 def success_table(measured: Mapping[str, Mapping[str, tuple[int, int]]]) -> Table:
     """A row per subset, and for each of ``measured`` its rate, interval and count."""
     names = dict.fromkeys(name for one in measured.values() for name in one)

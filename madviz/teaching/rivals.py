@@ -24,12 +24,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from madviz import checkpoint
 from madviz.ablations import Occlusion
 from madviz.agent.agent import TorchPolicy
 from madviz.agent.attention import HEADS, CrossAttention, ViewTransformer, attend
 from madviz.agent.contrast import drawn
 from madviz.evaluate import FIRST_SEED, evaluate
 from madviz.files import read_json, write_json
+from madviz.report.evidence import Evidence, find_evidence
+from madviz.report.tables import LAYOUTS, THREE, Layout, build
 from madviz.statistics import wilson
 from madviz.subsets import mask_of
 from madviz.teaching import Moment, SmallRun, train_small
@@ -136,13 +139,38 @@ def scenes(outcomes: str) -> dict[int, bool]:
     return {FIRST_SEED + index: digit == "1" for index, digit in enumerate(outcomes)}
 
 
-def gone_table(measured: Mapping[str, Outcomes], names: Sequence[str]) -> Table:
-    """A row per method, and its success in each case with interval and count, or its refusal."""
+def gone_table(
+    measured: Mapping[str, Outcomes], names: Sequence[str], missing: str = "refuses"
+) -> Table:
+    """A row per method, and its success in each case with interval and count; ``missing`` says why
+    there may be none."""
     rows = []
     for method, outcomes in measured.items():
-        cells = [_rate(outcomes[name]) if name in outcomes else "refuses" for name in names]
+        cells = [_rate(outcomes[name]) if name in outcomes else missing for name in names]
         rows.append([method, *cells])
     return table(["method", *names], rows)
+
+
+def on_robot(task: str) -> dict[str, dict[str, str]]:
+    """Method -> outcomes with all cameras and with each alone, of the trainings of ``task`` that
+    were measured before and are rivals: one recipe, one budget, the same scenes. Of Single Camera,
+    which is a training per camera, there is none with all."""
+    labels = {layout.key: layout.label for layout in LAYOUTS}
+
+    def label(evidence: Evidence) -> str | None:
+        known = labels["overall"](evidence) or labels["merging"](evidence)
+        return known if evidence.task == task else None
+
+    for root in checkpoint.policy_roots():
+        for found in build(Layout("rivals", task, label, THREE, needs=2), find_evidence(root)):
+            return {
+                row.label: {
+                    column: "".join(str(int(success)) for _, success in sorted(cell.items()))
+                    for column, cell in row.cells.items()
+                }
+                for _, row in found.rows
+            }
+    return {}
 
 
 def _rate(outcomes: str) -> str:
