@@ -177,12 +177,16 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
         folder.finish()  # Again: the first time may have been cut off.
         folder.report("done", seconds=0.0, path=str(folder.path))
         return folder.path
-    if config.recipe == "paper":
-        train_paper(config, folder, command(config))
-    elif config.recipe == "paper-vectorised":
-        train_vectorised(config, folder, command(config))
-    else:
-        _train_light(config, folder)
+    try:
+        if config.recipe == "paper":
+            train_paper(config, folder, command(config))
+        elif config.recipe == "paper-vectorised":
+            train_vectorised(config, folder, command(config))
+        else:
+            _train_light(config, folder)
+    except UserError:
+        folder.forget()
+        raise
     return folder.path
 
 

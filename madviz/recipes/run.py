@@ -88,6 +88,14 @@ class RunFolder:
             elif one.name not in (self._over.name, "run.json"):
                 one.unlink()
 
+    def forget(self) -> None:
+        """Takes back a run that never began, of which there is nothing but its configuration: it
+        must not stand in the way of the command without the mistake."""
+        if [one.name for one in self.resume.iterdir()] == ["run.json"]:
+            shutil.rmtree(self.resume)
+            if not any(self.path.iterdir()):
+                self.path.rmdir()
+
     def save_state(self, state: dict[str, Any]) -> None:
         """``state`` may hold tensors, numbers, strings, lists and dicts; no other objects."""
         temporary = self.resume / "state.tmp"
