@@ -215,6 +215,7 @@ def test_numbers_that_make_no_sense_are_refused(tmp_path: Path) -> None:
         run(tmp_path / "a", replace(TINY, environments=0))
     with pytest.raises(UserError, match="update-ratio"):
         run(tmp_path / "b", replace(TINY, update_ratio=-1))
+    assert not list(tmp_path.iterdir()), "a run that never began is in nobody's way"
 
 
 @pytest.mark.slow

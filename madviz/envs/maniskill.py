@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from madviz.envs.base import check_action, standing
 from madviz.envs.cameras import look_at
 from madviz.envs.maniskill_experts import Expert
-from madviz.envs.maniskill_tasks import MANISKILL_SUCCESS, STATE_DIM, build, position, state
+from madviz.envs.maniskill_tasks import MANISKILL_SUCCESS, STATE_DIM, build, position, states
 from madviz.envs.maniskill_vulkan import renderer
 from madviz.envs.placement import Placements
 from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, TimeStep, View
@@ -181,4 +181,4 @@ class ManiSkill:
         return turned.apply(place) + body.p, turned * rotation
 
     def _state(self, info: dict[str, Any]) -> Array:
-        return state(self._task, self._simulation, info)
+        return states(self._task, self._simulation, info)[0]

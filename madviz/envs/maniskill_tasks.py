@@ -87,17 +87,18 @@ def stock_task(task: str) -> Any:
     }[task]
 
 
-def state(task: str, simulation: Any, info: dict[str, Any]) -> Array:
-    """(S,) float32, see the module; ``info`` is what the task's ``evaluate`` said."""
+def states(task: str, simulation: Any, info: dict[str, Any]) -> Array:
+    """(L, S) float32 of all L copies in ``simulation``, see the module; ``info`` is what the task's
+    ``evaluate`` said."""
     robot = simulation.agent.robot
-    numbers = [robot.get_qpos()[0], robot.get_qvel()[0]]
+    numbers = [robot.get_qpos(), robot.get_qvel()]
     if task in STATE_DIM:
         grasped = info["is_grasped" if task == "pick-cube" else "is_obj_grasped"]
-        numbers.append(grasped.float())
-    numbers.append(simulation.agent.tcp.pose.raw_pose[0])
+        numbers.append(grasped.float()[:, None])
+    numbers.append(simulation.agent.tcp.pose.raw_pose)
     told = {"pick-cube": "goal_site", "place-sphere": "bin", "poke-cube": "peg"}
-    numbers.append(getattr(simulation, told.get(task, "goal_region")).pose.p[0])
-    return np.concatenate([np.asarray(each, np.float32) for each in numbers])
+    numbers.append(getattr(simulation, told.get(task, "goal_region")).pose.p)
+    return np.concatenate([each.cpu().numpy().astype(np.float32) for each in numbers], axis=1)
 
 
 def position(thing: Any) -> Array:

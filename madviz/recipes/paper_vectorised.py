@@ -15,9 +15,11 @@ The order of everything is fixed, so a run is a function of its configuration an
 number of workers; a killed run goes on in mid-episode and ends with the same weights.
 
 On a CUDA device (``--vectorised.device``) updates run there, in bfloat16 where it has it, and with
-``--vectorised.compile`` the encoder is compiled into CUDA graphs. No such device was at hand when
-this was written: NONE OF THAT IS MEASURED, and those lines never ran on one. On a CPU compiling
-changes no loss and does not pay (an update of 32 transitions took 81 ms in place of 75).
+``--vectorised.compile`` the encoder is compiled into CUDA graphs. ``--vectorised.simulation gpu``
+makes all environments one simulation of ManiSkill's on it, which is for dozens or hundreds of them
+(``--vectorised.environments``). No such device was at hand when this was written: NONE OF THAT IS
+MEASURED, and those lines never ran on one. On a CPU compiling changes no loss and does not pay (an
+update of 32 transitions took 81 ms in place of 75).
 """
 
 from __future__ import annotations
@@ -32,9 +34,11 @@ import torch
 
 from madviz.agent.agent import Agent
 from madviz.envs.base import make_env
+from madviz.envs.maniskill_batch import claim_gpu
 from madviz.recipes.paper import PaperRun, ReinforcementConfig
 from madviz.recipes.paper_loop import train_on
 from madviz.recipes.run import RunFolder
+from madviz.recipes.vector_batch import BatchedEnvs, check_batched
 from madviz.recipes.vector_envs import Board, Recipe, VectorEnvs
 from madviz.types import Array, UserError
 
@@ -51,6 +55,9 @@ class VectorisedConfig(ReinforcementConfig):
     workers: int | None = None
     """Processes that step them; 0: none but this one. By default one for every second core. Their
     number changes nothing but the time."""
+    simulation: Literal["processes", "gpu"] = "processes"
+    """``gpu``: all in one simulation on a CUDA device, without workers; tasks of ManiSkill alone. A
+    resumed run then goes on nearly, not exactly, as if it had never stopped."""
     update_ratio: float = 0.5
     """Updates per decision; the paper makes one for every second decision."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -81,7 +88,9 @@ class VectorisedRun(PaperRun):
     SCHEDULE = "with the paper's losses over many environments"
     config: VectorisedConfig
 
-    def __init__(self, config: VectorisedConfig, envs: VectorEnvs, *run: Any, merge: str) -> None:
+    def __init__(
+        self, config: VectorisedConfig, envs: VectorEnvs | BatchedEnvs, *run: Any, merge: str
+    ) -> None:
         """``run`` are the other arguments of ``PaperRun``: its environment only evaluates here."""
         device = config.torch_device()
         super().__init__(config, *run, merge=merge, lanes=config.environments, device=device)
@@ -149,13 +158,19 @@ def train_vectorised(config: TrainConfig, folder: RunFolder, command: str = "") 
             f"expected an --vectorised.update-ratio of 0 or more, found {settings.update_ratio}"
         )
     recipe = Recipe(config.task, config.render_profile, config.drawn(), spec.streams)
+    if settings.simulation == "gpu":
+        check_batched(config.task)
+        claim_gpu()  # Before an environment simulates on a CPU.
     env = make_env(config.task, config.render_profile, config.drawn())
-    envs: VectorEnvs | None = None
+    envs: VectorEnvs | BatchedEnvs | None = None
     try:
         facts = env.spec
         networks = config.networks(facts, settings.hidden_dim, settings.bottleneck_dim)
         board = Board(settings.environments, spec.streams, facts.state_dim, facts.action_dim)
-        envs = VectorEnvs(recipe, board, settings.environments, settings.processes())
+        if settings.simulation == "gpu":
+            envs = BatchedEnvs(recipe, facts, board, settings.environments)
+        else:
+            envs = VectorEnvs(recipe, board, settings.environments, settings.processes())
         rest = (env, spec, networks, config.seed, folder)
         train_on(VectorisedRun(settings, envs, *rest, merge=config.merge), config, command)
     finally:

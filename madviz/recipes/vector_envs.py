@@ -11,8 +11,7 @@ every step. All lanes step together and their episodes are equally long, so what
 seeds and actions alone, and not on how many processes share the work: with 0 workers this process
 does it all, and the numbers are the same.
 
-ManiSkill can also simulate many environments on a GPU; that is not built here. Its tasks run in
-workers like all others, each on a CPU.
+ManiSkill can also simulate many environments on a GPU, without workers: see ``vector_batch``.
 """
 
 from __future__ import annotations

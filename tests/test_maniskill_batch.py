@@ -1,0 +1,197 @@
+"""Many copies in one simulation. A CPU simulates one, and that one must be ``ManiSkill`` itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from madviz.envs import maniskill_batch
+from madviz.envs.base import MANISKILL_TASKS, make_env, setting_cameras
+from madviz.envs.maniskill import HORIZON, ManiSkill
+from madviz.envs.maniskill_batch import ManiSkillBatch
+from madviz.recipes import paper_vectorised, vector_batch
+from madviz.recipes.paper_vectorised import VectorisedConfig
+from madviz.recipes.run import RunFolder
+from madviz.recipes.vector_batch import BatchedEnvs
+from madviz.recipes.vector_envs import Board, Recipe, VectorEnvs
+from madviz.train import TrainConfig, train
+from madviz.types import TimeStep, UserError, View
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:mani_skill")
+
+
+def assert_same(batch: maniskill_batch.Steps, alone: TimeStep) -> None:
+    np.testing.assert_array_equal(batch.state, alone.state[np.newaxis])
+    assert batch.reward == [np.float32(alone.reward)] and batch.last == alone.last
+    assert batch.success.tolist() == [alone.success]
+
+
+def assert_same_picture(batch: View, alone: View) -> None:
+    """Rounding of a pose may move an edge by a little of a pixel, not more."""
+    apart = np.abs(batch.rgb.astype(int) - alone.rgb.astype(int))
+    assert apart.max() <= 8 and apart.mean() < 0.01
+    np.testing.assert_allclose(batch.depth, alone.depth, atol=0.0011)
+    assert (batch.rgb.dtype, batch.depth.dtype) == (np.uint8, np.float32)
+
+
+@pytest.mark.parametrize("task", MANISKILL_TASKS)
+def test_a_single_copy_is_the_environment_itself(task: str) -> None:
+    alone, batch = ManiSkill(task), ManiSkillBatch(task, 1, device="cpu")
+    rng = np.random.default_rng(0)
+    for seed in (3, 4):
+        assert_same(batch.reset([seed]), alone.reset(seed))
+        for action in rng.uniform(-1.5, 1.5, (5, 4)).astype(np.float32):
+            assert_same(batch.step(action[np.newaxis]), alone.step(action))
+        views = batch.draw()
+        assert list(views) == [camera.name for camera in alone.spec.cameras]
+        for name, (view,) in views.items():
+            assert_same_picture(view, alone.view(name))
+    alone.close()
+    batch.close()
+
+
+@pytest.fixture(scope="module")
+def five() -> Iterator[ManiSkillBatch]:
+    cameras = setting_cameras("maniskill/pick-cube", "five")
+    batch = ManiSkillBatch("pick-cube", 1, "full", cameras, device="cpu")
+    yield batch
+    batch.close()
+
+
+def test_cameras_and_meshes_are_those_that_were_asked_for(five: ManiSkillBatch) -> None:
+    alone = make_env("maniskill/pick-cube", "full", five.cameras)
+    five.reset([8])
+    alone.reset(8)
+    views = five.draw()
+    assert {"third_c", "top"} < views.keys() and len(views) == 5
+    for name, (view,) in views.items():
+        assert_same_picture(view, alone.view(name))
+    alone.close()
+
+
+def test_a_reset_that_builds_nothing_anew_begins_alike(five: ManiSkillBatch) -> None:
+    """Which is how a GPU's are; the goal, which policies must not see, stays hidden."""
+    fresh = five.reset([5])
+    wanted = five.draw()
+    for _ in range(4):
+        five.step(np.full((1, 4), 0.9, np.float32))
+    five._simulation.reset(seed=[5])
+    info = five._simulation.evaluate()
+    np.testing.assert_allclose(five._told(info, torch.zeros(1)).state, fresh.state, atol=1e-5)
+    for name, (view,) in five.draw().items():
+        assert_same_picture(view, wanted[name][0])
+
+
+def test_an_episode_ends_when_it_is_over_and_nothing_is_drawn_unasked(
+    five: ManiSkillBatch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def draw(*_: Any) -> None:
+        raise AssertionError("drawn")
+
+    monkeypatch.setattr(five._simulation, "_get_obs_sensor_data", draw)
+    assert not five.reset([1]).last
+    still = np.zeros((1, 4), np.float32)
+    assert [five.step(still).last for _ in range(HORIZON)] == [False] * (HORIZON - 1) + [True]
+
+
+def test_bad_input_is_refused(five: ManiSkillBatch, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UserError, match="finite"):
+        five.step(np.full((1, 4), np.nan, np.float32))
+    with pytest.raises(UserError, match="one copy of a task on a CPU, found 2"):
+        ManiSkillBatch("push-cube", 2, device="cpu")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(UserError, match="expected a CUDA device to simulate ManiSkill on"):
+        ManiSkillBatch("push-cube", 2)
+
+
+# --- Training on it ---
+
+
+@pytest.fixture
+def on_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a GPU would do, with one copy on a CPU."""
+    monkeypatch.setattr(vector_batch, "ManiSkillBatch", partial(ManiSkillBatch, device="cpu"))
+    monkeypatch.setattr(paper_vectorised, "claim_gpu", lambda: None)
+
+
+def test_its_lanes_are_those_of_processes(on_cpu: None) -> None:
+    streams = ("first.rgb", "third_a.depth", "third_b.rgb")
+    env = make_env("maniskill/pull-cube")
+    recipe = Recipe("maniskill/pull-cube", "fast", env.spec.cameras, streams)
+    one, other = (Board(1, streams, env.spec.state_dim, 4) for _ in range(2))
+    batched = BatchedEnvs(recipe, env.spec, one, 1)
+    others = VectorEnvs(recipe, other, 1, workers=0)
+    actions = np.random.default_rng(1).uniform(-1, 1, (4, 1, 4)).astype(np.float32)
+
+    def assert_same_board() -> None:
+        for name in ("state", "reward", "last"):
+            np.testing.assert_array_equal(one[name], other[name])
+        for mine, theirs in zip(batched.frames(0), others.frames(0), strict=True):
+            assert mine.any() and mine.shape == theirs.shape
+            assert np.abs(mine.astype(int) - theirs).max() <= 8
+
+    for envs in (batched, others):
+        envs.reset([6])
+    assert_same_board()
+    for action in actions[:2]:
+        for envs in (batched, others):
+            envs.send(action)
+            envs.receive()
+        assert_same_board()
+    for envs in (batched, others):
+        envs.repeat([7], actions[:3])
+        envs.send(actions[3])
+        envs.receive()
+    assert_same_board()
+    batched.close()
+    others.close()
+    env.close()
+
+
+def test_training_on_it_ends_with_the_same_weights(
+    on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Third B's pictures are the same to the last bit, so the weights are."""
+    monkeypatch.setattr(RunFolder, "finish", lambda self: None)
+    tiny = VectorisedConfig(
+        steps=60, exploration_steps=40, batch_size=4, hidden_dim=8, eval_every=1000,
+        eval_episodes=1, precision="float32", environments=1, workers=0, update_ratio=0.2,
+    )  # fmt: skip
+    states = []
+    for simulation in ("processes", "gpu"):
+        out = tmp_path / simulation
+        train(
+            TrainConfig(
+                "maniskill/push-cube", "single", "paper-vectorised", camera="third_b", out=out,
+                seed=3, threads=1, vectorised=replace(tiny, simulation=simulation),
+            ),
+            lambda event: None,
+        )  # fmt: skip
+        states.append(torch.load(out / "resume" / "state.pt", weights_only=True))
+    mine, theirs = (each["learner"]["agent"] for each in states)
+    assert states[0]["updates"] == states[1]["updates"] > 0
+    assert all(torch.equal(weight, theirs[name]) for name, weight in mine.items())
+
+
+def test_what_no_gpu_simulates_is_refused_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    for task, wanted in (
+        ("toy/reach", "a task of ManiSkill to simulate on a GPU, found toy/reach"),
+        ("maniskill/push-cube", "expected a CUDA device to simulate ManiSkill on"),
+    ):
+        config = TrainConfig(
+            task, "mad", "paper-vectorised", out=tmp_path / "run",
+            vectorised=VectorisedConfig(simulation="gpu"),
+        )  # fmt: skip
+        with pytest.raises(UserError, match=wanted):
+            train(config)
+        assert not (tmp_path / "run").exists(), "the corrected command may take the same folder"
