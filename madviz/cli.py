@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from madviz.files import pretty, write_json
+from madviz.statistics import in_words
 from madviz.types import UserError, unknown
 
 Config = TypeVar("Config")
@@ -294,9 +295,8 @@ def success_table(result: dict[str, Any]) -> str:
     """An evaluation as lines: subset, success with its interval, episodes."""
     lines = [f"{result['policy']} on {result['task']}: success {result['definition']}"]
     for name, row in result["subsets"].items():
-        low, high = row["ci95"]
         lines.append(
-            f"  {name:24} {row['success']:.2f} [{low:.2f}, {high:.2f}] n={row['n']}"
+            f"  {name:24} {in_words(row['success'], row['ci95'], row['n'])}"
             f"   any step {row['success_any']:.2f}" + ("" if row["trained"] else "   off-training")
         )
     return "\n".join(lines)

@@ -31,7 +31,7 @@ from madviz.evaluate import run_anywhere
 from madviz.files import write_bytes
 from madviz.moves import Displacement, along
 from madviz.rollout import FIRST_SEED, Finished, Job, Runner, unsupported
-from madviz.statistics import wilson
+from madviz.statistics import in_words, wilson
 from madviz.subsets import cameras_of, mask_of, name_of
 from madviz.svg import Line, lines
 from madviz.types import Policy, UserError, unknown
@@ -238,9 +238,8 @@ def displacement_table(result: dict[str, Any]) -> str:
         f"step with {result['camera']} moved along its {result['along']}"
     ]
     for point in result["points"]:
-        low, high = point["ci95"]
         place = f"{point['at']:g} {result['unit']}"
-        rows.append(f"  {place:12} {point['success']:.2f} [{low:.2f}, {high:.2f}] n={point['n']}")
+        rows.append(f"  {place:12} {in_words(point['success'], point['ci95'], point['n'])}")
     return "\n".join(rows)
 
 

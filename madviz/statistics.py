@@ -36,6 +36,11 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:
     return _wilson(successes, n, confidence) if n else (0.0, 1.0)
 
 
+def in_words(rate: float, interval: Interval, n: int) -> str:
+    """How a rate is written everywhere: ``0.90 [0.79, 0.96] n=50``."""
+    return f"{rate:.2f} [{interval[0]:.2f}, {interval[1]:.2f}] n={n}"
+
+
 def _wilson(successes: float, n: float, confidence: float) -> Interval:
     """Also for counts that are not whole, n above 0."""
     z = NormalDist().inv_cdf(0.5 + confidence / 2)

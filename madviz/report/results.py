@@ -26,6 +26,7 @@ from madviz.files import write_bytes
 from madviz.report.claims import claims
 from madviz.report.evidence import Evidence, find_evidence
 from madviz.report.tables import LAYOUTS, THREE, Rate, Row, Table, build, usual_alphas
+from madviz.statistics import in_words
 from madviz.types import UserError
 
 TWENTY = (
@@ -286,8 +287,7 @@ def _row_line(task: str, row: Row, table: Table) -> str:
 def _cell(rate: Rate | None) -> str:
     if rate is None:
         return "–"
-    low, high = rate.interval
-    return f"{rate.value:.2f} [{low:.2f}, {high:.2f}] n={rate.n}"
+    return in_words(rate.value, rate.interval, rate.n)
 
 
 def _head(headings: Sequence[str]) -> list[str]:

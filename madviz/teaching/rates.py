@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from madviz import checkpoint
+from madviz import checkpoint, statistics
 from madviz.statistics import pair, wilson
 from madviz.teaching.show import Figure, Table, Words, bars, table
 from madviz.types import UserError
@@ -16,6 +16,11 @@ def in_words(successes: int, n: int) -> Words:
     low, high = wilson(successes, n)
     rate = successes / n if n else float("nan")
     return Words(f"{successes} of {n} = {rate:.2f}, 95% interval [{low:.2f}, {high:.2f}]")
+
+
+def counted_in_words(successes: int, n: int) -> str:
+    """``0.80 [0.49, 0.94] n=10``, for a cell of a table."""
+    return statistics.in_words(successes / n, wilson(successes, n), n)
 
 
 def counts(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[int, int]]:
@@ -48,9 +53,7 @@ def success_table(measured: Mapping[str, Mapping[str, tuple[int, int]]]) -> Tabl
         cells = []
         for one in measured.values():
             if name in one:
-                low, high = wilson(*one[name])
-                rate = one[name][0] / one[name][1]
-                cells.append(f"{rate:.2f} [{low:.2f}, {high:.2f}] n={one[name][1]}")
+                cells.append(counted_in_words(*one[name]))
             else:
                 cells.append("not measured")
         rows.append([name, *cells])

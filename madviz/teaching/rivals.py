@@ -33,9 +33,9 @@ from madviz.evaluate import FIRST_SEED, evaluate
 from madviz.files import read_json, write_json
 from madviz.report.evidence import Evidence, find_evidence
 from madviz.report.tables import LAYOUTS, THREE, Layout, build
-from madviz.statistics import wilson
 from madviz.subsets import mask_of
 from madviz.teaching import Moment, SmallRun, train_small
+from madviz.teaching.rates import counted_in_words
 from madviz.teaching.show import Figure, Table, bars, table
 from madviz.types import Array, Policy, UserError
 
@@ -146,7 +146,8 @@ def gone_table(
     there may be none."""
     rows = []
     for method, outcomes in measured.items():
-        cells = [_rate(outcomes[name]) if name in outcomes else missing for name in names]
+        found = [outcomes.get(name, "") for name in names]
+        cells = [counted_in_words(o.count("1"), len(o)) if o else missing for o in found]
         rows.append([method, *cells])
     return table(["method", *names], rows)
 
@@ -171,12 +172,6 @@ def on_robot(task: str) -> dict[str, dict[str, str]]:
                 for _, row in found.rows
             }
     return {}
-
-
-def _rate(outcomes: str) -> str:
-    successes, n = outcomes.count("1"), len(outcomes)
-    low, high = wilson(successes, n)
-    return f"{successes / n:.2f} [{low:.2f}, {high:.2f}] n={n}"
 
 
 def gone_bars(title: str, measured: Mapping[str, Outcomes], names: Sequence[str]) -> Figure:
