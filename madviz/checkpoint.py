@@ -27,7 +27,7 @@ from madviz.envs.own import allow_task
 from madviz.factories import made_by
 from madviz.files import read_json, write_bytes, write_json
 from madviz.manifest import FORMAT, check_config, policy_spec
-from madviz.types import Policy, PolicySpec, UserError
+from madviz.types import Policy, PolicySpec, UserError, perhaps
 
 if TYPE_CHECKING:
     from madviz.agent.agent import Agent
@@ -102,6 +102,7 @@ def find_policy(policy: str | Path) -> Path:
     raise UserError(
         f"unknown policy {str(policy)!r}: expected a folder with {CONFIG}, module:factory, "
         f"or one of: {', '.join(known) or 'none found; see `madviz train`'}"
+        f"{perhaps(str(policy), list(known))}"
     )
 
 

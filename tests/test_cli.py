@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from madviz import cli
-from madviz.types import UserError
+from madviz.types import UserError, perhaps, unknown
 
 
 def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -61,10 +61,29 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
     assert "known: buffer, evaluate, live, render, update" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("found", "end"),
+    [
+        ("trian", "; did you mean train?"),
+        ("PUSH", "; did you mean metaworld/push or maniskill/push-cube?"),
+        ("hamer", "; did you mean hammer?"),
+        ("push-kube", "; did you mean maniskill/push-cube?"),
+        ("wurst", ""),
+        ("", ""),
+    ],
+)
+def test_what_was_meant_is_said_last(found: str, end: str) -> None:
+    known = ["maniskill/push-cube", "metaworld/push", "hammer", "train", "eval"]
+    assert perhaps(found, known) == end
+    everything = "eval, hammer, maniskill/push-cube, metaworld/push, train"
+    assert str(unknown("word", found, known)) == f"unknown word {found!r}; known: {everything}{end}"
+
+
 def test_a_users_mistake_is_one_line_without_a_traceback() -> None:
     asked = run("eval", "--policy", "no-such-policy")
     assert asked.returncode == 2 and asked.stdout == ""
     assert asked.stderr.startswith("madviz: unknown policy 'no-such-policy'")
+    assert "did you mean" not in asked.stderr
     assert asked.stderr.count("\n") == 1
 
 
