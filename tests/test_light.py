@@ -205,6 +205,13 @@ def test_a_folder_holds_one_run(tmp_path: Path) -> None:
         RunFolder(tmp_path / "other", TINY, resume=True, listener=None)
 
 
+def test_a_policy_that_came_from_elsewhere_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text("{}")
+    with pytest.raises(UserError, match="holds a policy that was not trained here; choose another"):
+        RunFolder(tmp_path, TINY, resume=False, listener=None)
+    assert [file.name for file in tmp_path.iterdir()] == ["config.json"]
+
+
 def test_a_file_is_not_a_folder(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match="expected a folder"):

@@ -144,7 +144,8 @@ def test_the_report_comes_out_the_same_to_the_byte(tmp_path: Path) -> None:
         xml.fromstring(picture.decode())
     for name in result["pictures"]:
         assert f"](results/{Path(name).name})" in text
-    assert "madviz train --task metaworld/hammer --method merged-only --seed 1\n" in text
+    words = "madviz train --task metaworld/hammer --method merged-only --seed 1"
+    assert f"{words} --out runs/metaworld-hammer-merged-only-light\n" in text
     assert "--subsets all first third_a third_b --episodes 100 --seed 5000 --card" in text
 
 

@@ -27,6 +27,7 @@ from typing import Any
 
 import torch
 
+from madviz.checkpoint import CONFIG
 from madviz.files import write_bytes
 from madviz.types import UserError
 
@@ -46,7 +47,8 @@ class RunFolder:
     ) -> None:
         """``config``, a dataclass or a dict for JSON, is all that makes the run what it is.
 
-        Raises UserError if the folder holds another run, or none although ``resume`` is set.
+        Raises UserError if the folder holds another run, a policy without a run, or no run although
+        ``resume`` is set.
         """
         self.path = Path(path)
         self.resume = self.path / "resume"
@@ -64,6 +66,10 @@ class RunFolder:
         if file.exists() and not resume:
             raise UserError(
                 f"{self.path} holds a run already; add --resume or choose another --out"
+            )
+        if not file.exists() and (self.path / CONFIG).exists():
+            raise UserError(
+                f"{self.path} holds a policy that was not trained here; choose another --out"
             )
         changed = changes(json.loads(file.read_text()), json.loads(described)) if resume else []
         if changed:

@@ -36,6 +36,8 @@ TWENTY = (
 BAR_ALL, BAR_MEAN, BAR_EPISODES, BAR_SEED = 0.92, 0.80, 100, 5000
 """A policy meets the bar with these rates, on at least so many episodes from this seed on."""
 TRIED = "tried.json"
+AGAIN = "runs"
+"""Where the commands that make a table again put what they make."""
 
 
 @dataclass(frozen=True)
@@ -211,15 +213,17 @@ def _page(
         "policies; not edited. Success counts at the last step of an episode. Every number has its "
         "95% interval in brackets and its count of episodes n, of each subset where it is a mean; "
         "rates have Wilson's interval. Intervals are about episodes: they do not say how another "
-        "training or another task would come out. A dash is what was not measured or cannot be.",
+        "training or another task would come out. A dash is what was not measured or cannot be. "
+        f"The commands under a table train and evaluate its policies again, in `{AGAIN}/`; what "
+        "ships with weights is evaluated as it is by the command in its card.",
         *_without_weights(evidence),
-        _bar_section(verdicts, remake, attempts),
-        *(_section(table, remake) for table in tables),
+        _bar_section(verdicts, attempts),
+        *(_section(table) for table in tables),
     ]
     return "\n\n".join(sections) + "\n"
 
 
-def _bar_section(verdicts: Sequence[Verdict], remake: str, attempts: dict[str, list[str]]) -> str:
+def _bar_section(verdicts: Sequence[Verdict], attempts: dict[str, list[str]]) -> str:
     met = sum(verdict.words == "met" for verdict in verdicts)
     missing = sum(verdict.row is None for verdict in verdicts)
     lines = [
@@ -247,7 +251,7 @@ def _bar_section(verdicts: Sequence[Verdict], remake: str, attempts: dict[str, l
         lines += ["", f"What was tried on the way (`{TRIED}`; weights were not kept):", ""]
         lines += [f"- {task}: {line}" for task, tries in attempts.items() for line in tries]
     used = [e for verdict in verdicts if verdict.row for e in verdict.row.evidence]
-    return "\n".join([*lines, "", _commands(used, remake)])
+    return "\n".join([*lines, "", _commands(used)])
 
 
 def _whole(suite: str, verdicts: Sequence[Verdict]) -> Row:
@@ -260,7 +264,7 @@ def _whole(suite: str, verdicts: Sequence[Verdict]) -> Row:
     return whole
 
 
-def _section(table: Table, remake: str) -> str:
+def _section(table: Table) -> str:
     layout, mean_of = table.layout, table.mean_of
     headings = ("task", "method", "trainings", *table.columns, *(["mean"] if mean_of else []))
     lines = [f"## {layout.title}: {table.suite}", "", *_head(headings)]
@@ -273,7 +277,7 @@ def _section(table: Table, remake: str) -> str:
     lines += ["", f"![{layout.title}, {table.suite}]({image})", ""]
     lines += [f"- {sentence}" for sentence in claims(table)]
     used = [e for row in table.averages for e in row.evidence]
-    return "\n".join([*lines, "", _commands(used, remake)])
+    return "\n".join([*lines, "", _commands(used)])
 
 
 def _row_line(task: str, row: Row, table: Table) -> str:
@@ -298,23 +302,32 @@ def _line(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def _commands(evidence: Sequence[Evidence], remake: str) -> str:
-    """How to make a table again: from the files, and the files themselves."""
+def _commands(evidence: Sequence[Evidence]) -> str:
+    """How to make a table again: trainings, their evaluations, the report of both. They go to a
+    folder of their own, where they overwrite nothing that was measured."""
     unique = {each.path: each for each in evidence}
     lines = []
     for each in unique.values():
+        folder = shlex.quote(f"{AGAIN}/{each.path.name}")
         if each.command:
-            lines.append(each.command)
-        subsets = " ".join(each.outcomes)
+            lines.append(f"{_without_out(each.command)} --out {folder}")
         lines.append(
-            f"madviz eval --policy {shlex.quote(each.path.as_posix())} --subsets {subsets} "
+            f"madviz eval --policy {folder} --subsets {' '.join(each.outcomes)} "
             f"--episodes {each.episodes} --seed {each.first_seed} --card"
         )
-    block = "\n".join(f"    {line}" for line in [*lines, remake])
+    block = "\n".join(f"    {line}" for line in [*lines, f"madviz report --folder {AGAIN}"])
     return (
         f"<details><summary>Made again by {len(lines) + 1} commands</summary>\n\n{block}\n\n"
         "</details>"
     )
+
+
+def _without_out(command: str) -> str:
+    words = shlex.split(command)
+    if "--out" in words:
+        place = words.index("--out")
+        del words[place : place + 2]
+    return shlex.join(words)
 
 
 def picture(table: Table) -> str:
