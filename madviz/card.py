@@ -8,6 +8,7 @@ interval, episode count, definition and seeds. A test can hold a committed card 
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from madviz.files import read_json, write_bytes
 from madviz.types import UserError
 
 CARD = "card.md"
+AGAIN = "runs"
+"""Where the commands that make a policy again put it, as ``madviz train`` does by itself."""
 
 
 def write_card(folder: str | Path) -> Path:
@@ -39,7 +42,7 @@ def card_text(folder: str | Path) -> str:
         _head(found.config),
         _success(evaluation, found.spec.name),
         _inputs(found.config),
-        _training(found.config["training"]),
+        _training(found.config["training"], found.path.name),
         f"Digest of weights and config: `{found.spec.digest}`.",
         "Generated from `config.json` and `evaluation.json` by `madviz eval --card`; not edited.",
     ]
@@ -109,14 +112,23 @@ def _inputs(config: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _training(training: dict[str, Any]) -> str:
+def train_again(command: str, name: str) -> str:
+    """``command`` with a place for its policy where it overwrites none: runs/NAME."""
+    words = shlex.split(command)
+    if "--out" in words:
+        place = words.index("--out")
+        del words[place : place + 2]
+    return shlex.join([*words, "--out", f"{AGAIN}/{name}"])
+
+
+def _training(training: dict[str, Any], name: str) -> str:
     """Whatever the recipe wrote down; the command first, alone on its line, to be copied."""
     lines = ["## How it was trained", ""]
     if "command" in training:
-        lines += [f"    {training['command']}", ""]
-    for name, value in training.items():
-        if name != "command":
-            lines.append(f"- {_title(name)}: {_plain(value)}")
+        lines += [f"    {train_again(training['command'], name)}", ""]
+    for key, value in training.items():
+        if key != "command":
+            lines.append(f"- {_title(key)}: {_plain(value)}")
     return "\n".join(lines)
 
 

@@ -275,7 +275,7 @@ def command(config: TrainConfig) -> str:
             words += [f"--{section}.{'' if value else 'no-'}{name.replace('_', '-')}"]
         elif value != getattr(standard, name):
             words += [f"--{section}.{name.replace('_', '-')}", str(value)]
-    return shlex.join([*words, "--out", f"checkpoints/{config.policy_name()}"])
+    return shlex.join(words)
 
 
 def print_event(event: Event) -> None:

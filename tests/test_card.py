@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from madviz.card import card_text, write_card
+from madviz.card import card_text, train_again, write_card
 from madviz.checkpoint import describe, save_policy
 from madviz.types import UserError
 from tests.test_checkpoint import make_agent, make_config
@@ -62,3 +62,10 @@ def test_broken_evaluations_are_named(folder):
     (folder / "evaluation.json").write_text("[")
     with pytest.raises(UserError, match="evaluation.json: expected a JSON file"):
         card_text(folder)
+
+
+def test_a_policy_is_made_again_where_it_overwrites_none() -> None:
+    plain = "madviz train --task toy/reach"
+    once = f"{plain} --out checkpoints/toy --light.alpha 0.2"
+    assert train_again(once, "a b") == f"{plain} --light.alpha 0.2 --out 'runs/a b'"
+    assert train_again(plain, "toy") == f"{plain} --out runs/toy"

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz import svg
+from madviz.card import AGAIN, train_again
 from madviz.checkpoint import WEIGHTS
 from madviz.envs.base import MANISKILL_TASKS, METAWORLD_TASKS
 from madviz.files import write_bytes
@@ -36,8 +37,6 @@ TWENTY = (
 BAR_ALL, BAR_MEAN, BAR_EPISODES, BAR_SEED = 0.92, 0.80, 100, 5000
 """A policy meets the bar with these rates, on at least so many episodes from this seed on."""
 TRIED = "tried.json"
-AGAIN = "runs"
-"""Where the commands that make a table again put what they make."""
 
 
 @dataclass(frozen=True)
@@ -303,14 +302,13 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def _commands(evidence: Sequence[Evidence]) -> str:
-    """How to make a table again: trainings, their evaluations, the report of both. They go to a
-    folder of their own, where they overwrite nothing that was measured."""
+    """How to make a table again: trainings, their evaluations, the report of both."""
     unique = {each.path: each for each in evidence}
     lines = []
     for each in unique.values():
         folder = shlex.quote(f"{AGAIN}/{each.path.name}")
         if each.command:
-            lines.append(f"{_without_out(each.command)} --out {folder}")
+            lines.append(train_again(each.command, each.path.name))
         lines.append(
             f"madviz eval --policy {folder} --subsets {' '.join(each.outcomes)} "
             f"--episodes {each.episodes} --seed {each.first_seed} --card"
@@ -320,14 +318,6 @@ def _commands(evidence: Sequence[Evidence]) -> str:
         f"<details><summary>Made again by {len(lines) + 1} commands</summary>\n\n{block}\n\n"
         "</details>"
     )
-
-
-def _without_out(command: str) -> str:
-    words = shlex.split(command)
-    if "--out" in words:
-        place = words.index("--out")
-        del words[place : place + 2]
-    return shlex.join(words)
 
 
 def picture(table: Table) -> str:
