@@ -294,10 +294,11 @@ leader = max((name for name in alone if name != "naive-both"), key=alone.__getit
 guess_robot.compare(f"{leader}, in {teaching.in_words(*alone[leader])}")
 
 # %% [markdown]
-# What the toy showed is here again: Merged Only and VIB lean on First person. And there is news.
-# Three networks for three cameras are not a way out: from Third A or Third B alone Single hardly
-# learns the task at this small budget, while the one network that saw all three does. Nor is
-# Singular Only, which never learned to act on the sum.
+# What the toy showed is here again: Merged Only and VIB lean on First person, and MVD, which met
+# single cameras in training too, loses little (and has little to lose). And there is news. Three
+# networks for three cameras are not a way out: from Third A or Third B alone Single hardly learns
+# the task at this small budget, while the one network that saw all three does. Nor is Singular
+# Only, which never learned to act on the sum.
 #
 # `naive-both` weighs the sum and the single cameras alike. So does MAD here, and with the expert as
 # the only teacher the two are then one and the same training: the rows must be equal, and are.
