@@ -164,6 +164,8 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
             f"not {config.recipe!r}"
         )
     chosen.merge_for(config.streams(), config.merge)
+    if config.recipe == "paper-vectorised":
+        config.vectorised.prepare(config.task)
     make_env(config.task, config.render_profile, config.drawn()).close()
     keep_large_blocks()
     everything = os.cpu_count() or 1

@@ -180,6 +180,29 @@ def test_training_on_it_ends_with_the_same_weights(
     assert all(torch.equal(weight, theirs[name]) for name, weight in mine.items())
 
 
+def test_the_gpu_is_claimed_before_anything_simulates(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Later, PhysX would refuse it."""
+
+    class Claimed(Exception):
+        pass
+
+    def claim() -> None:
+        raise Claimed
+
+    def simulate(*_: Any) -> None:
+        raise AssertionError("too early")
+
+    monkeypatch.setattr(paper_vectorised, "claim_gpu", claim)
+    for module in ("madviz.train", "madviz.recipes.paper_vectorised"):
+        monkeypatch.setattr(f"{module}.make_env", simulate)
+    settings = VectorisedConfig(simulation="gpu")
+    config = TrainConfig("maniskill/push-cube", "mad", "paper-vectorised", out=tmp_path / "run")
+    with pytest.raises(Claimed):
+        train(replace(config, vectorised=settings))
+
+
 def test_what_no_gpu_simulates_is_refused_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -71,6 +71,13 @@ class VectorisedConfig(ReinforcementConfig):
             return self.workers
         return min(self.environments, max(1, (os.cpu_count() or 1) // 2))
 
+    def prepare(self, task: str) -> None:
+        """What must happen before this process simulates anything. Raises UserError where ``task``
+        cannot be simulated as asked."""
+        if self.simulation == "gpu":
+            check_batched(task)
+            claim_gpu()
+
     def torch_device(self) -> str:
         """Raises UserError where CUDA is asked for and not there."""
         there = torch.cuda.is_available()
@@ -158,9 +165,6 @@ def train_vectorised(config: TrainConfig, folder: RunFolder, command: str = "") 
             f"expected an --vectorised.update-ratio of 0 or more, found {settings.update_ratio}"
         )
     recipe = Recipe(config.task, config.render_profile, config.drawn(), spec.streams)
-    if settings.simulation == "gpu":
-        check_batched(config.task)
-        claim_gpu()  # Before an environment simulates on a CPU.
     env = make_env(config.task, config.render_profile, config.drawn())
     envs: VectorEnvs | BatchedEnvs | None = None
     try:
