@@ -382,3 +382,12 @@ def test_the_command_writes_beside_the_folder_and_prints_json(tmp_path: Path, ca
     assert cli.main(["report", "--folder", str(tmp_path)]) == 0
     assert "1 of 20 tasks meet the bar" in capsys.readouterr().out
     assert cli.main(["report", "--folder", str(tmp_path / "nothing")]) == 2
+
+
+def test_runs_of_a_sweep_bear_their_own_names(tmp_path: Path) -> None:
+    for method in ("mad", "merged-only"):
+        write_policy(tmp_path, rates(0.9, 0.5, 0.5, 0.5), method=method, folder=f"{method}/policy")
+    _, text = report(tmp_path)
+    assert "without weights: `mad`, `merged-only`." in text
+    assert "--out runs/merged-only\n" in text and "--policy runs/mad " in text
+    assert "runs/policy" not in text

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -370,6 +371,17 @@ def test_the_command_prints_json_alone_and_ends_with_1_after_a_failure(
     assert json.loads(printed.out)["failed"] == 2 and "[sweep]" in printed.err
     assert cli.main(["sweep", sweep_file(tmp_path), *words[2:], "--dry-run"]) == 0
     assert "4 waiting" in capfd.readouterr().out
+
+
+SHIPPED = Path(__file__).resolve().parent.parent / "checkpoints"
+
+
+@pytest.mark.parametrize("file", sorted(SHIPPED.glob("*.toml")), ids=lambda file: file.stem)
+def test_the_sweeps_that_ship_ask_for_what_exists(file: Path, tmp_path: Path) -> None:
+    result = run_sweep(SweepConfig(str(file), out=tmp_path / "out", dry_run=True))
+    asked = tomllib.loads(file.read_text())
+    assert result["finished"] == 0 and len(result["runs"]) >= len(asked["grid"])
+    assert f"madviz sweep checkpoints/{file.name}" in file.read_text()
 
 
 # --- Ray ---

@@ -19,6 +19,7 @@ from madviz import checkpoint
 from madviz.files import read_json
 from madviz.manifest import check_config
 from madviz.subsets import mask_of
+from madviz.sweep.run import POLICY
 from madviz.types import UserError
 
 Outcomes = Mapping[int, bool]
@@ -50,6 +51,12 @@ class Evidence:
     occlusions: str
     outcomes: Mapping[str, Outcomes]
     """By subset, as the evaluation file names them."""
+
+    @property
+    def folder(self) -> str:
+        """The folder's name; of a sweep's run, where every policy's folder is called the same, the
+        run's."""
+        return self.path.parent.name if self.path.name == POLICY else self.path.name
 
     def of(self, subset: str) -> Outcomes | None:
         """Outcomes of ``subset`` under whatever name: for a policy with one camera, that camera's

@@ -188,7 +188,7 @@ def _verdict_json(verdict: Verdict) -> dict[str, Any]:
 
 def _without_weights(evidence: Sequence[Evidence]) -> list[str]:
     """Says which policies are here as figures only."""
-    bare = [e.path.name for e in evidence if not (e.path / WEIGHTS).is_file()]
+    bare = [e.folder for e in evidence if not (e.path / WEIGHTS).is_file()]
     if not bare:
         return []
     named = ", ".join(f"`{name}`" for name in bare)
@@ -238,7 +238,7 @@ def _bar_section(verdicts: Sequence[Verdict], attempts: dict[str, list[str]]) ->
     for verdict in verdicts:
         row = verdict.row
         cells = [_cell(None if row is None else row.rate(column)) for column in THREE]
-        name = "–" if row is None else f"`{row.evidence[0].path.name}`"
+        name = "–" if row is None else f"`{row.evidence[0].folder}`"
         lines.append(_line((verdict.task, name, *cells, _cell(verdict.mean), verdict.words)))
     for suite in dict.fromkeys(task.split("/")[0] for task in TWENTY):
         whole = _whole(suite, verdicts)
@@ -306,9 +306,9 @@ def _commands(evidence: Sequence[Evidence]) -> str:
     unique = {each.path: each for each in evidence}
     lines = []
     for each in unique.values():
-        folder = shlex.quote(f"{AGAIN}/{each.path.name}")
+        folder = shlex.quote(f"{AGAIN}/{each.folder}")
         if each.command:
-            lines.append(train_again(each.command, each.path.name))
+            lines.append(train_again(each.command, each.folder))
         lines.append(
             f"madviz eval --policy {folder} --subsets {' '.join(each.outcomes)} "
             f"--episodes {each.episodes} --seed {each.first_seed} --card"

@@ -318,7 +318,7 @@ def usual_alphas(evidence: Sequence[Evidence]) -> list[Evidence]:
         groups.setdefault(_kind(each), []).append(each)
     usual = {}
     for key, members in groups.items():
-        plain = [each.alpha for each in members if each.path.name == each.name]
+        plain = [each.alpha for each in members if each.folder == each.name]
         counted = Counter(each.alpha for each in members)
         commonest = min(counted, key=lambda a: (-counted[a], a or 0.0))
         usual[key] = plain[0] if plain else commonest

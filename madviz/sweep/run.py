@@ -37,6 +37,7 @@ from madviz.files import read_json, write_json
 from madviz.types import UserError
 
 RESULT, WORDS, LOG, CLAIM = "result.json", "run.json", "log.txt", "claim"
+POLICY = "policy"
 State = Literal["finished", "failed", "busy", "stopped"]
 POLL_SECONDS = 0.1
 
@@ -143,7 +144,7 @@ def claimed(folder: Path) -> Iterator[int | None]:
 def _work(run: Run, folder: Path, commands: _Commands, workers: int | None) -> None:
     check_same(folder, run)
     write_json(folder / WORDS, run.words())
-    policy = folder / "policy"
+    policy = folder / POLICY
     if not trained(policy):
         resume = ["--resume"] if (policy / "resume" / "run.json").is_file() else []
         commands.run("train", *run.train, "--out", str(policy), *resume)
@@ -165,7 +166,7 @@ def trained(policy: Path) -> bool:
 
 def expected_seconds(folder: Path) -> float | None:
     """What the run's training says it will take in all; None before it says so."""
-    file = folder / "policy" / "curve.csv"
+    file = folder / POLICY / "curve.csv"
     try:
         *_, last = csv.DictReader(file.read_text().splitlines())
         return float(last["seconds"]) + float(last["seconds_left"])
