@@ -391,3 +391,23 @@ def test_runs_of_a_sweep_bear_their_own_names(tmp_path: Path) -> None:
     assert "without weights: `mad`, `merged-only`." in text
     assert "--out runs/merged-only\n" in text and "--policy runs/mad " in text
     assert "runs/policy" not in text
+
+
+def test_where_most_methods_were_trained_all_stand_in_one_table(tmp_path: Path) -> None:
+    methods = ("mad", "naive-both", "merged-only", "singular-only", "q-mean", "attention", "vit")
+    for method in methods:
+        merge = method if method in ("q-mean", "attention", "vit") else "sum"
+        write_policy(tmp_path, GOOD, method=method, merge=merge)
+    write_policy(tmp_path, GOOD, method="vib", merge="vib")
+    assert "methods-metaworld" not in report(tmp_path)[0]["tables"]
+    write_policy(tmp_path, {"all": 0.5}, method="concat", merge="concat")
+    result, text = report(tmp_path)
+    assert "methods-metaworld" in result["tables"]
+    section = text.split("## Every method: metaworld")[1].split("\n## ")[0]
+    rows = [line.split(" | ")[1] for line in section.splitlines() if line.startswith("| metaworld")]
+    assert rows == [
+        *("mad", "vib", "naive-both", "merged-only", "singular-only"),
+        *("concat", "attention", "vit", "q-mean"),
+    ]
+    assert "MAD minus concat: +" in section and "on the mean of all; n = 100" in section
+    assert "The paper" not in section

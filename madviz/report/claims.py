@@ -152,6 +152,11 @@ def _one_and_the_same(table: Table) -> list[str]:
     ]
 
 
+def _methods(table: Table) -> list[str]:
+    everybody = [row.label for row in table.averages if row.label != "mad"]
+    return _lead(table, (), None, "", others=everybody)
+
+
 def _five(table: Table) -> list[str]:
     said = f"{100 * FIVE_LEAD:+.0f} points over its baselines with five views"
     return _lead(table, BASELINES, FIVE_LEAD, said)
@@ -221,6 +226,7 @@ def _modality(table: Table) -> list[str]:
 
 
 CLAIMS: dict[str, Callable[[Table], list[str]]] = {
-    **{"overall": _overall, "components": _components, "alpha": _alpha, "merging": _merging},
+    **{"overall": _overall, "components": _components, "alpha": _alpha, "methods": _methods},
+    "merging": _merging,
     **{"occlusion": _occlusion, "modality": _modality, "five": _five},
 }

@@ -177,6 +177,11 @@ def _merge(evidence: Evidence) -> str | None:
     return name if name is None or evidence.recipe == "light" else f"{name}, {evidence.recipe}"
 
 
+def any_method(evidence: Evidence) -> str | None:
+    """Everybody's row with three cameras, however views are merged."""
+    return _overall(evidence) or _merge(evidence)
+
+
 def _modality(evidence: Evidence) -> str | None:
     inside = evidence.setting == "three-rgbd" or evidence.setting.startswith("one-")
     return f"{_method(evidence)}, {evidence.setting}" if inside else None
@@ -198,13 +203,15 @@ LAYOUTS = (
         needs=2,
     ),
     Layout("alpha", "Alpha ablation", _alpha, THREE, THREE, needs=2, all_alphas=True),
+    Layout("methods", "Every method", any_method, THREE, THREE, needs=9),
     Layout("merging", "Multi-view merging", _merge, ("all",), needs=2),
     Layout("occlusion", "Two cameras turned away", _in("turned-away"), ("all", "third_a")),
     Layout("modality", "Modalities", _modality, ("all", "rgb", "depth")),
     Layout("five", "Five views", _in("five"), ("all",), ("all",)),
     Layout("resolution", "Mixed resolutions", _in("mixed-resolution"), THREE, THREE),
 )
-"""In the paper's order. Five views: the columns are those of the policies, see ``build``."""
+"""In the paper's order, and beside its merging all methods of a task where most were trained. Five
+views: the columns are those of the policies, see ``build``."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from madviz.agent.contrast import drawn
 from madviz.evaluate import FIRST_SEED, evaluate
 from madviz.files import read_json, write_json
 from madviz.report.evidence import Evidence, find_evidence
-from madviz.report.tables import LAYOUTS, THREE, Layout, build
+from madviz.report.tables import THREE, Layout, any_method, build
 from madviz.subsets import mask_of
 from madviz.teaching import Moment, SmallRun, train_small
 from madviz.teaching.rates import counted_in_words
@@ -156,11 +156,9 @@ def on_robot(task: str) -> dict[str, dict[str, str]]:
     """Method -> outcomes with all cameras and with each alone, of the trainings of ``task`` that
     were measured before and are rivals: one recipe, one budget, the same scenes. Of Single Camera,
     which is a training per camera, there is none with all."""
-    labels = {layout.key: layout.label for layout in LAYOUTS}
 
     def label(evidence: Evidence) -> str | None:
-        known = labels["overall"](evidence) or labels["merging"](evidence)
-        return known if evidence.task == task else None
+        return any_method(evidence) if evidence.task == task else None
 
     for root in checkpoint.policy_roots():
         for found in build(Layout("rivals", task, label, THREE, needs=2), find_evidence(root)):
