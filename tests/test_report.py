@@ -12,8 +12,10 @@ import pytest
 from madviz import checkpoint, cli, svg
 from madviz.report.claims import claims, same, signed, verdict
 from madviz.report.evidence import find_evidence, read_evidence
+from madviz.report.layouts import LAYOUTS, THREE
 from madviz.report.results import ReportConfig, judge, run_report
-from madviz.report.tables import LAYOUTS, THREE, Table, build, difference, usual_alphas
+from madviz.report.rows import difference
+from madviz.report.tables import Table, build, usual_alphas
 from madviz.types import UserError
 from tests.evidence import rates, write_policy
 

@@ -17,7 +17,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from madviz.report.tables import MERGES, THREE, Difference, Table, difference
+from madviz.report.layouts import MERGES, THREE
+from madviz.report.rows import Difference, difference
+from madviz.report.tables import Table
 from madviz.statistics import Interval
 
 BASELINES = ("single", "mvd", "vib", "mv-mwm")

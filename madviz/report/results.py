@@ -26,7 +26,9 @@ from madviz.envs.base import MANISKILL_TASKS, METAWORLD_TASKS
 from madviz.files import write_bytes
 from madviz.report.claims import claims
 from madviz.report.evidence import Evidence, find_evidence
-from madviz.report.tables import LAYOUTS, THREE, Rate, Row, Table, build, usual_alphas
+from madviz.report.layouts import LAYOUTS, THREE
+from madviz.report.rows import Rate, Row
+from madviz.report.tables import Table, build, usual_alphas
 from madviz.statistics import in_words
 from madviz.types import UserError
 

@@ -1,0 +1,121 @@
+"""The paper's tables, as layouts: who is in one, under which name, and what is looked at.
+
+A label names the row that a policy belongs to, or keeps it out of the table. What a method has as
+usual is not said: ``mad`` is MAD with a sum under the light recipe.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from madviz.report.evidence import Evidence
+
+THREE = ("all", "first", "third_a", "third_b")
+MERGES = ("sum", "concat", "frame-stack", "attention", "vit", "q-mean")
+OWN_MERGE = {"mvd": "mvd", "vib": "vib"}
+"""How a method merges where it is not by a sum."""
+ORDER = ("mad", "single", "mvd", "vib", "mv-mwm", "naive-both", "merged-only", "singular-only")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One of the paper's tables: who is in it, under which name, and what is looked at."""
+
+    key: str
+    title: str
+    label: Callable[[Evidence], str | None]
+    """The row a policy belongs to; None keeps it out."""
+    columns: tuple[str, ...]
+    mean_of: tuple[str, ...] = ()
+    """Columns of the last one, the mean; none: no such column."""
+    needs: int = 1
+    """Rows without which a task would compare nothing, and stays out."""
+    all_alphas: bool = False
+    """Whether policies count that differ from a method's usual alpha."""
+
+
+def _method(evidence: Evidence) -> str:
+    """The method, and what of it is not as usual."""
+    name = evidence.method
+    if evidence.merge != OWN_MERGE.get(name, "sum"):
+        name = f"{name} with {evidence.merge}"
+    return name if evidence.recipe == "light" else f"{name}, {evidence.recipe}"
+
+
+def _in(setting: str, methods: Iterable[str] = ()) -> Callable[[Evidence], str | None]:
+    chosen = tuple(methods)
+
+    def label(evidence: Evidence) -> str | None:
+        fits = evidence.setting == setting and (not chosen or evidence.method in chosen)
+        # What compares merges has a table of its own.
+        other = evidence.method == "merged-only" and evidence.merge != "sum"
+        return _method(evidence) if fits and evidence.method not in MERGES and not other else None
+
+    return label
+
+
+def _overall(evidence: Evidence) -> str | None:
+    """All methods with three cameras, and Single Camera, whose setting may be any with one."""
+    if evidence.method == "single" and evidence.setting in ("three", "one-rgb"):
+        return _method(evidence)
+    return _in("three")(evidence)
+
+
+def _alpha(evidence: Evidence) -> str | None:
+    if _in("three", ("mad",))(evidence) is None or evidence.alpha is None:
+        return None
+    recipe = "" if evidence.recipe == "light" else f", {evidence.recipe}"
+    return f"alpha {evidence.alpha:g}{recipe}"
+
+
+def _merge(evidence: Evidence) -> str | None:
+    if evidence.setting != "three":
+        return None
+    name = evidence.method if evidence.method in MERGES else None
+    if evidence.method == "merged-only":
+        name = evidence.merge
+    return name if name is None or evidence.recipe == "light" else f"{name}, {evidence.recipe}"
+
+
+def any_method(evidence: Evidence) -> str | None:
+    """Everybody's row with three cameras, however views are merged."""
+    return _overall(evidence) or _merge(evidence)
+
+
+def _modality(evidence: Evidence) -> str | None:
+    inside = evidence.setting == "three-rgbd" or evidence.setting.startswith("one-")
+    return f"{_method(evidence)}, {evidence.setting}" if inside else None
+
+
+def _scratch(evidence: Evidence) -> str | None:
+    return None if evidence.recipe == "light" else _overall(evidence)
+
+
+LAYOUTS = (
+    Layout("overall", "Overall robustness", _overall, THREE, THREE, needs=2),
+    Layout("scratch", "Reinforcement learning from scratch", _scratch, THREE, THREE),
+    Layout(
+        "components",
+        "Component ablation",
+        _in("three", ("mad", "naive-both", "merged-only", "singular-only")),
+        THREE,
+        THREE,
+        needs=2,
+    ),
+    Layout("alpha", "Alpha ablation", _alpha, THREE, THREE, needs=2, all_alphas=True),
+    Layout("methods", "Every method", any_method, THREE, THREE, needs=9),
+    Layout("merging", "Multi-view merging", _merge, ("all",), needs=2),
+    Layout("occlusion", "Two cameras turned away", _in("turned-away"), ("all", "third_a")),
+    Layout("modality", "Modalities", _modality, ("all", "rgb", "depth")),
+    Layout("five", "Five views", _in("five"), ("all",), ("all",)),
+    Layout("resolution", "Mixed resolutions", _in("mixed-resolution"), THREE, THREE),
+)
+"""In the paper's order, and beside its merging all methods of a task where most were trained. Five
+views: the columns are those of the policies, see ``build``."""
+
+
+def rank(label: str) -> tuple[int, str]:
+    name = label.split(",")[0]
+    order = (*ORDER, *MERGES)
+    return (order.index(name) if name in order else len(order), label)

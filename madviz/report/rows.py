@@ -1,0 +1,101 @@
+"""Rows of a table: rates of one method on one or several tasks, and what two of them differ by.
+
+A *row*'s cells hold single episodes and not rates, by *unit*: task, training seed, episode seed. So
+any two rows can be paired unit by unit, trainings of several seeds pool by themselves, and an
+average over tasks is the same code as one task:
+
+    row          units of `all`                                   rate
+    mad, hammer  (hammer, 1, 5000) yes, (hammer, 1, 5001) no ...  99 of 100
+    mad, 2 tasks the same and (push, 1, 5000) yes ...             190 of 200
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from madviz.report.evidence import Evidence
+from madviz.statistics import Interval, difference_interval, mean_interval, wilson
+
+Unit = tuple[str, int, int]
+"""Task, training seed, episode seed."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A success rate as it is printed."""
+
+    value: float
+    interval: Interval
+    n: int
+    """Episodes of one subset; a mean over several has as many of each."""
+
+
+@dataclass
+class Row:
+    """See the module."""
+
+    label: str
+    cells: dict[str, dict[Unit, bool]] = field(default_factory=dict)
+    evidence: list[Evidence] = field(default_factory=list)
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        return tuple(sorted({unit[0] for cell in self.cells.values() for unit in cell}))
+
+    @property
+    def trainings(self) -> int:
+        """Training seeds, at most, on any of the tasks."""
+        seeds = {unit[:2] for cell in self.cells.values() for unit in cell}
+        return max(Counter(task for task, _ in seeds).values(), default=0)
+
+    def rate(self, column: str) -> Rate | None:
+        """None where nothing was measured."""
+        cell = self.cells.get(column)
+        if not cell:
+            return None
+        successes = sum(cell.values())
+        return Rate(successes / len(cell), wilson(successes, len(cell)), len(cell))
+
+    def shares(self, columns: Sequence[str]) -> dict[Unit, float]:
+        """By unit, the share of ``columns`` that succeeded; of units that have them all."""
+        cells = [self.cells.get(column, {}) for column in columns]
+        common = set.intersection(*map(set, cells)) if cells else set()
+        return {unit: sum(cell[unit] for cell in cells) / len(cells) for unit in sorted(common)}
+
+    def measured(self, columns: Sequence[str]) -> list[str]:
+        return [column for column in columns if self.cells.get(column)]
+
+    def mean(self, columns: Sequence[str]) -> Rate | None:
+        """Over those of ``columns`` that this row has."""
+        present = self.measured(columns)
+        shares = list(self.shares(present).values())
+        if not shares:
+            return None
+        interval = mean_interval(shares, len(present))
+        return Rate(sum(shares) / len(shares), interval, len(shares))
+
+
+@dataclass(frozen=True)
+class Difference:
+    """First minus second, on the units and columns that both have."""
+
+    value: float
+    interval: Interval
+    n: int
+    tasks: tuple[str, ...]
+    columns: tuple[str, ...]
+
+
+def difference(first: Row, second: Row, columns: Sequence[str]) -> Difference | None:
+    """Of the means over the columns both rows have; None where no episodes can be paired."""
+    shared = [c for c in first.measured(columns) if c in second.measured(columns)]
+    mine, theirs = first.shares(shared), second.shares(shared)
+    units = [unit for unit in mine if unit in theirs]
+    if not shared or not units:
+        return None
+    gaps = [mine[unit] - theirs[unit] for unit in units]
+    tasks = tuple(sorted({unit[0] for unit in units}))
+    value = sum(gaps) / len(gaps)
+    return Difference(value, difference_interval(gaps), len(gaps), tasks, tuple(shared))
