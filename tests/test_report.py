@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 
 from madviz import checkpoint, cli, svg
+from madviz.report.bar import judge
 from madviz.report.claims import claims, same, signed, verdict
 from madviz.report.evidence import find_evidence, read_evidence
 from madviz.report.layouts import LAYOUTS, THREE
-from madviz.report.results import ReportConfig, judge, run_report
+from madviz.report.results import ReportConfig, run_report
 from madviz.report.rows import difference
 from madviz.report.tables import Table, build, usual_alphas
 from madviz.types import UserError

@@ -1,0 +1,120 @@
+"""Twenty tasks and the bar that a task's policy is held to, and what was tried on the way to it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from madviz.envs.base import MANISKILL_TASKS, METAWORLD_TASKS
+from madviz.report.evidence import Evidence
+from madviz.report.layouts import THREE
+from madviz.report.rows import Rate, Row
+from madviz.report.tables import usual_alphas
+from madviz.types import UserError
+
+TWENTY = (
+    *(f"metaworld/{task}" for task in METAWORLD_TASKS),
+    *(f"maniskill/{task}" for task in MANISKILL_TASKS),
+)
+BAR_ALL, BAR_MEAN, BAR_EPISODES, BAR_SEED = 0.92, 0.80, 100, 5000
+"""A policy meets the bar with these rates, on at least so many episodes from this seed on."""
+TRIED = "tried.json"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a task's policy stands to the bar."""
+
+    task: str
+    row: Row | None
+    """None where no policy was trained and measured."""
+    mean: Rate | None
+    reasons: tuple[str, ...]
+    """What it falls short of; none: the bar is met."""
+
+    @property
+    def words(self) -> str:
+        if self.row is None:
+            return "not trained"
+        return "met" if not self.reasons else f"not met: {'; '.join(self.reasons)}"
+
+
+def judged_on(task: str) -> tuple[str, ...]:
+    """The subsets of the mean; PokeCube's first person alone cannot see enough (paper)."""
+    return tuple(c for c in THREE if task != "maniskill/poke-cube" or c != "first")
+
+
+def judge(task: str, evidence: Sequence[Evidence]) -> Verdict:
+    """The task's MAD policy on three cameras; of several, the one with the highest mean."""
+    found = []
+    for each in usual_alphas(evidence):
+        if (each.task, each.method, each.setting, each.merge) == (task, "mad", "three", "sum"):
+            row = Row(each.name, evidence=[each])
+            for column in THREE:
+                if outcomes := each.of(column):
+                    row.cells[column] = {(task, each.seed, s): ok for s, ok in outcomes.items()}
+            if mean := row.mean(judged_on(task)):
+                found.append((mean.value, row))
+    if not found:
+        return Verdict(task, None, None, ())
+    row = max(found, key=lambda each: each[0])[1]
+    mean = row.mean(judged_on(task))
+    return Verdict(task, row, mean, tuple(_reasons(task, row, mean)))
+
+
+def _reasons(task: str, row: Row, mean: Rate | None) -> list[str]:
+    reasons = []
+    missing = [c for c in judged_on(task) if c not in row.cells]
+    if missing:
+        reasons.append(f"{', '.join(missing)} not measured")
+    whole = row.rate("all")
+    if whole is not None and whole.value < BAR_ALL:
+        reasons.append(f"all {whole.value:.2f} is below {BAR_ALL}")
+    if mean is not None and mean.value < BAR_MEAN:
+        reasons.append(f"mean {mean.value:.2f} is below {BAR_MEAN:.2f}")
+    if mean is not None and mean.n < BAR_EPISODES:
+        reasons.append(f"{mean.n} episodes, {BAR_EPISODES} are needed")
+    if row.evidence[0].first_seed < BAR_SEED:
+        reasons.append(f"seeds below {BAR_SEED}")
+    return reasons
+
+
+def tried(folder: Path) -> dict[str, list[str]]:
+    """What was tried, in the order of the twenty tasks; empty without the file. Raises UserError
+    for a file of another form."""
+    path = folder / TRIED
+    if not path.exists():
+        return {}
+    try:
+        found = json.loads(path.read_text())
+    except ValueError as error:
+        raise UserError(f"expected JSON in {path}: {error}") from error
+    form = isinstance(found, dict) and set(found) <= set(TWENTY) and all(
+        isinstance(lines, list) and all(isinstance(line, str) for line in lines)
+        for lines in found.values()
+    )  # fmt: skip
+    if not form:
+        raise UserError(
+            f'expected {path} to hold a list of sentences for each task, such as {{"{TWENTY[0]}": '
+            '["12 rounds: all 0.90"]}; see the tasks with `madviz list`'
+        )
+    return {task: found[task] for task in TWENTY if found.get(task)}
+
+
+def verdict_json(verdict: Verdict) -> dict[str, Any]:
+    """For ``--json``: the policy's folder, its rates with n and interval, the verdict."""
+    subsets = {} if verdict.row is None else {c: verdict.row.rate(c) for c in THREE}
+    rated = {**subsets, "mean": verdict.mean}
+    return {
+        "task": verdict.task,
+        "policy": None if verdict.row is None else str(verdict.row.evidence[0].path),
+        "verdict": verdict.words,
+        **{
+            name: {"success": rate.value, "n": rate.n, "ci95": list(rate.interval)}
+            for name, rate in rated.items()
+            if rate is not None
+        },
+    }
