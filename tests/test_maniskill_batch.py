@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,15 +15,16 @@ import torch
 
 from madviz.envs import maniskill_batch
 from madviz.envs.base import MANISKILL_TASKS, make_env, setting_cameras
-from madviz.envs.maniskill import HORIZON, ManiSkill
+from madviz.envs.maniskill import HORIZON, ManiSkill, cameras_of
 from madviz.envs.maniskill_batch import ManiSkillBatch
+from madviz.envs.maniskill_tasks import states
 from madviz.recipes import paper_vectorised, vector_batch
 from madviz.recipes.paper_vectorised import VectorisedConfig
 from madviz.recipes.run import RunFolder
 from madviz.recipes.vector_batch import BatchedEnvs
 from madviz.recipes.vector_envs import Board, Recipe, VectorEnvs
 from madviz.train import TrainConfig, train
-from madviz.types import TimeStep, UserError, View
+from madviz.types import EnvSpec, TimeStep, UserError, View
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:mani_skill")
 
@@ -153,6 +155,63 @@ def test_its_lanes_are_those_of_processes(on_cpu: None) -> None:
     batched.close()
     others.close()
     env.close()
+
+
+@pytest.mark.parametrize(("task", "size"), [("push-cube", 28), ("pick-cube", 29)])
+def test_states_of_many_copies_are_rows(task: str, size: int) -> None:
+    copies = 3
+
+    def rows(width: int, start: float) -> torch.Tensor:
+        return start + torch.arange(float(copies))[:, None].expand(copies, width)
+
+    pose = SimpleNamespace(raw_pose=rows(7, 20), p=rows(3, 30))
+    joints = SimpleNamespace(get_qpos=lambda: rows(9, 0), get_qvel=lambda: rows(9, 10))
+    place = SimpleNamespace(pose=pose)
+    simulation = SimpleNamespace(
+        agent=SimpleNamespace(robot=joints, tcp=place), goal_region=place, goal_site=place
+    )
+    found = states(task, simulation, {"is_grasped": torch.tensor([True, False, True])})
+    assert found.shape == (copies, size) and found.dtype == np.float32
+    for column, start in ((0, 0), (9, 10), (-4, 20), (-1, 30)):
+        assert found[:, column].tolist() == [start, start + 1, start + 2]
+    if task == "pick-cube":
+        np.testing.assert_array_equal(found[:, 18], [1, 0, 1])
+
+
+def test_many_copies_fill_their_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Three:
+        """Copies that say their number, and what they were told."""
+
+        def __init__(self, *told: Any) -> None:
+            assert told[:3] == ("push-cube", 3, "fast")
+
+        def reset(self, seeds: list[int]) -> maniskill_batch.Steps:
+            return self.step(np.array(seeds, np.float32)[:, np.newaxis].repeat(4, 1))
+
+        def step(self, actions: np.ndarray) -> maniskill_batch.Steps:
+            self.told = actions.copy()
+            success = np.zeros(3, bool)
+            return maniskill_batch.Steps(actions.repeat(7, 1), actions[:, 0], success, last=True)
+
+        def draw(self) -> dict[str, list[View]]:
+            shape = (84, 84)
+            views = [
+                View(np.full((*shape, 3), 10 * i, np.uint8), np.full(shape, 1.0, np.float32))
+                for i in range(3)
+            ]
+            return {"third_a": views}
+
+    monkeypatch.setattr(vector_batch, "ManiSkillBatch", Three)
+    spec = EnvSpec("maniskill/push-cube", cameras_of("push-cube"), 28, 4, 50)
+    board = Board(3, ("third_a",), 28, 4)
+    recipe = Recipe("maniskill/push-cube", "fast", spec.cameras, ("third_a",))
+    envs = BatchedEnvs(recipe, spec, board, 3)
+    envs.reset([7, 8, 9])
+    assert board["reward"][:, 0].tolist() == [7, 8, 9] and board["last"].all()
+    envs.send(np.arange(12, dtype=np.float32).reshape(3, 4))
+    envs.receive()
+    assert board["state"][:, 0].tolist() == [0, 4, 8]
+    assert [envs.frames(lane)[0].max() for lane in range(3)] == [0, 10, 20]
 
 
 def test_training_on_it_ends_with_the_same_weights(
