@@ -31,7 +31,7 @@ import torch
 from madviz.envs.base import check_action, standing
 from madviz.envs.maniskill import HORIZON, cameras_of
 from madviz.envs.maniskill_meshes import lighten
-from madviz.envs.maniskill_render import FAR, NEAR, sapien_pose
+from madviz.envs.maniskill_render import FAR, sensor
 from madviz.envs.maniskill_tasks import states, stock_task
 from madviz.envs.maniskill_vulkan import renderer
 from madviz.types import Array, CameraSpec, UserError, View
@@ -164,25 +164,10 @@ class _OurCameras:
     def _setup_sensors(self, options: dict) -> None:
         from mani_skill.sensors.camera import Camera
 
+        self.agent: Any
+        links = self.agent.robot.links_map
         self._human_render_cameras = self.scene.human_render_cameras = {}
         self._sensors = self.scene.sensors = {
-            camera.name: Camera(self._sensor(camera), self.scene) for camera in self.madviz_cameras
+            each.name: Camera(sensor(each, each.body and links[each.body]), self.scene)
+            for each in self.madviz_cameras
         }
-
-    def _sensor(self, camera: CameraSpec) -> Any:
-        import sapien
-        from mani_skill.sensors.camera import CameraConfig
-        from mani_skill.utils.structs.pose import Pose
-
-        self.agent: Any
-        mount: Any = camera.body and self.agent.robot.links_map[camera.body]
-        return CameraConfig(
-            uid=camera.name,
-            pose=Pose.create(sapien.Pose(sapien_pose(camera.position, camera.wxyz))),
-            width=camera.size,
-            height=camera.size,
-            fov=float(np.radians(camera.fovy)),
-            near=NEAR,
-            far=FAR,
-            mount=mount,
-        )

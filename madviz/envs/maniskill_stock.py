@@ -66,22 +66,6 @@ class _PaperSensors:
 
     @property
     def _default_sensor_configs(self) -> list[Any]:
-        import sapien
-        from mani_skill.sensors.camera import CameraConfig
-        from mani_skill.utils.structs.pose import Pose
+        from madviz.envs.maniskill_render import sensor
 
-        from madviz.envs.maniskill_render import FAR, NEAR, sapien_pose
-
-        return [
-            CameraConfig(
-                uid=camera.name,
-                pose=Pose.create(sapien.Pose(sapien_pose(camera.position, camera.wxyz))),
-                width=camera.size,
-                height=camera.size,
-                fov=float(np.radians(camera.fovy)),
-                near=NEAR,
-                far=FAR,
-            )
-            for camera in cameras_of(self.madviz_task)
-            if camera.body is None
-        ]
+        return [sensor(camera) for camera in cameras_of(self.madviz_task) if camera.body is None]
