@@ -1,8 +1,8 @@
 """Many copies of a ManiSkill task in one simulation, on a GPU: physics and pictures together.
 
 The problem: a copy in a process of its own steps and draws on one core, 26 ms for three pictures,
-and a machine has few cores. ManiSkill steps and draws L copies on a GPU in about the time of one,
-if they are one simulation; then everything comes as arrays with a row for each:
+and a machine has few cores. ManiSkill can step and draw L copies at once on a GPU, if they are one
+simulation; then everything comes as arrays with a row for each:
 
     reset(seeds (L,))  ->  state (L, S)                       reset draws nothing
     step(actions (L, A)) -> state (L, S), reward (L,), success (L,), last
@@ -11,12 +11,13 @@ if they are one simulation; then everything comes as arrays with a row for each:
 Cameras, success, state and the light meshes are those of ``ManiSkill``, whose pictures these are.
 Two things are not as there. ManiSkill draws the scenes of all copies from the first seed, so a
 scene is a function of all seeds and its place among them. And on a GPU a reset puts everything back
-without building the physics anew (that takes seconds for many), so an episode can differ a little
+without building the physics of every copy anew, so an episode can differ a little
 from the same one after another; a GPU's sums may differ too.
 
 ManiSkill runs a single copy on a CPU through the same calls, and there this class is held to be
-``ManiSkill`` number by number and pixel by pixel (``tests/test_maniskill_batch.py``). No machine
-with a GPU was at hand: WHAT ONLY A GPU RUNS HAS NEVER RUN, and none of its speed is measured.
+``ManiSkill``: equal numbers, pictures alike within a rounding (``tests/test_maniskill_batch.py``).
+No machine with a GPU was at hand: WHAT ONLY A GPU RUNS HAS NEVER RUN, and none of its speed is
+measured.
 """
 
 from __future__ import annotations

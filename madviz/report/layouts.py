@@ -116,6 +116,7 @@ views: the columns are those of the policies, see ``build``."""
 
 
 def rank(label: str) -> tuple[int, str]:
+    """A row's place in every table: a key to sort labels by."""
     name = label.split(",")[0]
     order = (*ORDER, *MERGES)
     return (order.index(name) if name in order else len(order), label)
