@@ -313,7 +313,8 @@ def test_policies_that_are_figures_only_are_named(tmp_path: Path) -> None:
     (whole / "evaluation.json").write_text(json.dumps(told))
     run_report(ReportConfig(tmp_path))
     said = (tmp_path / "RESULTS.md").read_text()
-    assert f"without weights: `{bare.name}`. They serve" in said
+    assert "figures only, without weights: 1 that" in said
+    assert f"\n\n`{bare.name}`\n\n</details>" in said
 
 
 def test_nothing_is_claimed_about_baselines_that_were_not_measured(tmp_path: Path) -> None:
@@ -391,7 +392,7 @@ def test_runs_of_a_sweep_bear_their_own_names(tmp_path: Path) -> None:
     for method in ("mad", "merged-only"):
         write_policy(tmp_path, rates(0.9, 0.5, 0.5, 0.5), method=method, folder=f"{method}/policy")
     _, text = report(tmp_path)
-    assert "without weights: `mad`, `merged-only`." in text
+    assert "\n\n`mad`, `merged-only`\n\n</details>" in text
     assert "--out runs/merged-only\n" in text and "--policy runs/mad " in text
     assert "runs/policy" not in text
 

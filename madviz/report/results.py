@@ -97,9 +97,9 @@ def _without_weights(evidence: Sequence[Evidence]) -> list[str]:
         return []
     named = ", ".join(f"`{name}`" for name in bare)
     return [
-        f"Here as figures only, without weights: {named}. They serve a comparison, or fall "
-        f"short by too much to be shown at work; the commands "
-        "under its table make them again."
+        f"<details><summary>Here as figures only, without weights: {len(bare)} that serve a "
+        "comparison, or fall short by too much to be shown at work; the commands under a table "
+        f"make them again</summary>\n\n{named}\n\n</details>"
     ]
 
 
