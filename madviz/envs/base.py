@@ -60,6 +60,15 @@ class Setting:
 
     cameras: tuple[str, ...]
     modalities: tuple[Modality, ...] = ("rgb",)
+    sizes: tuple[int, ...] = ()
+    """Rows and columns of each camera's picture; () leaves what the suite draws."""
+    elsewhere: bool = False
+    """Whether some cameras stand where only a suite can say."""
+
+    @property
+    def usual(self) -> bool:
+        """Whether these are a suite's own three cameras as they are, in whatever modalities."""
+        return self.cameras == THREE and not self.sizes and not self.elsewhere
 
     @property
     def streams(self) -> tuple[str, ...]:
@@ -74,17 +83,14 @@ SETTINGS: dict[str, Setting] = {
     "three": Setting(THREE),
     "three-rgbd": Setting(THREE, ("rgb", "depth")),
     "five": Setting((*THREE, "third_c", "top")),
-    "mixed-resolution": Setting(THREE),
-    "turned-away": Setting(THREE),
+    "mixed-resolution": Setting(THREE, sizes=(64, 96, 84)),
+    "turned-away": Setting(THREE, elsewhere=True),
     "one-rgb": Setting(("third_a",)),
     "one-depth": Setting(("third_a",), ("depth",)),
     "one-rgbd": Setting(("third_a",), ("rgb", "depth")),
 }
 """One camera is Third A, the one the paper leaves untouched where it turns the others away: it
-stands still, and sees the whole table."""
-
-RESOLUTIONS = {"first": 64, "third_a": 96, "third_b": 84}
-"""Rows and columns in ``mixed-resolution``, as in the paper; all are resized to 84 for a policy."""
+stands still, and sees the whole table. Sizes are the paper's; a policy gets all resized to 84."""
 
 
 def setting(name: str) -> Setting:
@@ -99,17 +105,24 @@ def setting_cameras(task: str, name: str) -> tuple[CameraSpec, ...]:
 
     Raises UserError for unknown names, and where the suite has no cameras for that setting.
     """
-    own, moved = _suite_cameras(task)
-    chosen = {camera.name: camera for camera in (*own, *moved.get(name, ()))}
-    missing = [camera for camera in setting(name).cameras if camera not in chosen]
-    if missing or (name == "turned-away" and name not in moved):
-        raise UserError(
-            f"{task} has no cameras for the setting {name!r}; known there: "
-            f"{', '.join(s for s in SETTINGS if s in moved or _same_cameras(s))}"
-        )
-    if name == "mixed-resolution":
-        return tuple(replace(chosen[c], size=size) for c, size in RESOLUTIONS.items())
-    return tuple(chosen[camera] for camera in setting(name).cameras)
+    own, placed = _suite_cameras(task)
+    wanted = setting(name)
+    if not _has(name, own, placed):
+        known = ", ".join(each for each in SETTINGS if _has(each, own, placed))
+        raise UserError(f"{task} has no cameras for the setting {name!r}; known there: {known}")
+    found = {camera.name: camera for camera in (*own, *placed.get(name, ()))}
+    cameras = tuple(found[camera] for camera in wanted.cameras)
+    if wanted.sizes:
+        sized = zip(cameras, wanted.sizes, strict=True)
+        return tuple(replace(camera, size=size) for camera, size in sized)
+    return cameras
+
+
+def _has(name: str, own: tuple[CameraSpec, ...], placed: dict[str, tuple[CameraSpec, ...]]) -> bool:
+    """Whether a suite with its ``own`` cameras, and those ``placed`` by setting, has them all."""
+    wanted = SETTINGS[name]
+    here = {camera.name for camera in (*own, *placed.get(name, ()))}
+    return here >= set(wanted.cameras) and (name in placed or not wanted.elsewhere)
 
 
 def choose(
@@ -119,7 +132,7 @@ def choose(
     cameras in the modalities of that setting. A task of one's own has its cameras, under whatever
     names, where the setting asks for the usual three.
     Raises UserError for unknown names and bad files."""
-    if file is None and not (own.is_own(task) and _same_three(name)):
+    if file is None and not (own.is_own(task) and setting(name).usual):
         return setting(name), setting_cameras(task, name)
     cameras = read_cameras(file) if file else _suite_cameras(task)[0]
     return Setting(tuple(c.name for c in cameras), setting(name).modalities), cameras
@@ -141,16 +154,6 @@ def sees(env: EnvSpec, cameras: tuple[CameraSpec, ...]) -> bool:
     """
     drawn = {camera.name: replace(camera, label="") for camera in env.cameras}
     return all(drawn.get(camera.name) == replace(camera, label="") for camera in cameras)
-
-
-def _same_three(name: str) -> bool:
-    """Whether the setting is a suite's own three cameras as they are, in whatever modalities."""
-    return SETTINGS[name].cameras == THREE and name not in ("turned-away", "mixed-resolution")
-
-
-def _same_cameras(name: str) -> bool:
-    """Whether the setting needs nothing but a suite's three cameras."""
-    return set(SETTINGS[name].cameras) <= set(THREE) and name != "turned-away"
 
 
 def _suite_cameras(
