@@ -228,6 +228,20 @@ def test_single_camera_is_three_trainings_in_one_row(tmp_path: Path) -> None:
     assert gap.value == pytest.approx(0.85 - 0.5)
 
 
+def test_what_adds_nothing_to_a_row_is_not_trained_again_for_it(tmp_path: Path) -> None:
+    """Single Camera with Third A is the same in every setting that has it as it is."""
+    write_policy(tmp_path, GOOD)
+    for setting in ("three", "one-rgb"):
+        write_policy(
+            tmp_path, {"all": 0.4}, method="single", streams=("third_a",), setting=setting,
+            folder=f"single-{setting}",
+        )  # fmt: skip
+    single = table(tmp_path, "overall").average("single")
+    assert single is not None and len(single.evidence) == 1
+    found = single.rate("third_a")
+    assert found is not None and found.n == 100
+
+
 def test_an_alpha_ablation_stays_out_of_the_other_tables(tmp_path: Path) -> None:
     write_policy(tmp_path, GOOD)
     for alpha in (0.2, 0.8):

@@ -112,6 +112,7 @@ def _row(
     """``seeds``: by task, the only episodes that count; None: all of them."""
     row = Row(label)
     for each in members:
+        counts = False
         for column in columns:
             # All of one camera is not all cameras, where other rows have several.
             alone = len(each.streams) == 1 and column == "all" and "third_b" in columns
@@ -119,9 +120,13 @@ def _row(
             for seed, success in (found or {}).items():
                 if seeds is not None and seed not in seeds.get(each.task, ()):
                     continue
-                cell = row.cells.setdefault(column, {})
-                cell.setdefault((each.task, each.seed, seed), success)
-        row.evidence.append(each)
+                cell, unit = row.cells.setdefault(column, {}), (each.task, each.seed, seed)
+                counts |= unit not in cell
+                cell.setdefault(unit, success)
+        # Who says nothing that was not said (Single Camera with this camera, of another setting)
+        # is not trained again for this row.
+        if counts:
+            row.evidence.append(each)
     return row
 
 
