@@ -314,6 +314,26 @@ def test_one_training_under_two_names_is_said_to_be_one(tmp_path: Path) -> None:
     assert len(said) == 1 and said[0].startswith("On metaworld/push naive-both and MAD")
 
 
+def test_cameras_that_see_nothing_have_their_part_of_the_loss(tmp_path: Path) -> None:
+    """An alpha that is not a task's usual one has a row of its own here, and says its name."""
+    for alpha, folder in ((0.25, "metaworld-hammer-mad-turned-away-light"), (0.8, "other")):
+        write_policy(
+            tmp_path, {"all": alpha, "third_a": 0.5}, setting="turned-away", alpha=alpha,
+            folder=folder,
+        )  # fmt: skip
+    write_policy(
+        tmp_path, {"all": 0.9}, method="single", streams=("third_a",), setting="turned-away"
+    )
+    away = table(tmp_path, "occlusion")
+    assert [row.label for row in away.averages] == ["mad", "mad, alpha 0.8", "single"]
+    assert [len(row.evidence) for row in away.averages] == [1, 1, 1]
+    first, second, why, *_ = claims(away)
+    assert first.startswith("MAD minus single") and "does not agree" in first
+    assert second.startswith("MAD, alpha 0.8 minus single")
+    # Two of three streams, each (1 - alpha) / 3.
+    assert "50% at alpha 0.25, 13% at alpha 0.8" in why
+
+
 def test_nothing_is_no_debt() -> None:
     assert [signed(share) for share in (-0.002, 0.0, -0.006, 0.42)] == ["+0", "+0", "-1", "+42"]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Literal
 
 from madviz.report.evidence import Evidence
 
@@ -31,8 +32,9 @@ class Layout:
     """Columns of the last one, the mean; none: no such column."""
     needs: int = 1
     """Rows without which a task would compare nothing, and stays out."""
-    all_alphas: bool = False
-    """Whether policies count that differ from a method's usual alpha."""
+    alphas: Literal["usual", "named", "all"] = "usual"
+    """Where policies go that differ from a method's usual alpha: out of the table, into rows that
+    name it, or into those that ``label`` tells apart itself."""
 
 
 def _method(evidence: Evidence) -> str:
@@ -103,10 +105,13 @@ LAYOUTS = (
         THREE,
         needs=2,
     ),
-    Layout("alpha", "Alpha ablation", _alpha, THREE, THREE, needs=2, all_alphas=True),
+    Layout("alpha", "Alpha ablation", _alpha, THREE, THREE, needs=2, alphas="all"),
     Layout("methods", "Every method", any_method, THREE, THREE, needs=9),
     Layout("merging", "Multi-view merging", _merge, ("all",), needs=2),
-    Layout("occlusion", "Two cameras turned away", _in("turned-away"), ("all", "third_a")),
+    Layout(
+        *("occlusion", "Two cameras turned away", _in("turned-away"), ("all", "third_a")),
+        alphas="named",
+    ),
     Layout("modality", "Modalities", _modality, ("all", "rgb", "depth")),
     Layout("five", "Five views", _in("five"), ("all",), ("all",)),
     Layout("resolution", "Mixed resolutions", _in("mixed-resolution"), THREE, THREE),

@@ -42,8 +42,12 @@ class Table:
 
 def build(layout: Layout, evidence: Sequence[Evidence]) -> list[Table]:
     """The tables of one layout, one for each suite with a task that has enough rows."""
-    pool = list(evidence) if layout.all_alphas else usual_alphas(evidence)
-    chosen = [(label, each) for each in pool if (label := layout.label(each))]
+    chosen = [(label, each) for each in evidence if (label := layout.label(each))]
+    if layout.alphas != "all":
+        usual = usual_alphas(evidence)
+        others = [(f"{label}, alpha {e.alpha:g}", e) for label, e in chosen if e not in usual]
+        chosen = [pair for pair in chosen if pair[1] in usual]
+        chosen += others if layout.alphas == "named" else []
     tasks = {each.task for _, each in chosen}
     chosen = [pair for task in sorted(tasks) for pair in _rivals(layout, task, chosen)]
     tables = []
