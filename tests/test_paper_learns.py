@@ -1,12 +1,20 @@
-"""The paper recipe, whole and small: does reinforcement learning alone solve the toy?"""
+"""The paper recipe, whole and small: what does each method make of the toy by reinforcement
+learning alone, without a demonstration?
+
+``LEARNS`` asks of a method what it is for. Merged Only, VIB and the ways to merge learn from all
+views together, so nothing is asked of them with one camera left: here they have 0.9 with First
+person, which they lean on, and nothing with either of the others.
+"""
 
 from __future__ import annotations
 
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from madviz.agent.methods import METHODS
 from madviz.recipes.paper import PaperConfig
 from madviz.train import TrainConfig, train
 
@@ -21,19 +29,43 @@ CONFIG = PaperConfig(
     eval_every=3_000,
     eval_episodes=20,
 )
-"""1,250 updates, about 2 minutes of one core: all 1.0, singles 1.0, 0.9 and 0.7 (10 episodes each).
-The paper's rate, width and batch need hours."""
+"""1,250 updates: on two idle cores a minute or two for most methods, nine for VIB. The paper's
+rate, width and batch need hours."""
+LEARNS = {
+    "mad": (0.7, 0.5),
+    "merged-only": (0.7, 0.0),
+    "singular-only": (0.7, 0.4),
+    "naive-both": (0.7, 0.4),
+    "single": (0.7, 0.7),
+    "mvd": (0.25, 0.2),
+    "vib": (0.7, 0.0),
+    "frame-stack": (0.7, 0.0),
+    "concat": (0.7, 0.0),
+    "attention": (0.7, 0.0),
+    "vit": (0.7, 0.0),
+    "q-mean": (0.7, 0.0),
+}
+"""Method -> least success with all its cameras, and on the mean of single ones. Single Camera has
+First person. MVD is slower than the rest: at this budget it had 0.45, and 0.4 on single cameras;
+an untrained policy has 0.0."""
+
+
+def test_every_method_is_asked() -> None:
+    assert LEARNS.keys() == METHODS.keys()
 
 
 @pytest.mark.slow
-def test_mad_learns_toy_reach_from_rewards_alone(tmp_path: Path) -> None:
-    folder = train(TrainConfig("toy/reach", recipe="paper", out=tmp_path, paper=CONFIG))
+@pytest.mark.parametrize("method", LEARNS)
+def test_a_method_learns_toy_reach_from_rewards_alone(method: str, tmp_path: Path) -> None:
+    asked = TrainConfig("toy/reach", method=method, recipe="paper", out=tmp_path, paper=CONFIG)
+    folder = train(asked)
     with (folder / "curve.csv").open() as file:
         rows = [
             {name: float(value) for name, value in row.items() if name.startswith("success")}
             for row in csv.DictReader(file)
         ]
-    singles = [name for name in rows[0] if name != "success_all"]
+    together, alone = LEARNS[method]
     assert rows[0]["success_all"] <= 0.2, "an untrained policy does not reach the target"
-    assert rows[-1]["success_all"] >= 0.7
-    assert sum(rows[-1][name] for name in singles) / len(singles) >= 0.5
+    assert rows[-1]["success_all"] >= together
+    singles = [value for name, value in rows[-1].items() if name != "success_all"]
+    assert np.mean(singles or [rows[-1]["success_all"]]) >= alone
