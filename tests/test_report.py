@@ -228,6 +228,16 @@ def test_single_camera_is_three_trainings_in_one_row(tmp_path: Path) -> None:
     assert gap.value == pytest.approx(0.85 - 0.5)
 
 
+def test_one_task_has_no_average(tmp_path: Path) -> None:
+    for task in ("metaworld/hammer", "metaworld/push"):
+        for method in ("mad", "merged-only"):
+            write_policy(tmp_path, GOOD, task=task, method=method)
+    for method in ("mad", "merged-only"):
+        write_policy(tmp_path, GOOD, method=method, recipe="paper")
+    _, text = report(tmp_path)
+    assert "| average of 2 | mad |" in text and "average of 1 " not in text
+
+
 def test_what_adds_nothing_to_a_row_is_not_trained_again_for_it(tmp_path: Path) -> None:
     """Single Camera with Third A is the same in every setting that has it as it is."""
     write_policy(tmp_path, GOOD)

@@ -173,8 +173,8 @@ def _section(table: Table) -> str:
     lines = [f"## {layout.title}: {table.suite}", "", *_head(headings)]
     for task, row in table.rows:
         lines.append(_row_line(task, row, table))
-    if len({task for task, _ in table.rows}) > 1:
-        for row in table.averages:
+    for row in table.averages:
+        if len(row.tasks) > 1:
             lines.append(_row_line(f"average of {len(row.tasks)}", row, table))
     image = f"results/{layout.key}-{table.suite}.svg"
     lines += ["", f"![{layout.title}, {table.suite}]({image})", ""]
