@@ -28,6 +28,10 @@ def table(root: Path, key: str, suite: str = "metaworld") -> Table:
     return next(t for t in build(layout, find_evidence(root)) if t.suite == suite)
 
 
+def every_table(root: Path) -> list[Table]:
+    return [t for layout in LAYOUTS for t in build(layout, find_evidence(root))]
+
+
 def report(root: Path) -> tuple[dict[str, Any], str]:
     result = run_report(ReportConfig(root))
     return result, Path(result["path"]).read_text()
@@ -342,6 +346,16 @@ def test_cameras_that_see_nothing_have_their_part_of_the_loss(tmp_path: Path) ->
     assert second.startswith("MAD, alpha 0.8 minus single")
     # Two of three streams, each (1 - alpha) / 3.
     assert "50% at alpha 0.25, 13% at alpha 0.8" in why
+
+
+def test_mixed_sizes_stand_beside_one_size(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD, folder="one")
+    assert not any(t.layout.key == "resolution" for t in every_table(tmp_path)), "nothing is mixed"
+    write_policy(tmp_path, GOOD, setting="mixed-resolution", folder="mixed")
+    sizes = table(tmp_path, "resolution")
+    assert [row.label for row in sizes.averages] == ["mad", "mad, one size"]
+    (said,) = claims(sizes)
+    assert "+0 points" in said and "no loss: agrees: within 10 points" in said
 
 
 def test_nothing_is_no_debt() -> None:

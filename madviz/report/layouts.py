@@ -90,6 +90,12 @@ def _modality(evidence: Evidence) -> str | None:
     return f"{_method(evidence)}, {evidence.setting}" if inside else None
 
 
+def _resolution(evidence: Evidence) -> str | None:
+    """Pictures of several sizes, and MAD with all of one size beside them."""
+    alike = _in("three", ("mad",))(evidence)
+    return _in("mixed-resolution")(evidence) if alike is None else f"{alike}, one size"
+
+
 def _scratch(evidence: Evidence) -> str | None:
     return None if evidence.recipe == "light" else _overall(evidence)
 
@@ -114,7 +120,7 @@ LAYOUTS = (
     ),
     Layout("modality", "Modalities", _modality, ("all", "rgb", "depth")),
     Layout("five", "Five views", _in("five"), ("all",), ("all",)),
-    Layout("resolution", "Mixed resolutions", _in("mixed-resolution"), THREE, THREE),
+    Layout("resolution", "Mixed resolutions", _resolution, THREE, THREE, needs=2),
 )
 """In the paper's order, and beside its merging all methods of a task where most were trained. Five
 views: the columns are those of the policies, see ``build``."""
