@@ -387,8 +387,22 @@ def test_nothing_is_claimed_about_baselines_that_were_not_measured(tmp_path: Pat
 def test_the_best_alpha_is_said_with_its_difference(tmp_path: Path) -> None:
     for alpha, rate in ((0.2, 0.9), (0.8, 0.5)):
         write_policy(tmp_path, rates(rate, rate, rate, rate), alpha=alpha, folder=f"alpha{alpha}")
-    said = claims(table(tmp_path, "alpha"))
-    assert "Best here is alpha 0.2" in said[0] and said[0].endswith("does not agree.")
+    (said,) = claims(table(tmp_path, "alpha"))
+    assert "On metaworld/hammer alpha 0.2 is best" in said and said.endswith("does not agree.")
+
+
+def test_alphas_are_compared_on_the_task_they_share(tmp_path: Path) -> None:
+    """Alpha 0.5 is on the easy task alone, which makes it no better than the paper's."""
+    tried = {"hammer": ((0.5, 1.0), (0.8, 1.0)), "push": ((0.2, 0.6), (0.8, 0.9))}
+    for task, pairs in tried.items():
+        for alpha, rate in pairs:
+            write_policy(
+                tmp_path, rates(rate, rate, rate, rate), task=f"metaworld/{task}", alpha=alpha,
+                folder=f"{task}-{alpha}",
+            )  # fmt: skip
+    hammer, push = claims(table(tmp_path, "alpha"))
+    assert hammer.startswith("On metaworld/hammer") and "undecided" in hammer
+    assert push.startswith("On metaworld/push alpha 0.8 is best") and push.endswith("best: agrees.")
 
 
 @pytest.mark.parametrize(
@@ -400,9 +414,9 @@ def test_the_papers_alpha_is_called_best_only_where_it_shows(
     for alpha, each in ((0.5, rate), (0.8, 0.91)):
         write_policy(tmp_path, rates(each, each, each, each), alpha=alpha, folder=f"alpha{alpha}")
     (said,) = claims(table(tmp_path, "alpha"))
-    assert said.startswith("Best here is alpha 0.8; alpha 0.8 minus alpha 0.5") and said.endswith(
-        end
-    )
+    assert said.startswith(
+        "On metaworld/hammer alpha 0.8 is best; alpha 0.8 minus alpha 0.5"
+    ) and said.endswith(end)
 
 
 def test_merges_and_modalities_are_held_against_their_sentences(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from madviz.report.layouts import MERGES, THREE
-from madviz.report.rows import Difference, difference
+from madviz.report.rows import Difference, Row, difference
 from madviz.report.tables import Table
 from madviz.statistics import Interval
 
@@ -165,22 +165,29 @@ def _five(table: Table) -> list[str]:
 
 
 def _alpha(table: Table) -> list[str]:
-    papers = table.average(BEST_ALPHA)
-    rated = [(rate.value, row) for row in table.averages if (rate := row.mean(THREE))]
+    """Task by task: not every alpha was trained on all of them."""
+    tasks = dict.fromkeys(task for task, _ in table.rows)
+    each = [_best_alpha(task, [row for at, row in table.rows if at == task]) for task in tasks]
+    return [sentence for sentence in each if sentence]
+
+
+def _best_alpha(task: str, rows: Sequence[Row]) -> str:
+    papers = next((row for row in rows if row.label == BEST_ALPHA), None)
+    rated = [(rate.value, row) for row in rows if (rate := row.mean(THREE))]
     if papers is None or len(rated) < 2:
-        return []
+        return ""
     best, second, *_ = [row for _, row in sorted(rated, key=lambda each: -each[0])]
     rival = papers if best is not papers else second
     gap = difference(best, rival, THREE)
     if gap is None:
-        return []
+        return ""
     how = "undecided: no difference could be shown"
     if gap.interval[0] > 0:
         how = "agrees" if best is papers else "does not agree"
-    return [
-        f"Best here is {best.label}; {best.label} minus {rival.label}: {points(gap)}. "
+    return (
+        f"On {task} {best.label} is best; {best.label} minus {rival.label}: {points(gap)}. "
         f"The paper finds {BEST_ALPHA} best: {how}."
-    ]
+    )
 
 
 def _merging(table: Table) -> list[str]:
