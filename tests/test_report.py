@@ -328,6 +328,18 @@ def test_one_training_under_two_names_is_said_to_be_one(tmp_path: Path) -> None:
     assert len(said) == 1 and said[0].startswith("On metaworld/push naive-both and MAD")
 
 
+def test_an_alpha_that_nobody_wrote_down_stops_no_report(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD, folder="metaworld-hammer-mad-light")
+    write_policy(tmp_path, GOOD, method="merged-only")
+    bare = write_policy(tmp_path, GOOD, folder="other")
+    config = json.loads((bare / "config.json").read_text())
+    del config["training"]["alpha"]
+    (bare / "config.json").write_text(json.dumps(config))
+    report(tmp_path)
+    mad = table(tmp_path, "overall").average("mad")
+    assert mad is not None and len(mad.evidence) == 1, "what differs from the usual stays out"
+
+
 def test_cameras_that_see_nothing_have_their_part_of_the_loss(tmp_path: Path) -> None:
     """An alpha that is not a task's usual one has a row of its own here, and says its name."""
     for alpha, folder in ((0.25, "metaworld-hammer-mad-turned-away-light"), (0.8, "other")):

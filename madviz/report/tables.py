@@ -45,9 +45,10 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[Table]:
     chosen = [(label, each) for each in evidence if (label := layout.label(each))]
     if layout.alphas != "all":
         usual = usual_alphas(evidence)
-        others = [(f"{label}, alpha {e.alpha:g}", e) for label, e in chosen if e not in usual]
+        others = [pair for pair in chosen if pair[1] not in usual]
         chosen = [pair for pair in chosen if pair[1] in usual]
-        chosen += others if layout.alphas == "named" else []
+        if layout.alphas == "named":
+            chosen += [(f"{label}, alpha {each.alpha}", each) for label, each in others]
     tasks = {each.task for _, each in chosen}
     chosen = [pair for task in sorted(tasks) for pair in _rivals(layout, task, chosen)]
     tables = []
