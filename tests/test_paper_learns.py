@@ -3,7 +3,7 @@ learning alone, without a demonstration?
 
 ``LEARNS`` asks of a method what it is for. Merged Only, VIB and the ways to merge learn from all
 views together, so nothing is asked of them with one camera left: here they have 0.9 with First
-person, which they lean on, and nothing with either of the others.
+person, which they lean on, and next to nothing with either of the others.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ CONFIG = PaperConfig(
 )
 """1,250 updates: on two idle cores a minute or two for most methods, nine for VIB. The paper's
 rate, width and batch need hours."""
-LEARNS = {
+LEARNS: dict[str, tuple[float, ...]] = {
     "mad": (0.7, 0.5),
-    "merged-only": (0.7, 0.0),
+    "merged-only": (0.7,),
     "singular-only": (0.7, 0.4),
     "naive-both": (0.7, 0.4),
-    "single": (0.7, 0.7),
+    "single": (0.7,),
     "mvd": (0.25, 0.2),
-    "vib": (0.7, 0.0),
-    "frame-stack": (0.7, 0.0),
-    "concat": (0.7, 0.0),
-    "attention": (0.7, 0.0),
-    "vit": (0.7, 0.0),
-    "q-mean": (0.7, 0.0),
+    "vib": (0.7,),
+    "frame-stack": (0.7,),
+    "concat": (0.7,),
+    "attention": (0.7,),
+    "vit": (0.7,),
+    "q-mean": (0.7,),
 }
-"""Method -> least success with all its cameras, and on the mean of single ones. Single Camera has
-First person. MVD is slower than the rest: at this budget it had 0.45, and 0.4 on single cameras;
-an untrained policy has 0.0."""
+"""Method -> least success with all its cameras; and on the mean of single ones, where it learned
+from them. Single Camera has First person. MVD is slower than the rest: at this budget it had 0.45,
+and 0.4 on single cameras; an untrained policy has 0.0."""
 
 
 def test_every_method_is_asked() -> None:
@@ -64,8 +64,9 @@ def test_a_method_learns_toy_reach_from_rewards_alone(method: str, tmp_path: Pat
             {name: float(value) for name, value in row.items() if name.startswith("success")}
             for row in csv.DictReader(file)
         ]
-    together, alone = LEARNS[method]
+    together, *alone = LEARNS[method]
     assert rows[0]["success_all"] <= 0.2, "an untrained policy does not reach the target"
     assert rows[-1]["success_all"] >= together
     singles = [value for name, value in rows[-1].items() if name != "success_all"]
-    assert np.mean(singles or [rows[-1]["success_all"]]) >= alone
+    for least in alone:
+        assert np.mean(singles) >= least
