@@ -28,6 +28,7 @@ from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.shapley import set_names
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
+from tests.sessions import frame_with
 
 OFF = CameraState("off")
 STREAMS = FakePolicy().spec.streams
@@ -45,15 +46,6 @@ def session_with(policy: FakePolicy | None = None, speed: float | None = 10.0) -
     session = Session(make_env, policy or FakePolicy(), policies, speed=speed)
     session.tick(0.0)
     return session
-
-
-def frame_with(*commands: Any, policy: FakePolicy | None = None) -> Frame:
-    """The frame after ``commands``, at the first step of an episode."""
-    session = session_with(policy)
-    for command in commands:
-        session.send(command)
-    session.tick(0.0)
-    return shown(session)
 
 
 def shown(session: Session) -> Frame:

@@ -11,12 +11,9 @@ from madviz.app.cameras import CamerasPanel
 from madviz.app.draw import DRAW_SCRIPT, LEAST, THIN, Box, parse_box, patched
 from madviz.app.mosaic import GAP, HEADER, mosaic
 from madviz.app.panel import apply
-from madviz.envs.base import make_env
 from madviz.session.commands import Pause, SetCamera, SetPolicy
-from madviz.session.frame import Frame
-from madviz.session.session import Session
 from madviz.types import UserError
-from tests.fakes import FakePolicy, policies
+from tests.sessions import frame_with
 
 TILE = 202
 RGB = CameraState("rgb")
@@ -65,25 +62,15 @@ def test_a_patch_that_is_there_keeps_its_strength():
         patched(CameraState("off"), box, TILE)
 
 
-def frame_with(*commands) -> Frame:
-    session = Session(make_env, FakePolicy(), policies)
-    session.tick(0.0)
-    for command in (Pause(), *commands):
-        session.send(command)
-    session.tick(0.0)
-    assert isinstance(session.latest, Frame) and not session.latest.error
-    return session.latest
-
-
 @pytest.mark.parametrize(
     ("shown", "y"), [("rgb", 0.3), ("rgb", 0.7), ("depth", 0.3), ("both", 0.25), ("both", 0.7)]
 )
 def test_the_patch_lies_where_the_box_was_drawn(shown, y):
     """The tile's pixels that change are the box's, whatever the tile shows there."""
     box = Box(1, 0.4, y, 0.3, 0.15)
-    before = frame_with(SetPolicy("toy-rgbd"), SetCamera("third_a", CameraState(shown)))
+    before = frame_with(Pause(), SetPolicy("toy-rgbd"), SetCamera("third_a", CameraState(shown)))
     state = patched(before.camera("third_a"), box, TILE)
-    after = frame_with(SetPolicy("toy-rgbd"), SetCamera("third_a", state))
+    after = frame_with(Pause(), SetPolicy("toy-rgbd"), SetCamera("third_a", state))
     left = TILE + GAP
     one, other = (mosaic(f, TILE)[HEADER:, left : left + TILE].astype(int) for f in (before, after))
     changed = np.abs(one - other).max(2) > 3
@@ -105,7 +92,7 @@ def server():
 
 def test_the_panel_sends_what_was_drawn_and_nothing_else(server):
     sent = []
-    frame = frame_with()
+    frame = frame_with(Pause())
     panel = CamerasPanel(server.gui, sent.append, frame, 620)
     apply(panel.update(frame))
     panel._draw("1 2 0.5000 0.5000 0.2500 0.7500")
@@ -118,7 +105,7 @@ def test_the_panel_sends_what_was_drawn_and_nothing_else(server):
 
 
 def test_who_only_watches_cannot_draw(server):
-    panel = CamerasPanel(server.gui, None, frame_with(), 620)
+    panel = CamerasPanel(server.gui, None, frame_with(Pause()), 620)
     assert panel._field is None and "data-draw" not in panel._screen._image.content
     panel.remove()
 
@@ -129,7 +116,9 @@ def test_the_script_knows_what_a_click_is():
 
 def test_a_patch_has_a_slider_for_each_side_and_only_a_patch_has(server):
     sent = []
-    frame = frame_with(SetCamera("first", CameraState("rgb", Occlusion("patch", width=0.8))))
+    frame = frame_with(
+        Pause(), SetCamera("first", CameraState("rgb", Occlusion("patch", width=0.8)))
+    )
     panel = CamerasPanel(server.gui, sent.append, frame, 620)
     apply(panel.update(frame))
     first, second = (control.sliders for control in panel._controls[:2])

@@ -1,12 +1,9 @@
 """Episodes, worker processes and the commands around them. Processes are real, the world is toy."""
 
 import json
-import os
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +22,8 @@ from madviz.evaluate import (
     evaluate,
     parse_occlusions,
     run_eval,
-    run_jobs,
 )
-from madviz.rollout import Job, Runner, Workers, relevant, run_episode
+from madviz.rollout import Job, Runner, relevant, run_episode
 from madviz.store import MEMORY, Store
 from madviz.types import PolicySpec, UserError
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy
@@ -78,14 +74,6 @@ class CountingEnv(ToyReach):
     def view(self, camera, size=None):
         self.drawn.append(camera)
         return super().view(camera, size)
-
-
-class Suicidal(FakePolicy):
-    """Its process does not survive it."""
-
-    def encode(self, views, state):
-        os.kill(os.getpid(), signal.SIGKILL)
-        raise AssertionError("unreachable")
 
 
 def make_nan_policy():
@@ -293,75 +281,6 @@ def test_a_policy_trained_elsewhere_is_refused(folder, tmp_path):
 def test_a_mistake_in_a_worker_reaches_the_user(workers):
     with pytest.raises(UserError, match="expected a finite action"):
         evaluate("tests.test_evaluate:make_nan_policy", ("first",), episodes=2, workers=workers)
-
-
-# --- Worker processes ---
-
-
-def pids(workers):
-    return list(workers._pool._processes)
-
-
-def test_a_killed_worker_is_replaced_and_nothing_finished_is_lost():
-    jobs, workers = jobs_for(40), Workers(2)
-    finished = run_jobs(jobs, workers)
-    seen = [next(finished) for _ in range(5)]
-    victims = pids(workers)
-    os.kill(victims[0], signal.SIGKILL)
-    seen += list(finished)
-    assert workers.generation >= 1
-    assert sorted(job.seed for job, _ in seen) == [job.seed for job in jobs]  # Each exactly once.
-    serial = Runner()
-    assert dict(seen) == {job: serial.run(job) for job in jobs}
-
-
-def test_a_policy_that_kills_every_worker_is_given_up():
-    with pytest.raises(UserError, match="3 deaths in a row.*--workers"):
-        evaluate("tests.test_evaluate:Suicidal", ("all",), episodes=2, workers=1)
-
-
-def test_workers_leave_when_their_parent_is_killed():
-    code = (
-        "import sys, time; from madviz.rollout import Job, Workers\n"
-        "workers = Workers(1)\n"
-        "workers.submit(Job('tests.fakes:FakePolicy', 'toy-mad0', 'all', (), 1)).result()\n"
-        "print(*workers._pool._processes, flush=True); time.sleep(600)"
-    )
-    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
-    children = [int(pid) for pid in parent.stdout.readline().split()]
-    assert len(children) == 1
-    parent.kill()
-    parent.wait()
-    deadline = time.monotonic() + 20
-    while any(alive(pid) for pid in children) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not any(alive(pid) for pid in children)
-
-
-def alive(pid):
-    try:
-        with open(f"/proc/{pid}/stat") as file:
-            return file.read().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
-
-
-def test_workers_use_one_thread_and_are_polite():
-    workers = Workers(1, niceness=7)
-    workers.submit(jobs_for(1)[0]).result()
-    assert workers._pool is not None
-    asked = [workers._pool.submit(question) for question in (os.cpu_count, lp_threads, niceness)]
-    assert [answer.result() for answer in asked][1:] == ["1", min(os.nice(0) + 7, 19)]
-    workers.close()
-
-
-def lp_threads():
-    return os.environ["LP_NUM_THREADS"]
-
-
-def niceness():
-    return os.nice(0)
 
 
 # --- The command ---

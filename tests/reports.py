@@ -1,0 +1,28 @@
+"""What a report makes of a folder of policies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from madviz.report.evidence import find_evidence
+from madviz.report.layouts import LAYOUTS
+from madviz.report.results import ReportConfig, run_report
+from madviz.report.tables import Table, build
+from tests.evidence import rates
+
+GOOD = rates(0.95, 0.90, 0.85, 0.80)
+
+
+def table(root: Path, key: str, suite: str = "metaworld") -> Table:
+    layout = next(layout for layout in LAYOUTS if layout.key == key)
+    return next(t for t in build(layout, find_evidence(root)) if t.suite == suite)
+
+
+def every_table(root: Path) -> list[Table]:
+    return [t for layout in LAYOUTS for t in build(layout, find_evidence(root))]
+
+
+def report(root: Path) -> tuple[dict[str, Any], str]:
+    result = run_report(ReportConfig(root))
+    return result, Path(result["path"]).read_text()

@@ -1,0 +1,48 @@
+"""Sessions for tests: one whose clock the test moves, and one frame after some commands."""
+
+from __future__ import annotations
+
+from madviz.envs.base import make_env
+from madviz.session.frame import Frame
+from madviz.session.session import Session
+from tests.fakes import FakePolicy, policies
+
+
+class Recorder(Session):
+    """A session that keeps its frames, on a clock the test moves."""
+
+    def __init__(self, policy=None, env_factory=make_env, **kwargs) -> None:
+        super().__init__(env_factory, policy or FakePolicy(), policies, **kwargs)
+        self.frames: list[Frame] = []
+        self.subscribe(lambda frame: self.frames.append(frame))  # type: ignore[arg-type]
+        self.time = 0.0
+
+    def at(self, time: float) -> float | None:
+        self.time = time
+        return self.tick(time)
+
+    def steps(self, count: int) -> Frame:
+        """Lets ``count`` due moments pass."""
+        for _ in range(count):
+            due = self.tick(self.time)
+            assert due is not None
+            self.time = max(self.time, due)
+            self.tick(self.time)
+        return self.frames[-1]
+
+    def ask(self, *commands) -> Frame:
+        for command in commands:
+            self.send(command)
+        self.tick(self.time)
+        return self.frames[-1]
+
+
+def frame_with(*commands, policy: FakePolicy | None = None) -> Frame:
+    """The frame after ``commands``, at the first step of an episode."""
+    session = Session(make_env, policy or FakePolicy(), policies)
+    session.tick(0.0)
+    for command in commands:
+        session.send(command)
+    session.tick(0.0)
+    assert isinstance(session.latest, Frame)
+    return session.latest

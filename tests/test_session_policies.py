@@ -1,0 +1,227 @@
+"""Policies and simulators that come, go and fail under a running session."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from madviz.ablations import Ablation, CameraState, Occlusion
+from madviz.envs.base import make_env
+from madviz.envs.toy import ToyReach
+from madviz.session.commands import (
+    Pause,
+    Play,
+    SetAutoNext,
+    SetCamera,
+    SetPolicy,
+    SetSpeed,
+    SetTwin,
+    StepOnce,
+)
+from madviz.session.frame import Failure
+from madviz.session.session import Session
+from madviz.session.simulation import Simulation, inhabited
+from madviz.types import UserError
+from tests.fakes import AllOrNothing, FakePolicy, policies
+from tests.sessions import Recorder
+
+OFF = CameraState("off")
+BLACK = CameraState("rgb", occlusion=Occlusion("black"))
+
+
+@pytest.fixture
+def session() -> Recorder:
+    recorder = Recorder()
+    recorder.at(0.0)
+    return recorder
+
+
+def test_a_policy_that_needs_every_stream_says_so():
+    session = Recorder(AllOrNothing("toy-stack"))
+    session.at(0.0)
+    session.ask(SetCamera("first", OFF))
+    assert np.isnan(session.frames[-1].action).all()
+    assert "cannot act on 'third_a+third_b'" in session.steps(1).error
+    session.ask(SetCamera("first", CameraState("rgb")), Play())
+    assert session.steps(1).error == ""
+
+
+def test_policies_swap_in_mid_episode_and_camera_settings_stay(session):
+    session.ask(SetCamera("third_a", OFF))
+    before = session.steps(5)
+    after = session.ask(SetPolicy("toy-other"))
+    assert (after.policy.name, after.step) == ("toy-other", before.step)
+    assert after.setting.subset == "first+third_b"
+    np.testing.assert_array_equal(after.arrived["first"], before.arrived["first"])
+    six = session.ask(SetPolicy("toy-rgbd"))
+    assert six.probe.masks.shape == (64, 6)
+    assert six.setting.subset == "first+third_b"
+    assert session.steps(2).step == before.step + 2
+
+
+def test_an_unknown_policy_leaves_the_old_one(session):
+    frame = session.ask(SetPolicy("nonsense"))
+    assert frame.policy.name == "toy-mad" and "nonsense" in frame.error
+    assert session.ask(Play()).error == ""
+
+
+def test_a_policy_may_come_by_its_name():
+    session = Recorder("toy-other")
+    assert session.latest is None
+    session.at(0.0)
+    assert session.frames[-1].policy.name == "toy-other"
+
+
+def test_a_name_that_nobody_knows_is_said_and_another_policy_helps():
+    session = Recorder("nonsense")
+    session.at(0.0)
+    assert isinstance(session.latest, Failure) and "unknown policy" in session.latest.error
+    session.ask(SetPolicy("toy-other"))
+    assert session.frames[-1].policy.name == "toy-other"
+
+
+def test_a_policy_of_another_world_is_refused_and_the_old_one_stays():
+    def odd(name: str) -> FakePolicy:
+        policy = policies("toy-other")
+        policy.spec = replace(policy.spec, state_dim=24)
+        return policy
+
+    session = Recorder()
+    session.at(0.0)
+    session._stage._load = odd
+    for command in (SetPolicy("toy-other"), SetTwin("toy-other")):
+        frame = session.ask(command)
+        assert "state numbers = 24, this environment has 6" in frame.error
+        assert frame.policy.name == "toy-mad" and frame.twin is None
+
+
+def test_a_swapped_policy_gets_the_past_it_would_have_had():
+    swapped, fresh = Recorder(), Recorder(policies("toy-rgbd"))
+    for session in (swapped, fresh):
+        session.at(0.0)
+        session.ask(SetAutoNext(False))
+    action = np.zeros(2, np.float32)
+    for session in (swapped, fresh):
+        # The same actions for both, so that only the policy's past can differ.
+        simulation = session._stage.simulation
+        assert simulation is not None
+        for _ in range(6):
+            simulation.probe.readout.action[:] = action
+            simulation.step(lambda: None)
+    after = swapped.ask(SetPolicy("toy-rgbd"))
+    expected = fresh.ask(Pause())
+    np.testing.assert_array_equal(after.probe.features, expected.probe.features)
+
+
+def test_a_simulator_that_cannot_start_is_reported_and_can_be_retried():
+    attempts = []
+
+    def factory(task, profile, cameras):
+        attempts.append(task)
+        if len(attempts) == 1:
+            raise UserError("no OpenGL here")
+        return make_env(task, profile)
+
+    session = Recorder(env_factory=factory)
+    assert session.at(0.0) is None
+    assert isinstance(session.latest, Failure) and "no OpenGL here" in session.latest.error
+    assert session.at(1.0) is None and len(attempts) == 1
+    assert session.ask(Play()).step == 0
+
+
+def test_unknown_camera_is_an_error_the_page_survives(session):
+    frame = session.ask(SetCamera("fourth", OFF))
+    assert "unknown camera 'fourth'" in frame.error
+    assert session.ask(Play()).error == ""
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, 1e9, float("nan")])
+def test_absurd_speeds_are_refused(rate):
+    with pytest.raises(UserError, match="speed"):
+        SetSpeed(rate)
+
+
+def test_thread_closes_its_environment():
+    closed = []
+
+    class Closing(ToyReach):
+        def close(self):
+            closed.append(True)
+
+    session, opened = Session(lambda *_: Closing(), FakePolicy(), speed=None), threading.Event()
+    session.subscribe(lambda _: opened.set())
+    session.start()
+    assert opened.wait(60)  # One that was never opened has nothing to close.
+    session.close()
+    assert closed == [True]
+    assert session._thread is not None and not session._thread.is_alive()
+
+
+def test_a_session_closed_in_mid_step_ends_though_it_is_paused():
+    """What wakes it from its wait is read in mid-step, with the commands about cameras."""
+    drawing, go_on = threading.Event(), threading.Event()
+
+    class Slow(ToyReach):
+        def step(self, action):
+            drawing.set()
+            assert go_on.wait(60)
+            return super().step(action)
+
+    session, opened = Session(lambda *_: Slow(), FakePolicy(), speed=0.1), threading.Event()
+    session.subscribe(lambda _: opened.set())
+    session.send(Pause())
+    session.start()
+    assert opened.wait(60)
+    session.send(StepOnce())
+    assert drawing.wait(60)
+    session.close(timeout=0.0)
+    go_on.set()
+    assert session._thread is not None
+    session._thread.join(20)
+    assert not session._thread.is_alive()
+
+
+def test_what_cannot_be_shown_still_ends_with_its_environment_closed(monkeypatch):
+    """Every picture fails, even that of the failure; so does one of those who listen."""
+    closed, told = [], threading.Event()
+
+    class Closing(ToyReach):
+        def close(self):
+            closed.append(True)
+
+    def blind(*_, **__):
+        raise RuntimeError("no picture today")
+
+    def deaf(_):
+        raise RuntimeError("not listening")
+
+    session = Session(lambda *_: Closing(), FakePolicy(), speed=None)
+    monkeypatch.setattr(session._stage, "frame", blind)
+    session.subscribe(deaf)
+    session.subscribe(lambda _: told.set())
+    session.start()
+    assert told.wait(60)
+    assert isinstance(session.latest, Failure) and "no picture today" in session.latest.error
+    session.send(Play())
+    session.close()
+    assert session._thread is not None and not session._thread.is_alive()
+    assert closed == [True]
+
+
+def test_a_policy_that_cannot_live_in_its_environment_leaves_none_open(monkeypatch):
+    closed = []
+
+    class Closing(ToyReach):
+        def close(self):
+            closed.append(True)
+
+    def broken(*_):
+        raise RuntimeError("no place for it")
+
+    monkeypatch.setattr(Simulation, "_adopt", broken)
+    with pytest.raises(RuntimeError, match="no place for it"):
+        inhabited(Closing(), FakePolicy(), Ablation())
+    assert closed == [True]

@@ -1,0 +1,109 @@
+"""What the file of a sweep asks for."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from madviz import cli
+from madviz.sweep.plan import read_plan
+from madviz.sweep.sweep import SweepConfig, run_sweep
+from madviz.types import UserError
+from tests.sweeps import config
+
+
+def test_a_file_expands_to_runs_whose_names_say_what_varies(tmp_path: Path) -> None:
+    file = tmp_path / "alpha.toml"
+    file.write_text(
+        '[[grid]]\ntasks = ["metaworld/hammer"]\nmethods = ["mad"]\nsettings = ["three-rgbd"]\n'
+        "[grid.train]\nlight.alpha = [0.2, 1.0]\nlight.critic_updates = 0\n"
+        '[[grid]]\ntasks = ["metaworld/push"]\nmethods = ["merged-only"]\nseeds = [7]\n'
+        '[eval]\nepisodes = 9\nseed = 5000\nsubsets = ["all", "first"]\n'
+    )
+    plan = read_plan(file)
+    assert plan.name == "alpha" and [run.name for run in plan.runs] == [
+        "metaworld-hammer-mad-three-rgbd-light-alpha0.2-seed1",
+        "metaworld-hammer-mad-three-rgbd-light-alpha1.0-seed1",
+        "metaworld-push-merged-only-light-seed7",
+    ]
+    words = " ".join(plan.runs[0].train)
+    assert words == (
+        "--task metaworld/hammer --method mad --setting three-rgbd --recipe light --seed 1 "
+        "--light.alpha 0.2 --light.critic-updates 0"
+    )
+    assert plan.runs[2].evaluate == (
+        *("--episodes", "9", "--seed", "5000", "--subsets", "all", "first"),
+    )
+
+
+@pytest.mark.parametrize("command", ["train", "eval"])
+def test_the_words_of_a_run_are_words_that_the_command_line_knows(
+    command: str, tmp_path: Path
+) -> None:
+    from madviz.evaluate import EvalConfig
+    from madviz.train import TrainConfig
+
+    file = tmp_path / "one.toml"
+    file.write_text(
+        '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\nseeds = [4]\n[grid.train]\n'
+        'light.rounds = 2\npaper.buffer-on-disk = true\n[eval]\nsubsets = ["all", "none"]\n'
+    )
+    run = read_plan(file).runs[0]
+    if command == "train":
+        found = cli.parse(TrainConfig, command, run.train)
+        assert (found.seed, found.light.rounds, found.paper.buffer_on_disk) == (4, 2, True)
+    else:
+        asked = cli.parse(EvalConfig, command, ["--policy", "p", *run.evaluate, "--card"])
+        assert asked.subsets == ("all", "none") and asked.card
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("tasks = [", "expected TOML"),
+        ("[grids]\n", "unknown table 'grids'; known: eval, grid"),
+        ("", r"expected a table \[grid\]"),
+        ('[grid]\nmethods = ["mad"]\n', "expected tasks to be a list of names, found None"),
+        ('[grid]\ntasks = "toy/reach"\nmethods = ["mad"]\n', "tasks to be a list of names"),
+        ('[grid]\ntasks = ["toy/rech"]\nmethods = ["mad"]\n', "unknown task 'toy/rech'; known"),
+        ('[grid]\ntasks = ["toy/reach"]\nmethods = ["sad"]\n', "unknown method 'sad'; known"),
+        (
+            '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\nseeds = ["1"]\n',
+            "seeds to be a list of whole numbers",
+        ),
+        (
+            '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[grid.train]\nout = "x"\n',
+            "expected other options",
+        ),
+        (
+            '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[eval]\nepisodes = "many"\n',
+            "expected episodes in .eval. to be a whole number, found 'many'",
+        ),
+    ],
+)
+def test_a_mistake_in_the_file_costs_nothing(text: str, expected: str, tmp_path: Path) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text(text)
+    with pytest.raises(UserError, match=expected):
+        run_sweep(SweepConfig(str(file), out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_file_and_no_jobs_at_all_are_mistakes(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="expected a sweep file, found: No such file"):
+        run_sweep(SweepConfig(str(tmp_path / "none.toml")))
+    with pytest.raises(UserError, match="expected 1 or more jobs"):
+        run_sweep(config(tmp_path, jobs=0))
+
+
+SHIPPED = Path(__file__).resolve().parent.parent / "checkpoints"
+
+
+@pytest.mark.parametrize("file", sorted(SHIPPED.glob("*.toml")), ids=lambda file: file.stem)
+def test_the_sweeps_that_ship_ask_for_what_exists(file: Path, tmp_path: Path) -> None:
+    result = run_sweep(SweepConfig(str(file), out=tmp_path / "out", dry_run=True))
+    asked = tomllib.loads(file.read_text())
+    assert result["finished"] == 0 and len(result["runs"]) >= len(asked["grid"])
+    assert f"madviz sweep checkpoints/{file.name}" in file.read_text()
