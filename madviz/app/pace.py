@@ -16,7 +16,7 @@ those that only move or change what is there find the page hidden while they are
 that is switched off just then does not wait for a picture of the scene.
 
 viser says that there is no GPU in a note that stays. All of the above is for such browsers; the
-note goes after ten seconds, because it lies over the scene.
+note goes ten seconds after it came, because it lies over the scene.
 """
 
 from __future__ import annotations
@@ -54,7 +54,12 @@ if (!window.madvizPace) {
     return post.apply(this, rest);
   };
   const notes = () => [...document.querySelectorAll('.mantine-Notification-root')];
-  setTimeout(() => notes().filter(one => one.innerText.startsWith('Software WebGL'))
-    .forEach(one => one.querySelector('button')?.click()), 10000);
+  const coming = setInterval(() => {
+    const note = notes().find(one => one.innerText.startsWith('Software WebGL'));
+    if (!note) return;
+    clearInterval(coming);
+    setTimeout(() => note.querySelector('button')?.click(), 10000);
+  }, 500);
+  setTimeout(() => clearInterval(coming), 60000);
 }
 """

@@ -294,8 +294,9 @@ leader = max((name for name in alone if name != "naive-both"), key=alone.__getit
 guess_robot.compare(f"{leader}, in {teaching.in_words(*alone[leader])}")
 
 # %% [markdown]
-# What the toy showed is here again: Merged Only and VIB lean on First person, and MVD, which met
-# single cameras in training too, loses little (and has little to lose). And there is news. Three
+# What the toy showed is here again: Merged Only, VIB and Q-mean lean on First person, Attention has
+# nothing from one camera, Concat and Frame Stack refuse (a dash), and MVD, which met single cameras
+# in training too, loses little (and has little to lose). And there is news. Three
 # networks for three cameras are not a way out: from Third A or Third B alone Single hardly learns
 # the task at this small budget, while the one network that saw all three does. Nor is Singular
 # Only, which never learned to act on the sum.

@@ -138,12 +138,18 @@ class Visitor:
             self.page.context.close()
 
 
-def open_page(browser, url: str) -> Visitor:
-    """A new visitor at 1280x800, once their page shows an episode."""
+def arrive(browser, url: str) -> Visitor:
+    """A new visitor at 1280x800, whose page has nothing on it yet."""
     page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
     page.goto(url + ("&" if "?" in url else "?") + "fixedDpr=0.25")  # Less to draw in software.
-    page.wait_for_selector(".mv-status", timeout=PATIENCE)
     return Visitor(page)
+
+
+def open_page(browser, url: str) -> Visitor:
+    """A new visitor, once their page shows an episode."""
+    visitor = arrive(browser, url)
+    visitor.page.wait_for_selector(".mv-status", timeout=PATIENCE)
+    return visitor
 
 
 @pytest.fixture(scope="package")

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from madviz.app.server import App
 from madviz.session.frame import Frame
 from madviz.types import CameraPose
-from tests.e2e.conftest import PATIENCE, Visitor, toy_app, wait_until
+from tests.e2e.conftest import PATIENCE, Visitor, arrive, toy_app, wait_until
 
 
 def grey(pixels: list[list[int]]) -> float:
@@ -39,10 +39,12 @@ def test_at_full_speed_the_picture_is_always_whole_and_keeps_up(visitor: Visitor
         assert grey(visitor.tile(0)) > 10  # A picture that has not loaded draws nothing: black.
 
 
-def test_the_note_that_there_is_no_gpu_goes_by_itself(visit, app: App):
-    note = visit(app.url).page.get_by_text("Software WebGL rendering")
+def test_the_note_that_there_is_no_gpu_goes_by_itself(browser, app: App):
+    visitor = arrive(browser, app.url)  # A slow page may show the note, then the episode.
+    note = visitor.page.get_by_text("Software WebGL rendering")
     note.wait_for(timeout=PATIENCE)
     note.wait_for(state="detached", timeout=PATIENCE)
+    visitor.close()
 
 
 DRAWS = """() => new Promise(done => {
