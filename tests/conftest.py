@@ -4,5 +4,17 @@ from __future__ import annotations
 
 import os
 
+import pytest
+
 # Set before anything imports MuJoCo, which reads it only then; the command line does the same.
 os.environ.setdefault("MUJOCO_GL", "egl")
+
+
+@pytest.fixture
+def session():
+    """A session whose frames are kept, at its first step."""
+    from tests.sessions import Recorder
+
+    recorder = Recorder()
+    recorder.at(0.0)
+    return recorder

@@ -20,17 +20,7 @@ from madviz.session.commands import (
 )
 from madviz.session.frame import Frame, words
 from madviz.session.session import FIRST_SEED, HOLD
-from tests.sessions import Recorder
-
-OFF = CameraState("off")
-BLACK = CameraState("rgb", occlusion=Occlusion("black"))
-
-
-@pytest.fixture
-def session() -> Recorder:
-    recorder = Recorder()
-    recorder.at(0.0)
-    return recorder
+from tests.sessions import BLACK, OFF, Recorder
 
 
 def test_first_tick_starts_an_episode(session):

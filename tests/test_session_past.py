@@ -3,26 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from madviz.ablations import CameraState, Occlusion
-from madviz.session.commands import (
-    Fork,
-    Play,
-    Scrub,
-    SetCamera,
-)
-from tests.sessions import Recorder
-
-OFF = CameraState("off")
-BLACK = CameraState("rgb", occlusion=Occlusion("black"))
-
-
-@pytest.fixture
-def session() -> Recorder:
-    recorder = Recorder()
-    recorder.at(0.0)
-    return recorder
+from madviz.session.commands import Fork, Play, Scrub, SetCamera
+from tests.sessions import OFF
 
 
 def test_curves_and_cosines(session):

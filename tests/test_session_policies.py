@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from madviz.ablations import Ablation, CameraState, Occlusion
+from madviz.ablations import Ablation, CameraState
 from madviz.envs.base import make_env
 from madviz.envs.toy import ToyReach
 from madviz.session.commands import (
@@ -26,17 +26,7 @@ from madviz.session.session import Session
 from madviz.session.simulation import Simulation, inhabited
 from madviz.types import UserError
 from tests.fakes import AllOrNothing, FakePolicy, policies
-from tests.sessions import Recorder
-
-OFF = CameraState("off")
-BLACK = CameraState("rgb", occlusion=Occlusion("black"))
-
-
-@pytest.fixture
-def session() -> Recorder:
-    recorder = Recorder()
-    recorder.at(0.0)
-    return recorder
+from tests.sessions import OFF, Recorder
 
 
 def test_a_policy_that_needs_every_stream_says_so():

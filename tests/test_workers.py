@@ -10,10 +10,7 @@ import time
 
 import pytest
 
-from madviz.evaluate import (
-    evaluate,
-    run_jobs,
-)
+from madviz.evaluate import evaluate, run_jobs
 from madviz.rollout import Job, Runner, Workers
 from madviz.types import UserError
 from tests.fakes import FakePolicy
