@@ -195,6 +195,13 @@ def test_students_see_their_methods_subsets_and_demonstrations_are_shared(tmp_pa
     assert all(seed < 1000 for _, seed in mad.plan(3))
 
 
+def test_noise_fades_from_round_to_round_where_it_is_told_to(tmp_path: Path) -> None:
+    run = run_in(RunFolder(tmp_path / "a", TINY, resume=False, listener=None))
+    run.config = replace(TINY, noise_share=0.4, noise_decay=0.5)
+    noise = [{driver.noise_share for driver, _ in run.plan(round_)} for round_ in range(4)]
+    assert noise == [{0.4}, {0.4}, {0.2}, {0.1}]
+
+
 def test_a_folder_holds_one_run(tmp_path: Path) -> None:
     RunFolder(tmp_path, TINY, resume=False, listener=None)
     with pytest.raises(UserError, match="--resume"):

@@ -81,6 +81,9 @@ class LightConfig:
     share_decay: float = 0.8
     noise_share: float = 0.2
     """Probability that an action is replaced by a random one while recording."""
+    noise_decay: float = 1.0
+    """Factor on ``noise_share`` from round to round. Below 1 the last rounds show where the student
+    goes by itself, which is what a task needs whose end few episodes reach under noise."""
     critic_updates: int = 1500
     """Gradient steps of the critic at the end."""
     workers: int = 1
@@ -155,12 +158,13 @@ class LightRun:
             demonstration = Driver(1.0, config.noise_share)
             return [(demonstration, self._train_seed(i)) for i in range(config.demonstrations)]
         share = config.expert_share * config.share_decay ** (round_index - 1)
+        noise = config.noise_share * config.noise_decay ** (round_index - 1)
         student = TorchPolicy(self.spec, copy.deepcopy(self.average))
         first = config.demonstrations + (round_index - 1) * config.episodes_per_round
         planned = []
         for number in range(first, first + config.episodes_per_round):
             mask = self.driven[number % len(self.driven)]
-            driver = Driver(share, config.noise_share, student, mask)
+            driver = Driver(share, noise, student, mask)
             planned.append((driver, self._train_seed(number)))
         return planned
 
