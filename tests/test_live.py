@@ -263,20 +263,15 @@ def test_closing_does_not_wait_for_the_end_of_an_episode():
     assert started.wait(60)  # Bob's first episode is over, Ann's has begun.
     closing = time.monotonic()
     evaluator.close()
-    assert time.monotonic() - closing < Patient.EPISODE / 3
+    assert time.monotonic() - closing < 10
     assert evaluator.tally("tests.test_live:Patient", FIRST).n == 0
 
 
 class Patient(FakePolicy):
-    """Thinks so long that nobody mistakes the end of a thought, on the busiest machine, for the end
-    of an episode."""
-
-    THOUGHT = 3.0
-    """Seconds."""
-    EPISODE = 25 * THOUGHT
+    """Thinks for a second: an episode takes 25."""
 
     def read(self, encoded, masks):
-        time.sleep(self.THOUGHT)
+        time.sleep(1)
         return super().read(encoded, masks)
 
 

@@ -155,10 +155,10 @@ def sweep_into(scene: Scene) -> Array:
 def stick_pull(scene: Scene) -> Array:
     """Threads the stick through the thermos handle and drags it, the stick at the handle's height
     throughout: lowered, it slips out. The thermos slides with next to no friction (a free one kept
-    95 % of its speed over 14 decisions); what stops it is the stick that rubs in its handle. So the
-    stick follows to where it will come to rest, some 14 steps of its velocity on, and neither
-    pushes further nor loses the handle. What was pulled too far cannot be brought back: it stops
-    0.01 m short. Sideways it can, so there the stick presses on until 2 mm are left.
+    92 % of its speed over 12 decisions); what stops it is the stick that rubs in its handle. So the
+    stick follows to where it will come to rest, some 14 steps of its velocity ahead and 8 aside,
+    and neither pushes further nor loses the handle. What was pulled too far cannot be brought back:
+    it stops 0.01 m short. Sideways it can, so there the stick presses on until 2 mm are left.
 
     The thermos slides no further than x = 0.406 and its handle is 0.112 m above the goal, so goals
     beyond x = 0.449 are out of reach (0.12 m allow 0.043 along the table): seed 5011, at 0.450.
