@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
 import time
 import weakref
@@ -41,16 +43,26 @@ def test_what_grows_afterwards_is_one():
 
 
 def test_a_look_sees_threads_and_memory():
-    before = look(os.getpid())
-    done = threading.Event()
-    thread = threading.Thread(target=done.wait)
-    thread.start()
-    block = bytearray(os.urandom(1) * 50_000_000)
-    after = look(os.getpid())
-    done.set()
-    thread.join()
-    assert after.threads >= before.threads + 1 and after.memory_mb > before.memory_mb + 30
-    assert len(block) and look(2**22 + 1).memory_mb == 0.0
+    # In a process of its own: this one may put a block where an earlier test has freed one.
+    grows = (
+        "import threading\n"
+        "print('before', flush=True), input()\n"
+        "block = bytearray(b'x' * 50_000_000)\n"
+        "threading.Thread(target=threading.Event().wait, daemon=True).start()\n"
+        "print('after', flush=True), input()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", grows], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdin is not None and process.stdout is not None
+        assert process.stdout.readline() == "before\n"
+        before = look(process.pid)
+        print(file=process.stdin, flush=True)
+        assert process.stdout.readline() == "after\n"
+        after = look(process.pid)
+        print(file=process.stdin, flush=True)
+    assert after.threads == before.threads + 1 and after.memory_mb > before.memory_mb + 30
+    assert look(2**22 + 1).memory_mb == 0.0
 
 
 def test_settling_waits_for_a_thread_that_still_has_to_go():
