@@ -21,6 +21,10 @@ to what a proxy passes on: that has a port of its own, or says so in a header th
 with a websocket. What is left open is a tunnel (``ssh -L``) whose port here has another number than
 there: it looks like a proxy that says nothing.
 
+What a page sends is looked at, too. viser takes messages that no page here sends: one asks for a
+public address of this server, one begins an upload of any size, one goes on to all other visitors.
+Only the kinds in ``TAKEN`` reach viser; whoever sends another one is let go.
+
 There are two tokens. The visitors' lets in; where the page serves beyond this machine, it is there
 by default. The presenter's, in presenter mode, also hands over the controls, so a page that is
 loaded again has them again. Both are 128 random bits, compared in constant time: at five tries a
@@ -47,12 +51,14 @@ from typing import Any, Literal
 from urllib.parse import parse_qsl, urlencode, urlsplit
 from weakref import WeakKeyDictionary
 
+import msgspec.msgpack
 import viser
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
+from websockets.typing import Data
 
 from madviz.types import UserError
 
@@ -63,6 +69,19 @@ MOST_ADDRESSES = 1000
 """Addresses whose tries are remembered."""
 LARGEST = 2**20
 """Bytes of the longest message a page may send; viser's own 50 MB are for rendered pictures."""
+TAKEN = frozenset(
+    {
+        "ViewerCameraMessage",
+        "GuiUpdateMessage",
+        "CommandTriggerMessage",
+        "SceneNodeClickMessage",
+        "TransformControlsDragStartMessage",
+        "TransformControlsUpdateMessage",
+        "TransformControlsDragEndMessage",
+    }
+)
+"""The kinds of messages that the page sends: where one looks from, widgets, keys, clicks on a
+frustum, and a camera that is moved by its arrows. A page that sends more must add it here."""
 
 log = logging.getLogger(__name__)
 _starting = threading.Lock()
@@ -180,7 +199,7 @@ class Gate:
                     return refusal
                 return process_request(connection, request)
 
-            options["max_size"] = LARGEST
+            options |= {"max_size": LARGEST, "create_connection": PageConnection}
             return real(quiet(handler), *words, process_request=gated, **options)
 
         with _starting:
@@ -191,6 +210,25 @@ class Gate:
                 setattr(websockets.asyncio.server, "serve", real)  # noqa: B010
         if not hooked:
             raise UserError("expected viser 1.1 behind the token, found one that starts otherwise")
+
+
+class PageConnection(ServerConnection):
+    """A visitor's websocket, from which viser reads only what a page sends."""
+
+    async def recv(self, decode: bool | None = None) -> Data:  # pyright: ignore[reportIncompatibleMethodOverride]
+        data = await super().recv(decode)
+        check_kind(data)
+        return data
+
+
+def check_kind(data: Data) -> None:
+    """Raises an exception for what is no message, and for one of a kind that no page sends. It is
+    decoded as viser will do it, so that both read the same kind."""
+    if not isinstance(data, bytes):
+        raise TypeError("expected bytes, found text")
+    kind = msgspec.msgpack.decode(data)["type"]
+    if kind not in TAKEN:
+        raise ValueError(f"expected one of {len(TAKEN)} kinds of message, found {kind!r:.60}")
 
 
 def quiet(

@@ -56,6 +56,14 @@ def browser() -> Iterator:
         browser.close()
 
 
+@pytest.fixture(autouse=True)
+def nothing_is_refused(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
+    """A real page sends nothing for which the gate lets a visitor go."""
+    yield
+    said = [record.getMessage() for record in caplog.get_records("call")]
+    assert not [line for line in said if line.startswith("let go of a connection")]
+
+
 @pytest.fixture(scope="package")
 def app() -> Iterator[App]:
     app = toy_app(visitors=4)
