@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from madviz.files import pretty, write_json
+from madviz.files import pretty, write_json, written_to
 from madviz.statistics import in_words
 from madviz.types import UserError, unknown
 
@@ -267,8 +267,8 @@ def deliver(
             result = work()
         sys.stdout.write(pretty(result))
         return result
-    if config.json is not None and not Path(config.json).resolve().parent.is_dir():
-        raise UserError(f"--json {config.json}: expected a file in a folder that exists")
+    if config.json is not None:
+        written_to(Path(config.json), "--json")
     result = work()
     if config.json is not None:
         write_json(Path(config.json), result)

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz import checkpoint, svg
-from madviz.files import write_bytes
+from madviz.files import write_bytes, written_to
 from madviz.report.evidence import Evidence, Outcomes, read_evidence
 from madviz.statistics import Interval, pair, wilson
 from madviz.store import ResultKey, Store
@@ -51,6 +51,9 @@ def run_compare(config: CompareConfig) -> dict[str, Any]:
     """``madviz compare``. Raises UserError for policies that cannot be compared."""
     if len(config.policies) < 2:
         raise UserError(f"expected two or more policies, found {len(config.policies)}")
+    for option, file in (("--figure", config.figure), ("--curves", config.curves)):
+        if file is not None:
+            written_to(file, option)
     found = [read_evidence(checkpoint.find_policy(name)) for name in config.policies]
     first = found[0]
     for other in found[1:]:

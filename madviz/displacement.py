@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 from madviz import checkpoint
 from madviz.evaluate import run_anywhere
-from madviz.files import write_bytes
+from madviz.files import write_bytes, written_to
 from madviz.moves import Displacement, along
 from madviz.rollout import FIRST_SEED, Finished, Job, Runner, unsupported
 from madviz.statistics import in_words, wilson
@@ -186,8 +186,8 @@ def run_displace(config: DisplaceConfig) -> dict[str, Any]:
     """``madviz displace``: always computes; progress goes to standard error."""
     for name in ("svg", "csv"):
         file: Path | None = getattr(config, name)
-        if file is not None and not file.resolve().parent.is_dir():
-            raise UserError(f"--{name} {file}: expected a file in a folder that exists")
+        if file is not None:
+            written_to(file, f"--{name}")
     spec = checkpoint.load_policy(config.policy).spec
     most = FARTHEST[UNITS[config.along]] if config.most is None else config.most
     points = displace(

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import stat
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -12,22 +16,77 @@ from madviz.types import UserError
 
 LINE = 120
 """Characters that a list or object may take to stay on one line."""
+_UNFIT = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFLNK: "symbolic links in a circle",
+}
+"""What can be neither replaced nor written to."""
+
+
+def written_to(path: Path, option: str = "") -> bool:
+    """Whether ``path`` is a device, a pipe or already open, so that it is written to and never
+    replaced. Symbolic links are followed. Raises UserError, which names ``option``, for what is
+    neither that nor a place for a file; whoever works long before writing asks before, too."""
+    named = f"{option} {path}".strip()
+    target = os.path.realpath(path)
+    there = os.path.exists(path)
+    mode = os.stat(path).st_mode if there else stat.S_IFLNK if os.path.islink(target) else 0
+    if found := _UNFIT.get(stat.S_IFMT(mode)):
+        raise UserError(
+            f"{named}: expected a file, a device or a pipe, found {found}; choose another name"
+        )
+    if there and (not stat.S_ISREG(mode) or _is_open(path)):
+        return True
+    if not os.path.isdir(os.path.dirname(target)):
+        raise UserError(
+            f"{named}: expected a file in a folder that exists, found no folder "
+            f"{os.path.dirname(target)}; make it, or choose another name"
+        )
+    return False
+
+
+def _is_open(path: Path) -> bool:
+    """Whether ``path`` leads, as /dev/stdout does, to what a process has opened. It goes on writing
+    there, so a new file in its place would lose what comes after."""
+    while path.is_symlink():
+        folder = path.parent.resolve()
+        if folder.is_relative_to("/proc"):
+            return True
+        path = folder / path.readlink()
+    return False
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A new file to write to, with the ending of ``path``; after the block, ``path`` has its
+    content. A file is replaced by it at once: whoever reads, also after a power cut, finds the old
+    one or the new one, never half of one. If the block fails, ``path`` stays as it is."""
+    stays = written_to(path)
+    target = Path(os.path.realpath(path))
+    handle, name = tempfile.mkstemp(
+        dir=None if stays else target.parent, prefix=f".{path.stem}.", suffix=path.suffix
+    )
+    os.close(handle)
+    part = Path(name)
+    try:
+        yield part
+        with part.open("rb") as file:
+            if stays:
+                with open(os.open(path, os.O_WRONLY | os.O_APPEND), "wb") as there:
+                    shutil.copyfileobj(file, there)
+                return
+            os.fsync(file.fileno())
+        part.chmod(0o644)  # mkstemp's files are private; these are to be shared.
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Writes beside ``path`` and renames: whoever reads, also after a power cut, finds the old
-    file or the new one, never half of one."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o644)  # mkstemp's files are private; these are to be shared.
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
+    """Gives ``path`` this content, as ``replacing`` does."""
+    with replacing(path) as part:
+        part.write_bytes(content)
 
 
 def write_json(path: Path, value: Any) -> None:

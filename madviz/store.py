@@ -6,7 +6,8 @@ longer answers. The store is a cache: losing it costs time, never truth. ``madvi
 read it unless asked to; the live page does, so that bars are there from the first second.
 
 One file serves many threads (a lock) and many processes (SQLite's write-ahead log). A file that is
-broken is moved aside with a warning; a folder that cannot be written to means memory only.
+broken is moved aside with a warning; a folder that cannot be written to, and what is no file, mean
+memory only.
 """
 
 from __future__ import annotations
@@ -127,6 +128,8 @@ class Store:
             return self._connect()
         try:
             Path(self.path).parent.mkdir(parents=True, exist_ok=True)
+            if Path(self.path).exists() and not Path(self.path).is_file():
+                raise OSError("expected a file, found a device, a pipe or a folder")
             try:
                 return self._connect()
             except sqlite3.DatabaseError as error:
@@ -156,9 +159,10 @@ class Store:
         return db
 
     def _move_aside(self, error: sqlite3.DatabaseError) -> None:
-        aside = f"{self.path}.broken-{time.time_ns()}"
+        path = os.path.realpath(self.path)  # A link stays a link.
+        aside = f"{path}.broken-{time.time_ns()}"
         warnings.warn(f"{self.path}: {error}; moved to {aside}, starting afresh", stacklevel=5)
         with suppress(FileNotFoundError):  # Another process may have been faster.
-            os.replace(self.path, aside)
+            os.replace(path, aside)
         for suffix in ("-wal", "-shm"):
-            Path(self.path + suffix).unlink(missing_ok=True)
+            Path(path + suffix).unlink(missing_ok=True)

@@ -135,12 +135,22 @@ def test_a_file_gets_the_json_and_the_terminal_the_words(
     assert capsys.readouterr().out == "one a\n"
 
 
-def test_a_folder_that_is_missing_is_noticed_before_the_work(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_noticed_before_the_work(tmp_path: Path) -> None:
     worked: list[str] = []
-    with pytest.raises(UserError, match="a folder that exists"):
-        config = cli.ListConfig(str(tmp_path / "missing" / "out.json"))
-        cli.deliver(config, lambda: {"worked": worked.append("")}, str)
+    for place, said in (("missing/out.json", "a folder that exists"), (".", "found a folder")):
+        with pytest.raises(UserError, match=f"^--json .*{said}"):
+            config = cli.ListConfig(str(tmp_path / place))
+            cli.deliver(config, lambda: {"worked": worked.append("")}, str)
     assert worked == []
+
+
+def test_the_json_may_go_into_a_pipe(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    words = [sys.executable, "-m", "madviz", "list", "--json", str(pipe)]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL) as running:
+        assert "policies" in json.loads(pipe.read_text())
+    assert running.returncode == 0 and pipe.is_fifo()
 
 
 def test_list_has_the_shape_that_is_documented() -> None:

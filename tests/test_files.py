@@ -1,11 +1,19 @@
 """JSON for people, and files that are whole or not there."""
 
 import json
+import os
+import re
+import socket
 import stat
+import subprocess
+import sys
+import threading
+from pathlib import Path
 
 import pytest
 
-from madviz.files import LINE, pretty, read_json, write_bytes, write_json
+from madviz import files
+from madviz.files import LINE, pretty, read_json, replacing, write_bytes, write_json, written_to
 from madviz.types import UserError
 
 VALUES = {
@@ -43,6 +51,117 @@ def test_writing_replaces_the_whole_file_and_others_may_read_it(tmp_path):
     assert list(tmp_path.iterdir()) == [file]
 
 
+def test_who_writes_files_goes_through_one_place():
+    """But for the cache of results, and what a training keeps in its folder under names of its
+    own."""
+    direct = re.compile(
+        r"os\.(replace|rename)\(|\.rename\(|NamedTemporaryFile|mkstemp|\.write_text\("
+    )
+    package = Path(files.__file__).parent
+    found = {path.stem for path in package.rglob("*.py") if direct.search(path.read_text())}
+    assert found == {"files", "store", "run", "demonstrations", "buffer", "update"}
+
+
 def test_what_cannot_be_read_is_named(tmp_path):
     with pytest.raises(UserError, match="absent.json: expected a JSON file, found: No such file"):
         read_json(tmp_path / "absent.json")
+
+
+def read_in_background(fifo: Path) -> tuple[threading.Thread, list[bytes]]:
+    come: list[bytes] = []
+    thread = threading.Thread(target=lambda: come.append(fifo.read_bytes()), daemon=True)
+    thread.start()
+    return thread, come
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_pipe_is_written_to_and_stays_a_pipe(tmp_path, linked):
+    fifo = path = tmp_path / "pipe"
+    os.mkfifo(fifo)
+    if linked:
+        path = tmp_path / "link"
+        path.symlink_to("pipe")
+    thread, come = read_in_background(fifo)
+    write_json(path, [1])
+    if not fifo.is_fifo():  # Then nobody writes to it any more.
+        pytest.fail("expected a pipe, found that it was replaced")
+    thread.join(10.0)
+    assert come == [b"[1]\n"] and path.is_symlink() == linked
+    assert {file.name for file in tmp_path.iterdir()} == {"pipe", path.name}
+
+
+def test_a_device_is_written_to_and_stays_a_device(tmp_path):
+    device, terminal = os.openpty()
+    name = Path(os.ttyname(terminal))
+    link = tmp_path / "terminal"
+    link.symlink_to(name)
+    write_bytes(link, b"all of it\n")
+    assert link.is_symlink() and name.is_char_device()
+    assert os.read(device, 100) == b"all of it\r\n"
+
+
+def test_a_link_is_followed_and_stays_a_link(tmp_path):
+    (tmp_path / "far").mkdir()
+    target, link = tmp_path / "far" / "target", tmp_path / "x.json"
+    link.symlink_to("far/target")
+    for content in ([1], [2]):  # At first the link leads to a file that is not there yet.
+        write_json(link, content)
+        assert link.is_symlink() and not target.is_symlink() and read_json(target) == content
+    assert sorted(tmp_path.rglob("*")) == [tmp_path / "far", target, link]
+
+
+def test_a_file_is_replaced_and_not_written_over(tmp_path):
+    file = tmp_path / "x"
+    write_bytes(file, b"old")
+    with file.open("rb") as reader:
+        write_bytes(file, b"new")
+        assert reader.read() == b"old" and file.read_bytes() == b"new"
+
+
+def test_if_the_block_fails_the_file_stays_as_it_is(tmp_path):
+    file = tmp_path / "x.svg"
+    write_bytes(file, b"old")
+    with pytest.raises(RuntimeError), replacing(file) as part:
+        assert part.suffix == ".svg"
+        part.write_bytes(b"half of")
+        raise RuntimeError
+    assert file.read_bytes() == b"old" and list(tmp_path.iterdir()) == [file]
+
+
+def test_what_a_process_has_opened_is_added_to(tmp_path):
+    log, link = tmp_path / "log", tmp_path / "stdout"
+    log.write_text("before\n")
+    link.symlink_to("/proc/self/fd/1")  # As /dev/stdout is, which a mistake here must not replace.
+    program = (
+        "import sys\nfrom pathlib import Path\nfrom madviz.files import write_json\n"
+        "write_json(Path(sys.argv[1]), [1])\nprint('after')"
+    )
+    with log.open("a") as out:
+        subprocess.run([sys.executable, "-c", program, link], stdout=out, check=True)
+    assert log.read_text() == "before\n[1]\nafter\n" and link.is_symlink()
+
+
+def test_what_is_no_place_for_a_file_is_refused(tmp_path):
+    folder, link, ring = tmp_path / "folder", tmp_path / "link", tmp_path / "ring"
+    folder.mkdir()
+    link.symlink_to("folder")
+    ring.symlink_to("ring")
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(tmp_path / "socket"))
+        for name, found in {
+            **{"folder": "a folder", "link": "a folder", "socket": "a socket"},
+            **{"ring": "symbolic links in a circle", "none/x": f"no folder {tmp_path}/none"},
+        }.items():
+            path = tmp_path / name
+            for write in (
+                lambda path=path: write_bytes(path, b""),
+                lambda path=path: written_to(path),
+            ):
+                with pytest.raises(
+                    UserError, match=f"/{name}: expected a file.*found {found};"
+                ) as no:
+                    write()
+                assert "\n" not in str(no.value)
+    assert {p.name for p in tmp_path.iterdir()} == {"folder", "link", "ring", "socket"}
+    with pytest.raises(UserError, match="^--json .*folder: expected"):
+        written_to(folder, "--json")

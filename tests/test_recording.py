@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
+import threading
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -268,9 +270,23 @@ def test_a_scenario_by_its_name(tmp_path: Path) -> None:
     assert run_record(config)["failures"] == ["first=black@5-18"]
 
 
+def test_a_link_is_followed_and_a_pipe_written_to(tmp_path: Path) -> None:
+    link, pipe, come = tmp_path / "x.html", tmp_path / "y.html", []
+    link.symlink_to("far.html")
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: come.append(pipe.read_bytes()), daemon=True)
+    reader.start()
+    sizes = [run_record(RecordConfig(p, "toy-mad", steps=2))["bytes"] for p in (link, pipe)]
+    assert link.is_symlink() and pipe.is_fifo()
+    reader.join(10.0)
+    assert sizes == [(tmp_path / "far.html").stat().st_size, len(come[0])]
+    assert len(list(tmp_path.iterdir())) == 3
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (("--policy", "toy-mad", "--out", "x.rrd", "--keep", "."), "--keep .: expected a file"),
         (("--policy", "toy-mad", "--out", "x.gif"), "ends in .rrd, .mp4 or .html, found .gif"),
         (("--policy", "toy-mad", "--out", "x"), "found no ending"),
         (("--policy", "toy-mad", "--out", "nowhere/x.rrd"), "a folder that exists"),

@@ -1,5 +1,6 @@
 """The cache of results: what it keeps, what it keeps apart, and how it takes a beating."""
 
+import os
 import sqlite3
 import subprocess
 import sys
@@ -105,6 +106,28 @@ def test_a_folder_that_cannot_be_written_means_memory_only(tmp_path):
         store = Store(tmp_path / "file" / "results.sqlite")
     store.put(KEY, episode())
     assert store.results(KEY) == {5000: episode()}
+
+
+def test_a_link_to_a_corrupt_file_stays_a_link(tmp_path):
+    (tmp_path / "far").mkdir()
+    link, far = tmp_path / "results.sqlite", tmp_path / "far" / "results.sqlite"
+    link.symlink_to(far)
+    far.write_bytes(b"not a database at all" * 100)
+    with pytest.warns(UserWarning, match="moved to .*broken"):
+        store = Store(link)
+    store.put(KEY, episode())
+    assert link.is_symlink() and len(list(far.parent.glob("*.broken-*"))) == 1
+    store.close()
+    assert Store(far).results(KEY) == {5000: episode()}
+
+
+def test_what_is_no_file_is_left_alone(tmp_path):
+    path = tmp_path / "results.sqlite"
+    os.mkfifo(path)
+    with pytest.warns(UserWarning, match="found a device, a pipe or a folder; .*memory only"):
+        store = Store(path)
+    store.put(KEY, episode())
+    assert store.results(KEY) == {5000: episode()} and list(tmp_path.iterdir()) == [path]
 
 
 def test_many_threads_write_at_once(store):

@@ -13,7 +13,6 @@ when ``--drop`` or ``--scenario`` says (``madviz.session.failures``).
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections.abc import Iterator
 from contextlib import closing
@@ -26,6 +25,7 @@ import numpy as np
 
 from madviz import checkpoint
 from madviz.envs.base import make_env
+from madviz.files import replacing, written_to
 from madviz.replay import Finder, check_horizon, check_policies, failures_of, finder
 from madviz.rollout import one_thread
 from madviz.session.commands import Play, SetSchedule
@@ -127,14 +127,13 @@ def writer_for(path: Path, facts: Facts) -> Writer:
 
 
 def check_out(path: Path) -> None:
-    """Raises UserError for an ending that is no format, and for a folder that does not exist."""
+    """Raises UserError for an ending that is no format, and for what cannot be written to."""
     if path.suffix not in (".rrd", ".mp4", ".html"):
         raise UserError(
             f"--out {path}: expected a name that ends in .rrd, .mp4 or .html, "
             f"found {path.suffix or 'no ending'}; choose one of them"
         )
-    if not path.resolve().parent.is_dir() or path.is_dir():
-        raise UserError(f"--out {path}: expected a file in a folder that exists; make the folder")
+    written_to(path, "--out")
 
 
 def run_record(config: RecordConfig) -> dict[str, Any]:
@@ -142,6 +141,8 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     whether a kept episode came out as it was, to the bit; null where there was none."""
     check(config)
     check_out(config.out)
+    if config.keep is not None:
+        written_to(config.keep, "--keep")
     script = read_kept(config.replay).episode(config.episode) if config.replay else None
     find = finder(() if config.policy is None else (config.policy,))
     policy = find(script.policy) if script else checkpoint.load_policy(str(config.policy))
@@ -152,13 +153,13 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         session.send(SetSchedule(schedule))
         failures = failures_of(script) if script else in_words(schedule)
         facts = Facts(command_of(config), tuple(failures), config.fps, config.tile)
-        last = write_all(
+        last, size = write_all(
             config.out, facts, frames(session, script.steps if script else config.steps)
         )
     if config.keep is not None:
         session.keep().last().write(config.keep)
     return {
-        **{"schema": 1, "out": str(config.out), "bytes": config.out.stat().st_size},
+        **{"schema": 1, "out": str(config.out), "bytes": size},
         **{"policy": last.policy.name, "task": last.env.task, "seed": last.seed},
         **{"steps": last.step, "failures": failures},
         **{"success": last.success, "success_any": last.success_any, "return": last.total_reward},
@@ -166,22 +167,18 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     }
 
 
-def write_all(out: Path, facts: Facts, episode: Iterator[Frame]) -> Frame:
-    """Writes a whole episode; the last frame. Whoever finds ``out`` finds all of it: until then it
-    has another name, and if the episode stops there is none."""
-    part = out.with_name(f".{out.stem}.part{out.suffix}")
-    writer, last = writer_for(part, facts), None
-    try:
-        for last in episode:
-            writer.add(last)
-        writer.close()
-        os.replace(part, out)
-    except BaseException:
-        writer.close()
-        part.unlink(missing_ok=True)
-        raise
-    assert last is not None
-    return last
+def write_all(out: Path, facts: Facts, episode: Iterator[Frame]) -> tuple[Frame, int]:
+    """Writes a whole episode; its last frame, and how many bytes it takes. Whoever finds ``out``
+    finds all of it: until then it has another name, and if the episode stops there is none."""
+    with replacing(out) as part:
+        writer, last = writer_for(part, facts), None
+        try:
+            for last in episode:
+                writer.add(last)
+        finally:
+            writer.close()
+        assert last is not None
+        return last, part.stat().st_size
 
 
 def record_words(result: dict[str, Any]) -> str:

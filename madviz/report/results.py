@@ -21,7 +21,7 @@ from typing import Any
 from madviz import svg
 from madviz.card import AGAIN, train_again
 from madviz.checkpoint import WEIGHTS
-from madviz.files import write_bytes
+from madviz.files import write_bytes, written_to
 from madviz.report.bar import (
     BAR_ALL,
     BAR_EPISODES,
@@ -75,6 +75,7 @@ def run_report(config: ReportConfig) -> dict[str, Any]:
         remake += f" --out {shlex.quote(out.as_posix())}"
     text = _page(remake, evidence, verdicts, tables, tried(config.folder))
     pictures.mkdir(parents=True, exist_ok=True)
+    written_to(out, "--out")
     for old in set(pictures.glob("*.svg")) - {pictures / name for name in drawn}:
         old.unlink()  # Of a table that is no longer there.
     for name, drawing in drawn.items():
