@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz import checkpoint
-from madviz.files import read_json, write_bytes
+from madviz.system.files import read_json, write_bytes
 from madviz.types import UserError
 
 CARD = "card.md"

@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from madviz.envs.own import allow_task
-from madviz.factories import made_by
-from madviz.files import read_json, write_bytes, write_json
 from madviz.manifest import FORMAT, check_config, policy_spec
+from madviz.system.files import read_json, write_bytes, write_json
+from madviz.system.plugins import made_by
 from madviz.types import Policy, PolicySpec, UserError, perhaps
 
 if TYPE_CHECKING:

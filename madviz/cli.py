@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from madviz.files import pretty, write_json, written_to
 from madviz.statistics import in_words
+from madviz.system.files import pretty, write_json, written_to
 from madviz.types import UserError, unknown
 
 Config = TypeVar("Config")

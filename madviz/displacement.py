@@ -28,12 +28,12 @@ from tqdm import tqdm
 
 from madviz import checkpoint
 from madviz.evaluate import run_anywhere
-from madviz.files import write_bytes, written_to
 from madviz.moves import Displacement, along
 from madviz.rollout import FIRST_SEED, Finished, Job, Runner, unsupported
 from madviz.statistics import in_words, wilson
 from madviz.subsets import cameras_of, mask_of, name_of
 from madviz.svg import Line, lines
+from madviz.system.files import write_bytes, written_to
 from madviz.types import Policy, UserError, unknown
 
 Direction = Literal["forward", "right", "up", "pan", "tilt", "zoom"]

@@ -25,7 +25,6 @@ from tqdm import tqdm
 from madviz import checkpoint
 from madviz.ablations import Occlusion, by_sides
 from madviz.card import write_card
-from madviz.files import write_json
 from madviz.live import Evaluator, Tally
 from madviz.rollout import (
     FIRST_SEED,
@@ -43,6 +42,7 @@ from madviz.rollout import (
 from madviz.statistics import wilson
 from madviz.store import EpisodeResult, Store
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
+from madviz.system.files import write_json
 from madviz.types import Array, Policy, PolicySpec, UserError, unknown
 
 __all__ = [

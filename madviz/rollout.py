@@ -27,10 +27,10 @@ from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.envs.base import make_env
 from madviz.manifest import check_environment, definition_of
 from madviz.moves import Displacement, Moves
-from madviz.processes import set_up_worker
 from madviz.store import EpisodeResult, ResultKey
 from madviz.streams import StreamStack
 from madviz.subsets import camera_of, cameras_of, mask_of, name_of
+from madviz.system.processes import set_up_worker
 from madviz.types import Array, Environment, Policy, PolicySpec, UserError
 
 Occlusions = tuple[tuple[str, Occlusion], ...]

@@ -28,13 +28,13 @@ from madviz.checkpoint import save_policy
 from madviz.envs.base import choose, make_env
 from madviz.envs.own import allow_task
 from madviz.manifest import policy_config
-from madviz.processes import keep_large_blocks
 from madviz.recipes.light import LightConfig, LightRun, Recorder, train_light
 from madviz.recipes.light_critic import REWARD_SCALE, fit_critic
 from madviz.recipes.paper import PaperConfig, train_paper
 from madviz.recipes.paper_vectorised import VectorisedConfig, train_vectorised
 from madviz.recipes.run import Event, RunFolder
 from madviz.subsets import camera_of
+from madviz.system.processes import keep_large_blocks
 from madviz.types import CameraSpec, EnvSpec, PolicySpec, UserError, unknown
 
 RECIPES = {"light": "light", "paper": "paper", "paper-vectorised": "vectorised"}

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from madviz.envs.base import SETTINGS
-from madviz.files import write_json
 from madviz.statistics import wilson
+from madviz.system.files import write_json
 from madviz.types import CameraSpec
 
 NETWORKS = {"state_dim": 6, "action_dim": 2, "frame_stack": 3, "hidden_dim": 8}

@@ -12,8 +12,16 @@ from pathlib import Path
 
 import pytest
 
-from madviz import files
-from madviz.files import LINE, pretty, read_json, replacing, write_bytes, write_json, written_to
+from madviz.system import files
+from madviz.system.files import (
+    LINE,
+    pretty,
+    read_json,
+    replacing,
+    write_bytes,
+    write_json,
+    written_to,
+)
 from madviz.types import UserError
 
 VALUES = {
@@ -57,7 +65,7 @@ def test_who_writes_files_goes_through_one_place():
     direct = re.compile(
         r"os\.(replace|rename)\(|\.rename\(|NamedTemporaryFile|mkstemp|\.write_text\("
     )
-    package = Path(files.__file__).parent
+    package = Path(files.__file__).parent.parent
     found = {path.stem for path in package.rglob("*.py") if direct.search(path.read_text())}
     assert found == {"files", "store", "run", "demonstrations", "buffer", "update"}
 
@@ -133,7 +141,7 @@ def test_what_a_process_has_opened_is_added_to(tmp_path):
     log.write_text("before\n")
     link.symlink_to("/proc/self/fd/1")  # As /dev/stdout is, which a mistake here must not replace.
     program = (
-        "import sys\nfrom pathlib import Path\nfrom madviz.files import write_json\n"
+        "import sys\nfrom pathlib import Path\nfrom madviz.system.files import write_json\n"
         "write_json(Path(sys.argv[1]), [1])\nprint('after')"
     )
     with log.open("a") as out:

@@ -10,7 +10,7 @@ import pytest
 FAULTS = """
 import resource, sys
 import numpy as np
-from madviz.processes import keep_large_blocks
+from madviz.system.processes import keep_large_blocks
 
 def work():
     blocks = [np.ones(4 << 20, np.float32) for _ in range(5)]  # 16 MB each

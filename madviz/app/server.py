@@ -23,13 +23,13 @@ from madviz.app.users import Users
 from madviz.envs.base import make_env
 from madviz.envs.own import allow_task
 from madviz.live import Evaluator, Tally
-from madviz.processes import share_memory_between_threads
 from madviz.recipes.training_job import TrainingJob
 from madviz.replay import check_policies, differences, finder
 from madviz.session.kept import KeptEpisode
 from madviz.session.kept_reader import read_kept
 from madviz.session.session import EnvFactory, Session
 from madviz.store import Store
+from madviz.system.processes import share_memory_between_threads
 from madviz.types import CameraSpec, Environment, Policy, PolicySpec, UserError
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from madviz.envs.decimation import simplify
-from madviz.files import write_bytes
+from madviz.system.files import write_bytes
 from madviz.types import Array
 
 TRIANGLES = 1000

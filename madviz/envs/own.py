@@ -17,7 +17,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 
-from madviz.factories import made_by
+from madviz.system.plugins import made_by
 from madviz.types import CameraSpec, Environment, EnvSpec, UserError
 
 VARIABLE = "MADVIZ_TASKS"

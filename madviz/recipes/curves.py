@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from madviz import svg
-from madviz.files import write_bytes
 from madviz.statistics import wilson
+from madviz.system.files import write_bytes
 
 PREFIX = "success_"
 

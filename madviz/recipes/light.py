@@ -45,10 +45,10 @@ from madviz.agent.bottleneck import BottleneckEncoder, kl_loss
 from madviz.agent.contrast import TwoPartEncoder, contrastive_loss
 from madviz.agent.merge import each_stream
 from madviz.agent.methods import method
-from madviz.processes import set_up_worker
 from madviz.recipes.demonstrations import Dataset, Driver, Episode, record_in_worker
 from madviz.recipes.run import RunFolder, interruptible
 from madviz.subsets import mask_of
+from madviz.system.processes import set_up_worker
 from madviz.types import Array, CameraSpec, PolicySpec, UserError
 
 

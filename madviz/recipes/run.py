@@ -28,7 +28,7 @@ from typing import Any
 import torch
 
 from madviz.checkpoint import CONFIG
-from madviz.files import write_bytes
+from madviz.system.files import write_bytes
 from madviz.types import UserError
 
 Event = dict[str, Any]

@@ -29,8 +29,8 @@ from typing import Literal
 
 from madviz.agent.methods import method
 from madviz.envs.base import check_task
-from madviz.files import write_json
-from madviz.processes import let_all_others_go_first
+from madviz.system.files import write_json
+from madviz.system.processes import let_all_others_go_first
 from madviz.types import UserError, unknown
 
 State = Literal["idle", "running", "stopping", "stopped", "failed", "done"]

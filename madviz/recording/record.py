@@ -25,7 +25,6 @@ import numpy as np
 
 from madviz import checkpoint
 from madviz.envs.base import make_env
-from madviz.files import replacing, written_to
 from madviz.replay import Finder, check_horizon, check_policies, failures_of, finder
 from madviz.rollout import one_thread
 from madviz.session.commands import Play, SetSchedule
@@ -34,6 +33,7 @@ from madviz.session.frame import Failure, Frame, occlusion_words
 from madviz.session.kept import KeptEpisode
 from madviz.session.kept_reader import read_kept
 from madviz.session.session import Session
+from madviz.system.files import replacing, written_to
 from madviz.types import Array, Environment, Policy, UserError
 
 FIRST_SEED = 5000

@@ -14,11 +14,11 @@ import numpy as np
 
 from madviz.app.colours import camera_colours
 from madviz.app.mosaic import mosaic
-from madviz.files import write_bytes
 from madviz.recording.record import Facts, jpeg, setting_words
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of
 from madviz.svg_curves import curves
+from madviz.system.files import write_bytes
 from madviz.types import Array
 
 PICTURES = 10

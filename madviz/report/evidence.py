@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from madviz import checkpoint
-from madviz.files import read_json
 from madviz.manifest import check_config
 from madviz.subsets import mask_of
 from madviz.sweep.run import POLICY
+from madviz.system.files import read_json
 from madviz.types import UserError
 
 Outcomes = Mapping[int, bool]

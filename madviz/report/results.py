@@ -21,7 +21,6 @@ from typing import Any
 from madviz import svg
 from madviz.card import AGAIN, train_again
 from madviz.checkpoint import WEIGHTS
-from madviz.files import write_bytes, written_to
 from madviz.report.bar import (
     BAR_ALL,
     BAR_EPISODES,
@@ -41,6 +40,7 @@ from madviz.report.layouts import LAYOUTS, THREE
 from madviz.report.rows import Rate, Row
 from madviz.report.tables import Table, build
 from madviz.statistics import in_words
+from madviz.system.files import write_bytes, written_to
 from madviz.types import UserError
 
 

@@ -28,9 +28,9 @@ from pathlib import Path
 from typing import Any
 
 from madviz.ablations import Ablation, CameraState, Occlusion
-from madviz.files import pretty, write_bytes
 from madviz.moves import MoveCamera
 from madviz.session.commands import SetCamera
+from madviz.system.files import pretty, write_bytes
 from madviz.types import CameraSpec, PolicySpec, UserError
 
 SCHEMA = 1

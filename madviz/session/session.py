@@ -27,7 +27,6 @@ from collections import deque
 from collections.abc import Callable
 
 from madviz.moves import MoveCamera
-from madviz.processes import yield_to_others
 from madviz.session.commands import (
     Command,
     Fork,
@@ -48,6 +47,7 @@ from madviz.session.commands import (
 from madviz.session.frame import Failure, Frame, Phase
 from madviz.session.kept import KeptEpisode, KeptSession
 from madviz.session.stage import EnvFactory, Stage
+from madviz.system.processes import yield_to_others
 from madviz.types import Policy, UserError
 
 log = logging.getLogger(__name__)

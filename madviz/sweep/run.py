@@ -33,7 +33,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from madviz.checkpoint import CONFIG, EVALUATION
-from madviz.files import read_json, write_json
+from madviz.system.files import read_json, write_json
 from madviz.types import UserError
 
 RESULT, WORDS, LOG, CLAIM = "result.json", "run.json", "log.txt", "claim"

@@ -32,7 +32,6 @@ from typing import Any, Literal, Protocol
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from madviz.files import read_json
 from madviz.sweep.plan import Plan, read_plan
 from madviz.sweep.run import (
     RESULT,
@@ -43,6 +42,7 @@ from madviz.sweep.run import (
     expected_seconds,
     finished,
 )
+from madviz.system.files import read_json
 from madviz.types import UserError
 
 BUSY_SECONDS = 2.0

@@ -30,11 +30,11 @@ from madviz.agent.agent import TorchPolicy
 from madviz.agent.attention import HEADS, CrossAttention, ViewTransformer, attend
 from madviz.agent.contrast import drawn
 from madviz.evaluate import FIRST_SEED, evaluate
-from madviz.files import read_json, write_json
 from madviz.report.evidence import Evidence, find_evidence
 from madviz.report.layouts import THREE, Layout, any_method
 from madviz.report.tables import build
 from madviz.subsets import mask_of
+from madviz.system.files import read_json, write_json
 from madviz.teaching import Moment, SmallRun, train_small
 from madviz.teaching.rates import counted_in_words
 from madviz.teaching.show import Figure, Table, bars, table

@@ -1,0 +1,1 @@
+"""Files, processes and what is imported by name."""
