@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from madviz.checkpoint import list_policies as list_policies
     from madviz.checkpoint import load_policy as load_policy
     from madviz.checkpoint import save_policy as save_policy
-    from madviz.envs.base import make_env as make_env
-    from madviz.envs.own import allow_task as allow_task
+    from madviz.envs.custom import allow_task as allow_task
+    from madviz.envs.registry import make_env as make_env
     from madviz.evaluate import evaluate as evaluate
     from madviz.rollout import run_episode as run_episode
     from madviz.types import UserError as UserError
@@ -31,12 +31,12 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "ExploreConfig": "madviz.app.server",
-    "allow_task": "madviz.envs.own",
+    "allow_task": "madviz.envs.custom",
     "evaluate": "madviz.evaluate",
     "explore": "madviz.app.server",
     "list_policies": "madviz.checkpoint",
     "load_policy": "madviz.checkpoint",
-    "make_env": "madviz.envs.base",
+    "make_env": "madviz.envs.registry",
     "run_episode": "madviz.rollout",
     "save_policy": "madviz.checkpoint",
     "UserError": "madviz.types",

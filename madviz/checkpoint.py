@@ -23,7 +23,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from madviz.envs.own import allow_task
+from madviz.envs.custom import allow_task
 from madviz.manifest import FORMAT, check_config, policy_spec
 from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.plugins import made_by
@@ -252,7 +252,7 @@ def list_everything() -> dict[str, Any]:
     """
     from madviz.agent.methods import METHODS
     from madviz.agent.supports import SUPPORTS
-    from madviz.envs.base import SETTINGS, known_tasks
+    from madviz.envs.registry import SETTINGS, known_tasks
 
     policies, broken = list_policies()
     methods = {

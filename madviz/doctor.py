@@ -23,7 +23,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, get_args
 
-from madviz.envs.base import RenderProfile, make_env
+from madviz.envs.registry import RenderProfile, make_env
 from madviz.types import Environment, UserError
 
 PACKAGES = (
@@ -107,12 +107,12 @@ def mesa_version(gl_version: str) -> str:
 def probe_opengl(backend: str) -> dict[str, str] | None:
     """Version and renderer under ``MUJOCO_GL=backend``, asked of another process; None if that
     process found nothing, hung or did not survive."""
-    return _ask("madviz.envs.mujoco_gl", {"MUJOCO_GL": backend})
+    return _ask("madviz.envs.mujoco.gl", {"MUJOCO_GL": backend})
 
 
 def probe_vulkan() -> dict[str, str] | None:
     """The device SAPIEN draws with, asked of another process; None as for ``probe_opengl``."""
-    return _ask("madviz.envs.maniskill_vulkan", {})
+    return _ask("madviz.envs.maniskill.vulkan", {})
 
 
 def _ask(module: str, variables: dict[str, str]) -> dict[str, str] | None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz import checkpoint
-from madviz.envs.base import make_env, sees
+from madviz.envs.registry import make_env, sees
 from madviz.moves import MoveCamera
 from madviz.rollout import one_thread
 from madviz.session.commands import SetCamera

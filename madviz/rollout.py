@@ -24,7 +24,7 @@ from typing import Any
 
 from madviz import checkpoint
 from madviz.ablations import Ablation, CameraState, Occlusion
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.manifest import check_environment, definition_of
 from madviz.moves import Displacement, Moves
 from madviz.store import EpisodeResult, ResultKey

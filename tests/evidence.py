@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.statistics import wilson
 from madviz.system.files import write_json
 from madviz.types import CameraSpec

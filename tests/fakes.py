@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.types import Array, Encoded, PolicySpec, Readout, UserError
 
 

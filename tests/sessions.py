@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from madviz.ablations import CameraState, Occlusion
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies

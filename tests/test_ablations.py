@@ -15,7 +15,7 @@ from madviz.ablations import (
     by_sides,
     noise_generator,
 )
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.subsets import every_mask, mask_of
 from madviz.types import UserError
 

@@ -23,7 +23,7 @@ from madviz.app.training import TrainingPanel
 from madviz.app.users import Users
 from madviz.app.versus import VersusPanel
 from madviz.app.visitor import Visitor
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.recipes.training_job import TrainingJob
 from madviz.session.commands import Pause, SetSpeed
 from madviz.session.frame import Frame

@@ -21,7 +21,7 @@ from madviz.app.projection import MapPanel
 from madviz.app.rates import Rates
 from madviz.app.saliency import SaliencyPanel, saliency_words
 from madviz.app.worth import WorthPanel, action_column, q_column, success_column, worth_html
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.projection import DECISIONS
 from madviz.session.commands import Pause, Reset, SetCamera, SetPolicy
 from madviz.session.frame import Frame

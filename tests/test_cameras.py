@@ -9,9 +9,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from madviz.envs.base import SETTINGS, choose, make_env, sees, setting, setting_cameras, standing
 from madviz.envs.cameras import look_at, read_cameras
-from madviz.envs.metaworld import CAMERAS
+from madviz.envs.metaworld.environment import CAMERAS
+from madviz.envs.registry import (
+    SETTINGS,
+    choose,
+    make_env,
+    sees,
+    setting,
+    setting_cameras,
+    standing,
+)
 from madviz.streams import IMAGE_SIZE, stream_frame
 from madviz.types import CameraSpec, UserError
 

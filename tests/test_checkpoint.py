@@ -18,7 +18,7 @@ from madviz import checkpoint, manifest
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.networks import Encoder, NetworkConfig
 from madviz.checkpoint import describe, load_policy, save_policy
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.types import UserError
 

@@ -8,8 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from madviz.envs import bodies
-from madviz.envs.base import MANISKILL_TASKS, METAWORLD_TASKS, SETTINGS, TASKS, make_env, setting
+from madviz.envs import shapes
+from madviz.envs.registry import (
+    MANISKILL_TASKS,
+    METAWORLD_TASKS,
+    SETTINGS,
+    TASKS,
+    make_env,
+    setting,
+)
 from madviz.types import Environment, UserError
 
 CONTRACT_TASKS = (
@@ -138,7 +145,7 @@ def test_bodies_are_meshes_that_a_browser_can_draw(env: Environment) -> None:
         assert part.faces.min() >= 0 and part.faces.max() < len(part.vertices)
         assert part.colour.dtype == np.uint8 and part.colour.shape == (3,)
         assert np.isfinite(part.vertices).all() and np.abs(part.vertices).max() < 3
-    assert sum(len(part.faces) for body in scene for part in body.parts) <= bodies.MOST
+    assert sum(len(part.faces) for body in scene for part in body.parts) <= shapes.MOST
     env.step(np.zeros(env.spec.action_dim))
     assert env.bodies() is scene, "the same object while nothing changes"
 

@@ -14,7 +14,7 @@ from madviz import checkpoint, manifest
 from madviz.ablations import Ablation, Occlusion
 from madviz.agent.agent import Agent
 from madviz.agent.networks import NetworkConfig
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.evaluate import (
     EvalConfig,

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from madviz.envs.base import choose, make_env
-from madviz.envs.own import allow_task, own_tasks
+from madviz.envs.custom import allow_task, own_tasks
+from madviz.envs.registry import choose, make_env
 from madviz.evaluate import evaluate
 from madviz.examples.own_policy import Finder
 from madviz.recipes.light import LightConfig

@@ -11,7 +11,7 @@ import viser
 from madviz.ablations import CameraState, Occlusion
 from madviz.app.failures import FailuresPanel, failures_html
 from madviz.app.keep import KeepPanel
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.session.commands import Pause, Play, Reset, Scrub, SetCamera, SetSchedule, SetSeed
 from madviz.session.failures import SCENARIOS, Event, in_words, parse_schedule, reached, scenario
 from madviz.session.frame import Frame

@@ -13,7 +13,7 @@ import pytest
 
 from madviz import cli
 from madviz.ablations import Ablation, CameraState, Occlusion
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.replay import failures_of, live_again, replay_row, replay_words
 from madviz.session.commands import (
     Pause,

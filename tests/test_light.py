@@ -13,7 +13,7 @@ import torch
 from madviz.agent.agent import Agent, random_policy
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.recipes.demonstrations import Dataset, Driver, Episode, record_episode
 from madviz.recipes.light import LightConfig, LightRun, imitation_loss, train_light

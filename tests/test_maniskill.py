@@ -14,10 +14,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from madviz.doctor import check_vulkan
-from madviz.envs import decimation, maniskill_meshes, maniskill_vulkan
-from madviz.envs.base import MANISKILL_TASKS, SETTINGS, make_env, setting_cameras
-from madviz.envs.maniskill import ManiSkill, cameras_of
-from madviz.envs.maniskill_tasks import MANISKILL_SUCCESS, position
+from madviz.envs import decimation
+from madviz.envs.maniskill.environment import ManiSkill, cameras_of, meshes, vulkan
+from madviz.envs.maniskill.tasks import MANISKILL_SUCCESS, position
+from madviz.envs.registry import MANISKILL_TASKS, SETTINGS, make_env, setting_cameras
 from madviz.types import Array, UserError
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:mani_skill")
@@ -42,7 +42,7 @@ def pixel(env: ManiSkill, camera: str, point: Array, size: int = 84) -> tuple[in
 
 def test_pictures_are_the_stock_ones_where_poses_say(push: ManiSkill) -> None:
     """Stock sensors at the same places; the wrist camera's pictures turned as the paper does."""
-    from madviz.envs.maniskill_stock import StockFrames
+    from madviz.envs.maniskill.stock import StockFrames
 
     stock, full = StockFrames("push-cube", 84), ManiSkill("push-cube", "full")
     full.reset(0)
@@ -154,10 +154,8 @@ def test_a_heavy_mesh_gets_light_and_keeps_its_shape() -> None:
     ball = trimesh.creation.icosphere(5)  # 20,480 triangles, radius 1.
     loose = np.asarray(ball.vertices, np.float32)[ball.faces].reshape(-1, 3)
     faces = np.arange(len(loose)).reshape(-1, 3)
-    vertices, triangles, normals, uvs = maniskill_meshes.shade(
-        *maniskill_meshes.decimate(loose, faces)
-    )
-    limit = maniskill_meshes.ENOUGH * maniskill_meshes.TRIANGLES
+    vertices, triangles, normals, uvs = meshes.shade(*meshes.decimate(loose, faces))
+    limit = meshes.ENOUGH * meshes.TRIANGLES
     assert 200 < len(triangles) <= limit and len(uvs) == len(vertices)
     assert np.abs(np.linalg.norm(vertices, axis=1) - 1).max() < 0.05
     assert (normals * vertices).sum(1).min() > 0.95  # Smooth, and outwards.
@@ -199,7 +197,7 @@ def test_two_simulators_that_open_at_once_do_not_mix_their_meshes(
     monkeypatch.setattr(decimation.fast_simplification, "simplify", simplify)
     ball = trimesh.creation.icosphere(4)
     with ThreadPoolExecutor(3) as pool:
-        made = [pool.submit(maniskill_meshes.decimate, ball.vertices, ball.faces) for _ in "abc"]
+        made = [pool.submit(meshes.decimate, ball.vertices, ball.faces) for _ in "abc"]
         assert all(len(one.result()[1]) == 100 for one in made)
     assert most == [1, 1, 1]
 
@@ -213,10 +211,10 @@ def test_a_level_textured_rectangle_becomes_two_triangles() -> None:
     )
     normals, uvs = np.tile([0, 0, 1.0], (66, 1)), vertices[:, :2] / 4
     mesh = (vertices, triangles, normals, uvs)
-    light = maniskill_meshes.flat_rectangle(mesh)
+    light = meshes.flat_rectangle(mesh)
     assert light is not None and len(light[1]) == 2
     assert np.allclose(light[3], light[0][:, :2] / 4, atol=1e-5)
-    assert maniskill_meshes.flat_rectangle((vertices, triangles[1:], normals, uvs)) is None
+    assert meshes.flat_rectangle((vertices, triangles[1:], normals, uvs)) is None
 
 
 def test_what_was_decimated_once_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -226,10 +224,10 @@ def test_what_was_decimated_once_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_pa
     ball = trimesh.creation.icosphere(4)
     vertices = np.asarray(ball.vertices, np.float32)
     mesh = (vertices, np.asarray(ball.faces, np.uint32), vertices, vertices[:, :2])
-    first = maniskill_meshes.lighter(mesh, textured=False)
+    first = meshes.lighter(mesh, textured=False)
     assert len(list((tmp_path / "madviz" / "meshes").glob("*.npz"))) == 1
-    monkeypatch.setattr(maniskill_meshes, "decimate", None)
-    again = maniskill_meshes.lighter(mesh, textured=False)
+    monkeypatch.setattr(meshes, "decimate", None)
+    again = meshes.lighter(mesh, textured=False)
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
 
 
@@ -240,12 +238,12 @@ def test_without_vulkan_one_sentence_says_what_to_do(monkeypatch: pytest.MonkeyP
         raise RuntimeError("vk::PhysicalDevice::createDeviceUnique: ErrorFeatureNotPresent")
 
     monkeypatch.setattr(sapien.render, "RenderSystem", fails)
-    maniskill_vulkan.renderer.cache_clear()
+    vulkan.renderer.cache_clear()
     try:
         with pytest.raises(UserError, match="24.3.*ErrorFeatureNotPresent.*make setup"):
             make_env("maniskill/push-cube")
     finally:
-        maniskill_vulkan.renderer.cache_clear()
+        vulkan.renderer.cache_clear()
 
 
 def test_the_doctor_tells_a_driver_from_one_that_works(tmp_path: Path) -> None:
@@ -260,13 +258,13 @@ def test_the_doctor_tells_a_driver_from_one_that_works(tmp_path: Path) -> None:
 
 def test_the_supported_device_is_named() -> None:
     summary = "GPU: Old Card\n  Supported: 0\nGPU: llvmpipe (LLVM 15.0.6)\n  Supported: 1\n"
-    assert maniskill_vulkan.device_name(summary) == "llvmpipe (LLVM 15.0.6)"
-    assert maniskill_vulkan.device_name("GPU: Old Card\n  Supported: 0\n") == ""
+    assert vulkan.device_name(summary) == "llvmpipe (LLVM 15.0.6)"
+    assert vulkan.device_name("GPU: Old Card\n  Supported: 0\n") == ""
 
 
 def test_only_who_makes_an_environment_loads_sapien() -> None:
     program = (
-        "import madviz.envs.maniskill, madviz.envs.maniskill_stock, madviz.envs.base, sys;"
+        "import madviz.envs.maniskill.environment, madviz.envs.maniskill.stock, madviz.envs.registry, sys;"
         "print(*{'sapien', 'mani_skill', 'torch'} & set(sys.modules))"
     )
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

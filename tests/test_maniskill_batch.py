@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 import torch
 
-from madviz.envs import maniskill_batch
-from madviz.envs.base import MANISKILL_TASKS, make_env, setting_cameras
-from madviz.envs.maniskill import HORIZON, ManiSkill, cameras_of
-from madviz.envs.maniskill_batch import ManiSkillBatch
-from madviz.envs.maniskill_tasks import states
+from madviz.envs.maniskill.batch import ManiSkillBatch
+from madviz.envs.maniskill.environment import HORIZON, ManiSkill, batch, cameras_of
+from madviz.envs.maniskill.tasks import states
+from madviz.envs.registry import MANISKILL_TASKS, make_env, setting_cameras
 from madviz.recipes import paper_vectorised, vector_batch
 from madviz.recipes.paper_vectorised import VectorisedConfig
 from madviz.recipes.run import RunFolder
@@ -29,7 +28,7 @@ from madviz.types import EnvSpec, TimeStep, UserError, View
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:mani_skill")
 
 
-def assert_same(batch: maniskill_batch.Steps, alone: TimeStep) -> None:
+def assert_same(batch: batch.Steps, alone: TimeStep) -> None:
     np.testing.assert_array_equal(batch.state, alone.state[np.newaxis])
     assert batch.reward == [np.float32(alone.reward)] and batch.last == alone.last
     assert batch.success.tolist() == [alone.success]
@@ -185,13 +184,13 @@ def test_many_copies_fill_their_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
         def __init__(self, *told: Any) -> None:
             assert told[:3] == ("push-cube", 3, "fast")
 
-        def reset(self, seeds: list[int]) -> maniskill_batch.Steps:
+        def reset(self, seeds: list[int]) -> batch.Steps:
             return self.step(np.array(seeds, np.float32)[:, np.newaxis].repeat(4, 1))
 
-        def step(self, actions: np.ndarray) -> maniskill_batch.Steps:
+        def step(self, actions: np.ndarray) -> batch.Steps:
             self.told = actions.copy()
             success = np.zeros(3, bool)
-            return maniskill_batch.Steps(actions.repeat(7, 1), actions[:, 0], success, last=True)
+            return batch.Steps(actions.repeat(7, 1), actions[:, 0], success, last=True)
 
         def draw(self) -> dict[str, list[View]]:
             shape = (84, 84)

@@ -14,7 +14,7 @@ from madviz.agent.agent import Agent
 from madviz.agent.merge import MERGES
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.supports import SUPPORTS
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.subsets import every_mask
 from madviz.types import Array, UserError
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from madviz.envs import bodies
-from madviz.envs.base import METAWORLD_TASKS, make_env
-from madviz.envs.metaworld import MetaWorld
-from madviz.envs.metaworld_scripts import RUN_ON, Scene, pick
+from madviz.envs import shapes
+from madviz.envs.metaworld.environment import MetaWorld
+from madviz.envs.metaworld.scripts import RUN_ON, Scene, pick
+from madviz.envs.registry import METAWORLD_TASKS, make_env
 
 
 @pytest.mark.parametrize("task", METAWORLD_TASKS)
@@ -24,7 +24,7 @@ def test_every_task_runs_and_repeats(task: str) -> None:
         runs.append(np.concatenate(states))
     scene = env.bodies()
     env.close()
-    assert sum(len(part.faces) for body in scene for part in body.parts) <= bodies.MOST
+    assert sum(len(part.faces) for body in scene for part in body.parts) <= shapes.MOST
     assert len(scene) > 18 and len({body.name for body in scene}) == len(scene)
     assert np.array_equal(*runs)
     assert env.spec.success
@@ -67,7 +67,7 @@ def test_the_first_person_camera_rides_on_the_hand() -> None:
 def test_decimation_leaves_the_model_as_it_was() -> None:
     import mujoco
 
-    from madviz.envs.mujoco_meshes import TRIANGLES, lighter_meshes
+    from madviz.envs.mujoco.meshes import TRIANGLES, lighter_meshes
 
     model: mujoco.MjModel = MetaWorld("push")._simulation.model
     before = model.mesh_vert.copy(), model.mesh_facenum.copy()

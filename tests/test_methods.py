@@ -23,7 +23,7 @@ from madviz.agent.contrast import contrastive_loss
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.supports import SUPPORTS
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.probes import probe
 from madviz.recipes import light, paper

@@ -16,7 +16,7 @@ from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.app.gizmo import Gizmo
 from madviz.app.move import MovePanel, move_html
 from madviz.app.panel import apply
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.moves import (
     Displacement,
     MoveCamera,

@@ -25,7 +25,7 @@ from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.objectives import Batch, critic_losses, td_target
 from madviz.agent.update import Learner, LearningConfig
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.types import Array, PolicySpec
 
 STREAMS = SETTINGS["three"].streams

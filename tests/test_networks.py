@@ -13,7 +13,7 @@ from madviz.agent.agent import random_policy
 from madviz.agent.augment import _shift_by_index, random_shift, shift
 from madviz.agent.merge import merge_sum
 from madviz.agent.networks import Actor, Critic, Encoder, NetworkConfig, squash
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.subsets import every_mask
 from madviz.types import PolicySpec
 

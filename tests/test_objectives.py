@@ -25,7 +25,7 @@ from madviz.agent.objectives import (
 )
 from madviz.agent.update import Draw, Learner, LearningConfig
 from madviz.bench.naive import NaiveLearner
-from madviz.envs.base import setting
+from madviz.envs.registry import setting
 from madviz.types import UserError
 
 Params = dict[str, Tensor]

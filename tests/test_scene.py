@@ -17,8 +17,8 @@ from madviz.app.bodies import creased, glb, joined, linear
 from madviz.app.panel import apply
 from madviz.app.scene import MOVE, MOVE_AT_FULL_SPEED, ScenePanel, picture
 from madviz.app.sight import FOV, MARGIN, Sight, first_look, nearest_place
-from madviz.envs import bodies
-from madviz.envs.base import make_env
+from madviz.envs import shapes
+from madviz.envs.registry import make_env
 from madviz.session.commands import Pause, SetCamera, SetSpeed, StepOnce
 from madviz.session.frame import Frame
 from madviz.session.session import Session
@@ -109,7 +109,7 @@ def test_what_stands_still_is_shown_as_it_is_at_once(server):
 def test_another_episode_may_hold_other_bodies(server):
     stage = Stage(server)
     old = list(stage.panel._bodies._handles)
-    ball = Body("ball", (bodies.part(bodies.sphere(np.ones(3)), np.ones(3)),))
+    ball = Body("ball", (shapes.part(shapes.sphere(np.ones(3)), np.ones(3)),))
     pose = np.array([[1, 2, 3, 1, 0, 0, 0]], np.float32)
     stage.now = 1.0
     apply(stage.panel.update(replace(stage.frame, bodies=(ball,), body_poses=pose)))
@@ -149,7 +149,7 @@ def test_a_body_is_whole_glb_with_sharp_edges_and_one_piece_for_each_colour():
     half = np.array([1.0, 2.0, 3.0])
     red, blue = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.5])
     shapes = ((half, red, 0), (half, blue, 4), (half, red, 8))
-    parts = tuple(bodies.part(bodies.box(h), c, (x, 0, 0)) for h, c, x in shapes)
+    parts = tuple(shapes.part(shapes.box(h), c, (x, 0, 0)) for h, c, x in shapes)
     data = glb(Body("boxes", parts))
     magic, version, length, text = struct.unpack("<4sIII", data[:16])
     assert (magic, version, length) == (b"glTF", 2, len(data))
@@ -166,9 +166,9 @@ def test_a_body_is_whole_glb_with_sharp_edges_and_one_piece_for_each_colour():
 @pytest.mark.parametrize(
     ("shape", "vertices"),
     [
-        (bodies.box(np.ones(3)), 24),
-        (bodies.cylinder(1.0, 1.0), 2 * bodies.AROUND + 2 * (bodies.AROUND + 1)),
-        (bodies.sphere(np.ones(3)), 11 * bodies.AROUND + 2),
+        (shapes.box(np.ones(3)), 24),
+        (shapes.cylinder(1.0, 1.0), 2 * shapes.AROUND + 2 * (shapes.AROUND + 1)),
+        (shapes.sphere(np.ones(3)), 11 * shapes.AROUND + 2),
     ],
 )
 def test_normals_are_smooth_on_round_things_and_sharp_at_edges(shape, vertices):

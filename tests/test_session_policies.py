@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from madviz.ablations import Ablation, CameraState
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.envs.toy import ToyReach
 from madviz.session.commands import (
     Pause,

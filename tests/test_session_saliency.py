@@ -12,7 +12,7 @@ import torch
 from madviz.ablations import CameraState
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.networks import NetworkConfig
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.session.commands import (
     Pause,
     Play,

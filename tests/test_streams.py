@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from madviz.ablations import Ablation, CameraState, Occlusion
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.streams import StreamStack, depth_code, stream_frame
 from madviz.types import View

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from madviz.envs.base import SETTINGS
+from madviz.envs.registry import SETTINGS
 from madviz.subsets import every_mask, mad_subsets, mask_of, name_of, single_streams
 from madviz.types import UserError
 

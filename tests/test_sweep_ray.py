@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from madviz.envs.own import VARIABLE, own_tasks
+from madviz.envs.custom import VARIABLE, own_tasks
 from madviz.sweep.ray import RayBackend
 from madviz.sweep.run import Outcome, Run
 from madviz.sweep.sweep import SweepConfig, run_sweep

@@ -11,7 +11,7 @@ import viser
 from madviz.ablations import CameraState
 from madviz.app.panel import apply
 from madviz.app.timeline import PATIENCE, TimelinePanel, marks, timeline_html
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.session.commands import Command, Fork, Scrub, SetCamera, SetPolicy
 from madviz.session.frame import Frame
 from madviz.session.session import Session

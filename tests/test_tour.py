@@ -11,7 +11,7 @@ import viser
 from madviz.ablations import CameraState, Occlusion
 from madviz.app.policy import PolicyChoice
 from madviz.app.tour import HELP, Tour, keys_table, steps
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.session.commands import SetCamera, SetPolicy, SetSpeed, StepOnce
 from madviz.session.frame import Frame
 from madviz.session.session import Session

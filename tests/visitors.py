@@ -8,7 +8,7 @@ from typing import Any, get_args
 import numpy as np
 
 from madviz.ablations import CameraState, Occlusion, OcclusionKind
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.session.commands import (
     Fork,
     Play,

@@ -20,8 +20,8 @@ from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.toolkit import theme
 from madviz.app.users import Users
-from madviz.envs.base import make_env
-from madviz.envs.own import allow_task
+from madviz.envs.custom import allow_task
+from madviz.envs.registry import make_env
 from madviz.live import Evaluator, Tally
 from madviz.recipes.training_job import TrainingJob
 from madviz.replay import check_policies, differences, finder

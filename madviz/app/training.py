@@ -18,7 +18,7 @@ from madviz.agent.methods import METHODS
 from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, grid, guarded, notify, on_value, remove_all
-from madviz.envs.base import known_tasks
+from madviz.envs.registry import known_tasks
 from madviz.recipes.training_job import BUDGETS, JobConfig, JobStatus, TrainingJob
 from madviz.session.commands import Command, SetPolicy
 from madviz.session.frame import Frame

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.recipes.buffer import BufferSpec, ReplayBuffer
 from madviz.recipes.buffer_packed import TOGETHER
 from madviz.types import Array, Environment, UserError

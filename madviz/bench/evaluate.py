@@ -54,7 +54,7 @@ class BenchEvaluateConfig:
 
 
 class Stock(Protocol):
-    """A simulator as its users draw it; see ``envs/metaworld_stock.py``."""
+    """A simulator as its users draw it; see ``envs/metaworld/stock.py``."""
 
     def step(self) -> None: ...
 

@@ -16,7 +16,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.types import UserError
 
 OUR_FLAGS = "profile fast: no shadows, reflections or samples, lighter meshes; colour and depth"

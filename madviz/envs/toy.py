@@ -15,9 +15,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs import bodies
-from madviz.envs.base import check_action
+from madviz.envs import shapes
 from madviz.envs.placement import Placements
+from madviz.envs.registry import check_action
 from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, Part, TimeStep, View, unknown
 
 STEP = 0.12
@@ -172,7 +172,7 @@ def _paint_table(rgb: Array, x: Array, y: Array) -> None:
 def _standing(radius: float, low: float, high: float, colour: tuple[int, int, int]) -> Part:
     """A cylinder from ``low`` to ``high`` metres."""
     half = (high - low) / 2
-    return bodies.part(bodies.cylinder(radius, half), np.array(colour) / 255, (0, 0, low + half))
+    return shapes.part(shapes.cylinder(radius, half), np.array(colour) / 255, (0, 0, low + half))
 
 
 def _quarter(x: int, y: int) -> Body:
@@ -181,7 +181,7 @@ def _quarter(x: int, y: int) -> Body:
     half = np.array([0.525, 0.525, 0.03])
     return Body(
         f"table{x:+d}{y:+d}",
-        (bodies.part(bodies.box(half), colour / 255, (0.525 * x, 0.525 * y, -0.03)),),
+        (shapes.part(shapes.box(half), colour / 255, (0.525 * x, 0.525 * y, -0.03)),),
     )
 
 

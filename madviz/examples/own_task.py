@@ -17,9 +17,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from madviz.envs.base import check_action
 from madviz.envs.cameras import look_at
-from madviz.envs.mujoco_world import MuJoCoWorld
+from madviz.envs.mujoco.world import MuJoCoWorld
+from madviz.envs.registry import check_action
 from madviz.types import Array, CameraSpec, EnvSpec, TimeStep
 
 SCENE = """

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from madviz.ablations import Ablation
-from madviz.envs.base import make_env, sees
+from madviz.envs.registry import make_env, sees
 from madviz.rollout import one_thread
 from madviz.streams import StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of

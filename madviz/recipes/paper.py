@@ -31,7 +31,7 @@ from madviz.agent.augment import random_shift
 from madviz.agent.methods import method
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.agent.update import Learner, LearningConfig, Precision
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.recipes.buffer import BufferSpec, ReplayBuffer
 from madviz.recipes.paper_loop import train_on
 from madviz.recipes.run import RunFolder

@@ -33,8 +33,8 @@ import numpy as np
 import torch
 
 from madviz.agent.agent import Agent
-from madviz.envs.base import make_env
-from madviz.envs.maniskill_batch import claim_gpu
+from madviz.envs.maniskill.batch import claim_gpu
+from madviz.envs.registry import make_env
 from madviz.recipes.paper import PaperRun, ReinforcementConfig
 from madviz.recipes.paper_loop import train_on
 from madviz.recipes.run import RunFolder

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Literal
 
 from madviz.agent.methods import method
-from madviz.envs.base import check_task
+from madviz.envs.registry import check_task
 from madviz.system.files import write_json
 from madviz.system.processes import let_all_others_go_first
 from madviz.types import UserError, unknown

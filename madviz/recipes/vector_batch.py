@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from madviz.envs.maniskill_batch import ManiSkillBatch, Steps
+from madviz.envs.maniskill.batch import ManiSkillBatch, Steps
 from madviz.recipes.vector_envs import Board, Recipe
 from madviz.streams import stream_frame
 from madviz.subsets import camera_of

@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 
 from madviz import checkpoint
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.replay import Finder, check_horizon, check_policies, failures_of, finder
 from madviz.rollout import one_thread
 from madviz.session.commands import Play, SetSchedule

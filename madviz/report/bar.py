@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from madviz.envs.base import MANISKILL_TASKS, METAWORLD_TASKS
+from madviz.envs.registry import MANISKILL_TASKS, METAWORLD_TASKS
 from madviz.report.evidence import Evidence
 from madviz.report.layouts import THREE
 from madviz.report.rows import Rate, Row

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from madviz.envs.base import METAWORLD_TASKS
+from madviz.envs.registry import METAWORLD_TASKS
 from madviz.report.evidence import Evidence
 from madviz.report.layouts import Layout, rank
 from madviz.report.rows import Row

@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import Any
 
 from madviz.ablations import Ablation
-from madviz.envs.base import sees
+from madviz.envs.registry import sees
 from madviz.manifest import check_environment
 from madviz.moves import MoveCamera
 from madviz.saliency import LiveSaliency
@@ -34,7 +34,7 @@ from madviz.session.twin import MOST_PAIRS, Twin
 from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec, UserError
 
 EnvFactory = Callable[[str, str, tuple[CameraSpec, ...]], Environment]
-"""(task, render profile, cameras) -> environment, for example ``madviz.envs.base.make_env``."""
+"""(task, render profile, cameras) -> environment, for example ``madviz.envs.registry.make_env``."""
 
 
 class Stage:

@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz.agent.methods import method
-from madviz.envs.base import check_task, setting
+from madviz.envs.registry import check_task, setting
 from madviz.sweep.run import Run
 from madviz.types import UserError, unknown
 

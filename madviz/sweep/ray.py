@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from madviz.envs.own import allow_task, own_tasks
+from madviz.envs.custom import allow_task, own_tasks
 from madviz.sweep.run import Outcome, Run, carry_out
 from madviz.types import UserError
 

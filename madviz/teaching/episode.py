@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from madviz.ablations import Ablation, Occlusion, noise_generator
-from madviz.envs.base import make_env
+from madviz.envs.registry import make_env
 from madviz.probes import Probe, probe
 from madviz.streams import StreamStack
 from madviz.subsets import camera_of, cameras_of, mask_of

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE
 
-from madviz.envs.metaworld import CAMERAS
+from madviz.envs.metaworld.environment import CAMERAS
 from madviz.types import Array
 
 MODEL_CAMERAS = {"first": "gripperPOV", "third_a": "corner2", "third_b": "corner3"}

@@ -4,7 +4,7 @@ SAPIEN draws with Vulkan. Without a graphics card that is Mesa's lavapipe, and S
 that lavapipe has since Mesa 24.3: an older one ends in ``ErrorFeatureNotPresent``, no driver at all
 in ``Failed to find a supported physical device``. ``renderer`` turns all of them into one sentence.
 
-``python -m madviz.envs.maniskill_vulkan`` says which device would draw: the doctor runs it in a
+``python -m madviz.envs.maniskill.vulkan`` says which device would draw: the doctor runs it in a
 process of its own, since a broken driver can take its process along.
 """
 

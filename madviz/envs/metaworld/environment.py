@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 
-from madviz.envs.base import check_action, standing
 from madviz.envs.cameras import look_at
-from madviz.envs.metaworld_experts import METAWORLD_SUCCESS, Expert
-from madviz.envs.mujoco_gl import check_gl
-from madviz.envs.mujoco_world import MuJoCoWorld
+from madviz.envs.metaworld.experts import METAWORLD_SUCCESS, Expert
+from madviz.envs.mujoco.gl import check_gl
+from madviz.envs.mujoco.world import MuJoCoWorld
+from madviz.envs.registry import check_action, standing
 from madviz.types import Array, CameraSpec, EnvSpec, TimeStep
 
 ACTION_REPEAT = 2

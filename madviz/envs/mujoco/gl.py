@@ -5,7 +5,7 @@ many faces: without libEGL an AttributeError of PyOpenGL, without a driver an Im
 first context and a second exception out of its destructor, and ``glfw`` without a display makes a
 context of nothing that crashes when it is used. ``check_gl`` turns all of them into one sentence.
 
-``python -m madviz.envs.mujoco_gl`` draws nothing but says who would: the doctor runs it in a
+``python -m madviz.envs.mujoco.gl`` draws nothing but says who would: the doctor runs it in a
 process of its own for every back end, since a back end that was imported once stays.
 """
 

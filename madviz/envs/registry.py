@@ -19,7 +19,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from madviz.envs import own
+from madviz.envs import custom
 from madviz.envs.cameras import read_cameras
 from madviz.types import Array, CameraSpec, Environment, EnvSpec, Modality, UserError, unknown
 
@@ -42,14 +42,14 @@ TASKS = (
 
 
 def known_tasks() -> tuple[str, ...]:
-    """madviz's tasks, and those of your own that were named here (``own.py``)."""
-    return (*TASKS, *own.own_tasks())
+    """madviz's tasks, and those of your own that were named here (``custom.py``)."""
+    return (*TASKS, *custom.own_tasks())
 
 
 def check_task(task: str) -> None:
     """Raises UserError, listing the known ones, for a task that cannot be made here."""
-    if own.is_own(task):
-        own.check_allowed(task)
+    if custom.is_own(task):
+        custom.check_allowed(task)
     elif task not in TASKS:
         raise unknown("task", task, list(known_tasks()))
 
@@ -132,7 +132,7 @@ def choose(
     cameras in the modalities of that setting. A task of one's own has its cameras, under whatever
     names, where the setting asks for the usual three.
     Raises UserError for unknown names and bad files."""
-    if file is None and not (own.is_own(task) and setting(name).usual):
+    if file is None and not (custom.is_own(task) and setting(name).usual):
         return setting(name), setting_cameras(task, name)
     cameras = read_cameras(file) if file else _suite_cameras(task)[0]
     return Setting(tuple(c.name for c in cameras), setting(name).modalities), cameras
@@ -161,7 +161,7 @@ def _suite_cameras(
 ) -> tuple[tuple[CameraSpec, ...], dict[str, tuple[CameraSpec, ...]]]:
     """A suite's own cameras, and by setting those that are added or stand elsewhere."""
     check_task(task)
-    if own.is_own(task):
+    if custom.is_own(task):
         made = make_env(task)
         made.close()
         return made.spec.cameras, {}
@@ -170,11 +170,11 @@ def _suite_cameras(
 
         return TOY_CAMERAS, {}
     if task.startswith("maniskill/"):
-        from madviz.envs import maniskill
+        from madviz.envs.maniskill.environment import environment
 
-        return maniskill.cameras_of(task.split("/")[1]), maniskill.SETTING_CAMERAS
+        return environment.cameras_of(task.split("/")[1]), environment.SETTING_CAMERAS
     _draw_without_a_display()
-    from madviz.envs.metaworld import CAMERAS, SETTING_CAMERAS
+    from madviz.envs.metaworld.environment import CAMERAS, SETTING_CAMERAS
 
     return CAMERAS, SETTING_CAMERAS
 
@@ -194,29 +194,29 @@ def make_env(
     on a CPU) or ``full`` (the simulator's stock flags). A policy must see what it was trained on.
     ``cameras`` are the suite's own unless others are given: ``PolicySpec.cameras`` of a policy,
     ``setting_cameras`` of a setting, ``envs.cameras.read_cameras`` of a user's file.
-    A task of your own is ``module:factory`` (``own.py``).
+    A task of your own is ``module:factory`` (``custom.py``).
     Raises UserError for unknown names and for a machine that cannot draw.
     """
     if render_profile not in get_args(RenderProfile):
         raise unknown("render profile", render_profile, list(get_args(RenderProfile)))
     check_task(task)
-    if own.is_own(task):
+    if custom.is_own(task):
         _draw_without_a_display()
-        return own.make_own(task, render_profile, cameras)
+        return custom.make_own(task, render_profile, cameras)
     suite, name = task.split("/")
     if suite == "toy":
         from madviz.envs.toy import ToyReach
 
         toy = ToyReach()
-        placed = own.cameras_in_place(task, toy.spec.cameras, cameras)
+        placed = custom.cameras_in_place(task, toy.spec.cameras, cameras)
         toy.spec = replace(toy.spec, cameras=placed)
         return toy
     if suite == "maniskill":
-        from madviz.envs.maniskill import ManiSkill
+        from madviz.envs.maniskill.environment import ManiSkill
 
         return ManiSkill(name, render_profile, cameras)
     _draw_without_a_display()
-    from madviz.envs.metaworld import MetaWorld
+    from madviz.envs.metaworld.environment import MetaWorld
 
     return MetaWorld(name, render_profile, cameras)
 

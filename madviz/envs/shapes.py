@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs.maniskill_meshes import ENOUGH, decimate
+from madviz.envs.maniskill.meshes import ENOUGH, decimate
 from madviz.types import Array, Part
 
 MOST = 20_000

@@ -12,7 +12,7 @@ import warnings
 
 import numpy as np
 
-from madviz.envs.metaworld_scripts import SCRIPTS, Scene
+from madviz.envs.metaworld.scripts import SCRIPTS, Scene
 from madviz.types import Array
 
 METAWORLD_SUCCESS = {

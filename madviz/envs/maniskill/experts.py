@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from madviz.envs.maniskill_tasks import position
+from madviz.envs.maniskill.tasks import position
 from madviz.types import Array
 
 OPEN, CLOSED = 1.0, -1.0

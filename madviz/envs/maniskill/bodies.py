@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from madviz.envs import bodies
-from madviz.envs.maniskill_meshes import ENOUGH, TRIANGLES, lighter
+from madviz.envs import shapes
+from madviz.envs.maniskill.meshes import ENOUGH, TRIANGLES, lighter
 from madviz.types import Array, Body, Part
 
 WIDE = 5.0
@@ -60,7 +60,7 @@ def _parts(shape: Any, layer: int) -> list[Part]:
         sized = np.asarray(vertices, float) * _scale(shape, layer)
         if np.ptp(sized, axis=0).max() < WIDE:
             solid = (sized, np.asarray(triangles, np.int32))
-            made.append(bodies.part(solid, colour, shape.local_pose.p, shape.local_pose.q))
+            made.append(shapes.part(solid, colour, shape.local_pose.p, shape.local_pose.q))
     return made
 
 

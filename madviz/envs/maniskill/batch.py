@@ -29,12 +29,12 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from madviz.envs.base import check_action, standing
-from madviz.envs.maniskill import HORIZON, cameras_of
-from madviz.envs.maniskill_meshes import lighten
-from madviz.envs.maniskill_render import FAR, sensor
-from madviz.envs.maniskill_tasks import states, stock_task
-from madviz.envs.maniskill_vulkan import renderer
+from madviz.envs.maniskill.environment import HORIZON, cameras_of
+from madviz.envs.maniskill.meshes import lighten
+from madviz.envs.maniskill.render import FAR, sensor
+from madviz.envs.maniskill.tasks import states, stock_task
+from madviz.envs.maniskill.vulkan import renderer
+from madviz.envs.registry import check_action, standing
 from madviz.types import Array, CameraSpec, UserError, View
 
 

@@ -19,7 +19,7 @@ from contextlib import nullcontext
 import mujoco
 import numpy as np
 
-from madviz.envs.mujoco_meshes import lighter_meshes
+from madviz.envs.mujoco.meshes import lighter_meshes
 from madviz.types import Array, UserError, View
 
 MAX_SIZE = 512

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs.maniskill_bodies import Scenery
-from madviz.envs.maniskill_meshes import lighten
-from madviz.envs.maniskill_tasks import build
+from madviz.envs.maniskill.bodies import Scenery
+from madviz.envs.maniskill.meshes import lighten
+from madviz.envs.maniskill.tasks import build
 from madviz.types import Array, CameraSpec, UserError, View
 
 MAX_SIZE = 512

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs.base import check_action, standing
 from madviz.envs.cameras import look_at
-from madviz.envs.maniskill_experts import Expert
-from madviz.envs.maniskill_tasks import MANISKILL_SUCCESS, STATE_DIM, build, position, states
-from madviz.envs.maniskill_vulkan import renderer
+from madviz.envs.maniskill.experts import Expert
+from madviz.envs.maniskill.tasks import MANISKILL_SUCCESS, STATE_DIM, build, position, states
+from madviz.envs.maniskill.vulkan import renderer
 from madviz.envs.placement import Placements
+from madviz.envs.registry import check_action, standing
 from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, TimeStep, View
 
 HORIZON = 50
@@ -162,7 +162,7 @@ class ManiSkill:
     def _staged(self) -> Any:
         """The copy that is drawn, with everything where the physics has it."""
         if self._stage is None:
-            from madviz.envs.maniskill_render import Stage
+            from madviz.envs.maniskill.render import Stage
 
             self._stage = Stage(self._task, self.spec.render_profile)
         if self._stale:

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from madviz.envs.maniskill import cameras_of
-from madviz.envs.maniskill_tasks import stock_task
+from madviz.envs.maniskill.environment import cameras_of
+from madviz.envs.maniskill.tasks import stock_task
 from madviz.types import Array
 
 
@@ -66,6 +66,6 @@ class _PaperSensors:
 
     @property
     def _default_sensor_configs(self) -> list[Any]:
-        from madviz.envs.maniskill_render import sensor
+        from madviz.envs.maniskill.render import sensor
 
         return [sensor(camera) for camera in cameras_of(self.madviz_task) if camera.body is None]

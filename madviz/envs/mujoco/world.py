@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs.mujoco_gl import check_gl
+from madviz.envs.mujoco.gl import check_gl
 from madviz.envs.placement import Placements
 from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, View
 
@@ -42,7 +42,7 @@ class MuJoCoWorld:
         spec = self._placements.of(self.spec, camera)
         if self._cameras is None:
             # MuJoCo loads an OpenGL library while it is imported: not before ``check_gl``.
-            from madviz.envs.mujoco_render import SceneCameras
+            from madviz.envs.mujoco.render import SceneCameras
 
             self._cameras = SceneCameras(self._model, self._data, self.spec.render_profile)
         rotation = Rotation.from_quat(spec.wxyz, scalar_first=True).as_matrix()
@@ -70,7 +70,7 @@ class MuJoCoWorld:
 
     def _scene(self) -> Any:
         if self._scenery is None:
-            from madviz.envs.mujoco_bodies import Scenery
+            from madviz.envs.mujoco.bodies import Scenery
 
             self._scenery = Scenery(self._model, self._data)
         return self._scenery

@@ -14,7 +14,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from madviz.envs import bodies
+from madviz.envs import shapes
 from madviz.types import Array, Body, Part
 
 BEAD = 0.015
@@ -34,7 +34,7 @@ class Scenery:
                 of = int(model.geom_bodyid[geom.objid])
                 parts.setdefault(of, []).append(_geom(model, geom))
             elif geom.objtype == mujoco.mjtObj.mjOBJ_SITE and max(geom.size) >= BEAD:
-                sites[geom.objid] = bodies.part(_shape(model, geom), _colour(model, geom))
+                sites[geom.objid] = shapes.part(_shape(model, geom), _colour(model, geom))
         self._bodies, self._sites = list(parts), list(sites)
         self.bodies = tuple(
             Body(f"{model.body(of).name or 'body'}-{of}", tuple(some)) for of, some in parts.items()
@@ -64,23 +64,23 @@ def _drawn(model: mujoco.MjModel, data: mujoco.MjData) -> list[mujoco.MjvGeom]:
 def _geom(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> Part:
     """One shape in its body's frame."""
     place, turn = model.geom_pos[geom.objid], model.geom_quat[geom.objid]
-    return bodies.part(_shape(model, geom), _colour(model, geom), place, turn)
+    return shapes.part(_shape(model, geom), _colour(model, geom), place, turn)
 
 
-def _shape(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> bodies.Shape:
+def _shape(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> shapes.Shape:
     kind, size = mujoco.mjtGeom(int(geom.type)), np.asarray(geom.size, float)
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         return _mesh(model, int(model.geom_dataid[geom.objid]))
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return bodies.cylinder(size[0], size[2])
+        return shapes.cylinder(size[0], size[2])
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return bodies.capsule(size[0], size[2])
+        return shapes.capsule(size[0], size[2])
     if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
-        return bodies.sphere(size)
-    return bodies.box(size)
+        return shapes.sphere(size)
+    return shapes.box(size)
 
 
-def _mesh(model: mujoco.MjModel, mesh: int) -> bodies.Shape:
+def _mesh(model: mujoco.MjModel, mesh: int) -> shapes.Shape:
     vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
     vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]]
     return vertices.copy(), model.mesh_face[face : face + model.mesh_facenum[mesh]].copy()
