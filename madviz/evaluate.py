@@ -23,9 +23,9 @@ from typing import Any
 from tqdm import tqdm
 
 from madviz import checkpoint
-from madviz.ablations import Occlusion, by_sides
 from madviz.card import write_card
 from madviz.live import Evaluator, Tally
+from madviz.observation.ablation import Occlusion, by_sides
 from madviz.rollout import (
     FIRST_SEED,
     GIVE_UP,

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from madviz import checkpoint
-from madviz.ablations import Occlusion
-from madviz.moves import Displacement, Moves
+from madviz.observation.ablation import Occlusion
+from madviz.observation.displacement import Displacement, Moves
 from madviz.rollout import (
     FIRST_SEED,
     GIVE_UP,

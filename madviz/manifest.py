@@ -26,7 +26,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from madviz.streams import IMAGE_SIZE
+from madviz.observation.streams import IMAGE_SIZE
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import CameraSpec, EnvSpec, PolicySpec, UserError
 

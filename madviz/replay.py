@@ -16,10 +16,10 @@ from typing import Any
 
 from madviz import checkpoint
 from madviz.envs.registry import make_env, sees
-from madviz.moves import MoveCamera
+from madviz.observation.displacement import MoveCamera
+from madviz.observation.schedule import Event, in_order, in_words
 from madviz.rollout import one_thread
 from madviz.session.commands import SetCamera
-from madviz.session.failures import Event, in_order, in_words
 from madviz.session.kept import STREAMS, TRACE, KeptEpisode, KeptPolicy, KeptSession, versions_here
 from madviz.session.kept_reader import read_kept
 from madviz.session.simulation import Simulation

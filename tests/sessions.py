@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from madviz.ablations import CameraState, Occlusion
 from madviz.envs.registry import make_env
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies

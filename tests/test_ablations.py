@@ -7,7 +7,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from madviz.ablations import (
+from madviz.envs.registry import SETTINGS
+from madviz.observation.ablation import (
     Ablation,
     CameraState,
     Occlusion,
@@ -15,7 +16,6 @@ from madviz.ablations import (
     by_sides,
     noise_generator,
 )
-from madviz.envs.registry import SETTINGS
 from madviz.subsets import every_mask, mask_of
 from madviz.types import UserError
 

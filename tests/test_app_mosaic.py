@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from madviz.ablations import CameraState, Occlusion
 from madviz.app.cameras import unused_note
 from madviz.app.mosaic import GAP, HEADER, badge, mosaic
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import SetCamera
 from tests.fakes import policies
 from tests.sessions import frame_with

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import viser
 
-from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.app.cameras import CamerasPanel
 from madviz.app.features import FeaturesPanel, curve_point, features_html
 from madviz.app.panel import CROSSED, Assign, apply
@@ -24,6 +23,7 @@ from madviz.app.subsets import SubsetsPanel, distances, presence, subset_label, 
 from madviz.app.success import Curve, SuccessPanel, WordsPanel, bars_html, sentence, strip_html
 from madviz.checkpoint import load_policy
 from madviz.envs.registry import make_env
+from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.session.commands import Pause, SetCamera, SetPolicy
 from madviz.session.frame import Frame, Setting
 from madviz.session.session import Session

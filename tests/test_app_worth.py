@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import viser
 
-from madviz.ablations import CameraState, Occlusion
 from madviz.app import mosaic
 from madviz.app.arrows import NEAR, ArrowsPanel, arrows, towards
 from madviz.app.colours import CAMERA_COLOURS, NOTE, rgb
@@ -22,6 +21,7 @@ from madviz.app.rates import Rates
 from madviz.app.saliency import SaliencyPanel, saliency_words
 from madviz.app.worth import WorthPanel, action_column, q_column, success_column, worth_html
 from madviz.envs.registry import make_env
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.projection import DECISIONS
 from madviz.session.commands import Pause, Reset, SetCamera, SetPolicy
 from madviz.session.frame import Frame

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from madviz.ablations import Ablation
 from madviz.envs.toy import ToyReach
+from madviz.observation.ablation import Ablation
+from madviz.observation.streams import StreamStack, stream_frame
 from madviz.recipes import buffer as buffer_module
 from madviz.recipes import buffer_packed
 from madviz.recipes.buffer import BufferSpec, ReplayBuffer
 from madviz.recipes.buffer_packed import Pack
-from madviz.streams import StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of
 from madviz.types import Array, UserError
 

@@ -20,7 +20,7 @@ from madviz.envs.registry import (
     setting_cameras,
     standing,
 )
-from madviz.streams import IMAGE_SIZE, stream_frame
+from madviz.observation.streams import IMAGE_SIZE, stream_frame
 from madviz.types import CameraSpec, UserError
 
 TASK = "metaworld/push"

@@ -21,7 +21,7 @@ from madviz.displacement import (
 )
 from madviz.envs.toy import ToyReach
 from madviz.evaluate import evaluate
-from madviz.moves import Displacement
+from madviz.observation.displacement import Displacement
 from madviz.rollout import Job, Runner
 from madviz.statistics import wilson
 from madviz.types import Encoded, Readout, UserError

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import viser
 
-from madviz.ablations import CameraState, Occlusion
 from madviz.app.cameras import CamerasPanel
 from madviz.app.draw import DRAW_SCRIPT, LEAST, THIN, Box, parse_box, patched
 from madviz.app.mosaic import GAP, HEADER, mosaic
 from madviz.app.panel import apply
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Pause, SetCamera, SetPolicy
 from madviz.types import UserError
 from tests.sessions import frame_with

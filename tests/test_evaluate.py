@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from madviz import checkpoint, manifest
-from madviz.ablations import Ablation, Occlusion
 from madviz.agent.agent import Agent
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
@@ -23,6 +22,7 @@ from madviz.evaluate import (
     parse_occlusions,
     run_eval,
 )
+from madviz.observation.ablation import Ablation, Occlusion
 from madviz.rollout import Job, Runner, relevant, run_episode
 from madviz.store import MEMORY, Store
 from madviz.types import PolicySpec, UserError

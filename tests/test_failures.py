@@ -8,12 +8,19 @@ import numpy as np
 import pytest
 import viser
 
-from madviz.ablations import CameraState, Occlusion
 from madviz.app.failures import FailuresPanel, failures_html
 from madviz.app.keep import KeepPanel
 from madviz.envs.registry import make_env
+from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.schedule import (
+    SCENARIOS,
+    Event,
+    in_words,
+    parse_schedule,
+    reached,
+    scenario,
+)
 from madviz.session.commands import Pause, Play, Reset, Scrub, SetCamera, SetSchedule, SetSeed
-from madviz.session.failures import SCENARIOS, Event, in_words, parse_schedule, reached, scenario
 from madviz.session.frame import Frame
 from madviz.session.journal import Journal
 from madviz.session.kept_reader import parse

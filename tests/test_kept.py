@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from madviz import cli
-from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.envs.registry import make_env
+from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.observation.schedule import parse_schedule
 from madviz.replay import failures_of, live_again, replay_row, replay_words
 from madviz.session.commands import (
     Pause,
@@ -22,7 +23,6 @@ from madviz.session.commands import (
     SetSchedule,
     SetSeed,
 )
-from madviz.session.failures import parse_schedule
 from madviz.session.frame import Frame
 from madviz.session.kept import KeptEpisode, KeptPolicy, KeptSession
 from madviz.session.kept_reader import parse

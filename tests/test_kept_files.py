@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from madviz.ablations import CameraState, Occlusion
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.replay import live_again
 from madviz.session.commands import (
     SetCamera,

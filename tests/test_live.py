@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from madviz import checkpoint
-from madviz.ablations import Ablation, Occlusion
 from madviz.app.rates import Rates
 from madviz.live import Evaluator
-from madviz.moves import Displacement
+from madviz.observation.ablation import Ablation, Occlusion
+from madviz.observation.displacement import Displacement
 from madviz.rollout import Runner, Workers
 from madviz.session.frame import setting_of
 from madviz.store import MEMORY, EpisodeResult, Store

@@ -16,7 +16,6 @@ import torch
 from safetensors.torch import load_file
 
 from madviz import checkpoint, train
-from madviz.ablations import Ablation
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.bottleneck import kl_loss
 from madviz.agent.contrast import contrastive_loss
@@ -25,6 +24,7 @@ from madviz.agent.networks import NetworkConfig
 from madviz.agent.supports import SUPPORTS
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
+from madviz.observation.ablation import Ablation
 from madviz.probes import probe
 from madviz.recipes import light, paper
 from madviz.recipes.demonstrations import Driver, Episode, record_episode

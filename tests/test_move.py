@@ -12,12 +12,12 @@ import pytest
 import viser
 from scipy.spatial.transform import Rotation
 
-from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.app.gizmo import Gizmo
 from madviz.app.move import MovePanel, move_html
 from madviz.app.panel import apply
 from madviz.envs.registry import make_env
-from madviz.moves import (
+from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.observation.displacement import (
     Displacement,
     MoveCamera,
     along,

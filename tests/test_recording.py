@@ -18,11 +18,11 @@ from rerun.chunk import RrdReader
 
 from madviz import cli
 from madviz.app.sight import Sight, first_look
+from madviz.observation.schedule import parse_schedule
 from madviz.recording import record as recording
 from madviz.recording.record import Facts, RecordConfig, command_of, frames, run_record, writer_for
 from madviz.recording.rerun import ASPECT, FOV
 from madviz.session.commands import SetSchedule
-from madviz.session.failures import parse_schedule
 from madviz.session.frame import Frame
 from madviz.session.kept_reader import read_kept
 from madviz.session.session import Session

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import viser
 
-from madviz.ablations import CameraState, Occlusion
 from madviz.app.bodies import creased, glb, joined, linear
 from madviz.app.panel import apply
 from madviz.app.scene import MOVE, MOVE_AT_FULL_SPEED, ScenePanel, picture
 from madviz.app.sight import FOV, MARGIN, Sight, first_look, nearest_place
 from madviz.envs import shapes
 from madviz.envs.registry import make_env
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Pause, SetCamera, SetSpeed, StepOnce
 from madviz.session.frame import Frame
 from madviz.session.session import Session

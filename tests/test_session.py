@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from madviz.ablations import CameraState, Occlusion
 from madviz.envs.toy import ToyReach
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import (
     Pause,
     Play,

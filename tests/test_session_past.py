@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from madviz.ablations import CameraState, Occlusion
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Fork, Play, Scrub, SetCamera
 from tests.sessions import OFF
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from madviz.ablations import Ablation, CameraState
 from madviz.envs.registry import make_env
 from madviz.envs.toy import ToyReach
+from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.commands import (
     Pause,
     Play,

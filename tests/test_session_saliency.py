@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from madviz.ablations import CameraState
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import make_env
+from madviz.observation.ablation import CameraState
 from madviz.session.commands import (
     Pause,
     Play,

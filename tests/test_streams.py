@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from madviz.ablations import Ablation, CameraState, Occlusion
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
-from madviz.streams import StreamStack, depth_code, stream_frame
+from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.observation.streams import StreamStack, depth_code, stream_frame
 from madviz.types import View
 
 THREE, RGBD = SETTINGS["three"].streams, SETTINGS["three-rgbd"].streams

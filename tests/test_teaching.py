@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from madviz import teaching
-from madviz.ablations import Occlusion
 from madviz.agent.methods import METHODS
 from madviz.checkpoint import find_policy
+from madviz.observation.ablation import Occlusion
+from madviz.observation.streams import StreamStack
 from madviz.recipes.light import LightConfig
-from madviz.streams import StreamStack
 from madviz.teaching.inside import (
     mean_gap,
     norm_curves,

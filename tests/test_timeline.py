@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import viser
 
-from madviz.ablations import CameraState
 from madviz.app.panel import apply
 from madviz.app.timeline import PATIENCE, TimelinePanel, marks, timeline_html
 from madviz.envs.registry import make_env
+from madviz.observation.ablation import CameraState
 from madviz.session.commands import Command, Fork, Scrub, SetCamera, SetPolicy
 from madviz.session.frame import Frame
 from madviz.session.session import Session

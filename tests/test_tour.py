@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import pytest
 import viser
 
-from madviz.ablations import CameraState, Occlusion
 from madviz.app.policy import PolicyChoice
 from madviz.app.tour import HELP, Tour, keys_table, steps
 from madviz.envs.registry import make_env
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import SetCamera, SetPolicy, SetSpeed, StepOnce
 from madviz.session.frame import Frame
 from madviz.session.session import Session

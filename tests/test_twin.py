@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from madviz.ablations import Ablation, CameraState
 from madviz.app.versus import versus_html
+from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.commands import Scrub, SetCamera, SetPolicy, SetTwin
 from madviz.session.frame import Outcome, Pair, Setting
 from madviz.session.twin import tally

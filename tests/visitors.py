@@ -7,8 +7,9 @@ from typing import Any, get_args
 
 import numpy as np
 
-from madviz.ablations import CameraState, Occlusion, OcclusionKind
 from madviz.envs.registry import make_env
+from madviz.observation.ablation import CameraState, Occlusion, OcclusionKind
+from madviz.observation.schedule import parse_schedule
 from madviz.session.commands import (
     Fork,
     Play,
@@ -18,7 +19,6 @@ from madviz.session.commands import (
     SetPolicy,
     SetSchedule,
 )
-from madviz.session.failures import parse_schedule
 from madviz.session.kept import KeptPolicy, KeptSession
 from madviz.session.session import Session
 from madviz.types import CameraSpec, Policy, View

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 
 import viser
 
-from madviz.ablations import CameraState, Occlusion
 from madviz.app.mosaic import GAP, HEADER, SCALE
 from madviz.app.toolkit import selector
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.types import UserError
 
 HINT = "Drag a box on a picture: a black patch covers it."

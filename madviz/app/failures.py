@@ -10,8 +10,8 @@ import viser
 from madviz.app.colours import NOTE
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, grid, guarded, remove_all
+from madviz.observation.schedule import HOW, SCENARIOS, Schedule, in_words, parse_schedule, scenario
 from madviz.session.commands import Command, Play, Reset, SetSchedule
-from madviz.session.failures import HOW, SCENARIOS, Schedule, in_words, parse_schedule, scenario
 from madviz.session.frame import Frame
 
 OWN = "my own"

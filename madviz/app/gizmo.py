@@ -19,7 +19,7 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.toolkit import guarded
-from madviz.moves import Displacement, dragged, moved_on, turned
+from madviz.observation.displacement import Displacement, dragged, moved_on, turned
 from madviz.session.frame import Frame
 from madviz.types import Array, CameraPose
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from madviz.ablations import CameraState
+from madviz.observation.ablation import CameraState
 from madviz.session.commands import (
     Command,
     Pause,

@@ -18,8 +18,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from madviz.app.colours import INK, MUTED, NOTE, camera_colours, heat, rgb
+from madviz.observation.streams import depth_code
 from madviz.session.frame import Frame
-from madviz.streams import depth_code
 from madviz.types import Array, CameraSpec
 
 GAP, HEADER, SCALE = 6, 24, 18

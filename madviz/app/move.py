@@ -18,7 +18,7 @@ from madviz.app.gizmo import Gizmo
 from madviz.app.panel import Assign
 from madviz.app.sight import extent
 from madviz.app.toolkit import Cell, Choice, Shown, grid, on_value, remove_all
-from madviz.moves import Displacement, MoveCamera
+from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import Command
 from madviz.session.frame import Frame
 

@@ -13,8 +13,8 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from madviz.ablations import Ablation, CameraState
 from madviz.live import Evaluator, Tally
+from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.frame import Setting
 from madviz.statistics import wilson
 from madviz.types import Array, PolicySpec

@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 
 import viser
 
-from madviz.ablations import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.app.policy import PolicyChoice
 from madviz.app.toolkit import Cell, grid, guarded, remove_all, run_script, theme
+from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.session.commands import Command, Play, Reset, Scrub, SetCamera, SetPolicy, SetSpeed
 from madviz.session.frame import Failure, Frame, untouched
 from madviz.types import PolicySpec

@@ -28,8 +28,8 @@ import numpy as np
 from madviz import checkpoint
 from madviz.bench.render import STOCK
 from madviz.evaluate import run_jobs
+from madviz.observation.streams import IMAGE_SIZE
 from madviz.rollout import FIRST_SEED, Finished, Job, Runner, Workers, one_thread
-from madviz.streams import IMAGE_SIZE
 from madviz.subsets import cameras_of, mask_of
 from madviz.types import Array, Policy, UserError
 

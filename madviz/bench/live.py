@@ -244,8 +244,8 @@ def readout_ms(policy: str, repeats: int = 100) -> float:
 
     from madviz.app.server import env_in_one_thread
     from madviz.checkpoint import load_policy
+    from madviz.observation.streams import IMAGE_SIZE
     from madviz.probes import probe
-    from madviz.streams import IMAGE_SIZE
 
     loaded = load_policy(policy)
     env = env_in_one_thread(loaded.spec.task, loaded.spec.render_profile, loaded.spec.cameras)

@@ -24,7 +24,7 @@ from madviz.agent.networks import NetworkConfig
 from madviz.agent.objectives import Batch
 from madviz.agent.update import Learner, LearningConfig, Precision
 from madviz.bench.naive import NaiveLearner
-from madviz.streams import IMAGE_SIZE
+from madviz.observation.streams import IMAGE_SIZE
 
 
 @dataclass(frozen=True)

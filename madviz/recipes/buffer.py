@@ -30,9 +30,9 @@ import torch
 from torch import Tensor
 
 from madviz.agent.objectives import Batch
+from madviz.observation.streams import IMAGE_SIZE
 from madviz.recipes import buffer_packed
 from madviz.recipes.buffer_packed import EXPECTED_SHARE, FrameStore, Pack, PackedFrames, PlainFrames
-from madviz.streams import IMAGE_SIZE
 from madviz.subsets import modality_of
 from madviz.types import Array, UserError
 

@@ -24,7 +24,7 @@ from typing import Protocol
 import numpy as np
 import zstandard
 
-from madviz.streams import IMAGE_SIZE
+from madviz.observation.streams import IMAGE_SIZE
 from madviz.types import Array
 
 TOGETHER = 1024

@@ -19,10 +19,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from madviz.ablations import Ablation
 from madviz.envs.registry import make_env, sees
+from madviz.observation.ablation import Ablation
+from madviz.observation.streams import StreamStack, stream_frame
 from madviz.rollout import one_thread
-from madviz.streams import StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of
 from madviz.types import Array, CameraSpec, Environment, Policy
 

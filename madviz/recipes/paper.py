@@ -25,18 +25,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from madviz.ablations import Ablation
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.augment import random_shift
 from madviz.agent.methods import method
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.agent.update import Learner, LearningConfig, Precision
 from madviz.envs.registry import make_env
+from madviz.observation.ablation import Ablation
+from madviz.observation.streams import stream_frame
 from madviz.recipes.buffer import BufferSpec, ReplayBuffer
 from madviz.recipes.paper_loop import train_on
 from madviz.recipes.run import RunFolder
 from madviz.rollout import one_thread, run_episode
-from madviz.streams import stream_frame
 from madviz.subsets import camera_of, cameras_of, mask_of, single_streams
 from madviz.types import Array, Encoded, Environment, PolicySpec
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from madviz.envs.maniskill.batch import ManiSkillBatch, Steps
+from madviz.observation.streams import stream_frame
 from madviz.recipes.vector_envs import Board, Recipe
-from madviz.streams import stream_frame
 from madviz.subsets import camera_of
 from madviz.types import Array, EnvSpec, UserError
 

@@ -8,7 +8,7 @@ to one writer. The name of the file chooses it:
     .html  one page that needs nothing else: pictures, curves, the outcome, how to make it again
 
 With ``--replay`` the episode is a kept one, otherwise a policy and a seed, and cameras that fail
-when ``--drop`` or ``--scenario`` says (``madviz.session.failures``).
+when ``--drop`` or ``--scenario`` says (``madviz.observation.schedule``).
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ import numpy as np
 
 from madviz import checkpoint
 from madviz.envs.registry import make_env
+from madviz.observation.schedule import Schedule, in_order, in_words, parse_schedule, scenario
 from madviz.replay import Finder, check_horizon, check_policies, failures_of, finder
 from madviz.rollout import one_thread
 from madviz.session.commands import Play, SetSchedule
-from madviz.session.failures import Schedule, in_order, in_words, parse_schedule, scenario
 from madviz.session.frame import Failure, Frame, occlusion_words
 from madviz.session.kept import KeptEpisode
 from madviz.session.kept_reader import read_kept
@@ -53,7 +53,7 @@ class RecordConfig:
     drop: tuple[str, ...] = ()
     """When cameras fail: third_a@20 (dropped), third_a@20-40 (comes back), third_b=noise:0.5@10."""
     scenario: str | None = None
-    """Failures with a name, for example "lens covered"; see madviz/session/failures.py."""
+    """Failures with a name, for example "lens covered"; see madviz/observation/schedule.py."""
     replay: Path | None = None
     """A kept session to record instead; policy, seed and failures are its own."""
     episode: int | None = None

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from madviz.ablations import Ablation, CameraState
-from madviz.moves import MoveCamera
-from madviz.session.failures import Schedule
+from madviz.observation.ablation import Ablation, CameraState
+from madviz.observation.displacement import MoveCamera
+from madviz.observation.schedule import Schedule
 from madviz.types import UserError
 
 

@@ -20,8 +20,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from madviz.ablations import Ablation
-from madviz.moves import MoveCamera
+from madviz.observation.ablation import Ablation
+from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import SetCamera
 from madviz.session.kept import (
     STREAMS,

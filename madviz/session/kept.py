@@ -27,8 +27,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from madviz.ablations import Ablation, CameraState, Occlusion
-from madviz.moves import MoveCamera
+from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import SetCamera
 from madviz.system.files import pretty, write_bytes
 from madviz.types import CameraSpec, PolicySpec, UserError

@@ -14,8 +14,8 @@ import re
 from pathlib import Path
 from typing import Any, NoReturn
 
-from madviz.ablations import CameraState, Occlusion, by_sides
-from madviz.moves import Displacement, MoveCamera
+from madviz.observation.ablation import CameraState, Occlusion, by_sides
+from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import SetCamera
 from madviz.session.kept import (
     SCHEMA,

@@ -7,9 +7,9 @@ Nothing is ticked off: what is due at a step is due again if an episode is forke
 
 from __future__ import annotations
 
-from madviz.moves import MoveCamera
+from madviz.observation.displacement import MoveCamera
+from madviz.observation.schedule import Event, Schedule, reached
 from madviz.session.commands import SetCamera, SetPolicy
-from madviz.session.failures import Event, Schedule, reached
 from madviz.session.frame import untouched
 from madviz.session.kept import KeptEpisode, KeptPolicy
 from madviz.session.simulation import Simulation

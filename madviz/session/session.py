@@ -26,7 +26,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 
-from madviz.moves import MoveCamera
+from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import (
     Command,
     Fork,

@@ -20,15 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from madviz.ablations import Ablation
 from madviz.manifest import check_environment
-from madviz.moves import MoveCamera
+from madviz.observation.ablation import Ablation
+from madviz.observation.displacement import MoveCamera
+from madviz.observation.streams import StreamStack
 from madviz.probes import Probe, probe
 from madviz.saliency import LiveSaliency
 from madviz.session.commands import SetCamera
 from madviz.session.frame import Change, Outcome, Setting, setting_of, untouched
 from madviz.session.journal import Journal, Mark
-from madviz.streams import StreamStack
 from madviz.subsets import every_mask
 from madviz.types import Array, Body, CameraPose, Environment, Policy, TimeStep, UserError, View
 

@@ -17,13 +17,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from madviz.ablations import Ablation
 from madviz.envs.registry import sees
 from madviz.manifest import check_environment
-from madviz.moves import MoveCamera
+from madviz.observation.ablation import Ablation
+from madviz.observation.displacement import MoveCamera
+from madviz.observation.schedule import Schedule
 from madviz.saliency import LiveSaliency
 from madviz.session.commands import SetCamera, SetPolicy
-from madviz.session.failures import Schedule
 from madviz.session.frame import Frame, Pair
 from madviz.session.journal import Journal
 from madviz.session.kept import KeptEpisode

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from madviz.ablations import Ablation
+from madviz.observation.ablation import Ablation
 from madviz.session.frame import Outcome, Pair
 from madviz.session.simulation import inhabited
 from madviz.statistics import Paired, pair

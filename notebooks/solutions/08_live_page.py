@@ -6,7 +6,7 @@
 # %%
 import madviz
 from madviz import teaching
-from madviz.ablations import Ablation, CameraState
+from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.commands import SetCamera
 from madviz.session.simulation import Simulation
 from madviz.teaching.show import table

@@ -17,7 +17,7 @@
 # %%
 import madviz
 from madviz import teaching
-from madviz.ablations import Occlusion
+from madviz.observation.ablation import Occlusion
 from madviz.statistics import pair
 from madviz.teaching.lessons import (
     interval_figure,

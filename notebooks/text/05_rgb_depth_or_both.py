@@ -20,7 +20,7 @@
 # %%
 import madviz
 from madviz import teaching
-from madviz.streams import depth_code
+from madviz.observation.streams import depth_code
 from madviz.teaching.lessons import (
     action_gaps,
     camera_sheet,

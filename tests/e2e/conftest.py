@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 from playwright import sync_api as playwright_api
 
-from madviz.ablations import CameraState
 from madviz.app.access import Gate
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.server import App
 from madviz.bench.live import CHROMIUM_FLAGS
 from madviz.doctor import find_browser
+from madviz.observation.ablation import CameraState
 from madviz.session.commands import Play, Reset, SetCamera, SetPolicy, SetSpeed
 from madviz.session.frame import Frame
 from tests.fakes import policies

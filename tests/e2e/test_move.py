@@ -12,7 +12,7 @@ from playwright.sync_api import expect
 from scipy.spatial.transform import Rotation
 
 from madviz.app.server import App
-from madviz.moves import MoveCamera
+from madviz.observation.displacement import MoveCamera
 from madviz.session.frame import Frame
 from tests.e2e.conftest import PATIENCE, Visitor
 

@@ -18,7 +18,7 @@ from typing import Literal, TypeVar, get_args
 import cv2
 import numpy as np
 
-from madviz.moves import Displacement
+from madviz.observation.displacement import Displacement
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, UserError, unknown
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from madviz.ablations import LATEST, Ablation, noise_generator
+from madviz.observation.ablation import LATEST, Ablation, noise_generator
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, EnvSpec, View
 

@@ -26,7 +26,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import get_args
 
-from madviz.ablations import PLACE, CameraState, Occlusion, OcclusionKind
+from madviz.observation.ablation import PLACE, CameraState, Occlusion, OcclusionKind
 from madviz.types import EnvSpec, UserError, unknown
 
 LATEST = 100_000

@@ -1,0 +1,1 @@
+"""Between camera and policy: failures, moved cameras, streams."""
