@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 import viser
 
+from madviz.analysis.projection import DECISIONS
+from madviz.analysis.shapley import set_names
 from madviz.app import mosaic
 from madviz.app.arrows import NEAR, ArrowsPanel, arrows, towards
 from madviz.app.colours import CAMERA_COLOURS, NOTE, rgb
@@ -22,11 +24,9 @@ from madviz.app.saliency import SaliencyPanel, saliency_words
 from madviz.app.worth import WorthPanel, action_column, q_column, success_column, worth_html
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
-from madviz.projection import DECISIONS
 from madviz.session.commands import Pause, Reset, SetCamera, SetPolicy
 from madviz.session.frame import Frame
 from madviz.session.session import Session
-from madviz.shapley import set_names
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.sessions import frame_with
 

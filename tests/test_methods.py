@@ -22,10 +22,10 @@ from madviz.agent.contrast import contrastive_loss
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.supports import SUPPORTS
+from madviz.analysis.probes import probe
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.observation.ablation import Ablation
-from madviz.probes import probe
 from madviz.recipes import light, paper
 from madviz.recipes.demonstrations import Driver, Episode, record_episode
 from madviz.recipes.light import LightConfig, LightRun

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from madviz.probes import Probe, probe
+from madviz.analysis.probes import Probe, probe
 from madviz.subsets import every_mask
 from madviz.types import Array, Encoded, Readout
 from tests.fakes import AllOrNothing, FakePolicy

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from madviz.projection import Atlas, fit
+from madviz.analysis.projection import Atlas, fit
 from madviz.types import UserError
 
 

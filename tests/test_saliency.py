@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from madviz import saliency as module
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.merge import MERGES
 from madviz.agent.networks import Encoder, NetworkConfig, Trunk
-from madviz.saliency import LiveSaliency, saliency
+from madviz.analysis import saliency as module
+from madviz.analysis.saliency import LiveSaliency, saliency
 from madviz.types import PolicySpec, UserError
 from tests.fakes import FakePolicy
 

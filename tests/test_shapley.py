@@ -7,8 +7,8 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from madviz.probes import Probe
-from madviz.shapley import (
+from madviz.analysis.probes import Probe
+from madviz.analysis.shapley import (
     action_worth,
     camera_masks,
     q_worth,

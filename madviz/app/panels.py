@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import viser
 
+from madviz.analysis.saliency import Target
 from madviz.app.arrows import ArrowsPanel
 from madviz.app.cameras import CamerasPanel
 from madviz.app.failures import FailuresPanel
@@ -36,7 +37,6 @@ from madviz.app.training import TrainingPanel
 from madviz.app.versus import VersusPanel
 from madviz.app.worth import WorthPanel
 from madviz.recipes.training_job import TrainingJob
-from madviz.saliency import Target
 from madviz.session.commands import SetSaliency
 from madviz.session.frame import Failure, Frame
 from madviz.session.session import Session

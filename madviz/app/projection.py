@@ -1,6 +1,6 @@
 """A map of what each camera's picture becomes, with the way of this episode as a fading trail.
 
-Two axes out of thousands, chosen once per policy (``madviz.projection``) and then kept, with the
+Two axes out of thousands, chosen once per policy (``madviz.analysis.projection``) and then kept, with the
 same scale in both directions, so that near on the map is alike in these two directions. A merged
 feature that is a sum lies far away from its terms, |M| being up to V times as long; it is drawn
 divided by the number of streams in it, which is their middle: drop a camera, and see it move
@@ -15,12 +15,12 @@ from html import escape
 import numpy as np
 import viser
 
+from madviz.analysis.projection import DECISIONS, Atlas, Basis
 from madviz.app.colours import FAINT, MERGED, MUTED, camera_colours
 from madviz.app.features import NO_VIEWS, stream_label
 from madviz.app.panel import Assign
 from madviz.app.rates import key_of
 from madviz.app.toolkit import remove_all
-from madviz.projection import DECISIONS, Atlas, Basis
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array

@@ -11,9 +11,9 @@ from typing import Any
 
 import viser
 
+from madviz.analysis.saliency import Target
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, Choice, grid, remove_all
-from madviz.saliency import Target
 from madviz.session.frame import Frame
 
 OPTIONS: dict[str, str] = {"": "off", "q": "for its Q", "action": "for its action"}

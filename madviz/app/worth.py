@@ -13,13 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import viser
 
-from madviz.app.colours import FAINT, MUTED, NOTE, camera_colours
-from madviz.app.panel import Assign
-from madviz.app.rates import Rates
-from madviz.app.subsets import subset_label
-from madviz.app.toolkit import remove_all
-from madviz.session.frame import Frame, Setting
-from madviz.shapley import (
+from madviz.analysis.shapley import (
     Worth,
     action_worth,
     q_worth,
@@ -27,6 +21,12 @@ from madviz.shapley import (
     success_interval,
     success_worth,
 )
+from madviz.app.colours import FAINT, MUTED, NOTE, camera_colours
+from madviz.app.panel import Assign
+from madviz.app.rates import Rates
+from madviz.app.subsets import subset_label
+from madviz.app.toolkit import remove_all
+from madviz.session.frame import Frame, Setting
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array
 

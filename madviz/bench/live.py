@@ -242,10 +242,10 @@ def readout_ms(policy: str, repeats: int = 100) -> float:
     """Median milliseconds to read action and Q of every subset, features given."""
     import numpy as np
 
+    from madviz.analysis.probes import probe
     from madviz.app.server import env_in_one_thread
     from madviz.checkpoint import load_policy
     from madviz.observation.streams import IMAGE_SIZE
-    from madviz.probes import probe
 
     loaded = load_policy(policy)
     env = env_in_one_thread(loaded.spec.task, loaded.spec.render_profile, loaded.spec.cameras)

@@ -11,9 +11,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from madviz.analysis.probes import Probe
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.schedule import Schedule
-from madviz.probes import Probe
 from madviz.subsets import camera_of, modality_of, name_of
 from madviz.types import Array, Body, CameraPose, EnvSpec, PolicySpec, View
 

@@ -17,12 +17,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from madviz.analysis.saliency import LiveSaliency
 from madviz.envs.registry import sees
 from madviz.manifest import check_environment
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Schedule
-from madviz.saliency import LiveSaliency
 from madviz.session.commands import SetCamera, SetPolicy
 from madviz.session.frame import Frame, Pair
 from madviz.session.journal import Journal

@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from madviz.probes import Probe
+from madviz.analysis.probes import Probe
 from madviz.session.frame import Branch, Frame, Moment
 from madviz.session.simulation import Saved
 

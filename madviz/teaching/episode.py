@@ -21,10 +21,10 @@ from functools import cached_property
 
 import numpy as np
 
+from madviz.analysis.probes import Probe, probe
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import Ablation, Occlusion, noise_generator
 from madviz.observation.streams import StreamStack
-from madviz.probes import Probe, probe
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array, EnvSpec, Policy, UserError, View
 

@@ -14,10 +14,10 @@ from statistics import fmean
 
 import numpy as np
 
+from madviz.analysis.saliency import Target, saliency
+from madviz.analysis.shapley import Worth, action_worth, success_interval, success_worth
 from madviz.app.colours import camera_colours, heat
 from madviz.recording.record import RecordConfig, run_record
-from madviz.saliency import Target, saliency
-from madviz.shapley import Worth, action_worth, success_interval, success_worth
 from madviz.statistics import wilson
 from madviz.subsets import camera_of, mask_of
 from madviz.svg_curves import curves

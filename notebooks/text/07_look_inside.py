@@ -23,7 +23,7 @@ from pathlib import Path
 
 import madviz
 from madviz import teaching
-from madviz.shapley import action_worth
+from madviz.analysis.shapley import action_worth
 from madviz.teaching.inside import (
     mean_gap,
     norm_curves,

@@ -30,7 +30,7 @@ from math import factorial
 
 import numpy as np
 
-from madviz.probes import Probe
+from madviz.analysis.probes import Probe
 from madviz.subsets import camera_of, cameras_of, every_mask, name_of
 from madviz.types import Array, UserError
 

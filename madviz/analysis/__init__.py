@@ -1,0 +1,1 @@
+"""One time step explained: probes, Shapley values, projection, saliency."""
