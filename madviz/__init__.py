@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from madviz.app.server import ExploreConfig as ExploreConfig
     from madviz.app.server import explore as explore
-    from madviz.checkpoint import list_policies as list_policies
-    from madviz.checkpoint import load_policy as load_policy
-    from madviz.checkpoint import save_policy as save_policy
     from madviz.envs.custom import allow_task as allow_task
     from madviz.envs.registry import make_env as make_env
     from madviz.evaluate import evaluate as evaluate
+    from madviz.policies.checkpoint import list_policies as list_policies
+    from madviz.policies.checkpoint import load_policy as load_policy
+    from madviz.policies.checkpoint import save_policy as save_policy
     from madviz.rollout import run_episode as run_episode
     from madviz.types import UserError as UserError
 
@@ -34,11 +34,11 @@ _HOMES = {
     "allow_task": "madviz.envs.custom",
     "evaluate": "madviz.evaluate",
     "explore": "madviz.app.server",
-    "list_policies": "madviz.checkpoint",
-    "load_policy": "madviz.checkpoint",
+    "list_policies": "madviz.policies.checkpoint",
+    "load_policy": "madviz.policies.checkpoint",
     "make_env": "madviz.envs.registry",
     "run_episode": "madviz.rollout",
-    "save_policy": "madviz.checkpoint",
+    "save_policy": "madviz.policies.checkpoint",
     "UserError": "madviz.types",
 }
 

@@ -70,7 +70,7 @@ def evaluate(words: Sequence[str]) -> int:
 
 def list_(words: Sequence[str]) -> int:
     """Lists tasks, settings, methods and policies."""
-    from madviz.checkpoint import list_everything
+    from madviz.policies.checkpoint import list_everything
 
     deliver(parse(ListConfig, "list", words), list_everything, catalogue)
     return 0

@@ -21,7 +21,8 @@ from math import sqrt
 from pathlib import Path
 from typing import Any
 
-from madviz import checkpoint, svg
+from madviz import svg
+from madviz.policies import checkpoint
 from madviz.report.evidence import Evidence, Outcomes, read_evidence
 from madviz.statistics import Interval, pair, wilson
 from madviz.store import ResultKey, Store

@@ -26,9 +26,9 @@ from typing import Any, Literal
 import numpy as np
 from tqdm import tqdm
 
-from madviz import checkpoint
 from madviz.evaluate import run_anywhere
 from madviz.observation.displacement import Displacement, along
+from madviz.policies import checkpoint
 from madviz.rollout import FIRST_SEED, Finished, Job, Runner, unsupported
 from madviz.statistics import in_words, wilson
 from madviz.subsets import cameras_of, mask_of, name_of

@@ -22,10 +22,10 @@ from typing import Any
 
 from tqdm import tqdm
 
-from madviz import checkpoint
-from madviz.card import write_card
 from madviz.live import Evaluator, Tally
 from madviz.observation.ablation import Occlusion, by_sides
+from madviz.policies import checkpoint
+from madviz.policies.card import write_card
 from madviz.rollout import (
     FIRST_SEED,
     GIVE_UP,

@@ -21,9 +21,9 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
-from madviz import checkpoint
 from madviz.observation.ablation import Occlusion
 from madviz.observation.displacement import Displacement, Moves
+from madviz.policies import checkpoint
 from madviz.rollout import (
     FIRST_SEED,
     GIVE_UP,

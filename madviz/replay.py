@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from madviz import checkpoint
 from madviz.envs.registry import make_env, sees
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event, in_order, in_words
+from madviz.policies import checkpoint
 from madviz.rollout import one_thread
 from madviz.session.commands import SetCamera
 from madviz.session.kept import STREAMS, TRACE, KeptEpisode, KeptPolicy, KeptSession, versions_here

@@ -24,10 +24,10 @@ import torch
 from madviz.agent.agent import Agent
 from madviz.agent.methods import method
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
-from madviz.checkpoint import save_policy
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import choose, make_env
-from madviz.manifest import policy_config
+from madviz.policies.checkpoint import save_policy
+from madviz.policies.config import policy_config
 from madviz.recipes.light import LightConfig, LightRun, Recorder, train_light
 from madviz.recipes.light_critic import REWARD_SCALE, fit_critic
 from madviz.recipes.paper import PaperConfig, train_paper

@@ -21,9 +21,9 @@ from madviz.app.screen import Screen
 from madviz.app.sight import _focus
 from madviz.app.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
 from madviz.app.success import Curve, SuccessPanel, WordsPanel, bars_html, sentence, strip_html
-from madviz.checkpoint import load_policy
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.policies.checkpoint import load_policy
 from madviz.session.commands import Pause, SetCamera, SetPolicy
 from madviz.session.frame import Frame, Setting
 from madviz.session.session import Session

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from madviz.card import card_text, train_again, write_card
-from madviz.checkpoint import describe, save_policy
+from madviz.policies.card import card_text, train_again, write_card
+from madviz.policies.checkpoint import describe, save_policy
 from madviz.types import UserError
 from tests.test_checkpoint import make_agent, make_config
 

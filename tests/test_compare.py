@@ -86,7 +86,7 @@ def test_one_policy_is_nothing_to_compare(two: tuple[str, str]) -> None:
 def test_episodes_may_come_from_a_store(
     two: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from madviz import checkpoint
+    from madviz.policies import checkpoint
 
     class Described:
         def __init__(self, path: str | Path) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from madviz import checkpoint, manifest
 from madviz.agent.agent import Agent
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
@@ -23,6 +22,7 @@ from madviz.evaluate import (
     run_eval,
 )
 from madviz.observation.ablation import Ablation, Occlusion
+from madviz.policies import checkpoint, config
 from madviz.rollout import Job, Runner, relevant, run_episode
 from madviz.store import MEMORY, Store
 from madviz.types import PolicySpec, UserError
@@ -38,7 +38,7 @@ def folder(tmp_path_factory):
     """A torch policy that nobody trained, in a folder."""
     torch.manual_seed(0)
     networks = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8)
-    config = manifest.policy_config(
+    config = config.policy_config(
         ToyReach().spec,
         networks,
         name="toy",

@@ -14,11 +14,11 @@ from concurrent.futures.process import BrokenProcessPool
 import numpy as np
 import pytest
 
-from madviz import checkpoint
 from madviz.app.rates import Rates
 from madviz.live import Evaluator
 from madviz.observation.ablation import Ablation, Occlusion
 from madviz.observation.displacement import Displacement
+from madviz.policies import checkpoint
 from madviz.rollout import Runner, Workers
 from madviz.session.frame import setting_of
 from madviz.store import MEMORY, EpisodeResult, Store

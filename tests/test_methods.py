@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from madviz import checkpoint, train
+from madviz import train
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.bottleneck import kl_loss
 from madviz.agent.contrast import contrastive_loss
@@ -26,6 +26,7 @@ from madviz.analysis.probes import probe
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.observation.ablation import Ablation
+from madviz.policies import checkpoint
 from madviz.recipes import light, paper
 from madviz.recipes.demonstrations import Driver, Episode, record_episode
 from madviz.recipes.light import LightConfig, LightRun

@@ -17,8 +17,8 @@ import torch
 from madviz.agent.agent import TorchPolicy
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.update import Learner
-from madviz.checkpoint import load_policy
 from madviz.envs.toy import ToyReach
+from madviz.policies.checkpoint import load_policy
 from madviz.recipes import paper, paper_loop
 from madviz.recipes.paper import PaperConfig, PaperRun, train_paper
 from madviz.recipes.run import Event, RunFolder

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from madviz import checkpoint
+from madviz.policies import checkpoint
 from madviz.report.bar import judge
 from madviz.report.claims import claims, same, signed, verdict
 from madviz.report.evidence import find_evidence

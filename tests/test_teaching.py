@@ -13,9 +13,9 @@ import pytest
 
 from madviz import teaching
 from madviz.agent.methods import METHODS
-from madviz.checkpoint import find_policy
 from madviz.observation.ablation import Occlusion
 from madviz.observation.streams import StreamStack
+from madviz.policies.checkpoint import find_policy
 from madviz.recipes.light import LightConfig
 from madviz.teaching.inside import (
     mean_gap,

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from madviz.checkpoint import load_policy
 from madviz.evaluate import evaluate
+from madviz.policies.checkpoint import load_policy
 from madviz.recipes.light import LightConfig
 from madviz.recipes.run import Event, changes
 from madviz.train import TrainConfig, command, train

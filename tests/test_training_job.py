@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from madviz.app.training import training_html
-from madviz.checkpoint import load_policy
+from madviz.policies.checkpoint import load_policy
 from madviz.recipes.training_job import JobConfig, JobStatus, TrainingJob
 from madviz.types import UserError
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import torch
 
-from madviz.checkpoint import load_policy
 from madviz.envs.toy import CAMERAS, ToyReach
+from madviz.policies.checkpoint import load_policy
 from madviz.recipes import paper_loop
 from madviz.recipes.paper_vectorised import VectorisedConfig
 from madviz.recipes.run import Event, RunFolder

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import viser
 
-from madviz import checkpoint
 from madviz.app.access import Gate, new_token, stays_here
 from madviz.app.haste import obey_at_once
 from madviz.app.policy import PolicyChoice
@@ -23,6 +22,7 @@ from madviz.app.users import Users
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import make_env
 from madviz.live import Evaluator, Tally
+from madviz.policies import checkpoint
 from madviz.recipes.training_job import TrainingJob
 from madviz.replay import check_policies, differences, finder
 from madviz.session.kept import KeptEpisode

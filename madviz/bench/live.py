@@ -158,7 +158,7 @@ def watched(config: LiveConfig) -> dict[str, Any]:
 def beside_training(config: LiveConfig) -> dict[str, Any]:
     """The browser again, while its policy's task is trained at the priority that the page gives to
     trainings. Raises UserError if the training does not last as long as the measurement."""
-    from madviz.checkpoint import load_policy
+    from madviz.policies.checkpoint import load_policy
     from madviz.recipes.training_job import BUDGETS, JobConfig, TrainingJob
 
     task = load_policy(config.policy).spec.task
@@ -244,8 +244,8 @@ def readout_ms(policy: str, repeats: int = 100) -> float:
 
     from madviz.analysis.probes import probe
     from madviz.app.server import env_in_one_thread
-    from madviz.checkpoint import load_policy
     from madviz.observation.streams import IMAGE_SIZE
+    from madviz.policies.checkpoint import load_policy
 
     loaded = load_policy(policy)
     env = env_in_one_thread(loaded.spec.task, loaded.spec.render_profile, loaded.spec.cameras)

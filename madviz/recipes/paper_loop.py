@@ -14,8 +14,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from madviz.checkpoint import save_policy
-from madviz.manifest import policy_config
+from madviz.policies.checkpoint import save_policy
+from madviz.policies.config import policy_config
 from madviz.recipes.curves import draw_curve
 from madviz.recipes.run import interruptible
 from madviz.rollout import Stopped

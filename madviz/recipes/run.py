@@ -27,7 +27,7 @@ from typing import Any
 
 import torch
 
-from madviz.checkpoint import CONFIG
+from madviz.policies.checkpoint import CONFIG
 from madviz.system.files import write_bytes
 from madviz.types import UserError
 

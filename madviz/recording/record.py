@@ -23,9 +23,9 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from madviz import checkpoint
 from madviz.envs.registry import make_env
 from madviz.observation.schedule import Schedule, in_order, in_words, parse_schedule, scenario
+from madviz.policies import checkpoint
 from madviz.replay import Finder, check_horizon, check_policies, failures_of, finder
 from madviz.rollout import one_thread
 from madviz.session.commands import Play, SetSchedule

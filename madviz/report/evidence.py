@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from madviz import checkpoint
-from madviz.manifest import check_config
+from madviz.policies import checkpoint
+from madviz.policies.config import check_config
 from madviz.subsets import mask_of
 from madviz.sweep.run import POLICY
 from madviz.system.files import read_json

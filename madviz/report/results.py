@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from madviz import svg
-from madviz.card import AGAIN, train_again
-from madviz.checkpoint import WEIGHTS
+from madviz.policies.card import AGAIN, train_again
+from madviz.policies.checkpoint import WEIGHTS
 from madviz.report.bar import (
     BAR_ALL,
     BAR_EPISODES,

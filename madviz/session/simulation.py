@@ -22,10 +22,10 @@ import numpy as np
 
 from madviz.analysis.probes import Probe, probe
 from madviz.analysis.saliency import LiveSaliency
-from madviz.manifest import check_environment
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
+from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera
 from madviz.session.frame import Change, Outcome, Setting, setting_of, untouched
 from madviz.session.journal import Journal, Mark

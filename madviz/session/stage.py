@@ -19,10 +19,10 @@ from typing import Any
 
 from madviz.analysis.saliency import LiveSaliency
 from madviz.envs.registry import sees
-from madviz.manifest import check_environment
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Schedule
+from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera, SetPolicy
 from madviz.session.frame import Frame, Pair
 from madviz.session.journal import Journal

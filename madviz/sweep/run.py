@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from madviz.checkpoint import CONFIG, EVALUATION
+from madviz.policies.checkpoint import CONFIG, EVALUATION
 from madviz.system.files import read_json, write_json
 from madviz.types import UserError
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from madviz import checkpoint, statistics
+from madviz import statistics
+from madviz.policies import checkpoint
 from madviz.statistics import pair, wilson
 from madviz.teaching.show import Figure, Table, Words, bars, table
 from madviz.types import UserError

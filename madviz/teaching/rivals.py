@@ -24,12 +24,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from madviz import checkpoint
 from madviz.agent.agent import TorchPolicy
 from madviz.agent.attention import HEADS, CrossAttention, ViewTransformer, attend
 from madviz.agent.contrast import drawn
 from madviz.evaluate import FIRST_SEED, evaluate
 from madviz.observation.ablation import Occlusion
+from madviz.policies import checkpoint
 from madviz.report.evidence import Evidence, find_evidence
 from madviz.report.layouts import THREE, Layout, any_method
 from madviz.report.tables import build

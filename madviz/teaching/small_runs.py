@@ -14,7 +14,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from madviz import checkpoint
+from madviz.policies import checkpoint
 from madviz.teaching.episode import begin
 from madviz.types import Policy, PolicySpec, UserError
 

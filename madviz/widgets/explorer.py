@@ -26,10 +26,10 @@ from typing import Any, ClassVar
 
 import ipywidgets
 
-from madviz import checkpoint
 from madviz.app.mosaic import mosaic
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
+from madviz.policies import checkpoint
 from madviz.session.commands import Command, Pause, Play, Reset, SetCamera, SetSpeed, StepOnce
 from madviz.session.frame import Failure, Frame
 from madviz.session.session import EnvFactory, Session

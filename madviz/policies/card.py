@@ -12,7 +12,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from madviz import checkpoint
+from madviz.policies import checkpoint
 from madviz.system.files import read_json, write_bytes
 from madviz.types import UserError
 

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from madviz.envs.custom import allow_task
-from madviz.manifest import FORMAT, check_config, policy_spec
+from madviz.policies.config import FORMAT, check_config, policy_spec
 from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.plugins import made_by
 from madviz.types import Policy, PolicySpec, UserError, perhaps

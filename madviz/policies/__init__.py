@@ -1,0 +1,1 @@
+"""Policy folders: configuration, weights, card."""
