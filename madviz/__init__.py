@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from madviz.app.server import explore as explore
     from madviz.envs.custom import allow_task as allow_task
     from madviz.envs.registry import make_env as make_env
-    from madviz.evaluate import evaluate as evaluate
+    from madviz.evaluation.episodes import run_episode as run_episode
+    from madviz.evaluation.evaluate import evaluate as evaluate
     from madviz.policies.checkpoint import list_policies as list_policies
     from madviz.policies.checkpoint import load_policy as load_policy
     from madviz.policies.checkpoint import save_policy as save_policy
-    from madviz.rollout import run_episode as run_episode
     from madviz.types import UserError as UserError
 
 __version__ = "0.1.0"
@@ -32,12 +32,12 @@ __version__ = "0.1.0"
 _HOMES = {
     "ExploreConfig": "madviz.app.server",
     "allow_task": "madviz.envs.custom",
-    "evaluate": "madviz.evaluate",
+    "evaluate": "madviz.evaluation.evaluate",
     "explore": "madviz.app.server",
     "list_policies": "madviz.policies.checkpoint",
     "load_policy": "madviz.policies.checkpoint",
     "make_env": "madviz.envs.registry",
-    "run_episode": "madviz.rollout",
+    "run_episode": "madviz.evaluation.episodes",
     "save_policy": "madviz.policies.checkpoint",
     "UserError": "madviz.types",
 }

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from madviz.statistics import in_words
+from madviz.evaluation.statistics import in_words
 from madviz.system.files import pretty, write_json, written_to
 from madviz.types import UserError, unknown
 
@@ -61,7 +61,7 @@ def train(words: Sequence[str]) -> int:
 
 def evaluate(words: Sequence[str]) -> int:
     """Counts a policy's successes under camera subsets, on seeded episodes."""
-    from madviz.evaluate import EvalConfig, run_eval
+    from madviz.evaluation.evaluate import EvalConfig, run_eval
 
     config = parse(EvalConfig, "eval", words)
     deliver(config, lambda: run_eval(config), success_table)
@@ -149,7 +149,7 @@ def sweep(words: Sequence[str]) -> int:
 
 def compare(words: Sequence[str]) -> int:
     """Compares policies on the seeds they all met: difference, interval, exact p."""
-    from madviz.compare import CompareConfig, comparison_table, run_compare
+    from madviz.evaluation.compare import CompareConfig, comparison_table, run_compare
 
     config = parse(CompareConfig, "compare", words, positional=True)
     deliver(config, lambda: run_compare(config), comparison_table)
@@ -193,7 +193,7 @@ def soak(words: Sequence[str]) -> int:
 
 def displace(words: Sequence[str]) -> int:
     """Moves a camera away from where a policy was trained: success against distance."""
-    from madviz.displacement import DisplaceConfig, displacement_table, run_displace
+    from madviz.evaluation.displace import DisplaceConfig, displacement_table, run_displace
 
     config = parse(DisplaceConfig, "displace", words)
     deliver(config, lambda: run_displace(config), displacement_table)

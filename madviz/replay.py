@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from madviz.envs.registry import make_env, sees
+from madviz.evaluation.episodes import one_thread
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event, in_order, in_words
 from madviz.policies import checkpoint
-from madviz.rollout import one_thread
 from madviz.session.commands import SetCamera
 from madviz.session.kept import STREAMS, TRACE, KeptEpisode, KeptPolicy, KeptSession, versions_here
 from madviz.session.kept_reader import read_kept

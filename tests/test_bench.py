@@ -10,10 +10,10 @@ import pytest
 from madviz.bench import evaluate as bench_evaluate
 from madviz.bench import live as bench_live
 from madviz.bench.render import Frames, RenderConfig, alternate, bench_render
+from madviz.evaluation.episodes import Finished, Job, Workers
+from madviz.evaluation.store import EpisodeResult
 from madviz.recipes import training_job
 from madviz.recipes.training_job import JobConfig, JobStatus, State
-from madviz.rollout import Finished, Job, Workers
-from madviz.store import EpisodeResult
 from madviz.types import Encoded, UserError
 from tests.fakes import FakePolicy
 

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from madviz import cli
-from madviz.compare import CompareConfig, comparison_table, over_trainings, run_compare
-from madviz.report.evidence import read_evidence
-from madviz.statistics import pair
-from madviz.store import EpisodeResult, ResultKey, Store
+from madviz.evaluation.compare import CompareConfig, comparison_table, over_trainings, run_compare
+from madviz.evaluation.evidence import read_evidence
+from madviz.evaluation.statistics import pair
+from madviz.evaluation.store import EpisodeResult, ResultKey, Store
 from madviz.types import UserError
 from tests.evidence import rates, write_policy
 

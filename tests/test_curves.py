@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from madviz.evaluation.statistics import wilson
 from madviz.recipes.curves import draw_curve, duration, progress, success_lines
-from madviz.statistics import wilson
 
 HEADER = (
     "step,env_steps,updates,seconds,seconds_left,episodes,success_all,success_first,critic_loss\n"

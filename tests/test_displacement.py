@@ -9,8 +9,10 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from madviz import cli, displacement
-from madviz.displacement import (
+from madviz import cli
+from madviz.envs.toy import ToyReach
+from madviz.evaluation import displace
+from madviz.evaluation.displace import (
     DisplaceConfig,
     Point,
     displace,
@@ -19,11 +21,10 @@ from madviz.displacement import (
     places,
     run_displace,
 )
-from madviz.envs.toy import ToyReach
-from madviz.evaluate import evaluate
+from madviz.evaluation.episodes import Job, Runner
+from madviz.evaluation.evaluate import evaluate
+from madviz.evaluation.statistics import wilson
 from madviz.observation.displacement import Displacement
-from madviz.rollout import Job, Runner
-from madviz.statistics import wilson
 from madviz.types import Encoded, Readout, UserError
 from tests.fakes import AllOrNothing, FakePolicy
 
@@ -103,7 +104,7 @@ def test_every_place_has_the_same_seeds(monkeypatch):
             seen.append((job.moves, job.seed))
             return super().run(job)
 
-    monkeypatch.setattr(displacement, "Runner", Watching)
+    monkeypatch.setattr(displace, "Runner", Watching)
     displace(Seeker(), "third_b", places("up", 0.1, 2), episodes=3, seed=5000)
     moves = {move for move, _ in seen}
     assert moves == {(), (("third_b", Displacement(up=0.1)),)}
@@ -174,7 +175,7 @@ def test_how_far_depends_on_what_it_is_unless_somebody_says(way, end, monkeypatc
         asked.extend(moves)
         return (Point(0.0, 1, 1),)
 
-    monkeypatch.setattr(displacement, "displace", displaced)
+    monkeypatch.setattr(displace, "displace", displaced)
     run_displace(DisplaceConfig("tests.test_displacement:make_seeker", "first", way))
     assert asked[-1] == end and len(asked) == 5
 

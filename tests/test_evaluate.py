@@ -14,17 +14,17 @@ from madviz.agent.agent import Agent
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
-from madviz.evaluate import (
+from madviz.evaluation.episodes import Job, Runner, relevant, run_episode
+from madviz.evaluation.evaluate import (
     EvalConfig,
     default_subsets,
     evaluate,
     parse_occlusions,
     run_eval,
 )
+from madviz.evaluation.store import MEMORY, Store
 from madviz.observation.ablation import Ablation, Occlusion
 from madviz.policies import checkpoint, config
-from madviz.rollout import Job, Runner, relevant, run_episode
-from madviz.store import MEMORY, Store
 from madviz.types import PolicySpec, UserError
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy
 

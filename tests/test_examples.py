@@ -11,7 +11,7 @@ import pytest
 
 from madviz.envs.custom import allow_task, own_tasks
 from madviz.envs.registry import choose, make_env
-from madviz.evaluate import evaluate
+from madviz.evaluation.evaluate import evaluate
 from madviz.examples.own_policy import Finder
 from madviz.recipes.light import LightConfig
 from madviz.sweep.plan import read_plan

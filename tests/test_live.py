@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from madviz.app.rates import Rates
-from madviz.live import Evaluator
+from madviz.evaluation.episodes import Runner, Workers
+from madviz.evaluation.live import Evaluator
+from madviz.evaluation.store import MEMORY, EpisodeResult, Store
 from madviz.observation.ablation import Ablation, Occlusion
 from madviz.observation.displacement import Displacement
 from madviz.policies import checkpoint
-from madviz.rollout import Runner, Workers
 from madviz.session.frame import setting_of
-from madviz.store import MEMORY, EpisodeResult, Store
 from madviz.types import UserError
 from tests.fakes import FakePolicy
 

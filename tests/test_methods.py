@@ -25,6 +25,7 @@ from madviz.agent.supports import SUPPORTS
 from madviz.analysis.probes import probe
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
+from madviz.evaluation.episodes import run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies import checkpoint
 from madviz.recipes import light, paper
@@ -32,7 +33,6 @@ from madviz.recipes.demonstrations import Driver, Episode, record_episode
 from madviz.recipes.light import LightConfig, LightRun
 from madviz.recipes.paper import PaperConfig
 from madviz.recipes.run import RunFolder
-from madviz.rollout import run_episode
 from madviz.subsets import every_mask, mask_of
 from madviz.train import TrainConfig
 from madviz.types import Environment, PolicySpec, UserError

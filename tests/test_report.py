@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from madviz import cli, svg
-from madviz.report.evidence import find_evidence, read_evidence
+from madviz.evaluation.evidence import find_evidence, read_evidence
 from madviz.report.layouts import THREE
 from madviz.report.results import ReportConfig, run_report
 from madviz.report.rows import difference

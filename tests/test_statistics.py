@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, binomtest
 
-from madviz.statistics import (
+from madviz.evaluation.statistics import (
     Paired,
     difference_interval,
     mean_interval,

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from madviz.store import MEMORY, EpisodeResult, ResultKey, Store, default_path
+from madviz.evaluation.store import MEMORY, EpisodeResult, ResultKey, Store, default_path
 
 KEY = ResultKey("d1", "toy/reach", "at the last step", "fast", "", "all")
 
@@ -145,7 +145,7 @@ def test_many_threads_write_at_once(store):
 
 def test_many_processes_write_at_once(store):
     code = (
-        "import sys; from madviz.store import *\n"
+        "import sys; from madviz.evaluation.store import *\n"
         "store, first = Store(sys.argv[1]), int(sys.argv[2])\n"
         "key = ResultKey('d1', 'toy/reach', 'at the last step', 'fast', '', 'all')\n"
         "for seed in range(first, first + 50):\n"

@@ -42,7 +42,7 @@ def test_a_file_expands_to_runs_whose_names_say_what_varies(tmp_path: Path) -> N
 def test_the_words_of_a_run_are_words_that_the_command_line_knows(
     command: str, tmp_path: Path
 ) -> None:
-    from madviz.evaluate import EvalConfig
+    from madviz.evaluation.evaluate import EvalConfig
     from madviz.train import TrainConfig
 
     file = tmp_path / "one.toml"

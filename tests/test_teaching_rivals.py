@@ -9,7 +9,7 @@ import pytest
 from madviz import teaching
 from madviz.agent.methods import METHODS
 from madviz.agent.supports import SUPPORTS
-from madviz.statistics import pair
+from madviz.evaluation.statistics import pair
 from madviz.subsets import mask_of
 from madviz.system.files import read_json
 from madviz.teaching import rivals

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from madviz.evaluate import evaluate
+from madviz.evaluation.evaluate import evaluate
 from madviz.policies.checkpoint import load_policy
 from madviz.recipes.light import LightConfig
 from madviz.recipes.run import Event, changes

@@ -10,8 +10,8 @@ import time
 
 import pytest
 
-from madviz.evaluate import evaluate, run_jobs
-from madviz.rollout import Job, Runner, Workers
+from madviz.evaluation.episodes import Job, Runner, Workers
+from madviz.evaluation.evaluate import evaluate, run_jobs
 from madviz.types import UserError
 from tests.fakes import FakePolicy
 
@@ -53,7 +53,7 @@ def test_a_policy_that_kills_every_worker_is_given_up():
 
 def test_workers_leave_when_their_parent_is_killed():
     code = (
-        "import sys, time; from madviz.rollout import Job, Workers\n"
+        "import sys, time; from madviz.evaluation.episodes import Job, Workers\n"
         "workers = Workers(1)\n"
         "workers.submit(Job('tests.fakes:FakePolicy', 'toy-mad0', 'all', (), 1)).result()\n"
         "print(*workers._pool._processes, flush=True); time.sleep(600)"

@@ -13,10 +13,10 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from madviz.live import Evaluator, Tally
+from madviz.evaluation.live import Evaluator, Tally
+from madviz.evaluation.statistics import wilson
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.frame import Setting
-from madviz.statistics import wilson
 from madviz.types import Array, PolicySpec
 
 Shipped = Callable[[PolicySpec], Mapping[str, Mapping[str, Any]]]

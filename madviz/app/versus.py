@@ -16,10 +16,10 @@ from madviz.app.scene import picture
 from madviz.app.screen import jpeg_url
 from madviz.app.subsets import subset_label
 from madviz.app.toolkit import Cell, grid, on_press, remove_all
+from madviz.evaluation.statistics import Paired
 from madviz.session.commands import Command, SetTwin
 from madviz.session.frame import Frame
 from madviz.session.twin import tally
-from madviz.statistics import Paired
 
 TILE = 84
 """Pixels of a camera's picture on B's side."""

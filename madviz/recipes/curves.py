@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from madviz import svg
-from madviz.statistics import wilson
+from madviz.evaluation.statistics import wilson
 from madviz.system.files import write_bytes
 
 PREFIX = "success_"

@@ -20,9 +20,9 @@ import torch
 from torch import Tensor
 
 from madviz.envs.registry import make_env, sees
+from madviz.evaluation.episodes import one_thread
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import StreamStack, stream_frame
-from madviz.rollout import one_thread
 from madviz.subsets import camera_of, cameras_of
 from madviz.types import Array, CameraSpec, Environment, Policy
 

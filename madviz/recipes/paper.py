@@ -31,12 +31,12 @@ from madviz.agent.methods import method
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.agent.update import Learner, LearningConfig, Precision
 from madviz.envs.registry import make_env
+from madviz.evaluation.episodes import one_thread, run_episode
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import stream_frame
 from madviz.recipes.buffer import BufferSpec, ReplayBuffer
 from madviz.recipes.paper_loop import train_on
 from madviz.recipes.run import RunFolder
-from madviz.rollout import one_thread, run_episode
 from madviz.subsets import camera_of, cameras_of, mask_of, single_streams
 from madviz.types import Array, Encoded, Environment, PolicySpec
 

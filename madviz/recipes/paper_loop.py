@@ -14,11 +14,11 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from madviz.evaluation.episodes import Stopped
 from madviz.policies.checkpoint import save_policy
 from madviz.policies.config import policy_config
 from madviz.recipes.curves import draw_curve
 from madviz.recipes.run import interruptible
-from madviz.rollout import Stopped
 
 if TYPE_CHECKING:
     from madviz.recipes.paper import PaperRun

@@ -24,10 +24,10 @@ import cv2
 import numpy as np
 
 from madviz.envs.registry import make_env
+from madviz.evaluation.episodes import one_thread
 from madviz.observation.schedule import Schedule, in_order, in_words, parse_schedule, scenario
 from madviz.policies import checkpoint
 from madviz.replay import Finder, check_horizon, check_policies, failures_of, finder
-from madviz.rollout import one_thread
 from madviz.session.commands import Play, SetSchedule
 from madviz.session.frame import Failure, Frame, occlusion_words
 from madviz.session.kept import KeptEpisode

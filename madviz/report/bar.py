@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz.envs.registry import MANISKILL_TASKS, METAWORLD_TASKS
-from madviz.report.evidence import Evidence
+from madviz.evaluation.evidence import Evidence
 from madviz.report.layouts import THREE
 from madviz.report.rows import Rate, Row
 from madviz.report.tables import usual_alphas

@@ -17,10 +17,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from madviz.evaluation.statistics import Interval
 from madviz.report.layouts import MERGES, THREE
 from madviz.report.rows import Difference, Row, difference
 from madviz.report.tables import Table
-from madviz.statistics import Interval
 
 BASELINES = ("single", "mvd", "vib", "mv-mwm")
 COMPONENTS = ("naive-both", "merged-only", "singular-only")

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from madviz.report.evidence import Evidence
+from madviz.evaluation.evidence import Evidence
 
 THREE = ("all", "first", "third_a", "third_b")
 MERGES = ("sum", "concat", "frame-stack", "attention", "vit", "q-mean")

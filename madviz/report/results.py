@@ -19,6 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from madviz import svg
+from madviz.evaluation.evidence import Evidence, find_evidence
+from madviz.evaluation.statistics import in_words
 from madviz.policies.card import AGAIN, train_again
 from madviz.policies.checkpoint import WEIGHTS
 from madviz.report.bar import (
@@ -35,11 +37,9 @@ from madviz.report.bar import (
     verdict_json,
 )
 from madviz.report.claims import claims
-from madviz.report.evidence import Evidence, find_evidence
 from madviz.report.layouts import LAYOUTS, THREE
 from madviz.report.rows import Rate, Row
 from madviz.report.tables import Table, build
-from madviz.statistics import in_words
 from madviz.system.files import write_bytes, written_to
 from madviz.types import UserError
 

@@ -15,8 +15,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from madviz.report.evidence import Evidence
-from madviz.statistics import Interval, difference_interval, mean_interval, wilson
+from madviz.evaluation.evidence import Evidence
+from madviz.evaluation.statistics import Interval, difference_interval, mean_interval, wilson
 
 Unit = tuple[str, int, int]
 """Task, training seed, episode seed."""

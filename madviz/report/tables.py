@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from madviz.envs.registry import METAWORLD_TASKS
-from madviz.report.evidence import Evidence
+from madviz.evaluation.evidence import Evidence
 from madviz.report.layouts import Layout, rank
 from madviz.report.rows import Row
 

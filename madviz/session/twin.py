@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from madviz.evaluation.statistics import Paired, pair
 from madviz.observation.ablation import Ablation
 from madviz.session.frame import Outcome, Pair
 from madviz.session.simulation import inhabited
-from madviz.statistics import Paired, pair
 from madviz.types import CameraSpec, Environment, Policy
 
 MOST_PAIRS = 1000

@@ -17,10 +17,10 @@ from madviz.agent.methods import METHODS, method
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.supports import SUPPORTS
 from madviz.app.colours import heat
-from madviz.evaluate import evaluate
+from madviz.evaluation.evaluate import evaluate
+from madviz.evaluation.statistics import wilson
 from madviz.observation.ablation import Occlusion, OcclusionKind, noise_generator
 from madviz.observation.streams import depth_code
-from madviz.statistics import wilson
 from madviz.subsets import every_mask, name_of
 from madviz.teaching import Moment, counts, frames_of, moments
 from madviz.teaching.show import MARK, Figure, Picture, Table, bars, presence, sheet, table

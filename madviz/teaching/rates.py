@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from madviz import statistics
+from madviz.evaluation import statistics
+from madviz.evaluation.statistics import pair, wilson
 from madviz.policies import checkpoint
-from madviz.statistics import pair, wilson
 from madviz.teaching.show import Figure, Table, Words, bars, table
 from madviz.types import UserError
 

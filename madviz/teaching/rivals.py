@@ -27,10 +27,10 @@ import torch
 from madviz.agent.agent import TorchPolicy
 from madviz.agent.attention import HEADS, CrossAttention, ViewTransformer, attend
 from madviz.agent.contrast import drawn
-from madviz.evaluate import FIRST_SEED, evaluate
+from madviz.evaluation.evaluate import FIRST_SEED, evaluate
+from madviz.evaluation.evidence import Evidence, find_evidence
 from madviz.observation.ablation import Occlusion
 from madviz.policies import checkpoint
-from madviz.report.evidence import Evidence, find_evidence
 from madviz.report.layouts import THREE, Layout, any_method
 from madviz.report.tables import build
 from madviz.subsets import mask_of

@@ -22,7 +22,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from madviz import svg
-from madviz.statistics import wilson
+from madviz.evaluation.statistics import wilson
 from madviz.types import Array, UserError
 
 LABEL = 18

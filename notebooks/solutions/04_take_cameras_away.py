@@ -2,7 +2,7 @@
 # # Solution 4: nine of ten against seven of ten
 
 # %%
-from madviz.statistics import Paired
+from madviz.evaluation.statistics import Paired
 from madviz.teaching.show import table
 
 best = Paired(both=7, first_only=2, second_only=0, neither=1)

@@ -23,8 +23,8 @@ import madviz
 from madviz import teaching
 from madviz.agent import objectives
 from madviz.agent.methods import method
+from madviz.evaluation.statistics import pair
 from madviz.recipes import light
-from madviz.statistics import pair
 from madviz.teaching.lessons import camera_sheet, subset_table
 from madviz.teaching.show import curves, source, table
 from madviz.widgets import Explorer, Predict

@@ -21,10 +21,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
-from madviz.observation.ablation import Occlusion
-from madviz.observation.displacement import Displacement, Moves
-from madviz.policies import checkpoint
-from madviz.rollout import (
+from madviz.evaluation.episodes import (
     FIRST_SEED,
     GIVE_UP,
     Finished,
@@ -35,8 +32,11 @@ from madviz.rollout import (
     claimed_definition,
     relevant,
 )
-from madviz.statistics import Interval, wilson
-from madviz.store import EpisodeResult, Store
+from madviz.evaluation.statistics import Interval, wilson
+from madviz.evaluation.store import EpisodeResult, Store
+from madviz.observation.ablation import Occlusion
+from madviz.observation.displacement import Displacement, Moves
+from madviz.policies import checkpoint
 from madviz.subsets import camera_of, name_of
 from madviz.types import Array, PolicySpec
 

@@ -22,11 +22,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from madviz.live import Evaluator, Tally
-from madviz.observation.ablation import Occlusion, by_sides
-from madviz.policies import checkpoint
-from madviz.policies.card import write_card
-from madviz.rollout import (
+from madviz.evaluation.episodes import (
     FIRST_SEED,
     GIVE_UP,
     Finished,
@@ -39,8 +35,12 @@ from madviz.rollout import (
     run_episode,
     unsupported,
 )
-from madviz.statistics import wilson
-from madviz.store import EpisodeResult, Store
+from madviz.evaluation.live import Evaluator, Tally
+from madviz.evaluation.statistics import wilson
+from madviz.evaluation.store import EpisodeResult, Store
+from madviz.observation.ablation import Occlusion, by_sides
+from madviz.policies import checkpoint
+from madviz.policies.card import write_card
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json
 from madviz.types import Array, Policy, PolicySpec, UserError, unknown

@@ -26,11 +26,11 @@ from typing import Any, Literal
 import numpy as np
 from tqdm import tqdm
 
-from madviz.evaluate import run_anywhere
+from madviz.evaluation.episodes import FIRST_SEED, Finished, Job, Runner, unsupported
+from madviz.evaluation.evaluate import run_anywhere
+from madviz.evaluation.statistics import in_words, wilson
 from madviz.observation.displacement import Displacement, along
 from madviz.policies import checkpoint
-from madviz.rollout import FIRST_SEED, Finished, Job, Runner, unsupported
-from madviz.statistics import in_words, wilson
 from madviz.subsets import cameras_of, mask_of, name_of
 from madviz.svg import Line, lines
 from madviz.system.files import write_bytes, written_to

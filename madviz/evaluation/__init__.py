@@ -1,0 +1,1 @@
+"""Success rates: episodes, statistics, comparison, and the store of results."""
