@@ -52,8 +52,8 @@ def explore(words: Sequence[str]) -> int:
 
 def train(words: Sequence[str]) -> int:
     """Trains a policy by a recipe and prints its folder; can be stopped and resumed."""
-    from madviz.train import TrainConfig
-    from madviz.train import train as run
+    from madviz.training.train import TrainConfig
+    from madviz.training.train import train as run
 
     print(run(parse(TrainConfig, "train", words)))
     return 0

@@ -24,10 +24,10 @@ from madviz.app.users import Users
 from madviz.app.versus import VersusPanel
 from madviz.app.visitor import Visitor
 from madviz.envs.registry import make_env
-from madviz.recipes.training_job import TrainingJob
 from madviz.session.commands import Pause, SetSpeed
 from madviz.session.frame import Frame
 from madviz.session.session import Session
+from madviz.training.job import TrainingJob
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 

@@ -12,8 +12,8 @@ from madviz.bench import live as bench_live
 from madviz.bench.render import Frames, RenderConfig, alternate, bench_render
 from madviz.evaluation.episodes import Finished, Job, Workers
 from madviz.evaluation.store import EpisodeResult
-from madviz.recipes import training_job
-from madviz.recipes.training_job import JobConfig, JobStatus, State
+from madviz.training import job
+from madviz.training.job import JobConfig, JobStatus, State
 from madviz.types import Encoded, UserError
 from tests.fakes import FakePolicy
 
@@ -172,7 +172,7 @@ def test_the_page_is_measured_beside_a_training_that_lasts(monkeypatch, ends_as)
         return {"updates_per_s": 17.0}
 
     monkeypatch.setattr(bench_live, "measure", measure)
-    monkeypatch.setattr(training_job, "TrainingJob", FakeJob)
+    monkeypatch.setattr(job, "TrainingJob", FakeJob)
     monkeypatch.setattr(FakeJob, "ends_as", ends_as)
     config = bench_live.LiveConfig(policy="metaworld-hammer-mad-light", training=True)
     if ends_as == "running":

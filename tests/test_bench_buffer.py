@@ -8,12 +8,12 @@ import pytest
 
 from madviz.bench import buffer as module
 from madviz.bench.buffer import BenchBufferConfig, bench_buffer
-from madviz.recipes import buffer_packed
+from madviz.training import buffer_storage
 from madviz.types import UserError
 
 
 def test_both_sides_are_measured_on_the_same_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(buffer_packed, "TOGETHER", 32)
+    monkeypatch.setattr(buffer_storage, "TOGETHER", 32)
     monkeypatch.setattr(module, "TOGETHER", 32)
     config = BenchBufferConfig(task="toy/reach", decisions=50, batch_size=3, rounds=1, fill=90)
     result = bench_buffer(config)
@@ -30,14 +30,14 @@ def test_both_sides_are_measured_on_the_same_frames(monkeypatch: pytest.MonkeyPa
 
 
 def test_packs_that_come_back_changed_stop_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    original = buffer_packed.Pack.frames
+    original = buffer_storage.Pack.frames
 
-    def wrong(pack: buffer_packed.Pack, places: list[int]) -> list[object]:
+    def wrong(pack: buffer_storage.Pack, places: list[int]) -> list[object]:
         return [frame ^ 1 for frame in original(pack, places)]
 
-    monkeypatch.setattr(buffer_packed, "TOGETHER", 32)
+    monkeypatch.setattr(buffer_storage, "TOGETHER", 32)
     monkeypatch.setattr(module, "TOGETHER", 32)
-    monkeypatch.setattr(buffer_packed.Pack, "frames", wrong)
+    monkeypatch.setattr(buffer_storage.Pack, "frames", wrong)
     with pytest.raises(RuntimeError, match="came back changed"):
         bench_buffer(BenchBufferConfig(task="toy/reach", decisions=50, batch_size=3, rounds=1))
 

@@ -12,11 +12,11 @@ import torch
 from madviz.envs.toy import ToyReach
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import StreamStack, stream_frame
-from madviz.recipes import buffer as buffer_module
-from madviz.recipes import buffer_packed
-from madviz.recipes.buffer import BufferSpec, ReplayBuffer
-from madviz.recipes.buffer_packed import Pack
 from madviz.subsets import camera_of, cameras_of
+from madviz.training import buffer as buffer_module
+from madviz.training import buffer_storage
+from madviz.training.buffer import BufferSpec, ReplayBuffer
+from madviz.training.buffer_storage import Pack
 from madviz.types import Array, UserError
 
 STREAMS = ("first.rgb", "first.depth", "third_a.rgb")
@@ -27,7 +27,7 @@ PACKED = replace(SPEC, packed=True)
 @pytest.fixture(autouse=True)
 def small_packs(monkeypatch: pytest.MonkeyPatch) -> None:
     """So that episodes of six instants fill several."""
-    monkeypatch.setattr(buffer_packed, "TOGETHER", 8)
+    monkeypatch.setattr(buffer_storage, "TOGETHER", 8)
 
 
 class Recorded:
@@ -170,7 +170,7 @@ def test_a_pack_gives_back_every_frame_and_is_smaller() -> None:
 
 
 def test_memory_is_what_the_frames_packed_take(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(buffer_packed, "TOGETHER", 40)
+    monkeypatch.setattr(buffer_storage, "TOGETHER", 40)
     spec = replace(SPEC, capacity=200)
     plain = Recorded(ReplayBuffer(spec))
     packed = Recorded(ReplayBuffer(replace(spec, packed=True)))

@@ -13,9 +13,9 @@ from madviz.envs.custom import allow_task, own_tasks
 from madviz.envs.registry import choose, make_env
 from madviz.evaluation.evaluate import evaluate
 from madviz.examples.own_policy import Finder
-from madviz.recipes.light import LightConfig
 from madviz.sweep.plan import read_plan
-from madviz.train import TrainConfig, train
+from madviz.training.light import LightConfig
+from madviz.training.train import TrainConfig, train
 from madviz.types import Encoded, UserError
 
 TOUCH = "madviz.examples.own_task:make"

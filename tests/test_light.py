@@ -15,10 +15,10 @@ from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
-from madviz.recipes.demonstrations import Dataset, Driver, Episode, record_episode
-from madviz.recipes.light import LightConfig, LightRun, imitation_loss, train_light
-from madviz.recipes.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
-from madviz.recipes.run import RunFolder
+from madviz.training.demonstrations import Dataset, Driver, Episode, record_episode
+from madviz.training.light import LightConfig, LightRun, imitation_loss, train_light
+from madviz.training.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
+from madviz.training.run_folder import RunFolder
 from madviz.types import PolicySpec, UserError
 
 THREE, RGBD = SETTINGS["three"].streams, SETTINGS["three-rgbd"].streams

@@ -17,12 +17,12 @@ from madviz.envs.maniskill.batch import ManiSkillBatch
 from madviz.envs.maniskill.environment import HORIZON, ManiSkill, batch, cameras_of
 from madviz.envs.maniskill.tasks import states
 from madviz.envs.registry import MANISKILL_TASKS, make_env, setting_cameras
-from madviz.recipes import paper_vectorised, vector_batch
-from madviz.recipes.paper_vectorised import VectorisedConfig
-from madviz.recipes.run import RunFolder
-from madviz.recipes.vector_batch import BatchedEnvs
-from madviz.recipes.vector_envs import Board, Recipe, VectorEnvs
-from madviz.train import TrainConfig, train
+from madviz.training import vector_batch, vectorised
+from madviz.training.run_folder import RunFolder
+from madviz.training.train import TrainConfig, train
+from madviz.training.vector_batch import BatchedEnvs
+from madviz.training.vector_envs import Board, Recipe, VectorEnvs
+from madviz.training.vectorised import VectorisedConfig
 from madviz.types import EnvSpec, TimeStep, UserError, View
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:mani_skill")
@@ -119,7 +119,7 @@ def test_bad_input_is_refused(five: ManiSkillBatch, monkeypatch: pytest.MonkeyPa
 def on_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a GPU would do, with one copy on a CPU."""
     monkeypatch.setattr(vector_batch, "ManiSkillBatch", partial(ManiSkillBatch, device="cpu"))
-    monkeypatch.setattr(paper_vectorised, "claim_gpu", lambda: None)
+    monkeypatch.setattr(vectorised, "claim_gpu", lambda: None)
 
 
 def test_its_lanes_are_those_of_processes(on_cpu: None) -> None:
@@ -252,8 +252,8 @@ def test_the_gpu_is_claimed_before_anything_simulates(
     def simulate(*_: Any) -> None:
         raise AssertionError("too early")
 
-    monkeypatch.setattr(paper_vectorised, "claim_gpu", claim)
-    for module in ("madviz.train", "madviz.recipes.paper_vectorised"):
+    monkeypatch.setattr(vectorised, "claim_gpu", claim)
+    for module in ("madviz.training.train", "madviz.training.vectorised"):
         monkeypatch.setattr(f"{module}.make_env", simulate)
     settings = VectorisedConfig(simulation="gpu")
     config = TrainConfig("maniskill/push-cube", "mad", "paper-vectorised", out=tmp_path / "run")

@@ -15,7 +15,6 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from madviz import train
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.bottleneck import kl_loss
 from madviz.agent.contrast import contrastive_loss
@@ -28,13 +27,13 @@ from madviz.envs.toy import ToyReach
 from madviz.evaluation.episodes import run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies import checkpoint
-from madviz.recipes import light, paper
-from madviz.recipes.demonstrations import Driver, Episode, record_episode
-from madviz.recipes.light import LightConfig, LightRun
-from madviz.recipes.paper import PaperConfig
-from madviz.recipes.run import RunFolder
 from madviz.subsets import every_mask, mask_of
-from madviz.train import TrainConfig
+from madviz.training import light, paper, train
+from madviz.training.demonstrations import Driver, Episode, record_episode
+from madviz.training.light import LightConfig, LightRun
+from madviz.training.paper import PaperConfig
+from madviz.training.run_folder import RunFolder
+from madviz.training.train import TrainConfig
 from madviz.types import Environment, PolicySpec, UserError
 
 STREAMS = SETTINGS["three"].streams

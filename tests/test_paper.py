@@ -19,10 +19,10 @@ from madviz.agent.networks import NetworkConfig
 from madviz.agent.update import Learner
 from madviz.envs.toy import ToyReach
 from madviz.policies.checkpoint import load_policy
-from madviz.recipes import paper, paper_loop
-from madviz.recipes.paper import PaperConfig, PaperRun, train_paper
-from madviz.recipes.run import Event, RunFolder
-from madviz.train import TrainConfig
+from madviz.training import paper, reinforcement
+from madviz.training.paper import PaperConfig, PaperRun, train_paper
+from madviz.training.run_folder import Event, RunFolder
+from madviz.training.train import TrainConfig
 from madviz.types import Environment, PolicySpec, UserError
 
 TINY = PaperConfig(
@@ -154,7 +154,7 @@ def test_ctrl_c_saves_in_mid_episode(whole_run: Path, tmp_path: Path) -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(paper_loop, "PROGRESS_SECONDS", 0)
+        patch.setattr(reinforcement, "PROGRESS_SECONDS", 0)
         run(tmp_path / "run", listener=interrupt)
     state, _ = final(tmp_path / "run")
     assert state["step"] == 21 and not state["between_episodes"]

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from madviz.agent.methods import METHODS
-from madviz.recipes.paper import PaperConfig
-from madviz.train import TrainConfig, train
+from madviz.training.paper import PaperConfig
+from madviz.training.train import TrainConfig, train
 
 CONFIG = PaperConfig(
     steps=3_000,

@@ -43,7 +43,7 @@ def test_the_words_of_a_run_are_words_that_the_command_line_knows(
     command: str, tmp_path: Path
 ) -> None:
     from madviz.evaluation.evaluate import EvalConfig
-    from madviz.train import TrainConfig
+    from madviz.training.train import TrainConfig
 
     file = tmp_path / "one.toml"
     file.write_text(

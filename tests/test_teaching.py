@@ -16,7 +16,6 @@ from madviz.agent.methods import METHODS
 from madviz.observation.ablation import Occlusion
 from madviz.observation.streams import StreamStack
 from madviz.policies.checkpoint import find_policy
-from madviz.recipes.light import LightConfig
 from madviz.teaching.inside import (
     mean_gap,
     norm_curves,
@@ -43,7 +42,8 @@ from madviz.teaching.lessons import (
     width_table,
 )
 from madviz.teaching.show import LABEL, bars, curves, sheet, source, table
-from madviz.train import TrainConfig
+from madviz.training.light import LightConfig
+from madviz.training.train import TrainConfig
 from madviz.types import UserError
 from tests.fakes import AllOrNothing, FakePolicy
 
@@ -227,7 +227,7 @@ def test_a_small_training_is_there_the_second_time(
         shutil.copytree(find_policy("metaworld-hammer-mad-light"), str(config.out))
         listener({"kind": "curve", "round": 1, "loss": 0.25, "seconds_left": 290.0})
 
-    monkeypatch.setattr("madviz.train.train", train)
+    monkeypatch.setattr("madviz.training.train.train", train)
     first, again = (
         teaching.train_small("mad", rounds=3, updates=7, folder=tmp_path) for _ in range(2)
     )
@@ -257,7 +257,7 @@ def test_a_training_that_was_stopped_goes_on(
         described["training"]["finished"] = len(asked) > 1
         (out / "config.json").write_text(json.dumps(described))
 
-    monkeypatch.setattr("madviz.train.train", train)
+    monkeypatch.setattr("madviz.training.train.train", train)
     with pytest.raises(UserError, match="goes on where it was"):
         teaching.train_light("toy/reach", "mad", folder=tmp_path)
     done = teaching.train_light("toy/reach", "mad", folder=tmp_path)

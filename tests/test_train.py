@@ -11,9 +11,9 @@ import pytest
 
 from madviz.evaluation.evaluate import evaluate
 from madviz.policies.checkpoint import load_policy
-from madviz.recipes.light import LightConfig
-from madviz.recipes.run import Event, changes
-from madviz.train import TrainConfig, command, train
+from madviz.training.light import LightConfig
+from madviz.training.run_folder import Event, changes
+from madviz.training.train import TrainConfig, command, train
 from madviz.types import UserError
 
 TINY = LightConfig(

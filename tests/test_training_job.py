@@ -12,7 +12,7 @@ import pytest
 
 from madviz.app.training import training_html
 from madviz.policies.checkpoint import load_policy
-from madviz.recipes.training_job import JobConfig, JobStatus, TrainingJob
+from madviz.training.job import JobConfig, JobStatus, TrainingJob
 from madviz.types import UserError
 
 PROGRAM = """

@@ -16,11 +16,11 @@ import torch
 
 from madviz.envs.toy import CAMERAS, ToyReach
 from madviz.policies.checkpoint import load_policy
-from madviz.recipes import paper_loop
-from madviz.recipes.paper_vectorised import VectorisedConfig
-from madviz.recipes.run import Event, RunFolder
-from madviz.recipes.vector_envs import Board, Recipe, VectorEnvs
-from madviz.train import TrainConfig, command, train
+from madviz.training import reinforcement
+from madviz.training.run_folder import Event, RunFolder
+from madviz.training.train import TrainConfig, command, train
+from madviz.training.vector_envs import Board, Recipe, VectorEnvs
+from madviz.training.vectorised import VectorisedConfig
 from madviz.types import UserError
 
 STREAMS = ("first.rgb", "first.depth", "third_b.rgb")
@@ -171,7 +171,7 @@ def test_a_stopped_run_goes_on_in_mid_episode_and_ends_the_same(
         if event["kind"] == "progress" and event["step"] == 66:
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(paper_loop, "PROGRESS_SECONDS", 0)
+    monkeypatch.setattr(reinforcement, "PROGRESS_SECONDS", 0)
     state = run(tmp_path / "run", listener=interrupt)
     assert state["step"] == 66 and not state["between_episodes"]
     state = run(tmp_path / "run", replace(TINY, workers=1), resume=True)

@@ -36,10 +36,10 @@ from madviz.app.tour import Tour
 from madviz.app.training import TrainingPanel
 from madviz.app.versus import VersusPanel
 from madviz.app.worth import WorthPanel
-from madviz.recipes.training_job import TrainingJob
 from madviz.session.commands import SetSaliency
 from madviz.session.frame import Failure, Frame
 from madviz.session.session import Session
+from madviz.training.job import TrainingJob
 
 FASTEST = 1 / 40
 """Seconds between two frames that are shown: more would be wasted on a browser."""

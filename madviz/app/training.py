@@ -1,7 +1,7 @@
 """Train from the page: choose, start, stop, go on, and watch the newest weights at work.
 
 One training for the whole server, whoever started it: two cores hold no more. It is a process of
-its own at the lowest priority (``madviz.recipes.training_job``); this panel asks it for its state
+its own at the lowest priority (``madviz.training.job``); this panel asks it for its state
 a few times in ten seconds and draws that.
 """
 
@@ -19,9 +19,9 @@ from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, grid, guarded, notify, on_value, remove_all
 from madviz.envs.registry import known_tasks
-from madviz.recipes.training_job import BUDGETS, JobConfig, JobStatus, TrainingJob
 from madviz.session.commands import Command, SetPolicy
 from madviz.session.frame import Frame
+from madviz.training.job import BUDGETS, JobConfig, JobStatus, TrainingJob
 
 WORDS = {
     "idle": "Nothing is being trained.",

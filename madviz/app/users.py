@@ -26,9 +26,9 @@ from madviz.app.page import Page, waiting_html
 from madviz.app.panels import Shared
 from madviz.app.policy import PolicyChoice
 from madviz.app.rates import Rates
-from madviz.recipes.training_job import TrainingJob
 from madviz.session.session import Session
 from madviz.system.processes import give_back
+from madviz.training.job import TrainingJob
 
 log = logging.getLogger(__name__)
 

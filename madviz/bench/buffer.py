@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from madviz.envs.registry import make_env
-from madviz.recipes.buffer import BufferSpec, ReplayBuffer
-from madviz.recipes.buffer_packed import TOGETHER
+from madviz.training.buffer import BufferSpec, ReplayBuffer
+from madviz.training.buffer_storage import TOGETHER
 from madviz.types import Array, Environment, UserError
 
 PAPER = 500_000

@@ -159,7 +159,7 @@ def beside_training(config: LiveConfig) -> dict[str, Any]:
     """The browser again, while its policy's task is trained at the priority that the page gives to
     trainings. Raises UserError if the training does not last as long as the measurement."""
     from madviz.policies.checkpoint import load_policy
-    from madviz.recipes.training_job import BUDGETS, JobConfig, TrainingJob
+    from madviz.training.job import BUDGETS, JobConfig, TrainingJob
 
     task = load_policy(config.policy).spec.task
     with tempfile.TemporaryDirectory() as folder:

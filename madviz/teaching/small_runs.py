@@ -19,7 +19,7 @@ from madviz.teaching.episode import begin
 from madviz.types import Policy, PolicySpec, UserError
 
 if TYPE_CHECKING:
-    from madviz.recipes.light import LightConfig
+    from madviz.training.light import LightConfig
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def train_small(
     ``rounds`` of ``updates`` shape what the policy does, ``critic`` updates the Q it shows. For the
     rest see ``train_light``.
     """
-    from madviz.recipes.light import LightConfig
+    from madviz.training.light import LightConfig
 
     light = LightConfig(rounds=rounds, updates_per_round=updates, batch_size=32, hidden_dim=128)
     light = replace(light, critic_updates=critic)
@@ -76,9 +76,9 @@ def train_light(
     ``folder`` is where runs are kept, by default a temporary one of this user. Raises UserError for
     unknown names, and where the training is stopped before its end.
     """
-    from madviz.recipes.light import LightConfig
     from madviz.sweep.run import trained
-    from madviz.train import TrainConfig, train
+    from madviz.training.light import LightConfig
+    from madviz.training.train import TrainConfig, train
 
     begin()
     light = light or LightConfig()

@@ -24,9 +24,9 @@ from madviz import teaching
 from madviz.agent import objectives
 from madviz.agent.methods import method
 from madviz.evaluation.statistics import pair
-from madviz.recipes import light
 from madviz.teaching.lessons import camera_sheet, subset_table
 from madviz.teaching.show import curves, source, table
+from madviz.training import light
 from madviz.widgets import Explorer, Predict
 
 teaching.begin()

@@ -35,15 +35,15 @@ import torch
 from madviz.agent.agent import Agent
 from madviz.envs.maniskill.batch import claim_gpu
 from madviz.envs.registry import make_env
-from madviz.recipes.paper import PaperRun, ReinforcementConfig
-from madviz.recipes.paper_loop import train_on
-from madviz.recipes.run import RunFolder
-from madviz.recipes.vector_batch import BatchedEnvs, check_batched
-from madviz.recipes.vector_envs import Board, Recipe, VectorEnvs
+from madviz.training.paper import PaperRun, ReinforcementConfig
+from madviz.training.reinforcement import train_on
+from madviz.training.run_folder import RunFolder
+from madviz.training.vector_batch import BatchedEnvs, check_batched
+from madviz.training.vector_envs import Board, Recipe, VectorEnvs
 from madviz.types import Array, UserError
 
 if TYPE_CHECKING:
-    from madviz.train import TrainConfig
+    from madviz.training.train import TrainConfig
 
 
 @dataclass(frozen=True)

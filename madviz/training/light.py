@@ -20,7 +20,7 @@ errors of actions are about a thousandth of the squared errors of Q that the pap
 beside. MVD's contrastive losses have an Adam of their own, as in the paper's code.
 
 Shipped are an exponential average of the weights and a critic fitted at the end to the recorded
-rewards (``madviz.recipes.light_critic``), so that Q can be shown; the critic never shapes the
+rewards (``madviz.training.light_critic``), so that Q can be shown; the critic never shapes the
 features.
 """
 
@@ -45,10 +45,10 @@ from madviz.agent.bottleneck import BottleneckEncoder, kl_loss
 from madviz.agent.contrast import TwoPartEncoder, contrastive_loss
 from madviz.agent.merge import each_stream
 from madviz.agent.methods import method
-from madviz.recipes.demonstrations import Dataset, Driver, Episode, record_in_worker
-from madviz.recipes.run import RunFolder, interruptible
 from madviz.subsets import mask_of
 from madviz.system.processes import set_up_worker
+from madviz.training.demonstrations import Dataset, Driver, Episode, record_in_worker
+from madviz.training.run_folder import RunFolder, interruptible
 from madviz.types import Array, CameraSpec, PolicySpec, UserError
 
 

@@ -34,14 +34,14 @@ from madviz.envs.registry import make_env
 from madviz.evaluation.episodes import one_thread, run_episode
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import stream_frame
-from madviz.recipes.buffer import BufferSpec, ReplayBuffer
-from madviz.recipes.paper_loop import train_on
-from madviz.recipes.run import RunFolder
 from madviz.subsets import camera_of, cameras_of, mask_of, single_streams
+from madviz.training.buffer import BufferSpec, ReplayBuffer
+from madviz.training.reinforcement import train_on
+from madviz.training.run_folder import RunFolder
 from madviz.types import Array, Encoded, Environment, PolicySpec
 
 if TYPE_CHECKING:
-    from madviz.train import TrainConfig
+    from madviz.training.train import TrainConfig
 
 SELECTION_SEED = 1000
 """Where the seeds of evaluations during training begin; training itself stays below."""

@@ -11,8 +11,8 @@ import numpy as np
 
 from madviz.envs.maniskill.batch import ManiSkillBatch, Steps
 from madviz.observation.streams import stream_frame
-from madviz.recipes.vector_envs import Board, Recipe
 from madviz.subsets import camera_of
+from madviz.training.vector_envs import Board, Recipe
 from madviz.types import Array, EnvSpec, UserError
 
 SUITE = "maniskill/"

@@ -22,7 +22,7 @@ from madviz.agent.agent import Agent, autocast
 from madviz.agent.merge import Luck
 from madviz.agent.methods import Method
 from madviz.agent.objectives import Batch, critic_losses, weighted
-from madviz.recipes.demonstrations import Dataset
+from madviz.training.demonstrations import Dataset
 from madviz.types import Array
 
 REWARD_SCALE = 0.05

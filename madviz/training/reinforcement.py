@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING
 from madviz.evaluation.episodes import Stopped
 from madviz.policies.checkpoint import save_policy
 from madviz.policies.config import policy_config
-from madviz.recipes.curves import draw_curve
-from madviz.recipes.run import interruptible
+from madviz.training.curve import draw_curve
+from madviz.training.run_folder import interruptible
 
 if TYPE_CHECKING:
-    from madviz.recipes.paper import PaperRun
-    from madviz.train import TrainConfig
+    from madviz.training.paper import PaperRun
+    from madviz.training.train import TrainConfig
 
 PROGRESS_SECONDS = 20
 """Between lines that say how far a run is."""

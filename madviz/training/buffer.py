@@ -31,9 +31,15 @@ from torch import Tensor
 
 from madviz.agent.objectives import Batch
 from madviz.observation.streams import IMAGE_SIZE
-from madviz.recipes import buffer_packed
-from madviz.recipes.buffer_packed import EXPECTED_SHARE, FrameStore, Pack, PackedFrames, PlainFrames
 from madviz.subsets import modality_of
+from madviz.training import buffer_storage
+from madviz.training.buffer_storage import (
+    EXPECTED_SHARE,
+    FrameStore,
+    Pack,
+    PackedFrames,
+    PlainFrames,
+)
 from madviz.types import Array, UserError
 
 
@@ -235,7 +241,7 @@ class ReplayBuffer:
         self._numbers["age"][row] = age
         self._numbers["goes_on"][row] = False
         self._count += 1
-        if isinstance(self._frames, PackedFrames) and self._count == buffer_packed.TOGETHER:
+        if isinstance(self._frames, PackedFrames) and self._count == buffer_storage.TOGETHER:
             # With the first pack made, its size says more than the expectation did.
             self._refuse_if_too_large(round(self.packed_bytes_per_row * self.spec.rows), None, None)
 

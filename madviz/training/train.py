@@ -1,8 +1,8 @@
 """``train``: one way in for every recipe; composes environment, agent, run folder and loop.
 
-    light              minutes on two cores, by imitating an expert   recipes/light.py
-    paper              the paper's reinforcement learning, exactly    recipes/paper.py
-    paper-vectorised   the same losses over many environments         recipes/paper_vectorised.py
+    light              minutes on two cores, by imitating an expert   training/light.py
+    paper              the paper's reinforcement learning, exactly    training/paper.py
+    paper-vectorised   the same losses over many environments         training/vectorised.py
 
 The folder given with --out is a policy folder from the first checkpoint on: explore it, evaluate
 it, copy it to checkpoints/. Ctrl-C finishes the round, saves, and says how to go on."""
@@ -28,13 +28,13 @@ from madviz.envs.custom import allow_task
 from madviz.envs.registry import choose, make_env
 from madviz.policies.checkpoint import save_policy
 from madviz.policies.config import policy_config
-from madviz.recipes.light import LightConfig, LightRun, Recorder, train_light
-from madviz.recipes.light_critic import REWARD_SCALE, fit_critic
-from madviz.recipes.paper import PaperConfig, train_paper
-from madviz.recipes.paper_vectorised import VectorisedConfig, train_vectorised
-from madviz.recipes.run import Event, RunFolder
 from madviz.subsets import camera_of
 from madviz.system.processes import keep_large_blocks
+from madviz.training.light import LightConfig, LightRun, Recorder, train_light
+from madviz.training.light_critic import REWARD_SCALE, fit_critic
+from madviz.training.paper import PaperConfig, train_paper
+from madviz.training.run_folder import Event, RunFolder
+from madviz.training.vectorised import VectorisedConfig, train_vectorised
 from madviz.types import CameraSpec, EnvSpec, PolicySpec, UserError, unknown
 
 RECIPES = {"light": "light", "paper": "paper", "paper-vectorised": "vectorised"}

@@ -1,0 +1,1 @@
+"""How policies are trained: recipes, and what they learn from."""
