@@ -167,7 +167,7 @@ def report(words: Sequence[str]) -> int:
 
 def replay(words: Sequence[str]) -> int:
     """Lives kept episodes again; says whether they come out the same, to the bit."""
-    from madviz.replay import ReplayConfig, replay_words, run_replay
+    from madviz.session.replay import ReplayConfig, replay_words, run_replay
 
     config = parse(ReplayConfig, "replay", words, positional=True)
     return 0 if deliver(config, lambda: run_replay(config), replay_words)["same"] else 1

@@ -23,8 +23,8 @@ from madviz.observation.schedule import (
 from madviz.session.commands import Pause, Play, Reset, Scrub, SetCamera, SetSchedule, SetSeed
 from madviz.session.frame import Frame
 from madviz.session.journal import Journal
-from madviz.session.kept_reader import parse
 from madviz.session.session import Session
+from madviz.session.session_reader import parse
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 

@@ -15,7 +15,6 @@ from madviz import cli
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.schedule import parse_schedule
-from madviz.replay import failures_of, live_again, replay_row, replay_words
 from madviz.session.commands import (
     Pause,
     Play,
@@ -24,9 +23,10 @@ from madviz.session.commands import (
     SetSeed,
 )
 from madviz.session.frame import Frame
-from madviz.session.kept import KeptEpisode, KeptPolicy, KeptSession
-from madviz.session.kept_reader import parse
+from madviz.session.replay import failures_of, live_again, replay_row, replay_words
 from madviz.session.session import Session
+from madviz.session.session_file import KeptEpisode, KeptPolicy, KeptSession
+from madviz.session.session_reader import parse
 from madviz.session.simulation import Simulation
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies

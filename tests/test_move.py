@@ -26,11 +26,11 @@ from madviz.observation.displacement import (
     trained_axes,
     turned,
 )
-from madviz.replay import live_again
 from madviz.session.commands import Fork, Pause, Reset, Scrub, SetCamera, SetPolicy, SetTwin
 from madviz.session.frame import Frame, setting_of, words
-from madviz.session.kept_reader import parse
+from madviz.session.replay import live_again
 from madviz.session.session import Session
+from madviz.session.session_reader import parse
 from madviz.types import CameraSpec, UserError
 from tests.fakes import FakePolicy, policies
 

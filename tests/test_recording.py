@@ -24,8 +24,8 @@ from madviz.recording.record import Facts, RecordConfig, command_of, frames, run
 from madviz.recording.rerun import ASPECT, FOV
 from madviz.session.commands import SetSchedule
 from madviz.session.frame import Frame
-from madviz.session.kept_reader import read_kept
 from madviz.session.session import Session
+from madviz.session.session_reader import read_kept
 from madviz.svg_curves import curves
 from madviz.types import UserError
 from tests.fakes import FakePolicy, NanPolicy, policies

@@ -9,8 +9,8 @@ import numpy as np
 from madviz.app.versus import versus_html
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.commands import Scrub, SetCamera, SetPolicy, SetTwin
+from madviz.session.comparison import tally
 from madviz.session.frame import Outcome, Pair, Setting
-from madviz.session.twin import tally
 from tests.fakes import FakePolicy
 from tests.test_timeline import Played
 

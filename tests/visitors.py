@@ -19,8 +19,8 @@ from madviz.session.commands import (
     SetPolicy,
     SetSchedule,
 )
-from madviz.session.kept import KeptPolicy, KeptSession
 from madviz.session.session import Session
+from madviz.session.session_file import KeptPolicy, KeptSession
 from madviz.types import CameraSpec, Policy, View
 from tests.fakes import FakePolicy, policies
 

@@ -11,7 +11,7 @@ import viser
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, grid, guarded, remove_all
 from madviz.session.frame import Frame
-from madviz.session.kept import KeptSession
+from madviz.session.session_file import KeptSession
 
 HINTS = {
     "one": "Downloads the episode that is running: its seed, and what you did at which step.",

@@ -24,10 +24,10 @@ from madviz.envs.registry import make_env
 from madviz.evaluation.live import Evaluator, Tally
 from madviz.evaluation.store import Store
 from madviz.policies import checkpoint
-from madviz.replay import check_policies, differences, finder
-from madviz.session.kept import KeptEpisode
-from madviz.session.kept_reader import read_kept
+from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session import EnvFactory, Session
+from madviz.session.session_file import KeptEpisode
+from madviz.session.session_reader import read_kept
 from madviz.system.processes import share_memory_between_threads
 from madviz.training.job import TrainingJob
 from madviz.types import CameraSpec, Environment, Policy, PolicySpec, UserError

@@ -18,8 +18,8 @@ from madviz.app.subsets import subset_label
 from madviz.app.toolkit import Cell, grid, on_press, remove_all
 from madviz.evaluation.statistics import Paired
 from madviz.session.commands import Command, SetTwin
+from madviz.session.comparison import tally
 from madviz.session.frame import Frame
-from madviz.session.twin import tally
 
 TILE = 84
 """Pixels of a camera's picture on B's side."""

@@ -27,12 +27,12 @@ from madviz.envs.registry import make_env
 from madviz.evaluation.episodes import one_thread
 from madviz.observation.schedule import Schedule, in_order, in_words, parse_schedule, scenario
 from madviz.policies import checkpoint
-from madviz.replay import Finder, check_horizon, check_policies, failures_of, finder
 from madviz.session.commands import Play, SetSchedule
 from madviz.session.frame import Failure, Frame, occlusion_words
-from madviz.session.kept import KeptEpisode
-from madviz.session.kept_reader import read_kept
+from madviz.session.replay import Finder, check_horizon, check_policies, failures_of, finder
 from madviz.session.session import Session
+from madviz.session.session_file import KeptEpisode
+from madviz.session.session_reader import read_kept
 from madviz.system.files import replacing, written_to
 from madviz.types import Array, Environment, Policy, UserError
 

@@ -23,7 +23,7 @@ import numpy as np
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import SetCamera
-from madviz.session.kept import (
+from madviz.session.session_file import (
     STREAMS,
     KeptCommand,
     KeptEpisode,

@@ -11,7 +11,7 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event, Schedule, reached
 from madviz.session.commands import SetCamera, SetPolicy
 from madviz.session.frame import untouched
-from madviz.session.kept import KeptEpisode, KeptPolicy
+from madviz.session.session_file import KeptEpisode, KeptPolicy
 from madviz.session.simulation import Simulation
 
 

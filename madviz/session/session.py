@@ -45,7 +45,7 @@ from madviz.session.commands import (
     StepOnce,
 )
 from madviz.session.frame import Failure, Frame, Phase
-from madviz.session.kept import KeptEpisode, KeptSession
+from madviz.session.session_file import KeptEpisode, KeptSession
 from madviz.session.stage import EnvFactory, Stage
 from madviz.system.processes import yield_to_others
 from madviz.types import Policy, UserError

@@ -24,13 +24,13 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Schedule
 from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera, SetPolicy
+from madviz.session.comparison import MOST_PAIRS, Twin
 from madviz.session.frame import Frame, Pair
 from madviz.session.journal import Journal
-from madviz.session.kept import KeptEpisode
 from madviz.session.plan import Plan
+from madviz.session.session_file import KeptEpisode
 from madviz.session.simulation import Simulation, inhabited
 from madviz.session.timeline import Timeline
-from madviz.session.twin import MOST_PAIRS, Twin
 from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec, UserError
 
 EnvFactory = Callable[[str, str, tuple[CameraSpec, ...]], Environment]

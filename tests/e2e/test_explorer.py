@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from madviz.app.server import App
 from madviz.session.commands import Pause, Reset, StepOnce
-from madviz.session.kept_reader import read_kept
+from madviz.session.session_reader import read_kept
 from tests.e2e.conftest import PATIENCE, Visitor
 
 

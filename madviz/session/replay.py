@@ -20,8 +20,15 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event, in_order, in_words
 from madviz.policies import checkpoint
 from madviz.session.commands import SetCamera
-from madviz.session.kept import STREAMS, TRACE, KeptEpisode, KeptPolicy, KeptSession, versions_here
-from madviz.session.kept_reader import read_kept
+from madviz.session.session_file import (
+    STREAMS,
+    TRACE,
+    KeptEpisode,
+    KeptPolicy,
+    KeptSession,
+    versions_here,
+)
+from madviz.session.session_reader import read_kept
 from madviz.session.simulation import Simulation
 from madviz.types import Environment, Policy, UserError
 

@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 from madviz.observation.ablation import CameraState, Occlusion, by_sides
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import SetCamera
-from madviz.session.kept import (
+from madviz.session.session_file import (
     SCHEMA,
     STREAMS,
     TRACE,
