@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from madviz.app.cameras import unused_note
-from madviz.app.mosaic import GAP, HEADER, badge, mosaic
+from madviz.drawing.mosaic import GAP, HEADER, badge, mosaic
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import SetCamera
 from tests.fakes import policies

@@ -18,9 +18,9 @@ from madviz.app.policy import PolicyChoice, PolicyPanel, status_html, verdict
 from madviz.app.rates import Rate, Rates
 from madviz.app.scene import ScenePanel
 from madviz.app.screen import Screen
-from madviz.app.sight import _focus
 from madviz.app.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
 from madviz.app.success import Curve, SuccessPanel, WordsPanel, bars_html, sentence, strip_html
+from madviz.drawing.viewpoint import _focus
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.policies.checkpoint import load_policy

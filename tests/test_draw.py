@@ -8,8 +8,8 @@ import viser
 
 from madviz.app.cameras import CamerasPanel
 from madviz.app.draw import DRAW_SCRIPT, LEAST, THIN, Box, parse_box, patched
-from madviz.app.mosaic import GAP, HEADER, mosaic
 from madviz.app.panel import apply
+from madviz.drawing.mosaic import GAP, HEADER, mosaic
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Pause, SetCamera, SetPolicy
 from madviz.types import UserError

@@ -17,7 +17,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from madviz import cli
-from madviz.app.sight import Sight, first_look
+from madviz.drawing.viewpoint import Sight, first_look
 from madviz.observation.schedule import parse_schedule
 from madviz.recording import record as recording
 from madviz.recording.record import Facts, RecordConfig, command_of, frames, run_record, writer_for

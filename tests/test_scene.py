@@ -15,7 +15,7 @@ import viser
 from madviz.app.bodies import creased, glb, joined, linear
 from madviz.app.panel import apply
 from madviz.app.scene import MOVE, MOVE_AT_FULL_SPEED, ScenePanel, picture
-from madviz.app.sight import FOV, MARGIN, Sight, first_look, nearest_place
+from madviz.drawing.viewpoint import FOV, MARGIN, Sight, first_look, nearest_place
 from madviz.envs import shapes
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion

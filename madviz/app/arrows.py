@@ -24,8 +24,8 @@ import numpy as np
 import viser
 
 from madviz.analysis.shapley import camera_masks
-from madviz.app.colours import MERGED, NOTE, camera_colours, rgb
 from madviz.app.panel import Assign
+from madviz.drawing.colours import MERGED, NOTE, camera_colours, rgb
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array

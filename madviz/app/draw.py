@@ -21,8 +21,8 @@ from dataclasses import dataclass
 
 import viser
 
-from madviz.app.mosaic import GAP, HEADER, SCALE
 from madviz.app.toolkit import selector
+from madviz.drawing.mosaic import GAP, HEADER, SCALE
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.types import UserError
 

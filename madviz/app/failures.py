@@ -7,9 +7,9 @@ from html import escape
 
 import viser
 
-from madviz.app.colours import NOTE
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, grid, guarded, remove_all
+from madviz.drawing.colours import NOTE
 from madviz.observation.schedule import HOW, SCENARIOS, Schedule, in_words, parse_schedule, scenario
 from madviz.session.commands import Command, Play, Reset, SetSchedule
 from madviz.session.frame import Frame

@@ -18,10 +18,10 @@ import viser
 from viser import uplot
 
 from madviz.agent.methods import METHODS
-from madviz.app.colours import MERGED, NOTE, camera_colours, heat
 from madviz.app.panel import Assign
 from madviz.app.subsets import MODALITY_WORDS
 from madviz.app.toolkit import remove_all
+from madviz.drawing.colours import MERGED, NOTE, camera_colours, heat
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array

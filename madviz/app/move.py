@@ -13,11 +13,11 @@ from html import escape
 
 import viser
 
-from madviz.app.colours import NOTE, camera_colours
 from madviz.app.gizmo import Gizmo
 from madviz.app.panel import Assign
-from madviz.app.sight import extent
 from madviz.app.toolkit import Cell, Choice, Shown, grid, on_value, remove_all
+from madviz.drawing.colours import NOTE, camera_colours
+from madviz.drawing.viewpoint import extent
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import Command
 from madviz.session.frame import Frame

@@ -9,10 +9,10 @@ from html import escape
 import numpy as np
 import viser
 
-from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.subsets import action_bars
 from madviz.app.toolkit import Cell, Choice, Shown, grid, guarded, on_value, remove_all
+from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.session.commands import (
     Command,
     Pause,

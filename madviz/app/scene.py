@@ -21,9 +21,9 @@ import numpy as np
 import viser
 
 from madviz.app.bodies import Bodies
-from madviz.app.colours import NOTE, camera_colours, rgb
 from madviz.app.panel import Assign
-from madviz.app.sight import WIDTH, WIDTH_ON_BODY, Sight, extent, first_look
+from madviz.drawing.colours import NOTE, camera_colours, rgb
+from madviz.drawing.viewpoint import WIDTH, WIDTH_ON_BODY, Sight, extent, first_look
 from madviz.session.frame import Frame
 from madviz.types import Array, CameraPose
 

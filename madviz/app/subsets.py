@@ -8,9 +8,9 @@ import numpy as np
 import viser
 
 from madviz.analysis.shapley import camera_masks
-from madviz.app.colours import NOTE, camera_colours
 from madviz.app.panel import Assign, apply
 from madviz.app.toolkit import on_value, remove_all
+from madviz.drawing.colours import NOTE, camera_colours
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, mask_of, modality_of, name_of
 

@@ -15,9 +15,9 @@ from html import escape
 import viser
 
 from madviz.agent.methods import METHODS
-from madviz.app.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, grid, guarded, notify, on_value, remove_all
+from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.envs.registry import known_tasks
 from madviz.session.commands import Command, SetPolicy
 from madviz.session.frame import Frame

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import viser
 
-from madviz.app.colours import BAD, FAINT, GOOD, NOTE
 from madviz.app.panel import Assign
 from madviz.app.policy import PolicyChoice, verdict
 from madviz.app.scene import picture
 from madviz.app.screen import jpeg_url
 from madviz.app.subsets import subset_label
 from madviz.app.toolkit import Cell, grid, on_press, remove_all
+from madviz.drawing.colours import BAD, FAINT, GOOD, NOTE
 from madviz.evaluation.statistics import Paired
 from madviz.session.commands import Command, SetTwin
 from madviz.session.comparison import tally

@@ -21,11 +21,11 @@ from madviz.analysis.shapley import (
     success_interval,
     success_worth,
 )
-from madviz.app.colours import FAINT, MUTED, NOTE, camera_colours
 from madviz.app.panel import Assign
 from madviz.app.rates import Rates
 from madviz.app.subsets import subset_label
 from madviz.app.toolkit import remove_all
+from madviz.drawing.colours import FAINT, MUTED, NOTE, camera_colours
 from madviz.session.frame import Frame, Setting
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array

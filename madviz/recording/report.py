@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from madviz.app.colours import camera_colours
-from madviz.app.mosaic import mosaic
+from madviz.drawing.colours import camera_colours
+from madviz.drawing.mosaic import mosaic
 from madviz.recording.record import Facts, jpeg, setting_words
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of

@@ -20,8 +20,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from madviz.app.colours import camera_colours, rgb
-from madviz.app.sight import eye, first_look
+from madviz.drawing.colours import camera_colours, rgb
+from madviz.drawing.viewpoint import eye, first_look
 from madviz.recording.record import Facts, headline, jpeg, verdict
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of

@@ -14,8 +14,8 @@ import imageio.v2 as imageio
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from madviz.app.colours import BAD, FAINT, GOOD, INK, MUTED, NOTE, rgb
-from madviz.app.mosaic import mosaic
+from madviz.drawing.colours import BAD, FAINT, GOOD, INK, MUTED, NOTE, rgb
+from madviz.drawing.mosaic import mosaic
 from madviz.recording.record import Facts, headline, setting_words, verdict
 from madviz.session.frame import Frame
 from madviz.types import Array

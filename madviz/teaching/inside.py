@@ -16,7 +16,7 @@ import numpy as np
 
 from madviz.analysis.saliency import Target, saliency
 from madviz.analysis.shapley import Worth, action_worth, success_interval, success_worth
-from madviz.app.colours import camera_colours, heat
+from madviz.drawing.colours import camera_colours, heat
 from madviz.evaluation.statistics import wilson
 from madviz.recording.record import RecordConfig, run_record
 from madviz.subsets import camera_of, mask_of

@@ -16,7 +16,7 @@ from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.methods import METHODS, method
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.supports import SUPPORTS
-from madviz.app.colours import heat
+from madviz.drawing.colours import heat
 from madviz.evaluation.evaluate import evaluate
 from madviz.evaluation.statistics import wilson
 from madviz.observation.ablation import Occlusion, OcclusionKind, noise_generator

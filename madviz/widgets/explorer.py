@@ -26,7 +26,7 @@ from typing import Any, ClassVar
 
 import ipywidgets
 
-from madviz.app.mosaic import mosaic
+from madviz.drawing.mosaic import mosaic
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.policies import checkpoint

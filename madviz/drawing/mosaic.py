@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from madviz.app.colours import INK, MUTED, NOTE, camera_colours, heat, rgb
+from madviz.drawing.colours import INK, MUTED, NOTE, camera_colours, heat, rgb
 from madviz.observation.streams import depth_code
 from madviz.session.frame import Frame
 from madviz.types import Array, CameraSpec

@@ -1,0 +1,1 @@
+"""A frame as pixels, without a page: colours, mosaic, viewpoint."""
