@@ -25,9 +25,9 @@ from madviz.app.access import (
     same,
     stays_here,
 )
-from madviz.app.policy import PolicyChoice
+from madviz.app.panels.policy import PolicyChoice
 from madviz.app.server import App, ExploreConfig, gate_for
-from madviz.app.visitor import Visitor
+from madviz.bench.visitor import Visitor
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from madviz.app.cameras import unused_note
+from madviz.app.panels.cameras import unused_note
 from madviz.drawing.mosaic import GAP, HEADER, badge, mosaic
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import SetCamera

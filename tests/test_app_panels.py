@@ -11,15 +11,22 @@ import numpy as np
 import pytest
 import viser
 
-from madviz.app.cameras import CamerasPanel
-from madviz.app.features import FeaturesPanel, curve_point, features_html
 from madviz.app.panel import CROSSED, Assign, apply
-from madviz.app.policy import PolicyChoice, PolicyPanel, status_html, verdict
+from madviz.app.panels.cameras import CamerasPanel
+from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
+from madviz.app.panels.policy import PolicyChoice, PolicyPanel, status_html, verdict
+from madviz.app.panels.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
+from madviz.app.panels.success import (
+    Curve,
+    SuccessPanel,
+    WordsPanel,
+    bars_html,
+    sentence,
+    strip_html,
+)
+from madviz.app.picture import Screen
 from madviz.app.rates import Rate, Rates
-from madviz.app.scene import ScenePanel
-from madviz.app.screen import Screen
-from madviz.app.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
-from madviz.app.success import Curve, SuccessPanel, WordsPanel, bars_html, sentence, strip_html
+from madviz.app.scene.scene import ScenePanel
 from madviz.drawing.viewpoint import _focus
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import Ablation, CameraState, Occlusion

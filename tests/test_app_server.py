@@ -16,13 +16,13 @@ import viser
 import zstandard
 
 from madviz.app.page import Page
-from madviz.app.policy import PolicyChoice
+from madviz.app.panels.comparison import VersusPanel
+from madviz.app.panels.policy import PolicyChoice
+from madviz.app.panels.training import TrainingPanel
 from madviz.app.rates import Rates
 from madviz.app.server import App, ExploreConfig, check_port, explore, first_choice
-from madviz.app.training import TrainingPanel
 from madviz.app.users import Users
-from madviz.app.versus import VersusPanel
-from madviz.app.visitor import Visitor
+from madviz.bench.visitor import Visitor
 from madviz.envs.registry import make_env
 from madviz.session.commands import Pause, SetSpeed
 from madviz.session.frame import Frame
@@ -204,7 +204,7 @@ def test_a_panel_that_cannot_be_built_is_tried_once_and_said(monkeypatch):
         tries.append(1)
         raise RuntimeError("no such widget")
 
-    monkeypatch.setattr("madviz.app.panels.KeepPanel", broken)
+    monkeypatch.setattr("madviz.app.layout.KeepPanel", broken)
     with users(cap=1) as (them, lobby, made):
         lobby.come(1)
         made[0].send(SetSpeed(None))

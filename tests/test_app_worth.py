@@ -14,12 +14,18 @@ import viser
 
 from madviz.analysis.projection import DECISIONS
 from madviz.analysis.shapley import set_names
-from madviz.app.arrows import NEAR, ArrowsPanel, arrows, towards
 from madviz.app.panel import apply
-from madviz.app.projection import MapPanel
+from madviz.app.panels.projection import MapPanel
+from madviz.app.panels.saliency import SaliencyPanel, saliency_words
+from madviz.app.panels.shapley import (
+    WorthPanel,
+    action_column,
+    q_column,
+    success_column,
+    worth_html,
+)
 from madviz.app.rates import Rates
-from madviz.app.saliency import SaliencyPanel, saliency_words
-from madviz.app.worth import WorthPanel, action_column, q_column, success_column, worth_html
+from madviz.app.scene.arrows import NEAR, ArrowsPanel, arrows, towards
 from madviz.drawing import mosaic
 from madviz.drawing.colours import CAMERA_COLOURS, NOTE, rgb
 from madviz.envs.registry import make_env

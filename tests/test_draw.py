@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import viser
 
-from madviz.app.cameras import CamerasPanel
-from madviz.app.draw import DRAW_SCRIPT, LEAST, THIN, Box, parse_box, patched
 from madviz.app.panel import apply
+from madviz.app.panels.cameras import CamerasPanel
+from madviz.app.panels.patch import DRAW_SCRIPT, LEAST, THIN, Box, parse_box, patched
 from madviz.drawing.mosaic import GAP, HEADER, mosaic
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Pause, SetCamera, SetPolicy

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import viser
 
-from madviz.app.failures import FailuresPanel, failures_html
-from madviz.app.keep import KeepPanel
+from madviz.app.panels.failures import FailuresPanel, failures_html
+from madviz.app.panels.save import KeepPanel
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.schedule import (

@@ -17,9 +17,9 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from madviz.app.access import TAKEN, Gate
-from madviz.app.policy import PolicyChoice
+from madviz.app.panels.policy import PolicyChoice
 from madviz.app.server import App
-from madviz.app.visitor import Visitor
+from madviz.bench.visitor import Visitor
 from tests.fakes import FakePolicy, policies
 
 KINDS: dict[str, type[Message]] = {kind.__name__: kind for kind in Message.get_subclasses()}

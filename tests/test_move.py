@@ -12,9 +12,9 @@ import pytest
 import viser
 from scipy.spatial.transform import Rotation
 
-from madviz.app.gizmo import Gizmo
-from madviz.app.move import MovePanel, move_html
 from madviz.app.panel import apply
+from madviz.app.panels.move import MovePanel, move_html
+from madviz.app.scene.gizmo import Gizmo
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.displacement import (

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import viser
 
-from madviz.app.bodies import creased, glb, joined, linear
 from madviz.app.panel import apply
-from madviz.app.scene import MOVE, MOVE_AT_FULL_SPEED, ScenePanel, picture
+from madviz.app.scene.bodies import creased, glb, joined, linear
+from madviz.app.scene.scene import MOVE, MOVE_AT_FULL_SPEED, ScenePanel, picture
 from madviz.drawing.viewpoint import FOV, MARGIN, Sight, first_look, nearest_place
 from madviz.envs import shapes
 from madviz.envs.registry import make_env

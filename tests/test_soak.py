@@ -11,11 +11,11 @@ import weakref
 
 import pytest
 
-from madviz.app.policy import PolicyChoice
+from madviz.app.panels.policy import PolicyChoice
 from madviz.app.server import App
-from madviz.app.visitor import Visitor
 from madviz.bench.live import LiveConfig, watched
 from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, look, settled, soak
+from madviz.bench.visitor import Visitor
 from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 

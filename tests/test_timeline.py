@@ -9,7 +9,7 @@ import pytest
 import viser
 
 from madviz.app.panel import apply
-from madviz.app.timeline import PATIENCE, TimelinePanel, marks, timeline_html
+from madviz.app.panels.timeline import PATIENCE, TimelinePanel, marks, timeline_html
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState
 from madviz.session.commands import Command, Fork, Scrub, SetCamera, SetPolicy

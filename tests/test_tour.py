@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 import viser
 
-from madviz.app.policy import PolicyChoice
+from madviz.app.panels.policy import PolicyChoice
 from madviz.app.tour import HELP, Tour, keys_table, steps
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from madviz.app.training import training_html
+from madviz.app.panels.training import training_html
 from madviz.policies.checkpoint import load_policy
 from madviz.training.job import JobConfig, JobStatus, TrainingJob
 from madviz.types import UserError

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from madviz.app.versus import versus_html
+from madviz.app.panels.comparison import versus_html
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.commands import Scrub, SetCamera, SetPolicy, SetTwin
 from madviz.session.comparison import tally

@@ -19,11 +19,11 @@ from html import escape
 
 import viser
 
-from madviz.app.draw import DRAW_SCRIPT
+from madviz.app.layout import FASTEST, Panels, Shared
 from madviz.app.pace import PACE_SCRIPT
 from madviz.app.panel import apply
-from madviz.app.panels import FASTEST, Panels, Shared
-from madviz.app.screen import SCREEN_SCRIPT
+from madviz.app.panels.patch import DRAW_SCRIPT
+from madviz.app.picture import SCREEN_SCRIPT
 from madviz.app.toolkit import STYLE, run_layout, run_script, window_is_wide
 from madviz.session.frame import Change, Failure, Frame
 from madviz.session.session import Session

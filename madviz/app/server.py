@@ -15,7 +15,7 @@ import viser
 
 from madviz.app.access import Gate, new_token, stays_here
 from madviz.app.haste import obey_at_once
-from madviz.app.policy import PolicyChoice
+from madviz.app.panels.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.toolkit import theme
 from madviz.app.users import Users

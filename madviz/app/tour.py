@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import viser
 
-from madviz.app.policy import PolicyChoice
+from madviz.app.panels.policy import PolicyChoice
 from madviz.app.toolkit import Cell, grid, guarded, remove_all, run_script, theme
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.session.commands import Command, Play, Reset, Scrub, SetCamera, SetPolicy, SetSpeed

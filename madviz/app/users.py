@@ -22,9 +22,9 @@ from dataclasses import dataclass
 
 import viser
 
+from madviz.app.layout import Shared
 from madviz.app.page import Page, waiting_html
-from madviz.app.panels import Shared
-from madviz.app.policy import PolicyChoice
+from madviz.app.panels.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.session.session import Session
 from madviz.system.processes import give_back

@@ -5,7 +5,7 @@ not seen before and whose picture has been decoded, a *toggle* runs from the cli
 the moment when the picture shows that camera dropped (its tile has lost all colour) and the text of
 the action has changed. The server is a process of its own, as a user would start it, at full speed.
 
-Watchers are timed at the server's wire, by visitors without browsers (``app/visitor.py``): real
+Watchers are timed at the server's wire, by visitors without browsers (``bench/visitor.py``): real
 watchers sit at machines of their own, and four browsers on two cores would time each other.
 
     updates_per_s, toggle_ms_p50, toggle_ms_p95, toggle_ms   one browser, scene and curves on
@@ -129,7 +129,7 @@ def bench_live(config: LiveConfig) -> dict[str, Any]:
 def watched(config: LiveConfig) -> dict[str, Any]:
     """One simulation, its owner and those who watch: what the server sends each of them a second,
     all at once."""
-    from madviz.app.visitor import Visitor
+    from madviz.bench.visitor import Visitor
 
     words = ("--visitors", "1", "--watchers", str(config.watchers))
     with served(config.policy, 0, *words) as url, ExitStack() as stack:

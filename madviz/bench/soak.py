@@ -1,6 +1,6 @@
 """``madviz soak``: visitors come, touch everything and go, for an hour; nothing may stay behind.
 
-A server in a process of its own, visitors without browsers (``app/visitor.py``), rounds of 20 s.
+A server in a process of its own, visitors without browsers (``bench/visitor.py``), rounds of 20 s.
 In a round visitors come and go and touch controls at random, by a seed; one more of them may come
 than there are simulations, so some watch and inherit. After each round everybody leaves, and what
 is still there is written down: memory and threads of the server and its children, and how many
@@ -28,8 +28,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from madviz.app.visitor import Visitor
 from madviz.bench.live import serving
+from madviz.bench.visitor import Visitor
 from madviz.types import UserError
 
 ROUND = 20.0

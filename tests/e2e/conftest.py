@@ -12,7 +12,7 @@ import pytest
 from playwright import sync_api as playwright_api
 
 from madviz.app.access import Gate
-from madviz.app.policy import PolicyChoice
+from madviz.app.panels.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.server import App
 from madviz.bench.live import CHROMIUM_FLAGS

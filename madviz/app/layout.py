@@ -16,26 +16,26 @@ from dataclasses import dataclass
 import viser
 
 from madviz.analysis.saliency import Target
-from madviz.app.arrows import ArrowsPanel
-from madviz.app.cameras import CamerasPanel
-from madviz.app.failures import FailuresPanel
-from madviz.app.features import FeaturesPanel
-from madviz.app.keep import KeepPanel
 from madviz.app.keys import Keys
-from madviz.app.move import MovePanel
 from madviz.app.panel import Panel
-from madviz.app.policy import PolicyChoice, PolicyPanel
-from madviz.app.projection import MapPanel
-from madviz.app.saliency import SaliencyPanel
-from madviz.app.scene import ScenePanel, extent
-from madviz.app.subsets import SubsetsPanel
-from madviz.app.success import Rates, SuccessPanel, WordsPanel
-from madviz.app.timeline import TimelinePanel
+from madviz.app.panels.cameras import CamerasPanel
+from madviz.app.panels.comparison import VersusPanel
+from madviz.app.panels.failures import FailuresPanel
+from madviz.app.panels.features import FeaturesPanel
+from madviz.app.panels.move import MovePanel
+from madviz.app.panels.policy import PolicyChoice, PolicyPanel
+from madviz.app.panels.projection import MapPanel
+from madviz.app.panels.saliency import SaliencyPanel
+from madviz.app.panels.save import KeepPanel
+from madviz.app.panels.shapley import WorthPanel
+from madviz.app.panels.subsets import SubsetsPanel
+from madviz.app.panels.success import Rates, SuccessPanel, WordsPanel
+from madviz.app.panels.timeline import TimelinePanel
+from madviz.app.panels.training import TrainingPanel
+from madviz.app.scene.arrows import ArrowsPanel
+from madviz.app.scene.scene import ScenePanel, extent
 from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
 from madviz.app.tour import Tour
-from madviz.app.training import TrainingPanel
-from madviz.app.versus import VersusPanel
-from madviz.app.worth import WorthPanel
 from madviz.session.commands import SetSaliency
 from madviz.session.frame import Failure, Frame
 from madviz.session.session import Session

@@ -16,8 +16,8 @@ import numpy as np
 import viser
 
 from madviz.analysis.projection import DECISIONS, Atlas, Basis
-from madviz.app.features import NO_VIEWS, stream_label
 from madviz.app.panel import Assign
+from madviz.app.panels.features import NO_VIEWS, stream_label
 from madviz.app.rates import key_of
 from madviz.app.toolkit import remove_all
 from madviz.drawing.colours import FAINT, MERGED, MUTED, camera_colours

@@ -10,7 +10,7 @@ import numpy as np
 import viser
 
 from madviz.app.panel import Assign
-from madviz.app.subsets import action_bars
+from madviz.app.panels.subsets import action_bars
 from madviz.app.toolkit import Cell, Choice, Shown, grid, guarded, on_value, remove_all
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.session.commands import (

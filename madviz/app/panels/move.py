@@ -13,8 +13,8 @@ from html import escape
 
 import viser
 
-from madviz.app.gizmo import Gizmo
 from madviz.app.panel import Assign
+from madviz.app.scene.gizmo import Gizmo
 from madviz.app.toolkit import Cell, Choice, Shown, grid, on_value, remove_all
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.drawing.viewpoint import extent

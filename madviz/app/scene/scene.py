@@ -20,8 +20,8 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from madviz.app.bodies import Bodies
 from madviz.app.panel import Assign
+from madviz.app.scene.bodies import Bodies
 from madviz.drawing.colours import NOTE, camera_colours, rgb
 from madviz.drawing.viewpoint import WIDTH, WIDTH_ON_BODY, Sight, extent, first_look
 from madviz.session.frame import Frame

@@ -10,10 +10,10 @@ import numpy as np
 import viser
 from viser import uplot
 
-from madviz.app.features import NO_POINTS, small_axes
 from madviz.app.panel import Assign
+from madviz.app.panels.features import NO_POINTS, small_axes
+from madviz.app.panels.subsets import is_trained, presence, subset_label
 from madviz.app.rates import Rate, Rates
-from madviz.app.subsets import is_trained, presence, subset_label
 from madviz.app.toolkit import on_value, remove_all
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.session.frame import Change, Frame, Outcome, Setting, words

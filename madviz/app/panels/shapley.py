@@ -22,8 +22,8 @@ from madviz.analysis.shapley import (
     success_worth,
 )
 from madviz.app.panel import Assign
+from madviz.app.panels.subsets import subset_label
 from madviz.app.rates import Rates
-from madviz.app.subsets import subset_label
 from madviz.app.toolkit import remove_all
 from madviz.drawing.colours import FAINT, MUTED, NOTE, camera_colours
 from madviz.session.frame import Frame, Setting

@@ -19,7 +19,7 @@ from viser import uplot
 
 from madviz.agent.methods import METHODS
 from madviz.app.panel import Assign
-from madviz.app.subsets import MODALITY_WORDS
+from madviz.app.panels.subsets import MODALITY_WORDS
 from madviz.app.toolkit import remove_all
 from madviz.drawing.colours import MERGED, NOTE, camera_colours, heat
 from madviz.session.frame import Frame

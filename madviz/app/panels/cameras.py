@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import viser
 
-from madviz.app.draw import HINT, Box, attributes, field_style, parse_box, patched
 from madviz.app.panel import Assign
-from madviz.app.screen import Screen
+from madviz.app.panels.patch import HINT, Box, attributes, field_style, parse_box, patched
+from madviz.app.picture import Screen
 from madviz.app.toolkit import STYLE, Cell, Choice, Shown, grid, on_value, remove_all
 from madviz.drawing.mosaic import GAP, mosaic
 from madviz.observation.ablation import CameraState, Occlusion
