@@ -333,7 +333,7 @@ def test_rerun_is_loaded_for_nothing_else(tmp_path: Path) -> None:
     import subprocess
 
     program = (
-        "import sys, madviz.recording.record, madviz.recording.report, madviz.recording.video;"
+        "import sys, madviz.recording.record, madviz.recording.html, madviz.recording.video;"
         "print('rerun' in sys.modules, 'viser' in sys.modules)"
     )
     asked = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

@@ -121,7 +121,7 @@ def writer_for(path: Path, facts: Facts) -> Writer:
         from madviz.recording.video import VideoWriter
 
         return VideoWriter(path, facts)
-    from madviz.recording.report import ReportWriter
+    from madviz.recording.html import ReportWriter
 
     return ReportWriter(path, facts)
 
