@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from madviz.app.server import explore as explore
     from madviz.envs.custom import allow_task as allow_task
     from madviz.envs.registry import make_env as make_env
+    from madviz.errors import UserError as UserError
     from madviz.evaluation.episodes import run_episode as run_episode
     from madviz.evaluation.evaluate import evaluate as evaluate
     from madviz.policies.checkpoint import list_policies as list_policies
     from madviz.policies.checkpoint import load_policy as load_policy
     from madviz.policies.checkpoint import save_policy as save_policy
-    from madviz.types import UserError as UserError
 
 __version__ = "0.1.0"
 
@@ -39,7 +39,7 @@ _HOMES = {
     "make_env": "madviz.envs.registry",
     "run_episode": "madviz.evaluation.episodes",
     "save_policy": "madviz.policies.checkpoint",
-    "UserError": "madviz.types",
+    "UserError": "madviz.errors",
 }
 
 

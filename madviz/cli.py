@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+from madviz.errors import UserError, unknown
 from madviz.evaluation.statistics import in_words
 from madviz.system.files import pretty, write_json, written_to
-from madviz.types import UserError, unknown
 
 Config = TypeVar("Config")
 Verb = Callable[[Sequence[str]], int]

@@ -24,7 +24,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 from madviz.envs.registry import RenderProfile, make_env
-from madviz.types import Environment, UserError
+from madviz.errors import UserError
+from madviz.types import Environment
 
 PACKAGES = (
     *("torch", "metaworld", "mujoco", "mani-skill", "sapien"),

@@ -12,7 +12,8 @@ from itertools import product
 
 import numpy as np
 
-from madviz.types import Array, unknown
+from madviz.errors import unknown
+from madviz.types import Array
 
 
 def camera_of(stream: str) -> str:

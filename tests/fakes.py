@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from madviz.envs.registry import SETTINGS
-from madviz.types import Array, Encoded, PolicySpec, Readout, UserError
+from madviz.errors import UserError
+from madviz.types import Array, Encoded, PolicySpec, Readout
 
 
 class FakePolicy:

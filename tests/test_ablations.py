@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from madviz.envs.registry import SETTINGS
+from madviz.errors import UserError
 from madviz.observation.ablation import (
     Ablation,
     CameraState,
@@ -17,7 +18,6 @@ from madviz.observation.ablation import (
     noise_generator,
 )
 from madviz.subsets import every_mask, mask_of
-from madviz.types import UserError
 
 FRAME = np.random.default_rng(0).integers(0, 256, (84, 84, 3), np.uint8)
 BEFORE = np.full_like(FRAME, 7)

@@ -28,7 +28,7 @@ from madviz.app.access import (
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.server import App, ExploreConfig, gate_for
 from madviz.bench.visitor import Visitor
-from madviz.types import UserError
+from madviz.errors import UserError
 from tests.fakes import FakePolicy, policies
 
 CHOICES = [PolicyChoice("toy-mad", "MAD"), PolicyChoice("toy-other", "other")]

@@ -24,11 +24,11 @@ from madviz.app.server import App, ExploreConfig, check_port, explore, first_cho
 from madviz.app.users import Users
 from madviz.bench.visitor import Visitor
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.session.commands import Pause, SetSpeed
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.training.job import TrainingJob
-from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 
 

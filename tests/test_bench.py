@@ -10,11 +10,12 @@ import pytest
 from madviz.bench import evaluate as bench_evaluate
 from madviz.bench import live as bench_live
 from madviz.bench.render import Frames, RenderConfig, alternate, bench_render
+from madviz.errors import UserError
 from madviz.evaluation.episodes import Finished, Job, Workers
 from madviz.evaluation.store import EpisodeResult
 from madviz.training import job
 from madviz.training.job import JobConfig, JobStatus, State
-from madviz.types import Encoded, UserError
+from madviz.types import Encoded
 from tests.fakes import FakePolicy
 
 

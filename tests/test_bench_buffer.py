@@ -8,8 +8,8 @@ import pytest
 
 from madviz.bench import buffer as module
 from madviz.bench.buffer import BenchBufferConfig, bench_buffer
+from madviz.errors import UserError
 from madviz.training import buffer_storage
-from madviz.types import UserError
 
 
 def test_both_sides_are_measured_on_the_same_frames(monkeypatch: pytest.MonkeyPatch) -> None:

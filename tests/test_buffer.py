@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from madviz.envs.toy import ToyReach
+from madviz.errors import UserError
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of
@@ -17,7 +18,7 @@ from madviz.training import buffer as buffer_module
 from madviz.training import buffer_storage
 from madviz.training.buffer import BufferSpec, ReplayBuffer
 from madviz.training.buffer_storage import Pack
-from madviz.types import Array, UserError
+from madviz.types import Array
 
 STREAMS = ("first.rgb", "first.depth", "third_a.rgb")
 SPEC = BufferSpec(STREAMS, state_dim=6, action_dim=2, capacity=40, horizon=5)

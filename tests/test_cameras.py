@@ -20,8 +20,9 @@ from madviz.envs.registry import (
     setting_cameras,
     standing,
 )
+from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE, stream_frame
-from madviz.types import CameraSpec, UserError
+from madviz.types import CameraSpec
 
 TASK = "metaworld/push"
 GOOD = """

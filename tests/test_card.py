@@ -4,9 +4,9 @@ import json
 
 import pytest
 
+from madviz.errors import UserError
 from madviz.policies.card import card_text, train_again, write_card
 from madviz.policies.checkpoint import describe, save_policy
-from madviz.types import UserError
 from tests.test_checkpoint import make_agent, make_config
 
 

@@ -18,9 +18,9 @@ from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.networks import Encoder, NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
+from madviz.errors import UserError
 from madviz.policies import checkpoint, config
 from madviz.policies.checkpoint import describe, load_policy, save_policy
-from madviz.types import UserError
 
 NETWORKS = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8)
 MASKS = np.array([[1, 1, 1], [0, 1, 0], [0, 0, 0]], bool)

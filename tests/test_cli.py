@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from madviz import cli
-from madviz.types import UserError, perhaps, unknown
+from madviz.errors import UserError, perhaps, unknown
 
 
 def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from madviz import cli
+from madviz.errors import UserError
 from madviz.evaluation.compare import CompareConfig, comparison_table, over_trainings, run_compare
 from madviz.evaluation.evidence import read_evidence
 from madviz.evaluation.statistics import pair
 from madviz.evaluation.store import EpisodeResult, ResultKey, Store
-from madviz.types import UserError
 from tests.evidence import rates, write_policy
 
 GOOD, BAD = rates(0.95, 0.9, 0.85, 0.8), rates(0.9, 0.2, 0.1, 0.0)

@@ -11,6 +11,7 @@ import pytest
 
 from madviz import cli
 from madviz.envs.toy import ToyReach
+from madviz.errors import UserError
 from madviz.evaluation import displace
 from madviz.evaluation.displace import (
     DisplaceConfig,
@@ -25,7 +26,7 @@ from madviz.evaluation.episodes import Job, Runner
 from madviz.evaluation.evaluate import evaluate
 from madviz.evaluation.statistics import wilson
 from madviz.observation.displacement import Displacement
-from madviz.types import Encoded, Readout, UserError
+from madviz.types import Encoded, Readout
 from tests.fakes import AllOrNothing, FakePolicy
 
 

@@ -10,9 +10,9 @@ from madviz.app.panel import apply
 from madviz.app.panels.cameras import CamerasPanel
 from madviz.app.panels.patch import DRAW_SCRIPT, LEAST, THIN, Box, parse_box, patched
 from madviz.drawing.mosaic import GAP, HEADER, mosaic
+from madviz.errors import UserError
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Pause, SetCamera, SetPolicy
-from madviz.types import UserError
 from tests.sessions import frame_with
 
 TILE = 202

@@ -17,7 +17,8 @@ from madviz.envs.registry import (
     make_env,
     setting,
 )
-from madviz.types import Environment, UserError
+from madviz.errors import UserError
+from madviz.types import Environment
 
 CONTRACT_TASKS = (
     *("toy/reach", "metaworld/hammer", "metaworld/push"),

@@ -14,6 +14,7 @@ from madviz.agent.agent import Agent
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
+from madviz.errors import UserError
 from madviz.evaluation.episodes import Job, Runner, relevant, run_episode
 from madviz.evaluation.evaluate import (
     EvalConfig,
@@ -25,7 +26,7 @@ from madviz.evaluation.evaluate import (
 from madviz.evaluation.store import MEMORY, Store
 from madviz.observation.ablation import Ablation, Occlusion
 from madviz.policies import checkpoint, config
-from madviz.types import PolicySpec, UserError
+from madviz.types import PolicySpec
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy
 
 STREAMS = SETTINGS["three"].streams

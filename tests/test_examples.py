@@ -11,12 +11,13 @@ import pytest
 
 from madviz.envs.custom import allow_task, own_tasks
 from madviz.envs.registry import choose, make_env
+from madviz.errors import UserError
 from madviz.evaluation.evaluate import evaluate
 from madviz.examples.own_policy import Finder
 from madviz.sweep.plan import read_plan
 from madviz.training.light import LightConfig
 from madviz.training.train import TrainConfig, train
-from madviz.types import Encoded, UserError
+from madviz.types import Encoded
 
 TOUCH = "madviz.examples.own_task:make"
 FINDER = "madviz.examples.own_policy:make"

@@ -11,6 +11,7 @@ import viser
 from madviz.app.panels.failures import FailuresPanel, failures_html
 from madviz.app.panels.save import KeepPanel
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.schedule import (
     SCENARIOS,
@@ -25,7 +26,6 @@ from madviz.session.frame import Frame
 from madviz.session.journal import Journal
 from madviz.session.session import Session
 from madviz.session.session_reader import parse
-from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 
 CAMERAS = ("first", "third_a", "third_b")

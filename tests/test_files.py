@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from madviz.errors import UserError
 from madviz.system import files
 from madviz.system.files import (
     LINE,
@@ -22,7 +23,6 @@ from madviz.system.files import (
     write_json,
     written_to,
 )
-from madviz.types import UserError
 
 VALUES = {
     "short": {"a": [1, 2, {"b": None}], "c": "[\n { x"},

@@ -13,6 +13,7 @@ import pytest
 
 from madviz import cli
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.schedule import parse_schedule
 from madviz.session.commands import (
@@ -28,7 +29,6 @@ from madviz.session.session import Session
 from madviz.session.session_file import KeptEpisode, KeptPolicy, KeptSession
 from madviz.session.session_reader import parse
 from madviz.session.simulation import Simulation
-from madviz.types import UserError
 from tests.fakes import FakePolicy, policies
 from tests.visitors import (
     CAMERAS,

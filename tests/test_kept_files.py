@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
+from madviz.errors import UserError
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import (
     SetCamera,
 )
 from madviz.session.replay import live_again
 from madviz.session.session_reader import LONGEST, parse, read_kept
-from madviz.types import UserError
 from tests.visitors import find, lived, put
 
 

@@ -15,11 +15,12 @@ from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
+from madviz.errors import UserError
 from madviz.training.demonstrations import Dataset, Driver, Episode, record_episode
 from madviz.training.light import LightConfig, LightRun, imitation_loss, train_light
 from madviz.training.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
 from madviz.training.run_folder import RunFolder
-from madviz.types import PolicySpec, UserError
+from madviz.types import PolicySpec
 
 THREE, RGBD = SETTINGS["three"].streams, SETTINGS["three-rgbd"].streams
 TOY = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=16)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from madviz.app.rates import Rates
+from madviz.errors import UserError
 from madviz.evaluation.episodes import Runner, Workers
 from madviz.evaluation.live import Evaluator
 from madviz.evaluation.store import MEMORY, EpisodeResult, Store
@@ -22,7 +23,6 @@ from madviz.observation.ablation import Ablation, Occlusion
 from madviz.observation.displacement import Displacement
 from madviz.policies import checkpoint
 from madviz.session.frame import setting_of
-from madviz.types import UserError
 from tests.fakes import FakePolicy
 
 POLICY = "tests.fakes:FakePolicy"

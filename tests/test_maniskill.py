@@ -18,7 +18,8 @@ from madviz.envs import decimation
 from madviz.envs.maniskill.environment import ManiSkill, cameras_of, meshes, vulkan
 from madviz.envs.maniskill.tasks import MANISKILL_SUCCESS, position
 from madviz.envs.registry import MANISKILL_TASKS, SETTINGS, make_env, setting_cameras
-from madviz.types import Array, UserError
+from madviz.errors import UserError
+from madviz.types import Array
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:mani_skill")
 

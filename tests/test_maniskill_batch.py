@@ -17,13 +17,14 @@ from madviz.envs.maniskill.batch import ManiSkillBatch
 from madviz.envs.maniskill.environment import HORIZON, ManiSkill, batch, cameras_of
 from madviz.envs.maniskill.tasks import states
 from madviz.envs.registry import MANISKILL_TASKS, make_env, setting_cameras
+from madviz.errors import UserError
 from madviz.training import vector_batch, vectorised
 from madviz.training.run_folder import RunFolder
 from madviz.training.train import TrainConfig, train
 from madviz.training.vector_batch import BatchedEnvs
 from madviz.training.vector_envs import Board, Recipe, VectorEnvs
 from madviz.training.vectorised import VectorisedConfig
-from madviz.types import EnvSpec, TimeStep, UserError, View
+from madviz.types import EnvSpec, TimeStep, View
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:mani_skill")
 

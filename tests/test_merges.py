@@ -15,8 +15,9 @@ from madviz.agent.merge import MERGES
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.supports import SUPPORTS
 from madviz.envs.registry import SETTINGS
+from madviz.errors import UserError
 from madviz.subsets import every_mask
-from madviz.types import Array, UserError
+from madviz.types import Array
 
 NETWORKS = NetworkConfig(state_dim=5, action_dim=2, hidden_dim=8, bottleneck_dim=6)
 STREAMS, RGBD = SETTINGS["three"].streams, SETTINGS["three-rgbd"].streams

@@ -24,6 +24,7 @@ from madviz.agent.supports import SUPPORTS
 from madviz.analysis.probes import probe
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
+from madviz.errors import UserError
 from madviz.evaluation.episodes import run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies import checkpoint
@@ -34,7 +35,7 @@ from madviz.training.light import LightConfig, LightRun
 from madviz.training.paper import PaperConfig
 from madviz.training.run_folder import RunFolder
 from madviz.training.train import TrainConfig
-from madviz.types import Environment, PolicySpec, UserError
+from madviz.types import Environment, PolicySpec
 
 STREAMS = SETTINGS["three"].streams
 HORIZON = 4

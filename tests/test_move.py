@@ -16,6 +16,7 @@ from madviz.app.panel import apply
 from madviz.app.panels.move import MovePanel, move_html
 from madviz.app.scene.gizmo import Gizmo
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.displacement import (
     Displacement,
@@ -31,7 +32,7 @@ from madviz.session.frame import Frame, setting_of, words
 from madviz.session.replay import live_again
 from madviz.session.session import Session
 from madviz.session.session_reader import parse
-from madviz.types import CameraSpec, UserError
+from madviz.types import CameraSpec
 from tests.fakes import FakePolicy, policies
 
 RIGHT = Displacement(right=0.3)

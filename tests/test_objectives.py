@@ -26,7 +26,7 @@ from madviz.agent.objectives import (
 from madviz.agent.update import Draw, Learner, LearningConfig
 from madviz.bench.naive import NaiveLearner
 from madviz.envs.registry import setting
-from madviz.types import UserError
+from madviz.errors import UserError
 
 Params = dict[str, Tensor]
 NETWORKS = NetworkConfig(state_dim=5, action_dim=2, hidden_dim=16)

@@ -18,12 +18,13 @@ from madviz.agent.agent import TorchPolicy
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.update import Learner
 from madviz.envs.toy import ToyReach
+from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
 from madviz.training import paper, reinforcement
 from madviz.training.paper import PaperConfig, PaperRun, train_paper
 from madviz.training.run_folder import Event, RunFolder
 from madviz.training.train import TrainConfig
-from madviz.types import Environment, PolicySpec, UserError
+from madviz.types import Environment, PolicySpec
 
 TINY = PaperConfig(
     steps=26, exploration_steps=10, batch_size=4, hidden_dim=8, eval_every=16, eval_episodes=1,

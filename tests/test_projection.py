@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from madviz.analysis.projection import Atlas, fit
-from madviz.types import UserError
+from madviz.errors import UserError
 
 
 def cloud(count: int, width: int, seed: int = 0) -> np.ndarray:

@@ -18,6 +18,7 @@ from rerun.chunk import RrdReader
 
 from madviz import cli
 from madviz.drawing.viewpoint import Sight, first_look
+from madviz.errors import UserError
 from madviz.observation.schedule import parse_schedule
 from madviz.recording import record as recording
 from madviz.recording.record import Facts, RecordConfig, command_of, frames, run_record, writer_for
@@ -27,7 +28,6 @@ from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.session.session_reader import read_kept
 from madviz.svg_curves import curves
-from madviz.types import UserError
 from tests.fakes import FakePolicy, NanPolicy, policies
 
 CAMERAS = ("first", "third_a", "third_b")

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 
 from madviz import cli, svg
+from madviz.errors import UserError
 from madviz.evaluation.evidence import find_evidence, read_evidence
 from madviz.report.layouts import THREE
 from madviz.report.results import ReportConfig, run_report
 from madviz.report.rows import difference
 from madviz.report.tables import usual_alphas
-from madviz.types import UserError
 from tests.evidence import rates, write_policy
 from tests.reports import GOOD, report, table
 

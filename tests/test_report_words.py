@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
+from madviz.errors import UserError
 from madviz.evaluation.evidence import find_evidence
 from madviz.policies import checkpoint
 from madviz.report.bar import judge
 from madviz.report.claims import claims, same, signed, verdict
 from madviz.report.results import ReportConfig, run_report
-from madviz.types import UserError
 from tests.evidence import rates, write_policy
 from tests.reports import GOOD, every_table, report, table
 

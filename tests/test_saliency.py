@@ -13,7 +13,8 @@ from madviz.agent.merge import MERGES
 from madviz.agent.networks import Encoder, NetworkConfig, Trunk
 from madviz.analysis import saliency as module
 from madviz.analysis.saliency import LiveSaliency, saliency
-from madviz.types import PolicySpec, UserError
+from madviz.errors import UserError
+from madviz.types import PolicySpec
 from tests.fakes import FakePolicy
 
 STREAMS = ("first", "third_a", "third_b")

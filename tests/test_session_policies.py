@@ -10,6 +10,7 @@ import pytest
 
 from madviz.envs.registry import make_env
 from madviz.envs.toy import ToyReach
+from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.commands import (
     Pause,
@@ -24,7 +25,6 @@ from madviz.session.commands import (
 from madviz.session.frame import Failure
 from madviz.session.session import Session
 from madviz.session.simulation import Simulation, inhabited
-from madviz.types import UserError
 from tests.fakes import AllOrNothing, FakePolicy, policies
 from tests.sessions import OFF, Recorder
 

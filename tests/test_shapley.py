@@ -18,8 +18,9 @@ from madviz.analysis.shapley import (
     success_interval,
     success_worth,
 )
+from madviz.errors import UserError
 from madviz.subsets import every_mask, mask_of
-from madviz.types import Readout, UserError
+from madviz.types import Readout
 
 THREE = ("first", "third_a", "third_b")
 RGBD = tuple(f"{camera}.{kind}" for camera in THREE for kind in ("rgb", "depth"))

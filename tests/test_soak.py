@@ -16,7 +16,7 @@ from madviz.app.server import App
 from madviz.bench.live import LiveConfig, watched
 from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, look, settled, soak
 from madviz.bench.visitor import Visitor
-from madviz.types import UserError
+from madviz.errors import UserError
 from tests.fakes import FakePolicy, policies
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, binomtest
 
+from madviz.errors import UserError
 from madviz.evaluation.statistics import (
     Paired,
     difference_interval,
@@ -12,7 +13,6 @@ from madviz.evaluation.statistics import (
     pair,
     wilson,
 )
-from madviz.types import UserError
 
 
 @pytest.mark.parametrize("n", [1, 2, 10, 25, 100])

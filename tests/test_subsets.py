@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from madviz.envs.registry import SETTINGS
+from madviz.errors import UserError
 from madviz.subsets import every_mask, mad_subsets, mask_of, name_of, single_streams
-from madviz.types import UserError
 
 THREE = SETTINGS["three"].streams
 RGBD = SETTINGS["three-rgbd"].streams

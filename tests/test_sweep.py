@@ -14,11 +14,11 @@ from typing import Any
 import pytest
 
 from madviz import cli
+from madviz.errors import UserError
 from madviz.sweep import sweep
 from madviz.sweep.plan import read_plan
 from madviz.sweep.run import Outcome, Run, carry_out, claimed, expected_seconds
 from madviz.sweep.sweep import LocalBackend, Watch, carry_all_out, run_sweep
-from madviz.types import UserError
 from tests.sweeps import assert_done_once, config, lines, stand_in, sweep_file, wait_for
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from madviz import cli
+from madviz.errors import UserError
 from madviz.sweep.plan import read_plan
 from madviz.sweep.sweep import SweepConfig, run_sweep
-from madviz.types import UserError
 from tests.sweeps import config
 
 

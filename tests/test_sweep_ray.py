@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 from madviz.envs.custom import VARIABLE, own_tasks
+from madviz.errors import UserError
 from madviz.sweep.ray import RayBackend
 from madviz.sweep.run import Outcome, Run
 from madviz.sweep.sweep import SweepConfig, run_sweep
-from madviz.types import UserError
 from tests.sweeps import assert_done_once, config, stand_in, wait_for
 
 

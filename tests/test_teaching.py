@@ -13,6 +13,7 @@ import pytest
 
 from madviz import teaching
 from madviz.agent.methods import METHODS
+from madviz.errors import UserError
 from madviz.observation.ablation import Occlusion
 from madviz.observation.streams import StreamStack
 from madviz.policies.checkpoint import find_policy
@@ -44,7 +45,6 @@ from madviz.teaching.lessons import (
 from madviz.teaching.show import LABEL, bars, curves, sheet, source, table
 from madviz.training.light import LightConfig
 from madviz.training.train import TrainConfig
-from madviz.types import UserError
 from tests.fakes import AllOrNothing, FakePolicy
 
 

@@ -9,6 +9,7 @@ import pytest
 from madviz import teaching
 from madviz.agent.methods import METHODS
 from madviz.agent.supports import SUPPORTS
+from madviz.errors import UserError
 from madviz.evaluation.statistics import pair
 from madviz.subsets import mask_of
 from madviz.system.files import read_json
@@ -32,7 +33,6 @@ from madviz.teaching.rivals import (
     take_away,
     unmoved,
 )
-from madviz.types import UserError
 from tests.evidence import write_policy
 from tests.fakes import AllOrNothing, FakePolicy
 

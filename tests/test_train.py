@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from madviz.errors import UserError
 from madviz.evaluation.evaluate import evaluate
 from madviz.policies.checkpoint import load_policy
 from madviz.training.light import LightConfig
 from madviz.training.run_folder import Event, changes
 from madviz.training.train import TrainConfig, command, train
-from madviz.types import UserError
 
 TINY = LightConfig(
     rounds=2, demonstrations=2, episodes_per_round=4, updates_per_round=3, critic_updates=2

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from madviz.app.panels.training import training_html
+from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
 from madviz.training.job import JobConfig, JobStatus, TrainingJob
-from madviz.types import UserError
 
 PROGRAM = """
 import signal, sys, time

@@ -15,13 +15,13 @@ import pytest
 import torch
 
 from madviz.envs.toy import CAMERAS, ToyReach
+from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
 from madviz.training import reinforcement
 from madviz.training.run_folder import Event, RunFolder
 from madviz.training.train import TrainConfig, command, train
 from madviz.training.vector_envs import Board, Recipe, VectorEnvs
 from madviz.training.vectorised import VectorisedConfig
-from madviz.types import UserError
 
 STREAMS = ("first.rgb", "first.depth", "third_b.rgb")
 RECIPE = Recipe("toy/reach", "fast", CAMERAS, STREAMS)

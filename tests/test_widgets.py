@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 import pytest
 
+from madviz.errors import UserError
 from madviz.session.commands import Play, SetSpeed
 from madviz.teaching.inside import record
 from madviz.teaching.lessons import interval_figure
-from madviz.types import UserError
 from madviz.widgets import Explorer, Predict, TryOut, Viewer, live_page
 from madviz.widgets import page as widgets_page
 from madviz.widgets.explorer import ALIVE

@@ -10,9 +10,9 @@ import time
 
 import pytest
 
+from madviz.errors import UserError
 from madviz.evaluation.episodes import Job, Runner, Workers
 from madviz.evaluation.evaluate import evaluate, run_jobs
-from madviz.types import UserError
 from tests.fakes import FakePolicy
 
 

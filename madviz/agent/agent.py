@@ -16,8 +16,9 @@ from torch import Tensor, nn
 from madviz.agent.merge import Luck, Merge, merge_called
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.supports import SUPPORTS
+from madviz.errors import UserError
 from madviz.subsets import name_of
-from madviz.types import Array, Encoded, PolicySpec, Readout, UserError
+from madviz.types import Array, Encoded, PolicySpec, Readout
 
 
 class Agent(nn.Module):

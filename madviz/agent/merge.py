@@ -35,7 +35,7 @@ from madviz.agent.bottleneck import BottleneckEncoder, bottleneck_width, third_p
 from madviz.agent.contrast import TwoPartEncoder, draw_rows, drawn
 from madviz.agent.networks import FEATURE_SIZE, Actor, Critic, Encoder, NetworkConfig
 from madviz.agent.per_view import PerViewActor, PerViewCritic, mean_feature, pack
-from madviz.types import unknown
+from madviz.errors import unknown
 
 Streams = tuple[str, ...]
 Luck = Tensor | None

@@ -30,8 +30,9 @@ from typing import Literal
 import numpy as np
 
 from madviz.agent.supports import SUPPORTS
+from madviz.errors import UserError, unknown
 from madviz.subsets import cameras_of, mad_subsets, mask_of, name_of, single_streams
-from madviz.types import Array, UserError, unknown
+from madviz.types import Array
 
 Streams = tuple[str, ...]
 

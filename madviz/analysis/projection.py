@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from madviz.types import Array, UserError
+from madviz.errors import UserError
+from madviz.types import Array
 
 DECISIONS = 40
 """Instants a map is made of."""

@@ -25,7 +25,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from madviz.types import Array, Policy, UserError, unknown
+from madviz.errors import UserError, unknown
+from madviz.types import Array, Policy
 
 Target = Literal["q", "action"]
 COPIES, NOISE = 3, 16.0

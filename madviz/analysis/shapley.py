@@ -31,8 +31,9 @@ from math import factorial
 import numpy as np
 
 from madviz.analysis.probes import Probe
+from madviz.errors import UserError
 from madviz.subsets import camera_of, cameras_of, every_mask, name_of
-from madviz.types import Array, UserError
+from madviz.types import Array
 
 Bounded = tuple[float, float, float]
 """A rate and the ends of its interval."""

@@ -60,7 +60,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Data
 
-from madviz.types import UserError
+from madviz.errors import UserError
 
 Role = Literal["presenter", "visitor"]
 TRIES, WINDOW = 5, 1.0

@@ -21,6 +21,7 @@ from madviz.app.toolkit import theme
 from madviz.app.users import Users
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.evaluation.live import Evaluator, Tally
 from madviz.evaluation.store import Store
 from madviz.policies import checkpoint
@@ -30,7 +31,7 @@ from madviz.session.session_file import KeptEpisode
 from madviz.session.session_reader import read_kept
 from madviz.system.processes import share_memory_between_threads
 from madviz.training.job import TrainingJob
-from madviz.types import CameraSpec, Environment, Policy, PolicySpec, UserError
+from madviz.types import CameraSpec, Environment, Policy, PolicySpec
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"
 

@@ -21,7 +21,7 @@ import viser
 from viser._messages import RunJavascriptMessage
 
 from madviz.app.panel import Assign
-from madviz.types import UserError
+from madviz.errors import UserError
 
 log = logging.getLogger(__name__)
 

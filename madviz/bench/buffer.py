@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.training.buffer import BufferSpec, ReplayBuffer
 from madviz.training.buffer_storage import TOGETHER
-from madviz.types import Array, Environment, UserError
+from madviz.types import Array, Environment
 
 PAPER = 500_000
 """Transitions the paper remembers."""

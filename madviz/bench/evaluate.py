@@ -26,12 +26,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from madviz.bench.render import STOCK
+from madviz.errors import UserError
 from madviz.evaluation.episodes import FIRST_SEED, Finished, Job, Runner, Workers, one_thread
 from madviz.evaluation.evaluate import run_jobs
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of
-from madviz.types import Array, Policy, UserError
+from madviz.types import Array, Policy
 
 
 @dataclass(frozen=True)

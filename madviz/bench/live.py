@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from madviz.doctor import find_browser
-from madviz.types import UserError
+from madviz.errors import UserError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -17,7 +17,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from madviz.envs.registry import make_env
-from madviz.types import UserError
+from madviz.errors import UserError
 
 OUR_FLAGS = "profile fast: no shadows, reflections or samples, lighter meshes; colour and depth"
 STOCK = {"metaworld": "MuJoCo's and the model's", "maniskill": "ManiSkill's"}

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 from madviz.bench.live import serving
 from madviz.bench.visitor import Visitor
-from madviz.types import UserError
+from madviz.errors import UserError
 
 ROUND = 20.0
 """Seconds; shorter where that would make fewer than ``FEWEST`` rounds."""

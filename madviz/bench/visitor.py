@@ -24,7 +24,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from madviz.types import UserError
+from madviz.errors import UserError
 
 LARGEST = 2**28
 """Bytes of one message that are taken from the server."""

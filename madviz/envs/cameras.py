@@ -26,7 +26,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.types import CameraSpec, UserError, unknown
+from madviz.errors import UserError, unknown
+from madviz.types import CameraSpec
 
 KEYS = ("name", "label", "position", "wxyz", "look_at", "fovy", "size", "body", "depth_range")
 RESERVED = ("all", "none", "rgb", "depth")

@@ -17,8 +17,9 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 
+from madviz.errors import UserError
 from madviz.system.plugins import made_by
-from madviz.types import CameraSpec, Environment, EnvSpec, UserError
+from madviz.types import CameraSpec, Environment, EnvSpec
 
 VARIABLE = "MADVIZ_TASKS"
 PARTS = (

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from madviz.types import CameraSpec, EnvSpec, UserError, unknown
+from madviz.errors import UserError, unknown
+from madviz.types import CameraSpec, EnvSpec
 
 
 class Placements:

@@ -21,7 +21,8 @@ import numpy as np
 
 from madviz.envs import custom
 from madviz.envs.cameras import read_cameras
-from madviz.types import Array, CameraSpec, Environment, EnvSpec, Modality, UserError, unknown
+from madviz.errors import UserError, unknown
+from madviz.types import Array, CameraSpec, Environment, EnvSpec, Modality
 
 RenderProfile = Literal["fast", "full"]
 

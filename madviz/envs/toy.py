@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 from madviz.envs import shapes
 from madviz.envs.placement import Placements
 from madviz.envs.registry import check_action
-from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, Part, TimeStep, View, unknown
+from madviz.errors import unknown
+from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, Part, TimeStep, View
 
 STEP = 0.12
 """Metres the hand moves for an action of 1."""

@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any
 
 from madviz import svg
+from madviz.errors import UserError
 from madviz.evaluation.evidence import Evidence, Outcomes, read_evidence
 from madviz.evaluation.statistics import Interval, pair, wilson
 from madviz.evaluation.store import ResultKey, Store
 from madviz.policies import checkpoint
 from madviz.system.files import write_bytes, written_to
-from madviz.types import UserError
 
 
 @dataclass(frozen=True)

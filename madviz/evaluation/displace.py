@@ -26,6 +26,7 @@ from typing import Any, Literal
 import numpy as np
 from tqdm import tqdm
 
+from madviz.errors import UserError, unknown
 from madviz.evaluation.episodes import FIRST_SEED, Finished, Job, Runner, unsupported
 from madviz.evaluation.evaluate import run_anywhere
 from madviz.evaluation.statistics import in_words, wilson
@@ -34,7 +35,7 @@ from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of, name_of
 from madviz.svg import Line, lines
 from madviz.system.files import write_bytes, written_to
-from madviz.types import Policy, UserError, unknown
+from madviz.types import Policy
 
 Direction = Literal["forward", "right", "up", "pan", "tilt", "zoom"]
 WAYS = {

@@ -23,6 +23,7 @@ from functools import cached_property
 from typing import Any
 
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.evaluation.store import EpisodeResult, ResultKey
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.displacement import Displacement, Moves
@@ -31,7 +32,7 @@ from madviz.policies import checkpoint
 from madviz.policies.config import check_environment, definition_of
 from madviz.subsets import camera_of, cameras_of, mask_of, name_of
 from madviz.system.processes import set_up_worker
-from madviz.types import Array, Environment, Policy, PolicySpec, UserError
+from madviz.types import Array, Environment, Policy, PolicySpec
 
 Occlusions = tuple[tuple[str, Occlusion], ...]
 Finished = tuple[EpisodeResult, str]

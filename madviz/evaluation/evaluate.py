@@ -22,6 +22,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from madviz.errors import UserError, unknown
 from madviz.evaluation.episodes import (
     FIRST_SEED,
     GIVE_UP,
@@ -43,7 +44,7 @@ from madviz.policies import checkpoint
 from madviz.policies.card import write_card
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json
-from madviz.types import Array, Policy, PolicySpec, UserError, unknown
+from madviz.types import Array, Policy, PolicySpec
 
 __all__ = [
     "EpisodeResult",

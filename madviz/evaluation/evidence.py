@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.policies.config import check_config
 from madviz.subsets import mask_of
 from madviz.sweep.run import POLICY
 from madviz.system.files import read_json
-from madviz.types import UserError
 
 Outcomes = Mapping[int, bool]
 """Success at the last step, by seed."""

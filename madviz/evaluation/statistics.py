@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from math import sqrt
 from statistics import NormalDist
 
-from madviz.types import UserError
+from madviz.errors import UserError
 
 Interval = tuple[float, float]
 Z95 = NormalDist().inv_cdf(0.975)

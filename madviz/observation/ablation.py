@@ -18,9 +18,10 @@ from typing import Literal, TypeVar, get_args
 import cv2
 import numpy as np
 
+from madviz.errors import UserError, unknown
 from madviz.observation.displacement import Displacement
 from madviz.subsets import camera_of, modality_of
-from madviz.types import Array, UserError, unknown
+from madviz.types import Array
 
 T = TypeVar("T")
 CameraInput = Literal["rgb", "depth", "both", "off"]

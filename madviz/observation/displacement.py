@@ -21,7 +21,8 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.types import Array, CameraPose, CameraSpec, UserError, unknown
+from madviz.errors import UserError, unknown
+from madviz.types import Array, CameraPose, CameraSpec
 
 LARGEST = {
     **dict.fromkeys(("forward", "right", "up"), 1.0),

@@ -26,8 +26,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import get_args
 
+from madviz.errors import UserError, unknown
 from madviz.observation.ablation import PLACE, CameraState, Occlusion, OcclusionKind
-from madviz.types import EnvSpec, UserError, unknown
+from madviz.types import EnvSpec
 
 LATEST = 100_000
 """The last step that a schedule may name; no task here has as many."""

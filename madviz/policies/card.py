@@ -12,9 +12,9 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.system.files import read_json, write_bytes
-from madviz.types import UserError
 
 CARD = "card.md"
 AGAIN = "runs"

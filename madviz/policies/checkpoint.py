@@ -24,10 +24,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from madviz.envs.custom import allow_task
+from madviz.errors import UserError, perhaps
 from madviz.policies.config import FORMAT, check_config, policy_spec
 from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.plugins import made_by
-from madviz.types import Policy, PolicySpec, UserError, perhaps
+from madviz.types import Policy, PolicySpec
 
 if TYPE_CHECKING:
     from madviz.agent.agent import Agent

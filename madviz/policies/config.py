@@ -26,9 +26,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.subsets import camera_of, cameras_of, mask_of
-from madviz.types import CameraSpec, EnvSpec, PolicySpec, UserError
+from madviz.types import CameraSpec, EnvSpec, PolicySpec
 
 if TYPE_CHECKING:
     from madviz.agent.networks import NetworkConfig

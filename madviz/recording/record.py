@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread
 from madviz.observation.schedule import Schedule, in_order, in_words, parse_schedule, scenario
 from madviz.policies import checkpoint
@@ -34,7 +35,7 @@ from madviz.session.session import Session
 from madviz.session.session_file import KeptEpisode
 from madviz.session.session_reader import read_kept
 from madviz.system.files import replacing, written_to
-from madviz.types import Array, Environment, Policy, UserError
+from madviz.types import Array, Environment, Policy
 
 FIRST_SEED = 5000
 JPEG_QUALITY = 88

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from madviz.envs.registry import MANISKILL_TASKS, METAWORLD_TASKS
+from madviz.errors import UserError
 from madviz.evaluation.evidence import Evidence
 from madviz.report.layouts import THREE
 from madviz.report.rows import Rate, Row
 from madviz.report.tables import usual_alphas
-from madviz.types import UserError
 
 TWENTY = (
     *(f"metaworld/{task}" for task in METAWORLD_TASKS),

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz import svg
+from madviz.errors import UserError
 from madviz.evaluation.evidence import Evidence, find_evidence
 from madviz.evaluation.statistics import in_words
 from madviz.policies.card import AGAIN, train_again
@@ -41,7 +42,6 @@ from madviz.report.layouts import LAYOUTS, THREE
 from madviz.report.rows import Rate, Row
 from madviz.report.tables import Table, build
 from madviz.system.files import write_bytes, written_to
-from madviz.types import UserError
 
 
 @dataclass(frozen=True)

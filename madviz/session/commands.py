@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Schedule
-from madviz.types import UserError
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from madviz.errors import UserError
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import SetCamera
@@ -33,7 +34,7 @@ from madviz.session.session_file import (
     trace_of,
     versions_here,
 )
-from madviz.types import Array, EnvSpec, PolicySpec, TimeStep, UserError
+from madviz.types import Array, EnvSpec, PolicySpec, TimeStep
 
 EPISODES = 20
 """Episodes that are remembered besides the present one."""

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz.envs.registry import make_env, sees
+from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event, in_order, in_words
@@ -30,7 +31,7 @@ from madviz.session.session_file import (
 )
 from madviz.session.session_reader import read_kept
 from madviz.session.simulation import Simulation
-from madviz.types import Environment, Policy, UserError
+from madviz.types import Environment, Policy
 
 EnvFactory = Callable[..., Environment]
 Finder = Callable[[KeptPolicy], Policy]

@@ -26,6 +26,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 
+from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import (
     Command,
@@ -48,7 +49,7 @@ from madviz.session.frame import Failure, Frame, Phase
 from madviz.session.session_file import KeptEpisode, KeptSession
 from madviz.session.stage import EnvFactory, Stage
 from madviz.system.processes import yield_to_others
-from madviz.types import Policy, UserError
+from madviz.types import Policy
 
 log = logging.getLogger(__name__)
 

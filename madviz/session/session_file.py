@@ -27,11 +27,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import SetCamera
 from madviz.system.files import pretty, write_bytes
-from madviz.types import CameraSpec, PolicySpec, UserError
+from madviz.types import CameraSpec, PolicySpec
 
 SCHEMA = 1
 PACKAGES = ("madviz", "numpy", "torch", "mujoco", "metaworld", "sapien", "opencv-python")

@@ -14,6 +14,7 @@ import re
 from pathlib import Path
 from typing import Any, NoReturn
 
+from madviz.errors import UserError
 from madviz.observation.ablation import CameraState, Occlusion, by_sides
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import SetCamera
@@ -26,7 +27,7 @@ from madviz.session.session_file import (
     KeptPolicy,
     KeptSession,
 )
-from madviz.types import CameraSpec, UserError
+from madviz.types import CameraSpec
 
 LONGEST = 4_000_000
 """Bytes in a file."""

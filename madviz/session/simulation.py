@@ -22,6 +22,7 @@ import numpy as np
 
 from madviz.analysis.probes import Probe, probe
 from madviz.analysis.saliency import LiveSaliency
+from madviz.errors import UserError
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
@@ -30,7 +31,7 @@ from madviz.session.commands import SetCamera
 from madviz.session.frame import Change, Outcome, Setting, setting_of, untouched
 from madviz.session.journal import Journal, Mark
 from madviz.subsets import every_mask
-from madviz.types import Array, Body, CameraPose, Environment, Policy, TimeStep, UserError, View
+from madviz.types import Array, Body, CameraPose, Environment, Policy, TimeStep, View
 
 
 @dataclass(frozen=True)

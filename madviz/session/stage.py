@@ -19,6 +19,7 @@ from typing import Any
 
 from madviz.analysis.saliency import LiveSaliency
 from madviz.envs.registry import sees
+from madviz.errors import UserError
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Schedule
@@ -31,7 +32,7 @@ from madviz.session.plan import Plan
 from madviz.session.session_file import KeptEpisode
 from madviz.session.simulation import Simulation, inhabited
 from madviz.session.timeline import Timeline
-from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec, UserError
+from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec
 
 EnvFactory = Callable[[str, str, tuple[CameraSpec, ...]], Environment]
 """(task, render profile, cameras) -> environment, for example ``madviz.envs.registry.make_env``."""

@@ -32,8 +32,8 @@ from typing import Any
 
 from madviz.agent.methods import method
 from madviz.envs.registry import check_task, setting
+from madviz.errors import UserError, unknown
 from madviz.sweep.run import Run
-from madviz.types import UserError, unknown
 
 AXES = {
     **{"tasks": None, "methods": None, "settings": ["three"]},

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from madviz.envs.custom import allow_task, own_tasks
+from madviz.errors import UserError
 from madviz.sweep.run import Outcome, Run, carry_out
-from madviz.types import UserError
 
 RETRIES = 20
 """How many deaths of workers or nodes a run may survive within one sweep."""

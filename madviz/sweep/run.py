@@ -32,9 +32,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from madviz.errors import UserError
 from madviz.policies.checkpoint import CONFIG, EVALUATION
 from madviz.system.files import read_json, write_json
-from madviz.types import UserError
 
 RESULT, WORDS, LOG, CLAIM = "result.json", "run.json", "log.txt", "claim"
 POLICY = "policy"

@@ -32,6 +32,7 @@ from typing import Any, Literal, Protocol
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from madviz.errors import UserError
 from madviz.sweep.plan import Plan, read_plan
 from madviz.sweep.run import (
     RESULT,
@@ -43,7 +44,6 @@ from madviz.sweep.run import (
     finished,
 )
 from madviz.system.files import read_json
-from madviz.types import UserError
 
 BUSY_SECONDS = 2.0
 """How long a run that somebody else works on is left alone."""

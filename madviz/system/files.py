@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
-from madviz.types import UserError
+from madviz.errors import UserError
 
 LINE = 120
 """Characters that a list or object may take to stay on one line."""

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from madviz.types import UserError
+from madviz.errors import UserError
 
 
 def made_by(reference: str, kind: str, parts: Sequence[str]) -> Any:

@@ -23,10 +23,11 @@ import numpy as np
 
 from madviz.analysis.probes import Probe, probe
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, Occlusion, noise_generator
 from madviz.observation.streams import StreamStack
 from madviz.subsets import camera_of, cameras_of, mask_of
-from madviz.types import Array, EnvSpec, Policy, UserError, View
+from madviz.types import Array, EnvSpec, Policy, View
 
 LESSON_SEED = 2000
 """Moments of lessons are taken from here: no training saw these episodes, no card reports them."""

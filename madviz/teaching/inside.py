@@ -17,13 +17,13 @@ import numpy as np
 from madviz.analysis.saliency import Target, saliency
 from madviz.analysis.shapley import Worth, action_worth, success_interval, success_worth
 from madviz.drawing.colours import camera_colours, heat
+from madviz.errors import UserError
 from madviz.evaluation.statistics import wilson
 from madviz.recording.record import RecordConfig, run_record
 from madviz.subsets import camera_of, mask_of
 from madviz.svg_curves import curves
 from madviz.teaching import Moment, frames_of
 from madviz.teaching.show import Figure, Picture, Table, sheet, table
-from madviz.types import UserError
 
 MERGED = "#222222"
 """The colour of the sum, on white."""

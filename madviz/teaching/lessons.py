@@ -17,6 +17,7 @@ from madviz.agent.methods import METHODS, method
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.supports import SUPPORTS
 from madviz.drawing.colours import heat
+from madviz.errors import UserError
 from madviz.evaluation.evaluate import evaluate
 from madviz.evaluation.statistics import wilson
 from madviz.observation.ablation import Occlusion, OcclusionKind, noise_generator
@@ -24,7 +25,7 @@ from madviz.observation.streams import depth_code
 from madviz.subsets import every_mask, name_of
 from madviz.teaching import Moment, counts, frames_of, moments
 from madviz.teaching.show import MARK, Figure, Picture, Table, bars, presence, sheet, table
-from madviz.types import Array, Policy, PolicySpec, UserError
+from madviz.types import Array, Policy, PolicySpec
 
 # What a policy sees.
 

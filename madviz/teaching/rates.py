@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from madviz.errors import UserError
 from madviz.evaluation import statistics
 from madviz.evaluation.statistics import pair, wilson
 from madviz.policies import checkpoint
 from madviz.teaching.show import Figure, Table, Words, bars, table
-from madviz.types import UserError
 
 
 def in_words(successes: int, n: int) -> Words:

@@ -27,6 +27,7 @@ import torch
 from madviz.agent.agent import TorchPolicy
 from madviz.agent.attention import HEADS, CrossAttention, ViewTransformer, attend
 from madviz.agent.contrast import drawn
+from madviz.errors import UserError
 from madviz.evaluation.evaluate import FIRST_SEED, evaluate
 from madviz.evaluation.evidence import Evidence, find_evidence
 from madviz.observation.ablation import Occlusion
@@ -38,7 +39,7 @@ from madviz.system.files import read_json, write_json
 from madviz.teaching import Moment, SmallRun, train_small
 from madviz.teaching.rates import counted_in_words
 from madviz.teaching.show import Figure, Table, bars, table
-from madviz.types import Array, Policy, UserError
+from madviz.types import Array, Policy
 
 CAMERAS = ("first", "third_a", "third_b")
 RIVALS = (

@@ -22,8 +22,9 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from madviz import svg
+from madviz.errors import UserError
 from madviz.evaluation.statistics import wilson
-from madviz.types import Array, UserError
+from madviz.types import Array
 
 LABEL = 18
 """Pixels of the words above a picture in a sheet."""

@@ -14,9 +14,10 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.teaching.episode import begin
-from madviz.types import Policy, PolicySpec, UserError
+from madviz.types import Policy, PolicySpec
 
 if TYPE_CHECKING:
     from madviz.training.light import LightConfig

@@ -30,6 +30,7 @@ import torch
 from torch import Tensor
 
 from madviz.agent.objectives import Batch
+from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.subsets import modality_of
 from madviz.training import buffer_storage
@@ -40,7 +41,7 @@ from madviz.training.buffer_storage import (
     PackedFrames,
     PlainFrames,
 )
-from madviz.types import Array, UserError
+from madviz.types import Array
 
 
 @dataclass(frozen=True)

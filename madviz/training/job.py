@@ -29,9 +29,9 @@ from typing import Literal
 
 from madviz.agent.methods import method
 from madviz.envs.registry import check_task
+from madviz.errors import UserError, unknown
 from madviz.system.files import write_json
 from madviz.system.processes import let_all_others_go_first
-from madviz.types import UserError, unknown
 
 State = Literal["idle", "running", "stopping", "stopped", "failed", "done"]
 

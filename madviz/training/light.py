@@ -45,11 +45,12 @@ from madviz.agent.bottleneck import BottleneckEncoder, kl_loss
 from madviz.agent.contrast import TwoPartEncoder, contrastive_loss
 from madviz.agent.merge import each_stream
 from madviz.agent.methods import method
+from madviz.errors import UserError
 from madviz.subsets import mask_of
 from madviz.system.processes import set_up_worker
 from madviz.training.demonstrations import Dataset, Driver, Episode, record_in_worker
 from madviz.training.run_folder import RunFolder, interruptible
-from madviz.types import Array, CameraSpec, PolicySpec, UserError
+from madviz.types import Array, CameraSpec, PolicySpec
 
 
 @dataclass(frozen=True)

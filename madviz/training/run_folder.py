@@ -27,9 +27,9 @@ from typing import Any
 
 import torch
 
+from madviz.errors import UserError
 from madviz.policies.checkpoint import CONFIG
 from madviz.system.files import write_bytes
-from madviz.types import UserError
 
 Event = dict[str, Any]
 """What a run reports: ``kind`` and numbers; a page draws it, a terminal prints it."""

@@ -26,6 +26,7 @@ from madviz.agent.methods import method
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import choose, make_env
+from madviz.errors import UserError, unknown
 from madviz.policies.checkpoint import save_policy
 from madviz.policies.config import policy_config
 from madviz.subsets import camera_of
@@ -35,7 +36,7 @@ from madviz.training.light_critic import REWARD_SCALE, fit_critic
 from madviz.training.paper import PaperConfig, train_paper
 from madviz.training.run_folder import Event, RunFolder
 from madviz.training.vectorised import VectorisedConfig, train_vectorised
-from madviz.types import CameraSpec, EnvSpec, PolicySpec, UserError, unknown
+from madviz.types import CameraSpec, EnvSpec, PolicySpec
 
 RECIPES = {"light": "light", "paper": "paper", "paper-vectorised": "vectorised"}
 """Each with the field of ``TrainConfig`` that holds its own options."""

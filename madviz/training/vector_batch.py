@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from madviz.envs.maniskill.batch import ManiSkillBatch, Steps
+from madviz.errors import UserError
 from madviz.observation.streams import stream_frame
 from madviz.subsets import camera_of
 from madviz.training.vector_envs import Board, Recipe
-from madviz.types import Array, EnvSpec, UserError
+from madviz.types import Array, EnvSpec
 
 SUITE = "maniskill/"
 

@@ -26,10 +26,11 @@ from typing import Any
 import numpy as np
 
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE, stream_frame
 from madviz.subsets import camera_of, cameras_of, modality_of
 from madviz.system.processes import set_up_worker
-from madviz.types import Array, CameraSpec, Environment, TimeStep, UserError
+from madviz.types import Array, CameraSpec, Environment, TimeStep
 
 
 @dataclass(frozen=True)

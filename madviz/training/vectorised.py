@@ -35,12 +35,13 @@ import torch
 from madviz.agent.agent import Agent
 from madviz.envs.maniskill.batch import claim_gpu
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.training.paper import PaperRun, ReinforcementConfig
 from madviz.training.reinforcement import train_on
 from madviz.training.run_folder import RunFolder
 from madviz.training.vector_batch import BatchedEnvs, check_batched
 from madviz.training.vector_envs import Board, Recipe, VectorEnvs
-from madviz.types import Array, UserError
+from madviz.types import Array
 
 if TYPE_CHECKING:
     from madviz.training.train import TrainConfig

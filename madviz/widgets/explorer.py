@@ -28,6 +28,7 @@ import ipywidgets
 
 from madviz.drawing.mosaic import mosaic
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.policies import checkpoint
 from madviz.session.commands import Command, Pause, Play, Reset, SetCamera, SetSpeed, StepOnce
@@ -36,7 +37,7 @@ from madviz.session.session import EnvFactory, Session
 from madviz.subsets import modality_of
 from madviz.teaching import begin
 from madviz.teaching.show import jpeg
-from madviz.types import CameraSpec, Environment, Policy, UserError
+from madviz.types import CameraSpec, Environment, Policy
 from madviz.widgets.shown import Shown
 from madviz.widgets.table import table_html, words_html
 

@@ -29,7 +29,7 @@ from urllib.parse import quote
 
 import rich
 
-from madviz.types import UserError
+from madviz.errors import UserError
 
 Where = Literal["auto", "direct", "proxy"]
 PATIENCE = 60.0

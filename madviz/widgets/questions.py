@@ -8,8 +8,8 @@ from typing import Any
 
 import ipywidgets
 
+from madviz.errors import UserError
 from madviz.teaching.show import Draws, Words
-from madviz.types import UserError
 from madviz.widgets.shown import Shown
 
 

@@ -23,8 +23,8 @@ import viser
 
 from madviz.app.toolkit import selector
 from madviz.drawing.mosaic import GAP, HEADER, SCALE
+from madviz.errors import UserError
 from madviz.observation.ablation import CameraState, Occlusion
-from madviz.types import UserError
 
 HINT = "Drag a box on a picture: a black patch covers it."
 LEAST, THIN = 8, 2

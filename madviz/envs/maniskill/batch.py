@@ -35,7 +35,8 @@ from madviz.envs.maniskill.render import FAR, sensor
 from madviz.envs.maniskill.tasks import states, stock_task
 from madviz.envs.maniskill.vulkan import renderer
 from madviz.envs.registry import check_action, standing
-from madviz.types import Array, CameraSpec, UserError, View
+from madviz.errors import UserError
+from madviz.types import Array, CameraSpec, View
 
 
 @dataclass(frozen=True)

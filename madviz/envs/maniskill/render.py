@@ -24,7 +24,8 @@ from scipy.spatial.transform import Rotation
 from madviz.envs.maniskill.bodies import Scenery
 from madviz.envs.maniskill.meshes import lighten
 from madviz.envs.maniskill.tasks import build
-from madviz.types import Array, CameraSpec, UserError, View
+from madviz.errors import UserError
+from madviz.types import Array, CameraSpec, View
 
 MAX_SIZE = 512
 """The largest view in pixels; the page needs no more."""

@@ -14,7 +14,7 @@ import json
 from functools import cache
 from typing import Any
 
-from madviz.types import UserError
+from madviz.errors import UserError
 
 
 @cache

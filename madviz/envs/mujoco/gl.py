@@ -15,7 +15,7 @@ import json
 import os
 import sys
 
-from madviz.types import UserError
+from madviz.errors import UserError
 
 
 def check_gl() -> None:

@@ -20,7 +20,8 @@ import mujoco
 import numpy as np
 
 from madviz.envs.mujoco.meshes import lighter_meshes
-from madviz.types import Array, UserError, View
+from madviz.errors import UserError
+from madviz.types import Array, View
 
 MAX_SIZE = 512
 """The largest view in pixels; the frame buffer has this many rows and columns."""

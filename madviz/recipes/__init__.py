@@ -1,1 +1,0 @@
-"""How policies are trained: recipes, and what they learn from."""
