@@ -19,6 +19,8 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from madviz.errors import unknown
+
 Array = np.ndarray
 Modality = Literal["rgb", "depth"]
 

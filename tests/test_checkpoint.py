@@ -19,7 +19,8 @@ from madviz.agent.networks import Encoder, NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
-from madviz.policies import checkpoint, config
+from madviz.policies import checkpoint
+from madviz.policies import config as config_module
 from madviz.policies.checkpoint import describe, load_policy, save_policy
 
 NETWORKS = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8)
@@ -38,7 +39,7 @@ def make_agent(seed=0):
 
 
 def make_config(name="toy-reach-mad-light", **changes):
-    config = config.policy_config(
+    config = config_module.policy_config(
         ToyReach().spec,
         NETWORKS,
         name=name,
@@ -181,7 +182,7 @@ def test_old_formats_are_repaired_by_named_functions(folder, monkeypatch):
     edit_config(folder, format=0, merge=None)
     with pytest.raises(UserError, match="expected format 1, found 0"):
         load_policy(folder)
-    monkeypatch.setitem(config.REPAIRS, 0, merge_was_implied)
+    monkeypatch.setitem(config_module.REPAIRS, 0, merge_was_implied)
     assert load_policy(folder).spec.name == "toy-reach-mad-light"
 
 
@@ -330,8 +331,8 @@ def test_a_failing_disk_leaves_the_old_policy(folder, monkeypatch):
 
 
 def test_another_environment_is_refused():
-    policy, env = config.policy_spec(make_config(), ""), ToyReach().spec
-    config.check_environment(policy, env)
+    policy, env = config_module.policy_spec(make_config(), ""), ToyReach().spec
+    config_module.check_environment(policy, env)
     moved = replace(env.cameras[0], fovy=61)
     for other, message in (
         (replace(env, render_profile="full"), "render profile = fast"),
@@ -340,9 +341,9 @@ def test_another_environment_is_refused():
         (replace(env, cameras=env.cameras[1:]), "unknown camera 'first'"),
     ):
         with pytest.raises(UserError, match=message):
-            config.check_environment(policy, other)
+            config_module.check_environment(policy, other)
     relabelled = replace(env.cameras[0], label="Hand camera")
-    config.check_environment(policy, replace(env, cameras=(relabelled, *env.cameras[1:])))
+    config_module.check_environment(policy, replace(env, cameras=(relabelled, *env.cameras[1:])))
 
 
 # --- Listing ---
@@ -370,6 +371,9 @@ def test_list_shows_success_of_these_weights_only_and_what_is_broken(folder, mon
 
 
 def test_listing_needs_no_torch(folder):
-    code = "import sys, madviz.policies.checkpoint as c; c.list_everything(); assert 'torch' not in sys.modules"
+    code = (
+        "import sys, madviz.policies.checkpoint as c; c.list_everything();"
+        "assert 'torch' not in sys.modules"
+    )
     env = {**os.environ, "MADVIZ_CHECKPOINTS": str(folder.parent)}
     subprocess.run([sys.executable, "-c", code], check=True, env=env, timeout=60)

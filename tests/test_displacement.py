@@ -12,7 +12,7 @@ import pytest
 from madviz import cli
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
-from madviz.evaluation import displace
+from madviz.evaluation import displace as displace_module
 from madviz.evaluation.displace import (
     DisplaceConfig,
     Point,
@@ -105,7 +105,7 @@ def test_every_place_has_the_same_seeds(monkeypatch):
             seen.append((job.moves, job.seed))
             return super().run(job)
 
-    monkeypatch.setattr(displace, "Runner", Watching)
+    monkeypatch.setattr(displace_module, "Runner", Watching)
     displace(Seeker(), "third_b", places("up", 0.1, 2), episodes=3, seed=5000)
     moves = {move for move, _ in seen}
     assert moves == {(), (("third_b", Displacement(up=0.1)),)}
@@ -176,7 +176,7 @@ def test_how_far_depends_on_what_it_is_unless_somebody_says(way, end, monkeypatc
         asked.extend(moves)
         return (Point(0.0, 1, 1),)
 
-    monkeypatch.setattr(displace, "displace", displaced)
+    monkeypatch.setattr(displace_module, "displace", displaced)
     run_displace(DisplaceConfig("tests.test_displacement:make_seeker", "first", way))
     assert asked[-1] == end and len(asked) == 5
 

@@ -25,7 +25,8 @@ from madviz.evaluation.evaluate import (
 )
 from madviz.evaluation.store import MEMORY, Store
 from madviz.observation.ablation import Ablation, Occlusion
-from madviz.policies import checkpoint, config
+from madviz.policies import checkpoint
+from madviz.policies import config as config_module
 from madviz.types import PolicySpec
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy
 
@@ -39,7 +40,7 @@ def folder(tmp_path_factory):
     """A torch policy that nobody trained, in a folder."""
     torch.manual_seed(0)
     networks = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8)
-    config = config.policy_config(
+    config = config_module.policy_config(
         ToyReach().spec,
         networks,
         name="toy",

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from madviz.doctor import check_vulkan
 from madviz.envs import decimation
-from madviz.envs.maniskill.environment import ManiSkill, cameras_of, meshes, vulkan
+from madviz.envs.maniskill import meshes, vulkan
+from madviz.envs.maniskill.environment import ManiSkill, cameras_of
 from madviz.envs.maniskill.tasks import MANISKILL_SUCCESS, position
 from madviz.envs.registry import MANISKILL_TASKS, SETTINGS, make_env, setting_cameras
 from madviz.errors import UserError
@@ -265,7 +266,8 @@ def test_the_supported_device_is_named() -> None:
 
 def test_only_who_makes_an_environment_loads_sapien() -> None:
     program = (
-        "import madviz.envs.maniskill.environment, madviz.envs.maniskill.stock, madviz.envs.registry, sys;"
+        "import madviz.envs.maniskill.environment, madviz.envs.maniskill.stock, sys;"
+        "import madviz.envs.registry;"
         "print(*{'sapien', 'mani_skill', 'torch'} & set(sys.modules))"
     )
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 import torch
 
+from madviz.envs.maniskill import batch
 from madviz.envs.maniskill.batch import ManiSkillBatch
-from madviz.envs.maniskill.environment import HORIZON, ManiSkill, batch, cameras_of
+from madviz.envs.maniskill.environment import HORIZON, ManiSkill, cameras_of
 from madviz.envs.maniskill.tasks import states
 from madviz.envs.registry import MANISKILL_TASKS, make_env, setting_cameras
 from madviz.errors import UserError

@@ -81,7 +81,7 @@ def bench_evaluate(config: BenchEvaluateConfig) -> dict[str, Any]:
     serial_seconds, serial = in_turn(jobs, here)
     if ours != serial:
         raise UserError("expected the same results of both loops, found different ones; see doctor")
-    kind: Any = import_module(f"madviz.envs.{suite}_stock").StockFrames
+    kind: Any = import_module(f"madviz.envs.{suite}.stock").StockFrames
     env, policy = here.opened(jobs[0])
     mask = mask_of(config.subset, spec.streams)
     frames = kind(task, IMAGE_SIZE)

@@ -95,7 +95,7 @@ def bench_render(config: RenderConfig) -> dict[str, Any]:
     ours = OurFrames(task, config.size)
     ours.draw()  # Complains about missing OpenGL in words of its own, before MuJoCo can.
     # MuJoCo loads an OpenGL library when it is imported, so this waits until ours has checked it.
-    kind: Any = import_module(f"madviz.envs.{suite}_stock").StockFrames
+    kind: Any = import_module(f"madviz.envs.{suite}.stock").StockFrames
     stock = kind(task.split("/")[1], config.size)
     times = alternate({"ours": ours, "stock": stock}, config.rounds)
     result = {

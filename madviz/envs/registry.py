@@ -171,7 +171,7 @@ def _suite_cameras(
 
         return TOY_CAMERAS, {}
     if task.startswith("maniskill/"):
-        from madviz.envs.maniskill.environment import environment
+        from madviz.envs.maniskill import environment
 
         return environment.cameras_of(task.split("/")[1]), environment.SETTING_CAMERAS
     _draw_without_a_display()

@@ -80,7 +80,7 @@ def save_policy(
 def policy_roots() -> list[Path]:
     """Where names are looked up: $MADVIZ_CHECKPOINTS, ./checkpoints, the repository's."""
     named = [Path(p) for p in os.environ.get("MADVIZ_CHECKPOINTS", "").split(os.pathsep) if p]
-    repository = Path(__file__).resolve().parent.parent / "checkpoints"
+    repository = Path(__file__).resolve().parents[2] / "checkpoints"
     return list(dict.fromkeys([*named, Path.cwd() / "checkpoints", repository]))
 
 

@@ -170,6 +170,6 @@ guess_pair.compare(f"exact p = {compared.mcnemar():.2g}, so hardly luck")
 #
 # Somebody shows you ten episodes: policy A solved 9, policy B solved 7 of *the same* scenes. Is A
 # better? Make the most favourable case for A (every scene that B solves A solves as well) and the
-# least favourable one with `madviz.evaluation.statistics.Paired`, and compare the p-values. How many scenes
-# would you ask for, if the rates stayed what they are? A solution is in
+# least favourable one with `madviz.evaluation.statistics.Paired`, and compare the p-values. How
+# many scenes would you ask for, if the rates stayed what they are? A solution is in
 # `solutions/04_take_cameras_away.py`.

@@ -1,7 +1,7 @@
 """A map of what each camera's picture becomes, with the way of this episode as a fading trail.
 
-Two axes out of thousands, chosen once per policy (``madviz.analysis.projection``) and then kept, with the
-same scale in both directions, so that near on the map is alike in these two directions. A merged
+Two axes out of thousands, chosen once per policy (``madviz.analysis.projection``), with the same
+scale in both directions, so that near on the map is alike in these two directions. A merged
 feature that is a sum lies far away from its terms, |M| being up to V times as long; it is drawn
 divided by the number of streams in it, which is their middle: drop a camera, and see it move
 towards those that are left.
