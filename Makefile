@@ -35,6 +35,7 @@ test-slow: setup-dev
 check: .venv/dev.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/lint-imports --no-cache
 	$(BIN)/pyright
 
 bench: setup-dev

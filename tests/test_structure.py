@@ -1,0 +1,72 @@
+"""The package's shape: import rules, and how long things get.
+
+Which package may import which, and where a third party may be imported, is said in the contracts of
+``pyproject.toml``; import-linter reads them.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "madviz"
+FILES = sorted(PACKAGE.rglob("*.py"))
+MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in FILES}
+TREES = {name: ast.parse(path.read_text()) for name, path in MODULES.items()}
+
+
+def imports(tree: ast.AST) -> Iterator[tuple[str, str]]:
+    """(module, name) of everything that a file imports, also inside functions; the name is empty
+    where a whole module is imported."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, "") for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"relative import of {node.module}"
+            yield from ((node.module or "", alias.name) for alias in node.names)
+
+
+def test_imports_keep_the_contracts() -> None:
+    program = "from importlinter.cli import lint_imports_command; lint_imports_command()"
+    words = [sys.executable, "-c", program, "--no-cache"]
+    found = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    assert found.returncode == 0, found.stdout + found.stderr
+
+
+def test_every_third_party_is_declared() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"].values()
+    lines = [*project["dependencies"], *(line for extra in extras for line in extra)]
+    declared = {re.split(r"[^\w-]", line)[0].lower().replace("_", "-") for line in lines}
+    outside = {module.split(".")[0] for tree in TREES.values() for module, _ in imports(tree)}
+    providers = packages_distributions()
+    for name in outside - set(sys.stdlib_module_names) - {"madviz"}:
+        owners = {owner.lower().replace("_", "-") for owner in providers.get(name, [name])}
+        assert owners & declared, f"pyproject.toml does not declare {owners}, which has {name}"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_files_and_functions_stay_short(module: str) -> None:
+    assert len(MODULES[module].read_text().splitlines()) <= 400
+    for node in ast.walk(TREES[module]):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            length = (node.end_lineno or 0) - node.lineno + 1
+            assert length <= 60, f"{module}.{node.name} has {length} lines"
+
+
+def test_importing_madviz_loads_neither_torch_nor_viser() -> None:
+    heavy = {"torch", "viser", "mujoco", "tyro", "sapien", "ray", "matplotlib"}
+    program = f"import madviz, sys; print(*{heavy} & set(sys.modules))"
+    loaded = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert loaded.stdout.split() == []
