@@ -27,7 +27,7 @@ from madviz.app.panels.success import (
 from madviz.app.picture import Screen
 from madviz.app.rates import Rate, Rates
 from madviz.app.scene.scene import ScenePanel
-from madviz.drawing.viewpoint import _focus
+from madviz.drawing.viewpoint import focus
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.policies.checkpoint import load_policy
@@ -352,8 +352,8 @@ def test_a_screen_keeps_its_element_and_feeds_it(server):
 def test_lines_of_sight_meet_on_the_table():
     frame = frame_with()
     hand = frame.poses["first"].position[:2]
-    focus = _focus(frame)[:2]
-    assert np.abs(focus).max() <= max(1.0, float(np.abs(hand).max()))
+    middle = focus(frame)[:2]
+    assert np.abs(middle).max() <= max(1.0, float(np.abs(hand).max()))
 
 
 def test_panels_leave_nothing(server):

@@ -17,7 +17,8 @@ import pytest
 from rerun.chunk import RrdReader
 
 from madviz import cli
-from madviz.drawing.viewpoint import Sight, first_look
+from madviz.app.scene.fitted_view import FittedView
+from madviz.drawing.viewpoint import first_view
 from madviz.errors import UserError
 from madviz.observation.schedule import parse_schedule
 from madviz.recording import record as recording
@@ -153,13 +154,13 @@ def test_the_viewer_opens_with_the_sight_of_the_page(tmp_path: Path) -> None:
         for name in ("position", "look_target", "eye_up")
     )
     page = SimpleNamespace(image_width=600, image_height=500)
-    Sight(page, *first_look(first))
+    FittedView(page, *first_view(first))
     ahead, ours = target - place, page.look_at - page.position
     np.testing.assert_allclose(
         ahead / np.linalg.norm(ahead), ours / np.linalg.norm(ours), atol=1e-5
     )
     assert up.tolist() == [0, 0, 1]
-    points, _ = first_look(first)
+    points, _ = first_view(first)
     depth = (points - place) @ ahead / np.linalg.norm(ahead)
     across = np.linalg.norm(np.cross(points - place, ahead / np.linalg.norm(ahead)), axis=1)
     corner = np.hypot(1, ASPECT) * np.tan(FOV / 2)

@@ -14,8 +14,9 @@ import viser
 
 from madviz.app.panel import apply
 from madviz.app.scene.bodies import creased, glb, joined, linear
+from madviz.app.scene.fitted_view import FittedView
 from madviz.app.scene.scene import MOVE, MOVE_AT_FULL_SPEED, ScenePanel, picture
-from madviz.drawing.viewpoint import FOV, MARGIN, Sight, first_look, nearest_place
+from madviz.drawing.viewpoint import FOV, MARGIN, first_view, nearest_place
 from madviz.envs import shapes
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
@@ -195,7 +196,9 @@ def test_the_nearest_place_has_everything_just_in_sight():
 
 def test_a_visitor_sees_all_of_it_until_they_look_elsewhere():
     camera = SimpleNamespace(image_width=1280, image_height=800, position=np.zeros(3))
-    seen = Sight(camera, np.random.default_rng(1).uniform(-1, 1, (9, 3)), np.array([-1.0, 0, -1]))
+    seen = FittedView(
+        camera, np.random.default_rng(1).uniform(-1, 1, (9, 3)), np.array([-1.0, 0, -1])
+    )
     first = camera.position
     assert seen.update() == []
     camera.image_width = 312  # Panels dock.
@@ -213,7 +216,7 @@ def test_the_first_place_has_cameras_apart_and_pictures_the_right_way_round():
     frame = session.latest
     assert isinstance(frame, Frame)
     camera = SimpleNamespace(image_width=312, image_height=800)
-    Sight(camera, *first_look(frame))
+    FittedView(camera, *first_view(frame))
     ahead = camera.look_at - camera.position
     for name in ("third_a", "third_b"):
         _, x, y, z = frame.poses[name].wxyz

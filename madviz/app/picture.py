@@ -17,14 +17,13 @@ may be a frame ahead.
 
 from __future__ import annotations
 
-from base64 import b64encode
 from itertools import count
 
-import cv2
 import viser
 
 from madviz.app.panel import Assign
 from madviz.app.toolkit import remove_all
+from madviz.drawing.jpeg import jpeg_url
 from madviz.types import Array
 
 SCREEN_SCRIPT = """
@@ -59,7 +58,9 @@ _number = count()
 
 
 class Screen:
-    """One picture on the page. The page must have run ``SCREEN_SCRIPT``."""
+    """One picture on the page, which must have run ``SCREEN_SCRIPT``. It travels as text, with the
+    texts it belongs to: viser's own image widget decodes every picture twice and shows it a frame
+    later."""
 
     def __init__(
         self, gui: viser.GuiApi, rgb: Array, step: str, alt: str, attributes: str = ""
@@ -87,10 +88,3 @@ class Screen:
     def remove(self) -> None:
         """Takes it off the page."""
         remove_all([self._image, self._feed])
-
-
-def jpeg_url(rgb: Array) -> str:
-    """(H, W, 3) uint8 as text for an image's address. It travels with the texts it belongs to;
-    viser's own image widget decodes every picture twice and shows it a frame later."""
-    _, jpeg = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
-    return "data:image/jpeg;base64," + b64encode(jpeg.tobytes()).decode()

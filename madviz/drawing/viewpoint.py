@@ -1,4 +1,4 @@
-"""Where a visitor looks from: everything that matters in sight, as large as it can be.
+"""Where to view a scene from: everything that matters in sight, as large as it can be.
 
 The scene has the space between two panels, 312 x 800 pixels in a small window and 800 x 1080 in a
 large one, so a fixed place would cut things off in the first or lose them in the second. Given the
@@ -9,17 +9,14 @@ points whose |x - e| <= a (z - f), so
     e - a f >= max(x - a z) = P,    e + a f <= min(x + a z) = M
     f = (M - P) / 2a,  e = (M + P) / 2        (the same up and down; the smaller f counts)
 
-Recordings for rerun open with the same look, so nothing here knows viser.
+The page and recordings for rerun open with the same view; nothing here depends on viser.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.app.panel import Assign, apply
 from madviz.session.frame import Frame
 from madviz.types import Array
 
@@ -48,15 +45,17 @@ def nearest_place(points: Array, ahead: Array, aspect: float, fov: float = FOV) 
     return np.array([places[0][0], places[1][0], depth]) @ axes
 
 
-def eye(points: Array, ahead: Array, aspect: float, fov: float = FOV) -> tuple[Array, Array]:
-    """(3,) where to stand, and (3,) what to look at: the nearest place, and as far ahead of it as
-    the ``points`` are in the mean. A viewer that turns about what it looks at stays with them."""
+def place_and_target(
+    points: Array, ahead: Array, aspect: float, fov: float = FOV
+) -> tuple[Array, Array]:
+    """(3,) the position of a camera, and (3,) the point it looks at: the nearest place, and as far
+    ahead of it as the ``points`` are on average, so that a viewer turns about them."""
     place = nearest_place(points, ahead, aspect, fov)
     ahead = ahead / np.linalg.norm(ahead)
     return place, place + float(((points - place) @ ahead).mean()) * ahead
 
 
-def outlook(points: Array, pictures: Array, facing: Array, hand: Array) -> Array:
+def best_direction(points: Array, pictures: Array, facing: Array, hand: Array) -> Array:
     """(3,) the direction to look along, of unit length: the best of 36, all looking down alike.
 
     Good is what keeps apart, on the screen, the cameras' ``pictures`` (C, 3) and the ``hand``
@@ -81,9 +80,9 @@ def outlook(points: Array, pictures: Array, facing: Array, hand: Array) -> Array
     return best / np.linalg.norm(best)
 
 
-def first_look(frame: Frame) -> tuple[Array, Array]:
-    """What must be seen at first, (n, 3) points, and along which direction (3,): cameras, the hand
-    and whatever is on the table."""
+def first_view(frame: Frame) -> tuple[Array, Array]:
+    """What must be in view at first, (n, 3) points, and along which direction (3,): cameras, the
+    hand and whatever is on the table."""
     size = extent(frame)
     pictures, points = [], []
     for name, pose in frame.poses.items():
@@ -105,7 +104,7 @@ def first_look(frame: Frame) -> tuple[Array, Array]:
     seen, places = np.concatenate(points), np.array(pictures)
     facing = places - np.array([frame.poses[name].position for name in frame.poses])
     facing /= np.linalg.norm(facing, axis=1, keepdims=True)
-    return seen, outlook(seen, places, facing, frame.hand)
+    return seen, best_direction(seen, places, facing, frame.hand)
 
 
 def _to_world(points: Array, pose: Array) -> Array:
@@ -114,13 +113,13 @@ def _to_world(points: Array, pose: Array) -> Array:
 
 
 def extent(frame: Frame) -> float:
-    """Metres: how far the cameras are from what they look at."""
-    centre = _focus(frame)
+    """Metres: the largest distance of a camera from what they all look at, at least 0.5."""
+    centre = focus(frame)
     distances = [float(np.linalg.norm(pose.position - centre)) for pose in frame.poses.values()]
     return max(0.5, max(distances))
 
 
-def _focus(frame: Frame) -> Array:
+def focus(frame: Frame) -> Array:
     """(3,) the point nearest to all lines of sight, by least squares."""
     left, right = np.zeros((3, 3)), np.zeros(3)
     for pose in frame.poses.values():
@@ -137,37 +136,3 @@ def _axes(ahead: Array) -> Array:
     right = np.cross(ahead, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(right, ahead), ahead])
-
-
-class Sight:
-    """A visitor's place, kept fitting while panels dock and windows change, until the visitor
-    takes another one."""
-
-    def __init__(self, camera: Any, points: Array, ahead: Array) -> None:
-        """``camera`` is a ``viser.CameraHandle``; points (n, 3) must be seen, along ``ahead``
-        (3,)."""
-        self._camera, self._points, self._ahead = camera, points, ahead
-        self._aspect, self._place = 0.0, np.zeros(3)
-        apply(self.update())
-
-    def update(self) -> list[Assign]:
-        """What has to change where the picture has another shape than it had."""
-        aspect = _aspect(self._camera)
-        if abs(aspect - self._aspect) < 0.01:
-            return []
-        first, self._aspect = not self._place.any(), aspect
-        away = np.linalg.norm(np.subtract(self._camera.position, self._place)) if not first else 0
-        if away > 0.01 * np.linalg.norm(self._place):
-            return []  # The visitor has gone to look from elsewhere.
-        self._place, target = eye(self._points, self._ahead, aspect)
-        return [
-            Assign(self._camera, "fov", FOV),
-            Assign(self._camera, "position", self._place),
-            Assign(self._camera, "look_at", target),
-        ]
-
-
-def _aspect(camera: Any) -> float:
-    """Width by height of the scene's picture; before a browser has said, that of a small window."""
-    height = getattr(camera, "image_height", 0)
-    return camera.image_width / height if height else 0.4

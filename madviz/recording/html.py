@@ -6,15 +6,15 @@ content security policy in its head says so to the browser: no scripts, nothing 
 
 from __future__ import annotations
 
-import base64
 from html import escape
 from pathlib import Path
 
 import numpy as np
 
 from madviz.drawing.colours import camera_colours
+from madviz.drawing.jpeg import jpeg_url
 from madviz.drawing.mosaic import mosaic
-from madviz.recording.record import Facts, jpeg, setting_words
+from madviz.recording.facts import Facts, condition_words
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of
 from madviz.svg_curves import curves
@@ -42,24 +42,24 @@ svg{max-width:100%;height:auto;display:block;margin-bottom:8px}
 """
 
 
-class ReportWriter:
+class HtmlWriter:
     """See the module. Keeps of every step its numbers, and of all pictures the few it shows."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         self._path, self._facts = path, facts
         self._frames: list[Frame] = []
         self._marks: dict[int, str] = {}
-        self._pictures: dict[int, bytes] = {}
+        self._pictures: dict[int, str] = {}
         self._numbers: dict[str, list[Array]] = {}
 
     def add(self, frame: Frame) -> None:
         before = self._frames[-1] if self._frames else None
         if before is not None and _changed(before, frame):
-            self._marks[frame.step] = setting_words(frame)
+            self._marks[frame.step] = condition_words(frame)
         every = max(frame.env.horizon // PICTURES, 1)
         marked = frame.step in self._marks and len(self._marks) <= MOST_MARKED
         if marked or frame.step % every == 0 or frame.ended:
-            self._pictures[frame.step] = jpeg(mosaic(frame, TILE))
+            self._pictures[frame.step] = jpeg_url(mosaic(frame, TILE))
         probe, row = frame.probe, frame.row
         self._note("norms", probe.norms)
         self._note("merged", np.array([probe.merged_norm(row)]))
@@ -99,14 +99,13 @@ class ReportWriter:
     def _strip(self) -> str:
         figures = []
         for step, picture in self._pictures.items():
-            data = base64.b64encode(picture).decode()
             words = f"step {step}"
             if step in self._marks:
                 words += f": cameras become {self._marks[step]}"
             style = ' class="marked"' if step in self._marks else ""
             figures.append(
                 f'<figure{style}><img alt="all cameras at step {step}" '
-                f'src="data:image/jpeg;base64,{data}"><figcaption>{escape(words)}</figcaption>'
+                f'src="{picture}"><figcaption>{escape(words)}</figcaption>'
                 "</figure>"
             )
         return f'<div class="strip">{"".join(figures)}</div>'

@@ -20,25 +20,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-import cv2
-import numpy as np
-
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread
 from madviz.observation.schedule import Schedule, in_order, in_words, parse_schedule, scenario
 from madviz.policies import checkpoint
+from madviz.recording.facts import Facts
 from madviz.session.commands import Play, SetSchedule
-from madviz.session.frame import Failure, Frame, occlusion_words
+from madviz.session.frame import Failure, Frame
 from madviz.session.replay import Finder, check_horizon, check_policies, failures_of, finder
 from madviz.session.session import Session
 from madviz.session.session_file import KeptEpisode
 from madviz.session.session_reader import read_kept
 from madviz.system.files import replacing, written_to
-from madviz.types import Array, Environment, Policy
+from madviz.types import Environment, Policy
 
 FIRST_SEED = 5000
-JPEG_QUALITY = 88
 
 
 @dataclass(frozen=True)
@@ -70,18 +67,6 @@ class RecordConfig:
     json: str | None = None
     """Write what was recorded to this file; ``-`` is standard output, and nothing else goes there.
     """
-
-
-@dataclass(frozen=True)
-class Facts:
-    """What a recording is of."""
-
-    command: str
-    """Makes it again."""
-    failures: tuple[str, ...]
-    """What happens to cameras, in the language of schedules."""
-    fps: float = 10.0
-    tile: int = 252
 
 
 class Writer(Protocol):
@@ -122,9 +107,9 @@ def writer_for(path: Path, facts: Facts) -> Writer:
         from madviz.recording.video import VideoWriter
 
         return VideoWriter(path, facts)
-    from madviz.recording.html import ReportWriter
+    from madviz.recording.html import HtmlWriter
 
-    return ReportWriter(path, facts)
+    return HtmlWriter(path, facts)
 
 
 def check_out(path: Path) -> None:
@@ -160,10 +145,17 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     if config.keep is not None:
         session.keep().last().write(config.keep)
     return {
-        **{"schema": 1, "out": str(config.out), "bytes": size},
-        **{"policy": last.policy.name, "task": last.env.task, "seed": last.seed},
-        **{"steps": last.step, "failures": failures},
-        **{"success": last.success, "success_any": last.success_any, "return": last.total_reward},
+        "schema": 1,
+        "out": str(config.out),
+        "bytes": size,
+        "policy": last.policy.name,
+        "task": last.env.task,
+        "seed": last.seed,
+        "steps": last.step,
+        "failures": failures,
+        "success": last.success,
+        "success_any": last.success_any,
+        "return": last.total_reward,
         "same": session.keep().episodes[-1].sha256 == script.sha256 if script else None,
     }
 
@@ -252,33 +244,3 @@ def frames(session: Session, steps: int | None) -> Iterator[Frame]:
                     return
             newest = frame
     yield newest
-
-
-def jpeg(picture: Array) -> bytes:
-    """(H, W, 3) RGB or (H, W, 1) uint8 -> a JPEG file."""
-    pixels = picture if picture.shape[2] == 1 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-    done, encoded = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    assert done
-    return np.asarray(encoded).tobytes()
-
-
-def headline(frame: Frame, facts: Facts) -> str:
-    """Policy, task, seed and failures in one line."""
-    failing = f" · fails: {', '.join(facts.failures)}" if facts.failures else ""
-    return f"{frame.policy.name} · {frame.env.task} · seed {frame.seed}{failing}"
-
-
-def setting_words(frame: Frame) -> str:
-    """Which streams count and which cameras fail how: ``first+third_b, First person is frozen``."""
-    parts = [frame.setting.subset]
-    for name, occlusion in sorted(frame.ablation.occlusions().items()):
-        if frame.camera(name).input != "off":
-            parts.append(f"{frame.env.camera(name).label} {occlusion_words(occlusion)}")
-    return ", ".join(parts)
-
-
-def verdict(frame: Frame) -> str:
-    """How the episode stands, in a word or two."""
-    if not frame.ended:
-        return "goal met" if frame.success else "goal not met"
-    return "SUCCESS" if frame.success else "FAIL"

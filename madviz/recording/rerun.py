@@ -21,8 +21,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from madviz.drawing.colours import camera_colours, rgb
-from madviz.drawing.viewpoint import eye, first_look
-from madviz.recording.record import Facts, headline, jpeg, verdict
+from madviz.drawing.jpeg import jpeg
+from madviz.drawing.viewpoint import first_view, place_and_target
+from madviz.recording.facts import Facts, headline, verdict
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array
@@ -110,7 +111,8 @@ class RerunWriter:
             rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=[x, y, z, w])),
             rr.Pinhole(  # In pixels: told an angle, rerun takes the picture for one of 1 x 1.
                 focal_length=float(size / 2 / np.tan(np.radians(pose.fovy) / 2)),
-                **{"width": size, "height": size},
+                width=size,
+                height=size,
                 image_plane_distance=0.25,
                 color=(110, 112, 116) if off else rgb(camera_colours(frame.env.cameras)[name]),
             ),
@@ -167,7 +169,7 @@ def layout(frame: Frame) -> rrb.Blueprint:
 
 def first_eye(frame: Frame) -> rrb.EyeControls3D:
     """Looks at the scene as the page does at first: rerun by itself begins behind the robot."""
-    position, target = eye(*first_look(frame), ASPECT, FOV)
+    position, target = place_and_target(*first_view(frame), ASPECT, FOV)
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=position.tolist(),

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from madviz.drawing.colours import BAD, FAINT, GOOD, INK, MUTED, NOTE, rgb
 from madviz.drawing.mosaic import mosaic
-from madviz.recording.record import Facts, headline, setting_words, verdict
+from madviz.recording.facts import Facts, condition_words, headline, verdict
 from madviz.session.frame import Frame
 from madviz.types import Array
 
@@ -79,7 +79,7 @@ def _caption(frame: Frame, facts: Facts, width: int) -> Array:
     draw = ImageDraw.Draw(image)
     _text(draw, headline(frame, facts), 6, 6, width - 12, MUTED)
     colour = (GOOD if frame.success else BAD) if frame.ended else NOTE if frame.success else INK
-    stand = f"step {frame.step}/{frame.env.horizon}  cameras: {setting_words(frame)}"
+    stand = f"step {frame.step}/{frame.env.horizon}  cameras: {condition_words(frame)}"
     _text(draw, stand, 6, 28, width - 130, INK)
     draw.text((width - 6, 28), verdict(frame), fill=colour, font=_font(15), anchor="ra")
     return np.asarray(image)

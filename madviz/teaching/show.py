@@ -202,13 +202,5 @@ def png(pixels: Array) -> bytes:
     return data.getvalue()
 
 
-def jpeg(pixels: Array, quality: int = 85) -> bytes:
-    """(H, W, 3) RGB uint8 -> a JPEG file."""
-    bgr = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
-    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    assert done
-    return data.tobytes()
-
-
 Drawable = Picture | Figure | Table
 Draws = Callable[..., Drawable]

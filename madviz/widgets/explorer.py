@@ -26,6 +26,7 @@ from typing import Any, ClassVar
 
 import ipywidgets
 
+from madviz.drawing.jpeg import jpeg
 from madviz.drawing.mosaic import mosaic
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
@@ -36,7 +37,6 @@ from madviz.session.frame import Failure, Frame
 from madviz.session.session import EnvFactory, Session
 from madviz.subsets import modality_of
 from madviz.teaching import begin
-from madviz.teaching.show import jpeg
 from madviz.types import CameraSpec, Environment, Policy
 from madviz.widgets.shown import Shown
 from madviz.widgets.table import table_html, words_html

@@ -12,10 +12,10 @@ import viser
 from madviz.app.panel import Assign
 from madviz.app.panels.policy import PolicyChoice, verdict
 from madviz.app.panels.subsets import subset_label
-from madviz.app.picture import jpeg_url
 from madviz.app.scene.scene import picture
 from madviz.app.toolkit import Cell, grid, on_press, remove_all
 from madviz.drawing.colours import BAD, FAINT, GOOD, NOTE
+from madviz.drawing.jpeg import jpeg_url
 from madviz.evaluation.statistics import Paired
 from madviz.session.commands import Command, SetTwin
 from madviz.session.comparison import tally

@@ -15,10 +15,10 @@ import numpy as np
 import viser
 
 from madviz.app.panel import Assign
-from madviz.app.picture import jpeg_url
 from madviz.app.scene.scene import picture
 from madviz.app.toolkit import Cell, Shown, grid, on_press, on_value, remove_all
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
+from madviz.drawing.jpeg import jpeg_url
 from madviz.session.commands import Command, Fork, Scrub
 from madviz.session.frame import Frame, Moment
 

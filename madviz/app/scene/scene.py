@@ -22,8 +22,9 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.scene.bodies import Bodies
+from madviz.app.scene.fitted_view import FittedView
 from madviz.drawing.colours import NOTE, camera_colours, rgb
-from madviz.drawing.viewpoint import WIDTH, WIDTH_ON_BODY, Sight, extent, first_look
+from madviz.drawing.viewpoint import WIDTH, WIDTH_ON_BODY, extent, first_view
 from madviz.session.frame import Frame
 from madviz.types import Array, CameraPose
 
@@ -64,7 +65,7 @@ class ScenePanel:
             self._bodies = Bodies(client, frame)
             for camera in frame.env.cameras:
                 self._add(client, frame, camera.name, colours[camera.name], on_click)
-        self._sight = Sight(client.camera, *first_look(frame))
+        self._view = FittedView(client.camera, *first_view(frame))
 
     def update(self, frame: Frame) -> list[Assign]:
         now, hurried = self._clock(), frame.speed is None and frame.phase == "playing"
@@ -72,7 +73,7 @@ class ScenePanel:
             self._change, self._touched = frame.change, now
         if hurried and now - self._touched < AFTER_TOUCH:
             return []
-        changes = self._sight.update()
+        changes = self._view.update()
         for name, handle in self._frusta.items():
             off = frame.camera(name).input == "off"
             changes.append(Assign(handle, "color", OFF if off else rgb(self._colours[name])))

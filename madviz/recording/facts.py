@@ -1,0 +1,43 @@
+"""What a recording is of, and how its frames are put into words; all writers use these."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from madviz.session.frame import Frame, occlusion_words
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a recording is of."""
+
+    command: str
+    """Makes it again."""
+    failures: tuple[str, ...]
+    """What happens to cameras, in the language of schedules."""
+    fps: float = 10.0
+    """Decisions in a second of film."""
+    tile: int = 252
+    """Pixels that a camera's picture is wide in a film."""
+
+
+def headline(frame: Frame, facts: Facts) -> str:
+    """Policy, task, seed and failures in one line."""
+    failing = f" · fails: {', '.join(facts.failures)}" if facts.failures else ""
+    return f"{frame.policy.name} · {frame.env.task} · seed {frame.seed}{failing}"
+
+
+def condition_words(frame: Frame) -> str:
+    """Which streams count and which cameras fail how: ``first+third_b, First person is frozen``."""
+    parts = [frame.setting.subset]
+    for name, occlusion in sorted(frame.ablation.occlusions().items()):
+        if frame.camera(name).input != "off":
+            parts.append(f"{frame.env.camera(name).label} {occlusion_words(occlusion)}")
+    return ", ".join(parts)
+
+
+def verdict(frame: Frame) -> str:
+    """How the episode stands, in a word or two."""
+    if not frame.ended:
+        return "goal met" if frame.success else "goal not met"
+    return "SUCCESS" if frame.success else "FAIL"
