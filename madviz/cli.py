@@ -306,9 +306,10 @@ def catalogue(listed: dict[str, Any]) -> str:
     """The list as lines; a policy's line carries its success on all cameras, if it was measured."""
     lines = [f"{word}: {', '.join(listed[word])}" for word in ("tasks", "settings", "methods")]
     lines.append("policies:" if listed["policies"] else "policies: none found")
-    for policy in listed["policies"]:
+    for policy in [*listed["policies"], *listed["without_weights"]]:
         whole = policy["success"].get("all")
         rate = f"all {whole['success']:.2f} (n={whole['n']})" if whole else "not evaluated"
-        lines.append(f"  {policy['name']:44} {policy['task']:24} {rate}")
+        weights = "" if policy["weights"] else "   no weights"
+        lines.append(f"  {policy['name']:44} {policy['task']:24} {rate}{weights}")
     lines += [f"  broken: {each['error']}" for each in listed.get("broken", [])]
     return "\n".join(lines)

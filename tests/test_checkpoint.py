@@ -16,12 +16,14 @@ from safetensors.torch import load_file, save_file
 
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.networks import Encoder, NetworkConfig
+from madviz.cli import main
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.policies import config as config_module
-from madviz.policies.checkpoint import describe, load_policy, save_policy
+from madviz.policies.checkpoint import describe, find_policy, load_policy, save_policy
+from tests.evidence import write_policy
 
 NETWORKS = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8)
 MASKS = np.array([[1, 1, 1], [0, 1, 0], [0, 0, 0]], bool)
@@ -368,6 +370,23 @@ def test_list_shows_success_of_these_weights_only_and_what_is_broken(folder, mon
     json.dumps(listed)
     save_policy(folder, make_agent(1), make_config())
     assert checkpoint.list_everything()["policies"][0]["success"] == {}
+
+
+def test_list_says_which_rows_have_no_weights(folder, monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("MADVIZ_CHECKPOINTS", str(folder.parent))
+    bare = write_policy(tmp_path / "results" / "tables", {"all": 0.9}, folder="bare", episodes=10)
+    listed = checkpoint.list_everything()
+    assert {row["name"]: row["weights"] for row in listed["policies"]}[folder.name] is True
+    (row,) = [row for row in listed["without_weights"] if row["path"] == str(bare)]
+    assert row["weights"] is False and row["success"]["all"]["n"] == 10
+    assert set(row) == set(listed["policies"][0])
+    assert main(["list"]) == 0
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert lines["bare"].endswith("all 0.90 (n=10)   no weights")
+    assert "no weights" not in lines[folder.name]
+    assert find_policy("bare") == bare, "what is listed can be compared"
+    with pytest.raises(UserError, match="expected the policy's weights, found no such file"):
+        load_policy("bare")
 
 
 def test_listing_needs_no_torch(folder):

@@ -98,7 +98,7 @@ def test_a_missing_file_and_no_jobs_at_all_are_mistakes(tmp_path: Path) -> None:
         run_sweep(config(tmp_path, jobs=0))
 
 
-SHIPPED = Path(__file__).resolve().parent.parent / "checkpoints"
+SHIPPED = Path(__file__).resolve().parent.parent / "results"
 
 
 @pytest.mark.parametrize("file", sorted(SHIPPED.glob("*.toml")), ids=lambda file: file.stem)
@@ -106,4 +106,4 @@ def test_the_sweeps_that_ship_ask_for_what_exists(file: Path, tmp_path: Path) ->
     result = run_sweep(SweepConfig(str(file), out=tmp_path / "out", dry_run=True))
     asked = tomllib.loads(file.read_text())
     assert result["finished"] == 0 and len(result["runs"]) >= len(asked["grid"])
-    assert f"madviz sweep checkpoints/{file.name}" in file.read_text()
+    assert f"madviz sweep results/{file.name}" in file.read_text()

@@ -111,9 +111,10 @@ def read_evidence(folder: str | Path) -> Evidence:
     )
 
 
-def find_evidence(root: str | Path) -> list[Evidence]:
-    """Every policy under ``root``, at any depth, that was evaluated; in the order of paths."""
-    folders = sorted(file.parent for file in Path(root).rglob(checkpoint.CONFIG))
+def find_evidence(*roots: str | Path) -> list[Evidence]:
+    """Every policy under ``roots``, at any depth, that was evaluated; root after root, each in the
+    order of paths."""
+    folders = [f.parent for root in roots for f in sorted(Path(root).rglob(checkpoint.CONFIG))]
     return [read_evidence(f) for f in folders if (f / checkpoint.EVALUATION).is_file()]
 
 

@@ -16,14 +16,13 @@ from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.system.files import read_json, write_bytes
 
-CARD = "card.md"
 AGAIN = "runs"
 """Where the commands that make a policy again put it, as ``madviz train`` does by itself."""
 
 
 def write_card(folder: str | Path) -> Path:
     """Writes card.md; returns its path. Raises UserError for an evaluation of other weights."""
-    path = Path(folder) / CARD
+    path = Path(folder) / checkpoint.CARD
     write_bytes(path, card_text(folder).encode())
     return path
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from madviz.agent.agent import Agent
 
 CONFIG, WEIGHTS, EVALUATION = "config.json", "weights.safetensors", "evaluation.json"
+CARD = "card.md"
 
 
 @dataclass(frozen=True)
@@ -84,10 +86,26 @@ def policy_roots() -> list[Path]:
     return list(dict.fromkeys([*named, Path.cwd() / "checkpoints", repository]))
 
 
+def results_beside(root: Path) -> Path:
+    """The folder beside ``root`` with what was measured: tables/ holds policies without weights."""
+    return root.parent / "results"
+
+
 def policy_folders() -> dict[str, Path]:
     """Every policy under the roots by name; the first root that has a name wins."""
+    return _by_name(policy_roots())
+
+
+def measured_folders() -> dict[str, Path]:
+    """Policies of which only the measured figures are here, no weights; by name."""
+    tables = [results_beside(root) / "tables" for root in policy_roots()]
+    found = _by_name(list(dict.fromkeys(tables)))
+    return {name: path for name, path in found.items() if not (path / WEIGHTS).is_file()}
+
+
+def _by_name(roots: Sequence[Path]) -> dict[str, Path]:
     found: dict[str, Path] = {}
-    for root in policy_roots():
+    for root in roots:
         for config in sorted(root.glob(f"*/{CONFIG}")):
             found.setdefault(config.parent.name, config.parent)
     return found
@@ -98,8 +116,9 @@ def find_policy(policy: str | Path) -> Path:
     if (Path(policy) / CONFIG).is_file():
         return Path(policy)
     known = policy_folders()
-    if str(policy) in known:
-        return known[str(policy)]
+    for folders in (known, measured_folders()):
+        if str(policy) in folders:
+            return folders[str(policy)]
     raise UserError(
         f"unknown policy {str(policy)!r}: expected a folder with {CONFIG}, module:factory, "
         f"or one of: {', '.join(known) or 'none found; see `madviz train`'}"
@@ -230,15 +249,33 @@ def list_policies() -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
     return policies, broken
 
 
+def list_measured() -> list[dict[str, Any]]:
+    """Rows as in ``list_policies`` for policies without weights, as they were measured."""
+    rows = []
+    for name, path in measured_folders().items():
+        config = check_config(read_json(path / CONFIG), path / CONFIG)
+        file = path / EVALUATION
+        evaluation = read_json(file) if file.is_file() else {}
+        digest, subsets = evaluation.get("digest", ""), evaluation.get("subsets", {})
+        rows.append(_row(name, path, config, digest, subsets) | {"weights": False})
+    return rows
+
+
 def _listed(name: str, path: Path) -> dict[str, Any]:
     folder = describe(path)
     subsets = (shipped_evaluation(path) or {}).get("subsets", {})
+    return _row(name, path, folder.config, folder.spec.digest, subsets) | {"weights": True}
+
+
+def _row(
+    name: str, path: Path, config: dict[str, Any], digest: str, subsets: dict[str, Any]
+) -> dict[str, Any]:
     return {
         **{"name": name, "path": str(path)},
-        **{k: folder.config[k] for k in ("task", "method", "setting", "recipe", "definition")},
-        **{"merge": folder.config["merge"], "camera": folder.config.get("camera", "")},
-        "trained_subsets": list(folder.spec.trained_subsets),
-        "digest": folder.spec.digest,
+        **{k: config[k] for k in ("task", "method", "setting", "recipe", "definition")},
+        **{"merge": config["merge"], "camera": config.get("camera", "")},
+        "trained_subsets": list(config["trained_subsets"]),
+        "digest": digest,
         "success": {
             subset: {key: row[key] for key in ("success", "n", "ci95")}
             for subset, row in subsets.items()
@@ -249,7 +286,8 @@ def _listed(name: str, path: Path) -> dict[str, Any]:
 def list_everything() -> dict[str, Any]:
     """What ``madviz list --json`` prints: tasks, settings, methods, merges, policies.
 
-    A method ``supports`` what its own merge does; ``merges`` lists all of them.
+    A method ``supports`` what its own merge does; ``merges`` lists all of them. Policies that can
+    act are under ``policies``; those of which only figures are here, under ``without_weights``.
     """
     from madviz.agent.methods import METHODS
     from madviz.agent.supports import SUPPORTS
@@ -268,13 +306,18 @@ def list_everything() -> dict[str, Any]:
         "schema": 1,
         **{"tasks": list(known_tasks()), "settings": list(SETTINGS), "methods": methods},
         "merges": {name: {"supports": support.words} for name, support in SUPPORTS.items()},
-        **{"policies": policies, "broken": broken},
+        "policies": policies,
+        "without_weights": list_measured(),
+        "broken": broken,
     }
 
 
 def _existing(path: Path) -> Path:
     if not path.is_file():
-        raise UserError(f"{path}: expected the policy's weights, found no such file; restore it")
+        raise UserError(
+            f"{path}: expected the policy's weights, found no such file; restore it, or train the "
+            f"policy again with the command in {CARD}"
+        )
     return path
 
 

@@ -3,7 +3,7 @@
     config.json, evaluation.json  ->  evidence.py  ->  tables.py  ->  claims.py
                                       episodes         the paper's tables    and its sentences
 
-What was tried on the way to a policy leaves no policy folder; ``tried.json`` beside the folders
+What was tried on the way to a policy leaves no policy folder; ``tried.json`` beside them
 says it: a list of sentences for each task. Nothing else is typed and nothing is run: the same
 files give the same bytes, so that a committed RESULTS.md can be held against what it was made
 from. Tables for which there are no files yet are left out; a task without a policy stays in the
@@ -43,15 +43,18 @@ from madviz.report.rows import Rate, Row
 from madviz.report.tables import Table, build
 from madviz.system.files import write_bytes, written_to
 
+SHIPPED = (Path("checkpoints"), Path("results"))
+"""Policies with weights, and those with figures only; the page goes into the last."""
+
 
 @dataclass(frozen=True)
 class ReportConfig:
     """Writes RESULTS.md with tables and pictures of all policies that were evaluated."""
 
-    folder: Path = Path("checkpoints")
-    """Where the policy folders are, at any depth."""
+    folder: Path | None = None
+    """Where the policy folders are, at any depth; checkpoints and results if not given."""
     out: Path | None = None
-    """The file to write; FOLDER/RESULTS.md if not given. Pictures go to results/ beside it."""
+    """The file to write; FOLDER/RESULTS.md if not given. Pictures go to pictures/ beside it."""
     json: str | None = None
     """Where to write what was written, and the table of the bar; - is standard output."""
 
@@ -59,21 +62,24 @@ class ReportConfig:
 def run_report(config: ReportConfig) -> dict[str, Any]:
     """``madviz report``. Raises UserError for a folder without evaluated policies, and for files
     that contradict each other."""
-    evidence = find_evidence(config.folder)
+    folders = SHIPPED if config.folder is None else (config.folder,)
+    evidence = find_evidence(*folders)
     if not evidence:
         raise UserError(
-            f"expected policy folders with evaluation.json in {config.folder}, found none; "
-            "run `madviz eval --policy NAME --card`"
+            f"expected policy folders with evaluation.json in {' and '.join(map(str, folders))}, "
+            "found none; run `madviz eval --policy NAME --card`"
         )
-    out = config.out or config.folder / "RESULTS.md"
-    pictures = out.parent / "results"
+    out = config.out or folders[-1] / "RESULTS.md"
+    pictures = out.parent / "pictures"
     tables = [table for layout in LAYOUTS for table in build(layout, evidence)]
     verdicts = [judge(task, evidence) for task in TWENTY]
     drawn = {f"{t.layout.key}-{t.suite}.svg": picture(t) for t in tables}
-    remake = f"madviz report --folder {shlex.quote(config.folder.as_posix())}"
+    remake = "madviz report"
+    if config.folder is not None:
+        remake += f" --folder {shlex.quote(config.folder.as_posix())}"
     if config.out is not None:
         remake += f" --out {shlex.quote(out.as_posix())}"
-    text = _page(remake, evidence, verdicts, tables, tried(config.folder))
+    text = _page(remake, evidence, verdicts, tables, tried(folders[-1]))
     pictures.mkdir(parents=True, exist_ok=True)
     written_to(out, "--out")
     for old in set(pictures.glob("*.svg")) - {pictures / name for name in drawn}:
@@ -177,7 +183,7 @@ def _section(table: Table) -> str:
     for row in table.averages:
         if len(row.tasks) > 1:
             lines.append(_row_line(f"average of {len(row.tasks)}", row, table))
-    image = f"results/{layout.key}-{table.suite}.svg"
+    image = f"pictures/{layout.key}-{table.suite}.svg"
     lines += ["", f"![{layout.title}, {table.suite}]({image})", ""]
     lines += [f"- {sentence}" for sentence in claims(table)]
     used = [e for row in table.averages for e in row.evidence]

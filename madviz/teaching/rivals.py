@@ -163,7 +163,8 @@ def on_robot(task: str) -> dict[str, dict[str, str]]:
         return any_method(evidence) if evidence.task == task else None
 
     for root in checkpoint.policy_roots():
-        for found in build(Layout("rivals", task, label, THREE, needs=2), find_evidence(root)):
+        evidence = find_evidence(root, checkpoint.results_beside(root))
+        for found in build(Layout("rivals", task, label, THREE, needs=2), evidence):
             return {
                 row.label: {
                     column: "".join(str(int(success)) for _, success in sorted(cell.items()))

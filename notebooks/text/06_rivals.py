@@ -274,7 +274,7 @@ explorer
 #
 # Now an arm that pushes a puck (`metaworld/push`). Every method learned from as many demonstrations
 # and 3,600 updates, and met the same 50 scenes with all cameras and with each alone (measured
-# before, `checkpoints/RESULTS.md` has the commands). Single Camera is three policies here, one for
+# before, `results/RESULTS.md` has the commands). Single Camera is three policies here, one for
 # each camera, and none of them ever saw another.
 
 # %%
