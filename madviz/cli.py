@@ -1,8 +1,8 @@
-"""``madviz <command>``: thin verbs over the dataclasses and functions that are the Python API too.
+"""``madviz COMMAND``: one table over the dataclasses and functions that are the Python API too.
 
-The first word picks a verb, and only then is that verb's module imported: ``madviz --help`` needs
-neither torch nor viser. A verb parses its frozen dataclass (tyro), calls one function and hands
-over what that returns.
+The first word picks a line of ``COMMANDS``, and only then are its modules imported: ``madviz
+--help`` needs neither torch nor viser. The options fill a frozen dataclass (tyro), one function
+works on it, and what that returns is handed over.
 
     exit code 0 only for success; 1 something failed (doctor: something needed is missing);
     2 the user's own mistake, in one line and without a traceback; 130 Ctrl-C
@@ -14,18 +14,20 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
+from madviz import __version__
 from madviz.errors import UserError, unknown
 from madviz.evaluation.statistics import in_words
 from madviz.system.files import pretty, write_json, written_to
 
 Config = TypeVar("Config")
-Verb = Callable[[Sequence[str]], int]
 
 
 @dataclass(frozen=True)
@@ -36,180 +38,137 @@ class ListConfig:
     """Write the list to this file; ``-`` is standard output, and then nothing else goes there."""
 
 
-class HasJson(Protocol):
-    @property
-    def json(self) -> str | Path | None: ...
+@dataclass(frozen=True)
+class Command:
+    """A line of the table. Names are written ``module:name`` and are only imported when the command
+    is used."""
+
+    summary: str
+    config: str
+    """The frozen dataclass that the options fill."""
+    work: str
+    """The function that takes it."""
+    words: str = ""
+    """The function that puts the result into words; '' prints nothing."""
+    ok: Callable[[Any], bool] = lambda result: True
+    """Whether the result is a success: exit code 0, or 1."""
+    positional: bool = False
+    """Whether what has no default is given without its name: ``madviz sweep FILE``."""
 
 
-def explore(words: Sequence[str]) -> int:
-    """Serves the page: a policy at work, and cameras to take away from it."""
-    from madviz.app.server import ExploreConfig
-    from madviz.app.server import explore as serve
-
-    serve(parse(ExploreConfig, "explore", words))
-    return 0
-
-
-def train(words: Sequence[str]) -> int:
-    """Trains a policy by a recipe and prints its folder; can be stopped and resumed."""
-    from madviz.training.train import TrainConfig
-    from madviz.training.train import train as run
-
-    print(run(parse(TrainConfig, "train", words)))
-    return 0
-
-
-def evaluate(words: Sequence[str]) -> int:
-    """Counts a policy's successes under camera subsets, on seeded episodes."""
-    from madviz.evaluation.evaluate import EvalConfig, run_eval
-
-    config = parse(EvalConfig, "eval", words)
-    deliver(config, lambda: run_eval(config), success_table)
-    return 0
-
-
-def list_(words: Sequence[str]) -> int:
-    """Lists tasks, settings, methods and policies."""
-    from madviz.policies.checkpoint import list_everything
-
-    deliver(parse(ListConfig, "list", words), list_everything, catalogue)
-    return 0
-
-
-def doctor(words: Sequence[str]) -> int:
-    """Tells what is missing on this machine and the line that mends it; times a frame."""
-    from madviz.doctor import DoctorConfig, examine, in_words
-
-    config = parse(DoctorConfig, "doctor", words)
-    return 0 if deliver(config, lambda: examine(config), in_words)["ok"] else 1
-
-
-def bench(words: Sequence[str]) -> int:
-    """Measures: bench render, live, update, buffer, evaluate."""
-    return pick(BENCHMARKS, "benchmark", words, "madviz bench")
-
-
-def bench_render(words: Sequence[str]) -> int:
-    """A three-view Meta-World frame against stock MuJoCo flags."""
-    from madviz.bench.render import RenderConfig
-    from madviz.bench.render import bench_render as measure
-
-    config = parse(RenderConfig, "bench render", words)
-    deliver(config, lambda: measure(config), pretty)
-    return 0
-
-
-def bench_live(words: Sequence[str]) -> int:
-    """The page in a real browser: updates a second, and how long a toggle takes."""
-    from madviz.bench.live import LiveConfig
-    from madviz.bench.live import bench_live as measure
-
-    config = parse(LiveConfig, "bench live", words)
-    deliver(config, lambda: measure(config), pretty)
-    return 0
-
-
-def bench_update(words: Sequence[str]) -> int:
-    """One training update against a straightforward implementation."""
-    from madviz.bench.update import BenchUpdateConfig
-    from madviz.bench.update import bench_update as measure
-
-    config = parse(BenchUpdateConfig, "bench update", words)
-    deliver(config, lambda: measure(config), pretty)
-    return 0
-
-
-def bench_buffer(words: Sequence[str]) -> int:
-    """The replay buffer packed against plain: bytes per transition, time for a batch."""
-    from madviz.bench.buffer import BenchBufferConfig
-    from madviz.bench.buffer import bench_buffer as measure
-
-    config = parse(BenchBufferConfig, "bench buffer", words)
-    deliver(config, lambda: measure(config), pretty)
-    return 0
-
-
-def bench_evaluate(words: Sequence[str]) -> int:
-    """Episodes a minute of an evaluation, against a plain loop and a stock one."""
-    from madviz.bench.evaluate import BenchEvaluateConfig
-    from madviz.bench.evaluate import bench_evaluate as measure
-
-    config = parse(BenchEvaluateConfig, "bench evaluate", words)
-    deliver(config, lambda: measure(config), pretty)
-    return 0
-
-
-def sweep(words: Sequence[str]) -> int:
-    """Trains and evaluates every combination in a small file; goes on after a kill."""
-    from madviz.sweep.sweep import SweepConfig, run_sweep, sweep_table
-
-    config = parse(SweepConfig, "sweep", words, positional=True)
-    return 1 if deliver(config, lambda: run_sweep(config), sweep_table)["failed"] else 0
-
-
-def compare(words: Sequence[str]) -> int:
-    """Compares policies on the seeds they all met: difference, interval, exact p."""
-    from madviz.evaluation.compare import CompareConfig, comparison_table, run_compare
-
-    config = parse(CompareConfig, "compare", words, positional=True)
-    deliver(config, lambda: run_compare(config), comparison_table)
-    return 0
-
-
-def report(words: Sequence[str]) -> int:
-    """Writes RESULTS.md: tables and pictures of all evaluated policies, held against the paper."""
-    from madviz.report.results import ReportConfig, report_words, run_report
-
-    config = parse(ReportConfig, "report", words)
-    deliver(config, lambda: run_report(config), report_words)
-    return 0
-
-
-def replay(words: Sequence[str]) -> int:
-    """Lives kept episodes again; says whether they come out the same, to the bit."""
-    from madviz.session.replay import ReplayConfig, replay_words, run_replay
-
-    config = parse(ReplayConfig, "replay", words, positional=True)
-    return 0 if deliver(config, lambda: run_replay(config), replay_words)["same"] else 1
-
-
-def record(words: Sequence[str]) -> int:
-    """Records an episode without a page: a rerun file, a film or a report."""
-    from madviz.recording.record import RecordConfig, record_words, run_record
-
-    config = parse(RecordConfig, "record", words)
-    deliver(config, lambda: run_record(config), record_words)
-    return 0
-
-
-def soak(words: Sequence[str]) -> int:
-    """Lets visitors come and go for an hour; says whether anything is left of them."""
-    from madviz.bench.soak import SoakConfig, soak_words
-    from madviz.bench.soak import soak as run
-
-    config = parse(SoakConfig, "soak", words)
-    return 0 if deliver(config, lambda: run(config), soak_words)["ok"] else 1
-
-
-def displace(words: Sequence[str]) -> int:
-    """Moves a camera away from where a policy was trained: success against distance."""
-    from madviz.evaluation.displace import DisplaceConfig, displacement_table, run_displace
-
-    config = parse(DisplaceConfig, "displace", words)
-    deliver(config, lambda: run_displace(config), displacement_table)
-    return 0
-
-
-VERBS: dict[str, Verb] = {
-    **{"explore": explore, "train": train, "eval": evaluate, "list": list_},
-    **{"doctor": doctor, "bench": bench},
-    **{"sweep": sweep, "compare": compare, "report": report},
-    **{"record": record, "replay": replay, "soak": soak, "displace": displace},
+PRETTY = "madviz.system.files:pretty"
+COMMANDS: dict[str, Command] = {
+    "explore": Command(
+        "Serves the page: a policy at work, and cameras to take away from it.",
+        config="madviz.app.server:ExploreConfig",
+        work="madviz.app.server:explore",
+    ),
+    "train": Command(
+        "Trains a policy by a recipe and prints its folder; can be stopped and resumed.",
+        config="madviz.training.train:TrainConfig",
+        work="madviz.training.train:train",
+        words="builtins:str",
+    ),
+    "eval": Command(
+        "Counts a policy's successes under camera subsets, on seeded episodes.",
+        config="madviz.evaluation.evaluate:EvalConfig",
+        work="madviz.evaluation.evaluate:run_eval",
+        words="madviz.cli:success_table",
+    ),
+    "list": Command(
+        "Lists tasks, settings, methods and policies.",
+        config="madviz.cli:ListConfig",
+        work="madviz.cli:run_list",
+        words="madviz.cli:catalogue",
+    ),
+    "doctor": Command(
+        "Tells what is missing on this machine and the line that mends it; times a frame.",
+        config="madviz.doctor:DoctorConfig",
+        work="madviz.doctor:examine",
+        words="madviz.doctor:in_words",
+        ok=itemgetter("ok"),
+    ),
+    "sweep": Command(
+        "Trains and evaluates every combination in a small file; goes on after a kill.",
+        config="madviz.sweep.sweep:SweepConfig",
+        work="madviz.sweep.sweep:run_sweep",
+        words="madviz.sweep.sweep:sweep_table",
+        ok=lambda result: not result["failed"],
+        positional=True,
+    ),
+    "compare": Command(
+        "Compares policies on the seeds they share: difference, interval, exact p.",
+        config="madviz.evaluation.compare:CompareConfig",
+        work="madviz.evaluation.compare:run_compare",
+        words="madviz.evaluation.compare:comparison_table",
+        positional=True,
+    ),
+    "report": Command(
+        "Writes RESULTS.md: tables and figures of all evaluated policies, beside the paper's.",
+        config="madviz.report.results:ReportConfig",
+        work="madviz.report.results:run_report",
+        words="madviz.report.results:report_words",
+    ),
+    "record": Command(
+        "Records an episode without a page: a rerun file, a video or an HTML report.",
+        config="madviz.recording.record:RecordConfig",
+        work="madviz.recording.record:run_record",
+        words="madviz.recording.record:record_words",
+    ),
+    "replay": Command(
+        "Replays saved sessions; says whether they come out the same, to the bit.",
+        config="madviz.session.replay:ReplayConfig",
+        work="madviz.session.replay:run_replay",
+        words="madviz.session.replay:replay_words",
+        ok=itemgetter("same"),
+        positional=True,
+    ),
+    "displace": Command(
+        "Moves a camera away from where a policy was trained: success against distance.",
+        config="madviz.evaluation.displace:DisplaceConfig",
+        work="madviz.evaluation.displace:run_displace",
+        words="madviz.evaluation.displace:displacement_table",
+    ),
+    "soak": Command(
+        "Lets visitors come and go for an hour; says whether the server has grown.",
+        config="madviz.bench.soak:SoakConfig",
+        work="madviz.bench.soak:soak",
+        words="madviz.bench.soak:soak_words",
+        ok=itemgetter("ok"),
+    ),
+    "bench render": Command(
+        "A three-view frame against the simulator's stock settings.",
+        config="madviz.bench.render:RenderConfig",
+        work="madviz.bench.render:bench_render",
+        words=PRETTY,
+    ),
+    "bench live": Command(
+        "The page in a real browser: updates a second, and how long a toggle takes.",
+        config="madviz.bench.live:LiveConfig",
+        work="madviz.bench.live:bench_live",
+        words=PRETTY,
+    ),
+    "bench update": Command(
+        "One training update against a straightforward implementation.",
+        config="madviz.bench.update:BenchUpdateConfig",
+        work="madviz.bench.update:bench_update",
+        words=PRETTY,
+    ),
+    "bench buffer": Command(
+        "The replay buffer packed against plain: bytes per transition, time for a batch.",
+        config="madviz.bench.buffer:BenchBufferConfig",
+        work="madviz.bench.buffer:bench_buffer",
+        words=PRETTY,
+    ),
+    "bench evaluate": Command(
+        "Episodes a minute of an evaluation, against a plain loop and a stock one.",
+        config="madviz.bench.evaluate:BenchEvaluateConfig",
+        work="madviz.bench.evaluate:bench_evaluate",
+        words=PRETTY,
+    ),
 }
-BENCHMARKS: dict[str, Verb] = {
-    **{"render": bench_render, "live": bench_live, "update": bench_update},
-    **{"buffer": bench_buffer, "evaluate": bench_evaluate},
-}
+"""In the order of ``madviz --help``; a name of two words is a command of a group."""
+GROUPS = {"bench": "Measures speed: bench render, live, update, buffer, evaluate."}
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -218,7 +177,7 @@ def main(words: Sequence[str] | None = None) -> int:
         # MuJoCo reads this while it is imported, and its own default needs a display.
         os.environ.setdefault("MUJOCO_GL", "egl")
     try:
-        return pick(VERBS, "command", sys.argv[1:] if words is None else words, "madviz")
+        return run(sys.argv[1:] if words is None else words)
     except UserError as error:
         print(f"madviz: {error}", file=sys.stderr)
         return 2
@@ -227,29 +186,54 @@ def main(words: Sequence[str] | None = None) -> int:
         return 130
 
 
-def pick(verbs: Mapping[str, Verb], kind: str, words: Sequence[str], prog: str) -> int:
-    """Hands the words after the first to the verb that the first one names."""
-    if not words or words[0] in ("-h", "--help"):
-        print(usage(verbs, prog), file=sys.stdout if words else sys.stderr)
-        return 0 if words else 2
-    if words[0] not in verbs:
-        raise unknown(kind, words[0], list(verbs))
-    return verbs[words[0]](words[1:])
+def run(words: Sequence[str], group: str = "") -> int:
+    """Runs the command that the first word names, within ``group`` if one is given. Raises
+    UserError for an unknown one."""
+    first, rest = (words[0], words[1:]) if words else ("", ())
+    if first in ("", "-h", "--help"):
+        print(usage(group), file=sys.stdout if first else sys.stderr)
+        return 0 if first else 2
+    if first == "--version" and not group:
+        print(f"madviz {__version__}")
+        return 0
+    if first not in summaries(group):
+        raise unknown("benchmark" if group else "command", first, list(summaries(group)))
+    if first in GROUPS and not group:
+        return run(rest, first)
+    name = f"{group} {first}".strip()
+    command = COMMANDS[name]
+    config = parse(named(command.config), name, rest, command.positional)
+    in_words = named(command.words) if command.words else None
+    return 0 if command.ok(deliver(config, named(command.work), in_words)) else 1
 
 
-def usage(verbs: Mapping[str, Verb], prog: str) -> str:
-    """A line for every verb: its docstring's first."""
+def named(reference: str) -> Any:
+    """What ``module:name`` of the table stands for."""
+    module, _, name = reference.partition(":")
+    return getattr(import_module(module), name)
+
+
+def summaries(group: str = "") -> dict[str, str]:
+    """What can follow ``madviz``, or ``madviz bench``, and what each of it does."""
+    lines = {name: command.summary for name, command in COMMANDS.items()}
+    if group:
+        start = f"{group} "
+        return {n.removeprefix(start): line for n, line in lines.items() if n.startswith(start)}
+    return {name: line for name, line in lines.items() if " " not in name} | GROUPS
+
+
+def usage(group: str = "") -> str:
+    """A line for every command."""
+    prog = f"madviz {group}".strip()
     lines = [f"usage: {prog} COMMAND [options]     ({prog} COMMAND --help lists them)", ""]
-    for name, verb in verbs.items():
-        lines.append(f"  {name:9} {(verb.__doc__ or '').splitlines()[0]}")
-    return "\n".join(lines)
+    lines += [f"  {name:9} {summary}" for name, summary in summaries(group).items()]
+    return "\n".join(lines if group else [*lines, "", "  --version   prints the version"])
 
 
 def parse(
     config: type[Config], command: str, words: Sequence[str], positional: bool = False
 ) -> Config:
-    """The dataclass ``config`` filled from the command line; leaves with code 2 if that fails.
-    With ``positional``, what has no default is given without its name: ``madviz sweep FILE``."""
+    """The dataclass ``config`` filled from the command line; leaves with code 2 if that fails."""
     import tyro
 
     markers = (tyro.conf.PositionalRequiredArgs,) if positional else ()
@@ -257,22 +241,23 @@ def parse(
 
 
 def deliver(
-    config: HasJson,
-    work: Callable[[], dict[str, Any]],
-    in_words: Callable[[dict[str, Any]], str],
-) -> dict[str, Any]:
-    """Does the work and hands its result over where ``config.json`` says; returns it."""
-    if str(config.json) == "-":
+    config: Any, work: Callable[[Any], Any], in_words: Callable[[Any], str] | None = None
+) -> Any:
+    """Does ``work(config)`` and hands its result over: as JSON where ``config.json`` says if there
+    is such an option, and printed by ``in_words``. Returns the result."""
+    place: str | None = getattr(config, "json", None)
+    if place == "-":
         with printing_to_stderr():
-            result = work()
+            result = work(config)
         sys.stdout.write(pretty(result))
         return result
-    if config.json is not None:
-        written_to(Path(config.json), "--json")
-    result = work()
-    if config.json is not None:
-        write_json(Path(config.json), result)
-    print(in_words(result))
+    if place is not None:
+        written_to(Path(place), "--json")
+    result = work(config)
+    if place is not None:
+        write_json(Path(place), result)
+    if in_words is not None:
+        print(in_words(result))
     return result
 
 
@@ -281,14 +266,21 @@ def printing_to_stderr() -> Iterator[None]:
     """Sends standard output to standard error meanwhile, also what C libraries and child processes
     print: the file descriptor itself is exchanged."""
     sys.stdout.flush()
-    kept = os.dup(1)
+    saved = os.dup(1)
     os.dup2(2, 1)
     try:
         yield
     finally:
         sys.stdout.flush()
-        os.dup2(kept, 1)
-        os.close(kept)
+        os.dup2(saved, 1)
+        os.close(saved)
+
+
+def run_list(config: ListConfig) -> dict[str, Any]:
+    """What ``madviz list --json`` writes."""
+    from madviz.policies.checkpoint import list_everything
+
+    return list_everything()
 
 
 def success_table(result: dict[str, Any]) -> str:
@@ -297,7 +289,8 @@ def success_table(result: dict[str, Any]) -> str:
     for name, row in result["subsets"].items():
         lines.append(
             f"  {name:24} {in_words(row['success'], row['ci95'], row['n'])}"
-            f"   any step {row['success_any']:.2f}" + ("" if row["trained"] else "   off-training")
+            f"   any step {row['success_any']:.2f}"
+            + ("" if row["trained"] else "   not trained on this subset")
         )
     return "\n".join(lines)
 

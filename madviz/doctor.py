@@ -11,7 +11,6 @@ import json
 import os
 import platform
 import re
-import shutil
 import statistics
 import subprocess
 import sys
@@ -23,15 +22,21 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, get_args
 
+from madviz.bench.browser import find_browser
 from madviz.envs.registry import RenderProfile, make_env
 from madviz.errors import UserError
 from madviz.types import Environment
 
 PACKAGES = (
-    *("torch", "metaworld", "mujoco", "mani-skill", "sapien"),
-    *("gymnasium", "viser", "numpy"),
+    "torch",
+    "metaworld",
+    "mujoco",
+    "mani-skill",
+    "sapien",
+    "gymnasium",
+    "viser",
+    "numpy",
 )
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 EXTENSIONS = ("avx2", "avx512f", "avx512_bf16", "amx_bf16", "amx_int8", "bf16")
 """What makes a CPU quick here; ``bf16`` is what ARM calls it."""
 TESTED_MESA = (25, 0)
@@ -150,11 +155,6 @@ def check_packages(names: tuple[str, ...] = PACKAGES) -> list[Check]:
         except PackageNotFoundError:
             checks.append(Check(name, "", mend="make setup"))
     return checks
-
-
-def find_browser() -> str | None:
-    """The Chromium that tests and benchmarks drive."""
-    return next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
 def check_browser() -> Check:

@@ -308,7 +308,7 @@ def test_garbage_costs_its_sender_the_connection_and_nobody_else_anything(open_:
                 time.sleep(0.05)
         seen = len(other.steps)
         until(lambda: len(other.steps) > seen + 3)
-        assert not other.gone
+        assert not other.ended
         until(lambda: open_.users.sessions == 1)
 
 

@@ -6,6 +6,8 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import is_dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -28,16 +30,24 @@ def test_help_names_every_command_and_loads_next_to_nothing() -> None:
         "print(*{'torch', 'viser', 'mujoco', 'tyro'} & set(sys.modules), file=sys.stderr)"
     )
     asked = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    for verb in cli.VERBS:
-        assert f"\n  {verb} " in asked.stdout
+    for name in [*cli.COMMANDS, "bench"]:
+        assert " " in name or f"\n  {name} " in asked.stdout
     assert asked.stderr.strip() == ""
 
 
-COMMANDS = [verb for verb in cli.VERBS if verb != "bench"]
-MEASUREMENTS = [f"bench {benchmark}" for benchmark in cli.BENCHMARKS]
+def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"madviz {version('madviz')}\n"
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, *MEASUREMENTS])
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_every_line_of_the_table_names_what_exists(command: str) -> None:
+    line = cli.COMMANDS[command]
+    assert is_dataclass(cli.named(line.config)) and callable(cli.named(line.work))
+    assert not line.words or callable(cli.named(line.words))
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
 def test_every_command_explains_its_options(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,13 +111,15 @@ def test_missing_opengl_is_one_line_that_points_to_the_doctor(tmp_path: Path) ->
     assert asked.stderr.count("\n") == 1
 
 
+def interrupted(config: Any) -> None:
+    raise KeyboardInterrupt
+
+
 def test_ctrl_c_ends_without_a_traceback(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(words: Any) -> int:
-        raise KeyboardInterrupt
-
-    monkeypatch.setitem(cli.VERBS, "list", interrupted)
+    command = replace(cli.COMMANDS["list"], work="tests.test_cli:interrupted")
+    monkeypatch.setitem(cli.COMMANDS, "list", command)
     assert cli.main(["list"]) == 130
     assert capsys.readouterr().err == "madviz: stopped\n"
 
@@ -115,7 +127,7 @@ def test_ctrl_c_ends_without_a_traceback(
 def test_a_dash_keeps_everything_but_the_json_off_standard_output() -> None:
     program = (
         "import os; from madviz.cli import ListConfig, deliver\n"
-        "def work():\n"
+        "def work(config):\n"
         "    print('from Python'); os.system('echo from a child'); os.write(1, b'from C')\n"
         "    return {'a': 1}\n"
         "deliver(ListConfig('-'), work, str)"
@@ -130,7 +142,7 @@ def test_a_file_gets_the_json_and_the_terminal_the_words(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "out.json"
-    cli.deliver(cli.ListConfig(str(path)), lambda: {"a": 1}, lambda result: "one a")
+    cli.deliver(cli.ListConfig(str(path)), lambda config: {"a": 1}, lambda result: "one a")
     assert json.loads(path.read_text()) == {"a": 1}
     assert capsys.readouterr().out == "one a\n"
 
@@ -140,7 +152,7 @@ def test_a_place_that_cannot_be_written_is_noticed_before_the_work(tmp_path: Pat
     for place, said in (("missing/out.json", "a folder that exists"), (".", "found a folder")):
         with pytest.raises(UserError, match=f"^--json .*{said}"):
             config = cli.ListConfig(str(tmp_path / place))
-            cli.deliver(config, lambda: {"worked": worked.append("")}, str)
+            cli.deliver(config, lambda _: {"worked": worked.append("")}, str)
     assert worked == []
 
 

@@ -127,12 +127,12 @@ def test_a_watcher_cannot_ask_for_a_public_address(shown: App, monkeypatch, capl
             with caplog.at_level(logging.WARNING), Visitor(shown.url) as watcher:
                 watcher.send_raw(written(KINDS[name]))
                 watcher.send_raw(written(KINDS[name]))
-                until(lambda watcher=watcher: watcher.gone, 10.0)
+                until(lambda watcher=watcher: watcher.ended, 10.0)
             (line,) = [r.getMessage() for r in caplog.records if name in r.getMessage()]
             assert line.startswith("let go of a connection") and "\n" not in line
         seen = len(other.steps)
         until(lambda: len(other.steps) > seen + 3)
-        assert not other.gone
+        assert not other.ended
     assert asked == []
 
 
@@ -144,6 +144,6 @@ def test_nobody_uploads_what_nobody_asked_for(shown: App):
         start = {"source_component_uuid": mine, "transfer_uuid": "t", "filename": "f"}
         start |= {"mime_type": "", "part_count": 1000, "size_bytes": 10**9}
         watcher.send_raw(msgspec.msgpack.encode({"type": "FileTransferStartUpload", **start}))
-        until(lambda: watcher.gone, 10.0)
+        until(lambda: watcher.ended, 10.0)
         assert client.gui._current_file_upload_states == {}
         assert shown.server.gui._current_file_upload_states == {}

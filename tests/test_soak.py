@@ -14,7 +14,7 @@ import pytest
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.server import App
 from madviz.bench.live import LiveConfig, watched
-from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, look, settled, soak
+from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, sample, settled, soak
 from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
 from tests.fakes import FakePolicy, policies
@@ -42,7 +42,7 @@ def test_what_grows_afterwards_is_one():
     assert judged(samples([460] * 9, threads=[20] * 8 + [40]))["kept"]
 
 
-def test_a_look_sees_threads_and_memory():
+def test_a_sample_counts_threads_and_memory():
     # In a process of its own: this one may put a block where an earlier test has freed one.
     grows = (
         "import threading\n"
@@ -56,17 +56,17 @@ def test_a_look_sees_threads_and_memory():
     ) as process:
         assert process.stdin is not None and process.stdout is not None
         assert process.stdout.readline() == "before\n"
-        before = look(process.pid)
+        before = sample(process.pid)
         print(file=process.stdin, flush=True)
         assert process.stdout.readline() == "after\n"
-        after = look(process.pid)
+        after = sample(process.pid)
         print(file=process.stdin, flush=True)
     assert after.threads == before.threads + 1 and after.memory_mb > before.memory_mb + 30
-    assert look(2**22 + 1).memory_mb == 0.0
+    assert sample(2**22 + 1).memory_mb == 0.0
 
 
 def test_settling_waits_for_a_thread_that_still_has_to_go():
-    calm = look(os.getpid()).threads
+    calm = sample(os.getpid()).threads
     thread = threading.Timer(2.5, lambda: None)
     thread.start()
     assert settled(os.getpid()).threads == calm + 1  # Nothing is known of what there should be.
@@ -89,15 +89,15 @@ def test_visitors_leave_neither_threads_nor_processes():
     app = App(FakePolicy(), choices, policies, visitors=2)
     crowd = Crowd(app.url, os.getpid(), most=3, seed=1)
     try:
-        looks = [crowd.round(4.0), crowd.round(4.0)]
-        while crowd.touches <= 20 and len(looks) < 10:  # A busy machine gets more rounds.
-            looks.append(crowd.round(4.0))
+        left = [crowd.round(4.0), crowd.round(4.0)]
+        while crowd.touches <= 20 and len(left) < 10:  # A busy machine gets more rounds.
+            left.append(crowd.round(4.0))
         deadline = time.monotonic() + 20
         while ours() - before and time.monotonic() < deadline:
             time.sleep(0.05)
         assert not ours() - before
         assert crowd.visits >= 2 and crowd.touches > 20 and crowd.updates > 5
-        assert looks[-1].processes == looks[0].processes
+        assert left[-1].processes == left[0].processes
         assert not app.users._seats and not app.users._standing
     finally:
         app.stop()

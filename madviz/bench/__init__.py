@@ -1,1 +1,1 @@
-"""Measurements: ratios, the live page under a stop-watch, the soak."""
+"""Measurements: speed ratios, the live page in a real browser, the soak."""

@@ -1,11 +1,11 @@
 """``bench buffer``: the replay buffer packed and plain, filled with the same real frames.
 
-Both hold the same transitions and give the same batches, to the bit; that is checked. What is
-compared is what a transition takes and how long a batch takes to be put together, the two sides in
-turns: ``sample_ms`` by the clock, ``sample_cpu_ms`` of this thread, which others do not lengthen.
+Both hold the same transitions and give the same batches, to the bit; that is checked. Compared are
+the bytes of a transition and how long a batch takes to be put together, the two sides in turns:
+``sample_ms`` by the clock, ``sample_cpu_ms`` of this thread, which others do not lengthen.
 Memory for the paper's 500,000 transitions is then a multiplication. ``--fill`` makes a
 packed buffer of that many transitions for real, by repeating the recorded episodes: a pack is made
-from 1,024 instants, and as long as more than that are recorded no pack sees one twice, so that
+from 1,024 time steps, and as long as more than that are recorded no pack gets one twice, so that
 repeating changes nothing in its size. The process's memory before and after is measured then.
 """
 
@@ -14,12 +14,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
 
+from madviz.bench.memory import kilobytes
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.training.buffer import BufferSpec, ReplayBuffer
@@ -39,7 +39,7 @@ class BenchBufferConfig:
     task: str = "metaworld/hammer"
     """Whose frames are stored; half of the episodes the expert's, half random."""
     decisions: int = 1_200
-    """Recorded, in whole episodes; more than the 1,024 instants of a pack."""
+    """Recorded, in whole episodes; more than the 1,024 time steps of a pack."""
     batch_size: int = 256
     """Transitions in a timed batch."""
     rounds: int = 15
@@ -49,7 +49,7 @@ class BenchBufferConfig:
 
 
 @dataclass(frozen=True)
-class Instant:
+class RecordedStep:
     """One row for the buffer; ``action`` led to it, None at the start of an episode."""
 
     action: Array | None
@@ -59,7 +59,7 @@ class Instant:
 
 
 def bench_buffer(config: BenchBufferConfig) -> dict[str, Any]:
-    """Bytes per transition, need for 500,000, instants added a second and milliseconds per batch:
+    """Bytes per transition, need for 500,000, time steps added a second and milliseconds per batch:
     of the packed buffer, under ``plain`` of the plain one, and their ratios.
 
     Raises UserError if too little is asked for to say anything.
@@ -102,14 +102,14 @@ def bench_buffer(config: BenchBufferConfig) -> dict[str, Any]:
     return result
 
 
-def _record(env: Environment, decisions: int) -> Iterator[Instant]:
+def _record(env: Environment, decisions: int) -> Iterator[RecordedStep]:
     """Whole episodes of at least ``decisions`` in all, every second one the expert's."""
     rng, cameras = np.random.default_rng(0), [camera.name for camera in env.spec.cameras]
     for episode in range(-(-decisions // env.spec.horizon)):
         now, action = env.reset(episode), None
         while True:
             frames = [env.view(camera).rgb for camera in cameras]
-            yield Instant(action, now.reward, now.state, frames)
+            yield RecordedStep(action, now.reward, now.state, frames)
             if now.last:
                 break
             drawn = rng.uniform(-1, 1, env.spec.action_dim).astype(np.float32)
@@ -117,7 +117,7 @@ def _record(env: Environment, decisions: int) -> Iterator[Instant]:
             now = env.step(action)
 
 
-def _add(buffer: ReplayBuffer, recorded: list[Instant]) -> float:
+def _add(buffer: ReplayBuffer, recorded: list[RecordedStep]) -> float:
     """Adds all of it; seconds for each instant."""
     began = time.perf_counter()
     for each in recorded:
@@ -145,7 +145,8 @@ def _sampling(
         if not (first.views.equal(second.views) and first.next_views.equal(second.next_views)):
             raise RuntimeError("packed frames came back changed")
     by_the_clock = {name: median(t for t, _ in each[1:]) for name, each in times.items()}
-    return by_the_clock, {name: median(t for _, t in each[1:]) for name, each in times.items()}
+    of_the_thread = {name: median(t for _, t in each[1:]) for name, each in times.items()}
+    return by_the_clock, of_the_thread
 
 
 def _timed(work: Callable[[], Any]) -> tuple[float, float, Any]:
@@ -156,7 +157,7 @@ def _timed(work: Callable[[], Any]) -> tuple[float, float, Any]:
 
 
 def _sizes(packed: ReplayBuffer, spec: BufferSpec) -> dict[str, float]:
-    """Bytes per transition in a long run: an episode takes one instant more than transitions."""
+    """Bytes per transition in a long run: an episode has one time step more than transitions."""
     more = (spec.horizon + 1) / spec.horizon
     numbers = spec.bytes_per_row - spec.frame_bytes
     return {
@@ -165,13 +166,15 @@ def _sizes(packed: ReplayBuffer, spec: BufferSpec) -> dict[str, float]:
     }
 
 
-def _fill(spec: BufferSpec, recorded: list[Instant], config: BenchBufferConfig) -> dict[str, Any]:
+def _fill(
+    spec: BufferSpec, recorded: list[RecordedStep], config: BenchBufferConfig
+) -> dict[str, Any]:
     """A packed buffer of ``spec.capacity`` transitions, made for real."""
-    before = _resident()
+    before = _occupied()
     buffer, began = ReplayBuffer(spec), time.perf_counter()
     while len(buffer) < spec.capacity:
         _add(buffer, recorded)
-    seconds, count, grown = time.perf_counter() - began, len(buffer), _resident() - before
+    seconds, count, grown = time.perf_counter() - began, len(buffer), _occupied() - before
     rng = np.random.default_rng(0)
     times = [_timed(lambda: buffer.sample(config.batch_size, rng)) for _ in range(config.rounds)]
     return {
@@ -186,10 +189,9 @@ def _fill(spec: BufferSpec, recorded: list[Instant], config: BenchBufferConfig) 
     }
 
 
-def _resident() -> int:
+def _occupied() -> int:
     """Bytes of memory this process occupies."""
-    status = Path("/proc/self/status")
-    if not status.exists():
+    occupied = kilobytes("VmRSS")
+    if occupied is None:
         raise UserError("expected Linux for --fill, found no /proc/self/status; leave --fill out")
-    fields = dict(line.split(":", 1) for line in status.read_text().splitlines())
-    return int(fields["VmRSS"].split()[0]) * 1024
+    return 1024 * occupied

@@ -18,71 +18,26 @@ watchers sit at machines of their own, and four browsers on two cores would time
 from __future__ import annotations
 
 import random
-import socket
 import statistics
-import subprocess
-import sys
 import tempfile
 import threading
 import time
-import urllib.error
-import urllib.request
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
-from madviz.doctor import find_browser
+from madviz.bench.browser import opened
+from madviz.bench.server import served
 from madviz.errors import UserError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-CHROMIUM_FLAGS = (
-    *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"),
-    *("--enable-unsafe-swiftshader", "--disable-background-networking"),
-    *("--disable-component-update", "--disable-sync", "--no-first-run"),
-)
-"""A browser without a GPU, a display or a wish to talk to anybody."""
-
-STOPWATCH = """
-() => {
-  const watch = window.madviz = {steps: [], pending: null, toggles: []};
-  const canvas = document.createElement('canvas').getContext('2d', {willReadFrequently: true});
-  const status = () => document.querySelector('.mv-status').dataset;
-  const action = () => document.querySelector('.mv-action').innerText;
-  // Mean distance of a tile's pixels from grey: a dropped camera's tile has none.
-  const colour = (image, camera, cameras) => {
-    canvas.canvas.width = 60; canvas.canvas.height = 20;
-    canvas.drawImage(image, 0, 0, 60, 20);
-    const wide = 60 / cameras;
-    const pixels = canvas.getImageData(camera * wide + 2, 4, wide - 4, 14).data;
-    let sum = 0;
-    for (let i = 0; i < pixels.length; i += 4)
-      sum += Math.max(pixels[i], pixels[i+1], pixels[i+2])
-           - Math.min(pixels[i], pixels[i+1], pixels[i+2]);
-    return sum / (pixels.length / 4);
-  };
-  document.addEventListener('load', event => {
-    const image = event.target;
-    if (image.className !== 'mv-mosaic') return;
-    const now = performance.now(), seen = status(), p = watch.pending;
-    watch.steps.push([now, image.dataset.step]);
-    if (p === null || seen.setting === p.setting || action() === p.action) return;
-    if ((colour(image, p.camera, p.cameras) < 6) !== p.off) return;
-    watch.toggles.push(performance.now() - p.start);
-    watch.pending = null;
-  }, true);
-  watch.toggle = (camera, off) => {
-    const label = off ? 'off' : 'RGB';
-    const buttons = [...document.querySelectorAll('button')].filter(b => b.innerText === label);
-    watch.pending = {camera, cameras: buttons.length, off, setting: status().setting,
-                     action: action(), start: performance.now()};
-    buttons[camera].click();
-  };
-}
-"""
+STOPWATCH = files("madviz.bench").joinpath("stopwatch.js")
+"""Runs in the page and takes the times."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +105,9 @@ def watched(config: LiveConfig) -> dict[str, Any]:
             thread.join()
     owner, *watchers = rates
     return {
-        **{"count": config.watchers, "updates_per_s": watchers, "least": min(watchers)},
+        "count": config.watchers,
+        "updates_per_s": watchers,
+        "least": min(watchers),
         "owner": owner,
     }
 
@@ -204,7 +161,7 @@ def measure(config: LiveConfig, workers: int) -> dict[str, Any]:
         served(config.policy, workers) as url,
         opened(url + look, config.chromium) as page,
     ):
-        page.evaluate(STOPWATCH)
+        page.evaluate(STOPWATCH.read_text())
         page.wait_for_timeout(3000)
         updates = updates_per_s(page, config.seconds)
         raw = toggle_ms(page, config.toggles)
@@ -259,67 +216,3 @@ def readout_ms(policy: str, repeats: int = 100) -> float:
         times.append(1000 * (time.perf_counter() - start))
     env.close()
     return round(statistics.median(times), 3)
-
-
-@contextmanager
-def served(policy: str, workers: int, *more: str) -> Iterator[str]:
-    """``madviz explore`` at full speed in a process of its own; its address once it answers."""
-    words = ["--policy", policy, "--workers", str(workers), "--speed", "None", *more]
-    with serving(words) as (url, _):
-        yield url
-
-
-@contextmanager
-def serving(
-    words: Sequence[str], log: IO[str] | None = None
-) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """``madviz explore`` with ``words``, on a free port: its address once it answers, and its
-    process. What it writes to standard error goes to ``log``."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "madviz", "explore", "--port", str(port), *words]
-    process = subprocess.Popen(command, stdout=sys.stderr, stderr=log)
-    url = f"http://127.0.0.1:{port}"
-    try:
-        await_answer(url, process)
-        yield url, process
-    finally:
-        process.terminate()
-        process.wait(20)
-
-
-def await_answer(url: str, process: subprocess.Popen[bytes], patience: float = 60.0) -> None:
-    """Returns when ``url`` answers. Raises UserError if the server ends or stays silent."""
-    deadline = time.monotonic() + patience
-    while time.monotonic() < deadline and process.poll() is None:
-        try:
-            urllib.request.urlopen(url, timeout=1).close()
-            return
-        except (urllib.error.URLError, OSError):
-            time.sleep(0.1)
-    raise UserError("the page did not start; try: madviz explore")
-
-
-@contextmanager
-def opened(url: str, chromium: str | None) -> Iterator[Page]:
-    """A headless browser on ``url`` with the page ready. Raises UserError where there is none."""
-    try:
-        from playwright.sync_api import Error, sync_playwright
-    except ImportError as error:
-        raise UserError("bench live needs Playwright: pip install playwright") from error
-    chromium = chromium or find_browser()
-    if chromium is None:
-        raise UserError("bench live needs a browser: apt-get install chromium")
-    with sync_playwright() as playwright:
-        try:
-            browser = playwright.chromium.launch(
-                executable_path=chromium, args=list(CHROMIUM_FLAGS)
-            )
-        except Error as error:
-            raise UserError(f"{chromium} is not a browser that starts") from error
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        page.goto(url)
-        page.wait_for_selector(".mv-status", timeout=60_000)
-        yield page
-        browser.close()

@@ -2,7 +2,7 @@
 
 A server in a process of its own, visitors without browsers (``bench/visitor.py``), rounds of 20 s.
 In a round visitors come and go and touch controls at random, by a seed; one more of them may come
-than there are simulations, so some watch and inherit. After each round everybody leaves, and what
+than there are simulations, so some watch and take over. After each round everybody leaves, and what
 is still there is written down: memory and threads of the server and its children, and how many
 processes that is.
 
@@ -11,7 +11,7 @@ processes that is.
             665  680  672│ 674  678  676  678  676  678  678  680  MB: 678.8 after 675.8, 0.4 %
 
 The first rounds fill what stays for good: the allocator's pools, caches of glyphs, viser's threads
-for callbacks. Bars: the median of the last third of what follows is at most 2 % above the
+for callbacks. The bounds: the median of the last third of what follows is at most 2 % above the
 first third's, no more threads (but for ``POOL``) or processes than before, nothing in the log.
 """
 
@@ -28,7 +28,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from madviz.bench.live import serving
+from madviz.bench.memory import kilobytes
+from madviz.bench.server import serving
 from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
 
@@ -39,7 +40,7 @@ MOST_GROWTH = 0.02
 POOL = 4
 """Threads that viser's pool for callbacks may have started late: it grows to its busiest moment."""
 SETTLING = 20.0
-"""Seconds that those who left may take to be gone."""
+"""Seconds that visitors who left may take to disappear."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +58,11 @@ class SoakConfig:
     workers: int = 0
     """Processes that measure success in the background."""
     seed: int = 0
-    """Of the visitors' whims."""
+    """Of what the visitors do at random."""
 
 
 class Sample(NamedTuple):
-    """What is there when nobody is."""
+    """What the server takes while nobody visits it."""
 
     memory_mb: float
     threads: int
@@ -69,7 +70,7 @@ class Sample(NamedTuple):
 
 
 class Crowd:
-    """Visitors of one page, and their whims."""
+    """Visitors of one page, who come, touch controls and go at random."""
 
     def __init__(self, url: str, pid: int, most: int, seed: int) -> None:
         self._url, self._pid, self._most = url, pid, most
@@ -84,27 +85,27 @@ class Crowd:
         end = time.monotonic() + seconds
         try:
             while time.monotonic() < end:
-                self._whim(here)
+                self._act(here)
                 time.sleep(self._rng.uniform(0.02, 0.3))
         finally:
             for visitor in here:
-                self._bid_farewell(visitor)
-        sample = settled(self._pid, self._calm)
-        self._calm = sample.threads
-        return sample
+                self._leave(visitor)
+        left = settled(self._pid, self._calm)
+        self._calm = left.threads
+        return left
 
-    def _whim(self, here: list[Visitor]) -> None:
+    def _act(self, here: list[Visitor]) -> None:
         chance = self._rng.random()
         if not here or (chance < 0.12 and len(here) < self._most):
             here.append(Visitor(self._url))
             self.visits += 1
         elif chance < 0.18:
-            self._bid_farewell(here.pop(self._rng.randrange(len(here))))
+            self._leave(here.pop(self._rng.randrange(len(here))))
         else:
             self._rng.choice(here).toggle(self._rng)
             self.touches += 1
 
-    def _bid_farewell(self, visitor: Visitor) -> None:
+    def _leave(self, visitor: Visitor) -> None:
         self.updates += len(visitor.steps)
         visitor.close()
 
@@ -125,11 +126,18 @@ def soak(config: SoakConfig) -> dict[str, Any]:
         log.seek(0)
         errors = [line.rstrip() for line in log if line.strip()]
     errors += ["the server ended by itself"] if died else []
+    verdict = judged(samples)
     return {
-        **{"schema": 1, "policy": config.policy, "minutes": config.minutes},
-        **{"seed": config.seed, "visits": crowd.visits, "touches": crowd.touches},
-        **{"updates": crowd.updates, **judged(samples), "errors": errors[:50]},
-        "ok": judged(samples)["kept"] and not errors,
+        "schema": 1,
+        "policy": config.policy,
+        "minutes": config.minutes,
+        "seed": config.seed,
+        "visits": crowd.visits,
+        "touches": crowd.touches,
+        "updates": crowd.updates,
+        **verdict,
+        "errors": errors[:50],
+        "ok": verdict["kept"] and not errors,
     }
 
 
@@ -144,8 +152,8 @@ def rounds(crowd: Crowd, seconds: float) -> list[Sample]:
 
 
 def judged(samples: Sequence[Sample]) -> dict[str, Any]:
-    """First third (an hour: first tenth) warms up; of the rest, the last third is held against the
-    first. ``kept``: no bar is broken."""
+    """First third (an hour: first tenth) warms up; of the rest, the last third is compared with the
+    first. ``kept``: no bound is exceeded."""
     warm = samples[len(samples) // (3 if len(samples) < 30 else 10) :]
     part = max(1, len(warm) // 3)
     first, last = warm[:part], warm[-part:]
@@ -157,59 +165,62 @@ def judged(samples: Sequence[Sample]) -> dict[str, Any]:
     growth = after / before - 1
     threads = (int(max(s.threads for s in first)), int(min(s.threads for s in last)))
     processes = (max(s.processes for s in first), min(s.processes for s in last))
-    kept = (
+    within = (
         growth <= MOST_GROWTH and threads[1] <= threads[0] + POOL and processes[1] <= processes[0]
     )
     return {
         "rounds": len(samples),
         "memory_mb": {
-            **{"after_warm_up": round(before, 1), "end": round(after, 1)},
-            **{"growth": round(growth, 4), "rounds": [round(s.memory_mb, 1) for s in samples]},
+            "after_warm_up": round(before, 1),
+            "end": round(after, 1),
+            "growth": round(growth, 4),
+            "rounds": [round(s.memory_mb, 1) for s in samples],
         },
         "threads": {
-            **{"after_warm_up": threads[0], "end": threads[1]},
+            "after_warm_up": threads[0],
+            "end": threads[1],
             "rounds": [s.threads for s in samples],
         },
         "processes": {"after_warm_up": processes[0], "end": processes[1]},
-        "kept": kept,
+        "kept": within,
     }
 
 
 def settled(pid: int, calm: int | None = None) -> Sample:
     """What is left of ``pid`` and its children once their threads have been the same for 1 s, and
     no more than ``calm`` if that is known: on a busy machine a simulator that is being opened takes
-    seconds before it notices that nobody wants it any more. Waits for ``SETTLING`` at most."""
-    seen, since = look(pid), time.monotonic()
+    seconds before it notices that nobody needs it any more. Waits for ``SETTLING`` at most."""
+    seen, since = sample(pid), time.monotonic()
     deadline = since + SETTLING
     most = math.inf if calm is None else calm
     while time.monotonic() < deadline:
         if time.monotonic() - since >= 1.0 and seen.threads <= most:
             break
         time.sleep(0.1)
-        now = look(pid)
+        now = sample(pid)
         if (now.threads, now.processes) != (seen.threads, seen.processes):
             since = time.monotonic()
         seen = now
     return seen
 
 
-def look(pid: int) -> Sample:
+def sample(pid: int) -> Sample:
     """Memory, threads and number of ``pid`` and all its children. Raises UserError where the system
     does not tell."""
-    if not Path("/proc/self/status").exists():
+    if kilobytes("VmRSS") is None:
         raise UserError("expected Linux for a soak, found no /proc/self/status; run it there")
     memory = threads = 0
     family = [pid]
     for one in family:
         try:
-            status = Path(f"/proc/{one}/status").read_text()
+            occupied = kilobytes("VmRSS", Path(f"/proc/{one}/status"))
             tasks = list(Path(f"/proc/{one}/task").iterdir())
             for task in tasks:
                 family += map(int, (task / "children").read_text().split())
-        except OSError:  # It ended while it was looked at.
+        except OSError:  # It ended meanwhile.
             continue
         threads += len(tasks)
-        memory += next((int(r.split()[1]) for r in status.splitlines() if "VmRSS" in r), 0)
+        memory += occupied or 0
     return Sample(memory / 1024, threads, len(family))
 
 

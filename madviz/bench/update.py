@@ -2,7 +2,7 @@
 
 Both learn from the same transitions, in memory already, with the same random numbers and as many
 threads; what is timed is shift, encoding, losses, four optimisers' steps and the target's average.
-Machines differ and are busy, so the figure to look at is the ratio of the medians.
+Machines differ and are busy, so the figure to compare is the ratio of the medians.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import resource
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -23,6 +22,7 @@ from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.objectives import Batch
 from madviz.agent.update import Learner, LearningConfig, Precision
+from madviz.bench.memory import HERE, kilobytes
 from madviz.bench.naive import NaiveLearner
 from madviz.observation.streams import IMAGE_SIZE
 
@@ -82,7 +82,8 @@ def _measure(config: BenchUpdateConfig) -> dict[str, Any]:
         times["naive_ms"].append(_milliseconds(lambda: naive.update(plain, draw)))  # noqa: B023
     medians = {name: median(values) for name, values in times.items()}
     return {
-        **{name: round(value, 1) for name, value in medians.items()},
+        "ours_ms": round(medians["ours_ms"], 1),
+        "naive_ms": round(medians["naive_ms"], 1),
         "ratio": round(medians["naive_ms"] / medians["ours_ms"], 2),
         "peak_mb": round(peak),
         "threads": torch.get_num_threads(),
@@ -103,10 +104,13 @@ def random_batch(size: int, streams: int, networks: NetworkConfig) -> Batch:
         return torch.from_numpy(rng.standard_normal((size, *more)).astype(np.float32))
 
     return Batch(
-        **{"views": views(), "next_views": views()},
-        **{"state": numbers(networks.state_dim), "next_state": numbers(networks.state_dim)},
+        views=views(),
+        next_views=views(),
+        state=numbers(networks.state_dim),
+        next_state=numbers(networks.state_dim),
         action=numbers(networks.action_dim).tanh(),
-        **{"reward": numbers(), "discount": torch.full((size,), 0.99)},
+        reward=numbers(),
+        discount=torch.full((size,), 0.99),
     )
 
 
@@ -124,14 +128,11 @@ def _milliseconds(work: Any) -> float:
 
 def _forget_peak() -> None:
     """Linux can begin a new peak; elsewhere it is the process's since it started."""
-    clear = Path("/proc/self/clear_refs")
+    clear = HERE.with_name("clear_refs")
     if clear.exists():
         clear.write_text("5")
 
 
 def _peak_mb() -> float:
-    status = Path("/proc/self/status")
-    if status.exists():
-        fields = dict(line.split(":", 1) for line in status.read_text().splitlines())
-        return int(fields["VmHWM"].split()[0]) / 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak = kilobytes("VmHWM")
+    return (peak or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) / 1024

@@ -1,8 +1,8 @@
-"""A visitor without a browser: a websocket that speaks viser's language, for measuring.
+"""A visitor without a browser: a websocket client of viser's protocol, for measuring.
 
 A headless browser takes a core and 300 MB, so a few of them would be measured instead of the
-server. This one costs next to nothing: it takes what the server sends off the wire, remembers which
-controls it was given, counts the simulator steps whose pictures came, and can press what is there.
+server. This one costs next to nothing: it decodes what the server sends, remembers which controls
+it was given, counts the simulator steps whose pictures came, and can press what is there.
 
     server ──► [8 bytes: length][8 bytes: packed length][zstd: messages as msgpack][arrays]
     visitor ─► msgpack of one message, for example {"type": "GuiUpdateMessage", "uuid": ..., ...}
@@ -14,12 +14,11 @@ import random
 import re
 import threading
 import time
+from importlib.metadata import version
 from typing import Any
 
 import msgspec.msgpack
-import viser
 import zstandard
-from viser._messages import GuiUpdateMessage, Message, ViewerCameraMessage
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
@@ -42,7 +41,7 @@ class Visitor:
         try:
             self._socket: ClientConnection = connect(
                 address,
-                subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+                subprotocols=[Subprotocol(f"viser-v{version('viser')}")],
                 additional_headers=headers,
                 max_size=LARGEST,
                 compression=None,
@@ -61,14 +60,16 @@ class Visitor:
         self._thread = threading.Thread(target=self._listen, name="visitor", daemon=True)
         self._thread.start()
         self.send(
-            ViewerCameraMessage(
-                wxyz=(1.0, 0.0, 0.0, 0.0),
-                position=(1.0, 1.0, 1.0),
-                **{"fov": 1.0, "near": 0.01, "far": 100.0},
-                **{"image_height": 800, "image_width": width},
-                look_at=(0.0, 0.0, 0.0),
-                up_direction=(0.0, 0.0, 1.0),
-            )
+            "ViewerCameraMessage",
+            wxyz=(1.0, 0.0, 0.0, 0.0),
+            position=(1.0, 1.0, 1.0),
+            fov=1.0,
+            near=0.01,
+            far=100.0,
+            image_height=800,
+            image_width=width,
+            look_at=(0.0, 0.0, 0.0),
+            up_direction=(0.0, 0.0, 1.0),
         )
 
     def __enter__(self) -> Visitor:
@@ -78,13 +79,13 @@ class Visitor:
         self.close()
 
     @property
-    def gone(self) -> bool:
+    def ended(self) -> bool:
         """Whether the server has ended the connection."""
         return not self._thread.is_alive()
 
-    def send(self, message: Message) -> None:
-        """One message, as a page would send it."""
-        self.send_raw(msgspec.msgpack.encode(message.as_serializable_dict()))
+    def send(self, kind: str, **fields: Any) -> None:
+        """One message of viser's, as a page would send it: its class's name and its fields."""
+        self.send_raw(msgspec.msgpack.encode({"type": kind, **fields}))
 
     def send_raw(self, data: bytes | str) -> None:
         """Anything at all."""
@@ -95,7 +96,7 @@ class Visitor:
 
     def set(self, uuid: str, value: Any, prop: str = "value") -> None:
         """Gives a control a value; for a row of buttons: presses the one of that name."""
-        self.send(GuiUpdateMessage(uuid=uuid, updates={prop: value}))
+        self.send("GuiUpdateMessage", uuid=uuid, updates={prop: value})
 
     def find(self, label: str, kind: str = "") -> list[str]:
         """Controls of that label, in the order in which they came."""

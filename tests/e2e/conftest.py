@@ -15,8 +15,7 @@ from madviz.app.access import Gate
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.server import App
-from madviz.bench.live import CHROMIUM_FLAGS
-from madviz.doctor import find_browser
+from madviz.bench.browser import CHROMIUM_FLAGS, find_browser
 from madviz.observation.ablation import CameraState
 from madviz.session.commands import Play, Reset, SetCamera, SetPolicy, SetSpeed
 from madviz.session.frame import Frame
