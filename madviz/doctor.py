@@ -22,9 +22,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, get_args
 
-from madviz.bench.browser import find_browser
 from madviz.envs.registry import RenderProfile, make_env
 from madviz.errors import UserError
+from madviz.system.browser import find_browser
 from madviz.types import Environment
 
 PACKAGES = (

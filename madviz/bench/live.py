@@ -22,16 +22,16 @@ import statistics
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from madviz.bench.browser import opened
 from madviz.bench.server import served
 from madviz.errors import UserError
+from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -216,3 +216,27 @@ def readout_ms(policy: str, repeats: int = 100) -> float:
         times.append(1000 * (time.perf_counter() - start))
     env.close()
     return round(statistics.median(times), 3)
+
+
+@contextmanager
+def opened(url: str, chromium: str | None) -> Iterator[Page]:
+    """A headless browser on ``url`` with the page ready. Raises UserError where there is none."""
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError as error:
+        raise UserError("bench live needs Playwright: pip install playwright") from error
+    chromium = chromium or find_browser()
+    if chromium is None:
+        raise UserError("bench live needs a browser: apt-get install chromium")
+    with sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(
+                executable_path=chromium, args=list(CHROMIUM_FLAGS)
+            )
+        except Error as error:
+            raise UserError(f"{chromium} is not a browser that starts") from error
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.goto(url)
+        page.wait_for_selector(".mv-status", timeout=60_000)
+        yield page
+        browser.close()

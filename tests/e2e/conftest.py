@@ -15,10 +15,10 @@ from madviz.app.access import Gate
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.server import App
-from madviz.bench.browser import CHROMIUM_FLAGS, find_browser
 from madviz.observation.ablation import CameraState
 from madviz.session.commands import Play, Reset, SetCamera, SetPolicy, SetSpeed
 from madviz.session.frame import Frame
+from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 from tests.fakes import policies
 
 PICTURES = Path(__file__).parents[2] / "build" / "e2e"

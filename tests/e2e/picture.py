@@ -11,7 +11,7 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 
 from madviz.app.server import ExploreConfig, open_app
-from madviz.bench.browser import CHROMIUM_FLAGS, find_browser
+from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 
 
 def take(width: int, height: int, file: Path) -> None:
