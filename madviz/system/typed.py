@@ -1,0 +1,70 @@
+"""What a file holds, as a type: msgspec checks it, and a mistake is one line for whoever wrote it.
+
+config.json: expected 'cameras[0].fovy' to be a number, found 'wide'; restore the file or retrain
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from madviz.errors import UserError, unknown
+
+T = TypeVar("T")
+
+KINDS = {
+    "int": "a whole number",
+    "float": "a number",
+    "str": "a text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table of named values",
+    "null": "nothing",
+}
+"""What msgspec calls a type, in words."""
+
+
+def typed(value: Any, kind: type[T], where: str | Path, fix: str) -> T:
+    """``value``, as JSON or TOML has it, as ``kind``: a msgspec Struct, a dataclass, any type.
+
+    Raises UserError: ``where``, what was expected, what was found, and ``fix``, the next move.
+    """
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        raise UserError(f"{where}: {_mistake(str(error), value, kind)}; {fix}") from error
+
+
+def _mistake(message: str, value: Any, kind: type) -> str:
+    """msgspec's message with the value that was found, in this program's words."""
+    what, _, place = message.partition(" - at `$")
+    place = place.removesuffix("`").lstrip(".")
+    if missing := re.fullmatch(r"Object missing required field `(.*)`", what):
+        return f"expected {_joined(place, missing[1])!r}, found none"
+    if extra := re.fullmatch(r"Object contains unknown field `(.*)`", what):
+        if place or not issubclass(kind, msgspec.Struct):
+            return f"expected no {_joined(place, extra[1])!r}, found one"
+        known = [field.encode_name for field in msgspec.structs.fields(kind)]
+        return str(unknown("word", extra[1], known))
+    if wrong := re.fullmatch(r"Expected `(.*)`, got `.*`", what):
+        words = " or ".join(KINDS.get(name, name) for name in wrong[1].split(" | "))
+        named = f"{place!r} to be {words}" if place else words
+        return f"expected {named}, found {_found(value, place)!r:.60}"
+    return f"{what[0].lower()}{what[1:].replace('`', '')}" + (f" at {place!r}" if place else "")
+
+
+def _joined(place: str, name: str) -> str:
+    return f"{place}.{name}" if place else name
+
+
+def _found(value: Any, place: str) -> Any:
+    """What stands at ``cameras[0].fovy``; the whole where the place has no such path."""
+    try:
+        for name, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", place):
+            value = value[int(index)] if index else value[name]
+        return value
+    except (KeyError, IndexError, TypeError):
+        return value
