@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from madviz.envs.cameras import look_at, read_cameras
 from madviz.envs.metaworld.environment import CAMERAS
+from madviz.envs.placement import drawn_cameras
 from madviz.envs.registry import (
     SETTINGS,
     choose,
@@ -18,7 +19,6 @@ from madviz.envs.registry import (
     sees,
     setting,
     setting_cameras,
-    standing,
 )
 from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE, stream_frame
@@ -101,14 +101,14 @@ def test_mixed_resolutions_are_drawn_as_they_are_and_reach_a_policy_alike(task: 
             assert stream_frame(view, stream, env.spec).shape[:2] == (IMAGE_SIZE, IMAGE_SIZE)
 
 
-def test_cameras_in_the_place_of_others_leave_the_rest_standing() -> None:
-    assert standing(CAMERAS, ()) == CAMERAS
+def test_cameras_in_the_place_of_others_leave_the_rest_drawn_cameras() -> None:
+    assert drawn_cameras(CAMERAS, ()) == CAMERAS
     one = setting_cameras(TASK, "one-rgb")
-    assert standing(CAMERAS, one) == CAMERAS
+    assert drawn_cameras(CAMERAS, one) == CAMERAS
     larger = replace(CAMERAS[1], size=96)
-    assert standing(CAMERAS, (larger,)) == (CAMERAS[0], larger, CAMERAS[2])
+    assert drawn_cameras(CAMERAS, (larger,)) == (CAMERAS[0], larger, CAMERAS[2])
     own = (CameraSpec("left", "Left", 60), CAMERAS[0])
-    assert standing(CAMERAS, own) == own
+    assert drawn_cameras(CAMERAS, own) == own
 
 
 def test_whether_an_environment_draws_what_a_policy_needs() -> None:

@@ -44,9 +44,9 @@ def pixel(env: ManiSkill, camera: str, point: Array, size: int = 84) -> tuple[in
 
 def test_pictures_are_the_stock_ones_where_poses_say(push: ManiSkill) -> None:
     """Stock sensors at the same places; the wrist camera's pictures turned as the paper does."""
-    from madviz.envs.maniskill.stock import StockFrames
+    from madviz.envs.maniskill.stock import ManiSkillStock
 
-    stock, full = StockFrames("push-cube", 84), ManiSkill("push-cube", "full")
+    stock, full = ManiSkillStock("push-cube", 84), ManiSkill("push-cube", "full")
     full.reset(0)
     push.reset(0)
     third_a, third_b, hand = stock.draw()
@@ -156,8 +156,8 @@ def test_a_heavy_mesh_gets_light_and_keeps_its_shape() -> None:
     ball = trimesh.creation.icosphere(5)  # 20,480 triangles, radius 1.
     loose = np.asarray(ball.vertices, np.float32)[ball.faces].reshape(-1, 3)
     faces = np.arange(len(loose)).reshape(-1, 3)
-    vertices, triangles, normals, uvs = meshes.shade(*meshes.decimate(loose, faces))
-    limit = meshes.ENOUGH * meshes.TRIANGLES
+    vertices, triangles, normals, uvs = meshes.shade(*decimation.decimate(loose, faces))
+    limit = decimation.ENOUGH * decimation.TRIANGLES
     assert 200 < len(triangles) <= limit and len(uvs) == len(vertices)
     assert np.abs(np.linalg.norm(vertices, axis=1) - 1).max() < 0.05
     assert (normals * vertices).sum(1).min() > 0.95  # Smooth, and outwards.
@@ -199,7 +199,7 @@ def test_two_simulators_that_open_at_once_do_not_mix_their_meshes(
     monkeypatch.setattr(decimation.fast_simplification, "simplify", simplify)
     ball = trimesh.creation.icosphere(4)
     with ThreadPoolExecutor(3) as pool:
-        made = [pool.submit(meshes.decimate, ball.vertices, ball.faces) for _ in "abc"]
+        made = [pool.submit(decimation.decimate, ball.vertices, ball.faces) for _ in "abc"]
         assert all(len(one.result()[1]) == 100 for one in made)
     assert most == [1, 1, 1]
 

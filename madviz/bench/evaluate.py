@@ -20,12 +20,12 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
 
 from madviz.bench.render import STOCK
+from madviz.envs.registry import stock_frames
 from madviz.errors import UserError
 from madviz.evaluation.episodes import FIRST_SEED, Finished, Job, Runner, Workers, one_thread
 from madviz.evaluation.evaluate import run_jobs
@@ -72,8 +72,7 @@ def bench_evaluate(config: BenchEvaluateConfig) -> dict[str, Any]:
     if min(config.episodes, config.stock_decisions, count) < 1:
         raise UserError("expected at least 1 episode, 1 decision to time and 1 worker")
     spec = checkpoint.describe(config.policy).spec
-    suite, _, task = spec.task.partition("/")
-    if suite not in STOCK:
+    if spec.task.split("/")[0] not in STOCK:
         raise UserError(f"expected a policy of {' or '.join(STOCK)}, found one for {spec.task}")
     seeds = range(config.seed, config.seed + config.episodes)
     jobs = [Job(config.policy, spec.digest, config.subset, (), seed) for seed in seeds]
@@ -82,10 +81,9 @@ def bench_evaluate(config: BenchEvaluateConfig) -> dict[str, Any]:
     serial_seconds, serial = in_turn(jobs, here)
     if ours != serial:
         raise UserError("expected the same results of both loops, found different ones; see doctor")
-    kind: Any = import_module(f"madviz.envs.{suite}.stock").StockFrames
     env, policy = here.opened(jobs[0])
     mask = mask_of(config.subset, spec.streams)
-    frames = kind(task, IMAGE_SIZE)
+    frames = stock_frames(spec.task, IMAGE_SIZE)
     repeat, decisions = env.spec.action_repeat, config.stock_decisions
     decision = stock_seconds(frames, policy, mask, repeat, decisions)
     frames.close()

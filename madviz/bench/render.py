@@ -11,12 +11,11 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from madviz.envs.registry import make_env
+from madviz.envs.registry import make_env, stock_frames
 from madviz.errors import UserError
 
 OUR_FLAGS = "profile fast: no shadows, reflections or samples, lighter meshes; colour and depth"
@@ -95,8 +94,7 @@ def bench_render(config: RenderConfig) -> dict[str, Any]:
     ours = OurFrames(task, config.size)
     ours.draw()  # Complains about missing OpenGL in words of its own, before MuJoCo can.
     # MuJoCo loads an OpenGL library when it is imported, so this waits until ours has checked it.
-    kind: Any = import_module(f"madviz.envs.{suite}.stock").StockFrames
-    stock = kind(task.split("/")[1], config.size)
+    stock = stock_frames(task, config.size)
     times = alternate({"ours": ours, "stock": stock}, config.rounds)
     result = {
         "schema": 1,

@@ -17,14 +17,26 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 
+from madviz.envs.checks import resized_cameras
 from madviz.errors import UserError
 from madviz.system.plugins import made_by
 from madviz.types import CameraSpec, Environment, EnvSpec
 
 VARIABLE = "MADVIZ_TASKS"
+_SPECS: dict[str, EnvSpec] = {}
+"""Of each factory that was called in this process, what its last environment said of itself."""
 PARTS = (
-    *("spec", "reset", "step", "view", "pose", "move_camera"),
-    *("bodies", "body_poses", "hand", "expert", "close"),
+    "spec",
+    "reset",
+    "step",
+    "view",
+    "pose",
+    "move_camera",
+    "bodies",
+    "body_poses",
+    "hand",
+    "expert",
+    "close",
 )
 
 
@@ -56,39 +68,39 @@ def check_allowed(task: str) -> None:
         )
 
 
+def own_spec(task: str) -> EnvSpec:
+    """What the factory's environment says of itself; it is built once to ask it, if it was never
+    built before. Raises UserError as ``make_own`` does."""
+    check_allowed(task)
+    if task not in _SPECS:
+        made = _made(task)
+        made.close()
+    return _SPECS[task]
+
+
 def make_own(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> Environment:
     """The factory's environment under the name ``task``. Raises UserError for one that was not
     named, lacks a part, or draws otherwise than asked."""
     check_allowed(task)
-    made = made_by(task, "an environment (madviz.types.Environment)", PARTS)
-    spec = made.spec
-    if not isinstance(spec, EnvSpec):
-        raise UserError(
-            f"{task}: expected a spec of the kind madviz.types.EnvSpec, found a "
-            f"{type(spec).__name__}; fill one in"
-        )
+    made = _made(task)
+    spec = _SPECS[task]
     if spec.render_profile != render_profile:
         made.close()
         raise UserError(
             f"{task} draws with the render profile {spec.render_profile!r} alone, found "
             f"{render_profile!r}; pick the former"
         )
-    made.spec = replace(spec, task=task, cameras=cameras_in_place(task, spec.cameras, cameras))
+    made.spec = replace(spec, cameras=resized_cameras(task, spec.cameras, cameras))
     return made
 
 
-def cameras_in_place(
-    task: str, own: tuple[CameraSpec, ...], given: tuple[CameraSpec, ...]
-) -> tuple[CameraSpec, ...]:
-    """``own`` in the sizes of ``given``, for worlds whose cameras stand where they stand. Raises
-    UserError for a camera that is another one, or elsewhere."""
-    places = {camera.name: camera for camera in own}
-    for camera in given:
-        if camera.name not in places or replace(places[camera.name], size=camera.size) != camera:
-            raise UserError(
-                f"{task} has the cameras {', '.join(places)} where they are, and no others; found "
-                f"{camera.name!r} placed elsewhere; leave it out, or take a task of Meta-World or "
-                "ManiSkill"
-            )
-    places |= {camera.name: camera for camera in given}
-    return tuple(places.values())
+def _made(task: str) -> Environment:
+    """A new environment of the factory; ``_SPECS`` has its spec."""
+    made = made_by(task, "an environment (madviz.types.Environment)", PARTS)
+    if not isinstance(made.spec, EnvSpec):
+        raise UserError(
+            f"{task}: expected a spec of the kind madviz.types.EnvSpec, found a "
+            f"{type(made.spec).__name__}; fill one in"
+        )
+    _SPECS[task] = replace(made.spec, task=task)
+    return made

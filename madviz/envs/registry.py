@@ -7,39 +7,93 @@ them at other sizes. Where a camera stands is a matter of the suite (``setting_c
 
 A policy carries its cameras with it, so whoever loads it hands them to ``make_env`` and never needs
 to know its setting, or the file in which a user described cameras of their own.
+
+A suite is a line in ``SUITES``, which names its environment by a string: simulators are loaded when
+a task of theirs is first used.
 """
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
-
-import numpy as np
+from typing import Any, Literal, Protocol, get_args
 
 from madviz.envs import custom
 from madviz.envs.cameras import read_cameras
 from madviz.errors import UserError, unknown
-from madviz.types import Array, CameraSpec, Environment, EnvSpec, Modality
+from madviz.system.plugins import load
+from madviz.types import CameraSpec, Environment, EnvSpec, Modality
 
 RenderProfile = Literal["fast", "full"]
 
 METAWORLD_TASKS = (
-    *("basketball", "hammer", "peg-insert-side", "soccer", "sweep-into"),
-    *("assembly", "hand-insert", "pick-out-of-hole", "pick-place", "push"),
-    *("shelf-place", "disassemble", "stick-pull", "stick-push", "pick-place-wall"),
+    "basketball",
+    "hammer",
+    "peg-insert-side",
+    "soccer",
+    "sweep-into",
+    "assembly",
+    "hand-insert",
+    "pick-out-of-hole",
+    "pick-place",
+    "push",
+    "shelf-place",
+    "disassemble",
+    "stick-pull",
+    "stick-push",
+    "pick-place-wall",
 )
 """The paper's 15 tasks: five medium, five hard, five very hard."""
 
 MANISKILL_TASKS = ("push-cube", "pull-cube", "pick-cube", "place-sphere", "poke-cube")
 
-TASKS = (
-    *(f"metaworld/{task}" for task in METAWORLD_TASKS),
-    *(f"maniskill/{task}" for task in MANISKILL_TASKS),
-    "toy/reach",
-)
+
+class SuiteEnvironment(Protocol):
+    """The class of a suite's environments."""
+
+    setting_cameras: Mapping[str, tuple[CameraSpec, ...]]
+    """By setting, the cameras that it adds or moves."""
+
+    def __call__(
+        self, task: str, render_profile: str, cameras: tuple[CameraSpec, ...]
+    ) -> Environment: ...
+
+    def own_cameras(self, task: str) -> tuple[CameraSpec, ...]: ...
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A family of tasks in one simulator."""
+
+    tasks: tuple[str, ...]
+    environment: str
+    """``module:class`` of its ``SuiteEnvironment``."""
+    stock: str = ""
+    """``module:class`` that draws its tasks as the simulator's users do, to be measured against."""
+
+    def load(self) -> SuiteEnvironment:
+        """The class of its environments."""
+        return load(self.environment)
+
+
+SUITES = {
+    "metaworld": Suite(
+        METAWORLD_TASKS,
+        "madviz.envs.metaworld.environment:MetaWorld",
+        "madviz.envs.metaworld.stock:MetaWorldStock",
+    ),
+    "maniskill": Suite(
+        MANISKILL_TASKS,
+        "madviz.envs.maniskill.environment:ManiSkill",
+        "madviz.envs.maniskill.stock:ManiSkillStock",
+    ),
+    "toy": Suite(("reach",), "madviz.envs.toy:ToyReach"),
+}
+
+TASKS = tuple(f"{name}/{task}" for name, suite in SUITES.items() for task in suite.tasks)
 
 
 def known_tasks() -> tuple[str, ...]:
@@ -119,7 +173,9 @@ def setting_cameras(task: str, name: str) -> tuple[CameraSpec, ...]:
     return cameras
 
 
-def _has(name: str, own: tuple[CameraSpec, ...], placed: dict[str, tuple[CameraSpec, ...]]) -> bool:
+def _has(
+    name: str, own: tuple[CameraSpec, ...], placed: Mapping[str, tuple[CameraSpec, ...]]
+) -> bool:
     """Whether a suite with its ``own`` cameras, and those ``placed`` by setting, has them all."""
     wanted = SETTINGS[name]
     here = {camera.name for camera in (*own, *placed.get(name, ()))}
@@ -139,15 +195,6 @@ def choose(
     return Setting(tuple(c.name for c in cameras), setting(name).modalities), cameras
 
 
-def standing(own: tuple[CameraSpec, ...], given: tuple[CameraSpec, ...]) -> tuple[CameraSpec, ...]:
-    """What an environment draws: its ``own`` cameras where ``given`` is empty; with ``given`` ones
-    in their places where all of them bear names of its own; otherwise ``given`` and no others."""
-    named = {camera.name: camera for camera in given}
-    if named.keys() <= {camera.name for camera in own}:
-        return tuple(named.get(camera.name, camera) for camera in own)
-    return given
-
-
 def sees(env: EnvSpec, cameras: tuple[CameraSpec, ...]) -> bool:
     """Whether ``env`` draws all of ``cameras`` as they are described, whatever a page calls them.
 
@@ -159,25 +206,15 @@ def sees(env: EnvSpec, cameras: tuple[CameraSpec, ...]) -> bool:
 
 def _suite_cameras(
     task: str,
-) -> tuple[tuple[CameraSpec, ...], dict[str, tuple[CameraSpec, ...]]]:
+) -> tuple[tuple[CameraSpec, ...], Mapping[str, tuple[CameraSpec, ...]]]:
     """A suite's own cameras, and by setting those that are added or stand elsewhere."""
     check_task(task)
-    if custom.is_own(task):
-        made = make_env(task)
-        made.close()
-        return made.spec.cameras, {}
-    if task.startswith("toy/"):
-        from madviz.envs.toy import CAMERAS as TOY_CAMERAS
-
-        return TOY_CAMERAS, {}
-    if task.startswith("maniskill/"):
-        from madviz.envs.maniskill import environment
-
-        return environment.cameras_of(task.split("/")[1]), environment.SETTING_CAMERAS
     _draw_without_a_display()
-    from madviz.envs.metaworld.environment import CAMERAS, SETTING_CAMERAS
-
-    return CAMERAS, SETTING_CAMERAS
+    if custom.is_own(task):
+        return custom.own_spec(task).cameras, {}
+    suite, name = task.split("/")
+    environment = SUITES[suite].load()
+    return environment.own_cameras(name), environment.setting_cameras
 
 
 def _draw_without_a_display() -> None:
@@ -201,33 +238,15 @@ def make_env(
     if render_profile not in get_args(RenderProfile):
         raise unknown("render profile", render_profile, list(get_args(RenderProfile)))
     check_task(task)
+    _draw_without_a_display()
     if custom.is_own(task):
-        _draw_without_a_display()
         return custom.make_own(task, render_profile, cameras)
     suite, name = task.split("/")
-    if suite == "toy":
-        from madviz.envs.toy import ToyReach
-
-        toy = ToyReach()
-        placed = custom.cameras_in_place(task, toy.spec.cameras, cameras)
-        toy.spec = replace(toy.spec, cameras=placed)
-        return toy
-    if suite == "maniskill":
-        from madviz.envs.maniskill.environment import ManiSkill
-
-        return ManiSkill(name, render_profile, cameras)
-    _draw_without_a_display()
-    from madviz.envs.metaworld.environment import MetaWorld
-
-    return MetaWorld(name, render_profile, cameras)
+    return SUITES[suite].load()(name, render_profile, cameras)
 
 
-def check_action(action: Array, action_dim: int) -> None:
-    """Raises UserError unless ``action`` is (A,) and finite; every environment calls it first."""
-
-    found = np.asarray(action)
-    if found.shape != (action_dim,) or not np.isfinite(found).all():
-        raise UserError(
-            f"expected a finite action of {action_dim} numbers in [-1, 1], found {found.tolist()}; "
-            "the policy that produced it is broken: reset, or pick another"
-        )
+def stock_frames(task: str, size: int) -> Any:
+    """``task`` drawn as its simulator's users draw it, in ``size`` pixels: ``step``, ``draw``,
+    ``flags`` and ``close``. For Meta-World and ManiSkill."""
+    suite, name = task.split("/")
+    return load(SUITES[suite].stock)(name, size)

@@ -2,7 +2,7 @@
 
 A page is drawn by whatever machine the visitor has, often without a GPU. The Sawyer's meshes alone
 hold 67,000 triangles and the Panda's wrist camera 425,000, so each heavy mesh is decimated (see
-``maniskill_meshes.decimate``) to at most ``LIGHT`` triangles, and a whole scene stays below
+``decimation.decimate``) to at most ``LIGHT`` triangles, and a whole scene stays below
 ``MOST``: 11 links x 600 + a wooden table of 320 = 6,920. Boxes, cylinders, spheres and capsules are
 described by numbers in a simulator; here they become triangles too.
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs.maniskill.meshes import ENOUGH, decimate
+from madviz.envs.decimation import ENOUGH, decimate
 from madviz.types import Array, Part
 
 MOST = 20_000

@@ -12,12 +12,14 @@ perspective instead, by following the ray of every pixel to the flat tops of tab
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from madviz.envs import shapes
+from madviz.envs.checks import check_action, resized_cameras
 from madviz.envs.placement import Placements
-from madviz.envs.registry import check_action
 from madviz.errors import unknown
 from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, Part, TimeStep, View
 
@@ -43,10 +45,23 @@ _NOTHING, _FAR = 40, 10.0
 class ToyReach:
     """See the module. State: hand x, y and the last two, 6 numbers; action: x, y."""
 
-    def __init__(self) -> None:
+    setting_cameras: Mapping[str, tuple[CameraSpec, ...]] = {}
+
+    @staticmethod
+    def own_cameras(task: str) -> tuple[CameraSpec, ...]:
+        return CAMERAS
+
+    def __init__(
+        self,
+        task: str = "reach",
+        render_profile: str = "fast",
+        cameras: tuple[CameraSpec, ...] = (),
+    ) -> None:
+        """``task`` and ``render_profile`` are those of ``make_env``; there is one picture for both
+        profiles. Raises UserError for ``cameras`` that are not its own in other sizes."""
         self.spec = EnvSpec(
-            "toy/reach",
-            CAMERAS,
+            f"toy/{task}",
+            resized_cameras(f"toy/{task}", CAMERAS, cameras),
             state_dim=6,
             action_dim=2,
             horizon=25,

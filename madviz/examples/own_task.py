@@ -18,8 +18,8 @@ import mujoco
 import numpy as np
 
 from madviz.envs.cameras import look_at
+from madviz.envs.checks import check_action
 from madviz.envs.mujoco.world import MuJoCoWorld
-from madviz.envs.registry import check_action
 from madviz.types import Array, CameraSpec, EnvSpec, TimeStep
 
 SCENE = """

@@ -12,13 +12,18 @@ from typing import Any
 from madviz.errors import UserError
 
 
+def load(reference: str) -> Any:
+    """What ``module:name`` names, imported now. Raises ImportError or AttributeError."""
+    module, _, name = reference.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
 def made_by(reference: str, kind: str, parts: Sequence[str]) -> Any:
     """What ``module:factory`` returns. Raises UserError where it cannot be imported, and where the
     result lacks one of ``parts``; ``kind`` says in words what it should be."""
-    module, _, factory = reference.partition(":")
     try:
         with _importable_from_here():
-            made = getattr(importlib.import_module(module), factory)()
+            made = load(reference)()
     except (ImportError, AttributeError, ValueError) as error:
         raise UserError(
             f"{reference}: expected module:factory that can be imported from here, found: {error}"

@@ -29,12 +29,13 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
+from madviz.envs.checks import check_action
 from madviz.envs.maniskill.environment import HORIZON, cameras_of
 from madviz.envs.maniskill.meshes import lighten
 from madviz.envs.maniskill.render import FAR, sensor
 from madviz.envs.maniskill.tasks import states, stock_task
 from madviz.envs.maniskill.vulkan import renderer
-from madviz.envs.registry import check_action, standing
+from madviz.envs.placement import drawn_cameras
 from madviz.errors import UserError
 from madviz.types import Array, CameraSpec, View
 
@@ -89,7 +90,7 @@ class ManiSkillBatch:
             claim_gpu()
         else:
             renderer()
-        self.cameras = standing(cameras_of(task), cameras)
+        self.cameras = drawn_cameras(cameras_of(task), cameras)
         self._task, self._device, self._step = task, device, 0
         light = render_profile == "fast"
         facts = {"madviz_cameras": self.cameras, "madviz_light": light}
@@ -107,7 +108,7 @@ class ManiSkillBatch:
 
     def reset(self, seeds: list[int]) -> Steps:
         """A new episode in every copy; ``seeds`` (L,)."""
-        # Anew where that is cheap: PhysX remembers contacts, see ``maniskill_tasks``.
+        # Anew where that is cheap: PhysX remembers contacts, see ``tasks.py``.
         self._simulation.reset(seed=seeds, options={"reconfigure": self._device == "cpu"})
         self._step = 0
         info = self._simulation.evaluate()

@@ -1,6 +1,6 @@
 """A SAPIEN scene as meshes: what the cameras draw, for a page to draw once more.
 
-They are read from the copy of the task that is drawn (``maniskill_render.Stage``), so the heavy
+They are read from the copy of the task that is drawn (``render.DrawnCopy``), so the heavy
 meshes are light already under the fast profile, and come from the same cache under the full one.
 The goal that PickCube hides from its cameras is here: policies do not look at a page. The ground,
 a hundred metres wide, is not. Textures become their mean colour. A target is painted as discs one
@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from madviz.envs import shapes
-from madviz.envs.maniskill.meshes import ENOUGH, TRIANGLES, lighter
+from madviz.envs.decimation import ENOUGH, TRIANGLES
+from madviz.envs.maniskill.meshes import lighter
 from madviz.types import Array, Body, Part
 
 WIDE = 5.0
@@ -24,7 +25,7 @@ LAYER = 0.001
 """Metres between two discs of a target."""
 
 
-class Scenery:
+class ManiSkillBodies:
     """The bodies of one SAPIEN scene, and where they are."""
 
     def __init__(self, scene: Any) -> None:

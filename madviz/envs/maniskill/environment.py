@@ -8,7 +8,7 @@ pick-cube and poke-cube; the other tasks take pick-cube's, which is the likely c
 An action moves the tool point by up to 0.1 m along x, y, z and opens or closes the gripper. The
 reward is ManiSkill's normalised dense one, at most 1 a decision. Success does not end an episode:
 whoever finishes early has to stay there. The state, and what in it is privileged, is described in
-``maniskill_tasks``.
+``tasks.py``.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from madviz.envs.cameras import look_at
-from madviz.envs.maniskill.experts import Expert
+from madviz.envs.checks import check_action
+from madviz.envs.maniskill.experts import ManiSkillExpert
 from madviz.envs.maniskill.tasks import MANISKILL_SUCCESS, STATE_DIM, build, position, states
 from madviz.envs.maniskill.vulkan import renderer
-from madviz.envs.placement import Placements
-from madviz.envs.registry import check_action, standing
+from madviz.envs.placement import Placements, drawn_cameras
 from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, TimeStep, View
 
 HORIZON = 50
@@ -32,19 +32,25 @@ HORIZON = 50
 
 CAMERAS = (
     CameraSpec(
-        *("first", "First person", 90),
+        "first",
+        "First person",
+        fovy=90,
         wxyz=(0.0, 0.70711, 0.0, -0.70711),
         body="camera_link",
         depth_range=(0.0, 0.5),
     ),
     CameraSpec(
-        *("third_a", "Third A", 57.29578),
+        "third_a",
+        "Third A",
+        fovy=57.29578,
         position=(0.6, 0.7, 0.6),
         wxyz=look_at((0.6, 0.7, 0.6), (0.0, 0.0, 0.35)),
         depth_range=(0.4, 1.8),
     ),
     CameraSpec(
-        *("third_b", "Third B", 45),
+        "third_b",
+        "Third B",
+        fovy=45,
         position=(0.0, -0.9, 0.6),
         wxyz=look_at((0.0, -0.9, 0.6), (0.0, 0.0, 0.15)),
         depth_range=(0.5, 1.6),
@@ -58,13 +64,17 @@ _POKE_A = replace(_THIRD_A, wxyz=look_at((0.6, 0.7, 0.6), (0.2, 0.2, 0.35)))
 SETTING_CAMERAS: dict[str, tuple[CameraSpec, ...]] = {
     "five": (
         CameraSpec(
-            *("third_c", "Third C", 50),
+            "third_c",
+            "Third C",
+            fovy=50,
             position=(0.1, 0.95, 0.55),
             wxyz=look_at((0.1, 0.95, 0.55), (0.0, 0.0, 0.1)),
             depth_range=(0.5, 1.7),
         ),
         CameraSpec(
-            *("top", "Top", 50),
+            "top",
+            "Top",
+            fovy=50,
             position=(0.45, 0.0, 1.1),
             wxyz=look_at((0.45, 0.0, 1.1), (0.0, 0.0, 0.05)),
             depth_range=(0.6, 1.4),
@@ -89,6 +99,9 @@ def cameras_of(task: str) -> tuple[CameraSpec, ...]:
 class ManiSkill:
     """One task; see the module. Not thread-safe, and bound to the thread that makes it."""
 
+    setting_cameras = SETTING_CAMERAS
+    own_cameras = staticmethod(cameras_of)
+
     def __init__(
         self, task: str, render_profile: str = "fast", cameras: tuple[CameraSpec, ...] = ()
     ) -> None:
@@ -97,20 +110,20 @@ class ManiSkill:
         renderer()
         self.spec = EnvSpec(
             f"maniskill/{task}",
-            standing(cameras_of(task), cameras),
+            drawn_cameras(cameras_of(task), cameras),
             state_dim=STATE_DIM.get(task, 28),
             action_dim=4,
             horizon=HORIZON,
             render_profile=render_profile,
             success=MANISKILL_SUCCESS[task],
         )
-        self._task, self._expert = task, Expert(task)
+        self._task, self._expert = task, ManiSkillExpert(task)
         self._simulation = build(task)
         self._placements = Placements(list(self._simulation.agent.robot.links_map))
         for camera in self.spec.cameras:
             self._placements.check(camera)
         self._step, self._stale = 0, True
-        self._stage: Any = None  # Made on the first view: many uses never draw.
+        self._copy: Any = None  # Made on the first view: many uses never draw.
 
     def reset(self, seed: int) -> TimeStep:
         self._simulation.reset(seed=seed, options={"reconfigure": True})
@@ -130,7 +143,7 @@ class ManiSkill:
         spec = self._placements.of(self.spec, camera)
         place, rotation = self._placed(spec)
         wxyz = rotation.as_quat(scalar_first=True)
-        return self._staged().draw(camera, place, wxyz, spec.fovy, size or spec.size)
+        return self._drawn().draw(camera, place, wxyz, spec.fovy, size or spec.size)
 
     def pose(self, camera: str) -> CameraPose:
         spec = self._placements.of(self.spec, camera)
@@ -143,10 +156,10 @@ class ManiSkill:
         self._placements.move(self.spec, camera, to)
 
     def bodies(self) -> tuple[Body, ...]:
-        return self._staged().scenery.bodies
+        return self._drawn().bodies.bodies
 
     def body_poses(self) -> Array:
-        return self._staged().scenery.poses()
+        return self._drawn().bodies.poses()
 
     def hand(self) -> Array:
         return position(self._simulation.agent.tcp).astype(np.float32)
@@ -155,20 +168,20 @@ class ManiSkill:
         return self._expert.action(self._simulation)
 
     def close(self) -> None:
-        if self._stage is not None:
-            self._stage.close()
-            self._stage = None
+        if self._copy is not None:
+            self._copy.close()
+            self._copy = None
 
-    def _staged(self) -> Any:
+    def _drawn(self) -> Any:
         """The copy that is drawn, with everything where the physics has it."""
-        if self._stage is None:
-            from madviz.envs.maniskill.render import Stage
+        if self._copy is None:
+            from madviz.envs.maniskill.render import DrawnCopy
 
-            self._stage = Stage(self._task, self.spec.render_profile)
+            self._copy = DrawnCopy(self._task, self.spec.render_profile)
         if self._stale:
-            self._stage.follow(self._simulation)
+            self._copy.follow(self._simulation)
             self._stale = False
-        return self._stage
+        return self._copy
 
     def _placed(self, spec: CameraSpec) -> tuple[Array, Rotation]:
         """Position, metres, and orientation with OpenGL axes, both in the world."""

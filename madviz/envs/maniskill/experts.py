@@ -52,7 +52,7 @@ GRIPPER_IS_OPEN = 0.035
 """Metres of one finger; 0.04 is all the way."""
 
 
-class Expert:
+class ManiSkillExpert:
     """The script of one task; ``simulation`` is the running one."""
 
     def __init__(self, task: str) -> None:

@@ -21,14 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from madviz.envs.decimation import simplify
+from madviz.envs.decimation import TRIANGLES, decimate
 from madviz.system.files import write_bytes
 from madviz.types import Array
 
-TRIANGLES = 1000
-"""What a heavier mesh is decimated to."""
-ENOUGH = 1.5
-"""Times ``TRIANGLES`` that are few enough to leave a mesh alone."""
 CREASE = 40.0
 """Degrees between triangles from which on their edge is drawn sharp."""
 _FORMAT = 2
@@ -103,42 +99,6 @@ def cache_folder() -> Path:
     """``$XDG_CACHE_HOME/madviz/meshes``; ``~/.cache`` if the variable is not set."""
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(cache) / "madviz" / "meshes"
-
-
-def decimate(vertices: Array, triangles: Array, wanted: int = TRIANGLES) -> tuple[Array, Array]:
-    """About ``wanted`` triangles of the same shape. Files repeat a vertex for every triangle
-    that has it, which would keep edges from collapsing, so equal ones are welded first; in a huge
-    mesh, those that nearly are."""
-    if len(triangles) > 50 * TRIANGLES:
-        small, faces = snap(vertices, triangles, 256)
-    else:
-        rows = np.ascontiguousarray(vertices, np.float32).view([("", np.float32)] * 3).ravel()
-        unique, place = np.unique(rows, return_inverse=True)
-        small = unique.view(np.float32).reshape(-1, 3)
-        faces = place.reshape(-1)[triangles].astype(np.int32)
-    for eagerness in (7.0, 9.0):
-        if len(faces) > ENOUGH * wanted:
-            share = 1 - wanted / len(faces)
-            small, faces = simplify(small, faces, share, eagerness)
-    for cells in (64, 48, 32, 24, 16):
-        if len(faces) > ENOUGH * wanted:
-            small, faces = snap(small, faces, cells)
-    return small, faces
-
-
-def snap(vertices: Array, triangles: Array, cells: int) -> tuple[Array, Array]:
-    """One vertex for each cell of a grid with ``cells`` along the longest side, and the triangles
-    that are left. For a mesh of hundreds of loose pieces, which cannot collapse any further."""
-    edge = np.ptp(vertices, axis=0).max() / cells
-    cell = np.floor((vertices - vertices.min(0)) / edge).astype(np.int64)
-    key = (cell[:, 0] * (cells + 1) + cell[:, 1]) * (cells + 1) + cell[:, 2]
-    _, first, place = np.unique(key, return_index=True, return_inverse=True)
-    faces = place.reshape(-1)[triangles]
-    a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    low, middle, high = np.sort(faces, axis=1).astype(np.int64).T
-    _, kept = np.unique((low * len(first) + middle) * len(first) + high, return_index=True)
-    return vertices[first], faces[np.sort(kept)].astype(np.int32)
 
 
 def shade(vertices: Array, triangles: Array) -> Mesh:

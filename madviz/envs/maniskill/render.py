@@ -1,7 +1,7 @@
 """Drawing a ManiSkill scene one camera at a time: colour and metric depth in one pass.
 
 What is drawn is a second copy of the task, built once, whose joints and objects are set to where
-the physics has them. So the physics can be built anew for every episode (see ``maniskill_tasks``)
+the physics has them. So the physics can be built anew for every episode (see ``tasks.py``)
 without loading a mesh, and a simulation that is never looked at loads none at all.
 
 Cameras are free and placed by pose before every picture; each camera and size has one component.
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs.maniskill.bodies import Scenery
+from madviz.envs.maniskill.bodies import ManiSkillBodies
 from madviz.envs.maniskill.meshes import lighten
 from madviz.envs.maniskill.tasks import build
 from madviz.errors import UserError
@@ -33,7 +33,7 @@ NEAR, FAR = 0.01, 100.0
 """Metres."""
 
 
-class Stage:
+class DrawnCopy:
     """The copy of one task that is drawn. Belongs to the thread that makes it."""
 
     def __init__(self, task: str, render_profile: str) -> None:
@@ -44,14 +44,14 @@ class Stage:
         if render_profile == "fast":
             lighten(self._scene)
         self._cameras: dict[tuple[str, int], tuple[Any, Any]] = {}
-        self._scenery: Scenery | None = None
+        self._bodies: ManiSkillBodies | None = None
 
     @property
-    def scenery(self) -> Scenery:
+    def bodies(self) -> ManiSkillBodies:
         """What is drawn, as meshes for somebody else to draw; made when first asked for."""
-        if self._scenery is None:
-            self._scenery = Scenery(self._scene)
-        return self._scenery
+        if self._bodies is None:
+            self._bodies = ManiSkillBodies(self._scene)
+        return self._bodies
 
     def follow(self, simulation: Any) -> None:
         """Puts joints and objects where ``simulation``, another copy of the task, has them."""
@@ -83,7 +83,7 @@ class Stage:
     def close(self) -> None:
         """Lets go of the scene, and its memory with it."""
         self._cameras.clear()
-        self._scene = self._copy = self._scenery = None
+        self._scene = self._copy = self._bodies = None
 
     def _camera(self, size: int) -> tuple[Any, Any]:
         import sapien

@@ -16,7 +16,7 @@ from madviz.envs.maniskill.tasks import stock_task
 from madviz.types import Array
 
 
-class StockFrames:
+class ManiSkillStock:
     """A task and its stock sensors. Belongs to the thread that makes it."""
 
     def __init__(self, task: str, size: int) -> None:

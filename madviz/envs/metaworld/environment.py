@@ -23,10 +23,11 @@ from typing import Any
 import numpy as np
 
 from madviz.envs.cameras import look_at
-from madviz.envs.metaworld.experts import METAWORLD_SUCCESS, Expert
+from madviz.envs.checks import check_action
+from madviz.envs.metaworld.experts import METAWORLD_SUCCESS, MetaWorldExpert
 from madviz.envs.mujoco.gl import check_gl
 from madviz.envs.mujoco.world import MuJoCoWorld
-from madviz.envs.registry import check_action, standing
+from madviz.envs.placement import drawn_cameras
 from madviz.types import Array, CameraSpec, EnvSpec, TimeStep
 
 ACTION_REPEAT = 2
@@ -34,20 +35,26 @@ HORIZON = 100
 
 CAMERAS = (
     CameraSpec(
-        *("first", "First person", 90),
+        "first",
+        "First person",
+        fovy=90,
         position=(0.040, 0.010, 0.059),
         wxyz=(0.99909, 0.04265, 0.0, 0.0),
         body="hand",
         depth_range=(0.0, 0.45),
     ),
     CameraSpec(
-        *("third_a", "Third A", 60),
+        "third_a",
+        "Third A",
+        fovy=60,
         position=(0.75, 0.075, 0.7),
         wxyz=(0.76536, 0.43494, 0.26267, 0.39504),
         depth_range=(0.5, 1.7),
     ),
     CameraSpec(
-        *("third_b", "Third B", 45),
+        "third_b",
+        "Third B",
+        fovy=45,
         position=(0.72, 0.1, 1.2),
         wxyz=(0.82385, 0.25594, 0.10574, 0.49455),
         depth_range=(0.8, 2.0),
@@ -59,13 +66,17 @@ _FIRST, _, _THIRD_B = CAMERAS
 SETTING_CAMERAS: dict[str, tuple[CameraSpec, ...]] = {
     "five": (
         CameraSpec(
-            *("third_c", "Third C", 60),
+            "third_c",
+            "Third C",
+            fovy=60,
             position=(-0.75, 0.8, 0.65),
             wxyz=look_at((-0.75, 0.8, 0.65), (0.0, 0.68, 0.1)),
             depth_range=(0.5, 1.7),
         ),
         CameraSpec(
-            *("top", "Top", 50),
+            "top",
+            "Top",
+            fovy=50,
             position=(0.0, 0.8, 1.3),
             wxyz=look_at((0.0, 0.8, 1.3), (0.0, 0.68, 0.0)),
             depth_range=(0.6, 1.4),
@@ -86,13 +97,20 @@ but for the thermos of the stick tasks, which stands on First's way."""
 class MetaWorld(MuJoCoWorld):
     """One task; see the module. Not thread-safe, and bound to the thread that makes it."""
 
+    setting_cameras = SETTING_CAMERAS
+
+    @staticmethod
+    def own_cameras(task: str) -> tuple[CameraSpec, ...]:
+        """The paper's three, which are the same for every task."""
+        return CAMERAS
+
     def __init__(
         self, task: str, render_profile: str = "fast", cameras: tuple[CameraSpec, ...] = ()
     ) -> None:
         """``cameras`` as in ``make_env``. Raises UserError for one on a body that is not there."""
         spec = EnvSpec(
             f"metaworld/{task}",
-            standing(CAMERAS, cameras),
+            drawn_cameras(CAMERAS, cameras),
             state_dim=24,
             paper_state=(16, 17, 18, 19),
             action_dim=4,
@@ -103,7 +121,7 @@ class MetaWorld(MuJoCoWorld):
         )
         self._simulation = _simulation(task)
         super().__init__(spec, self._simulation.model, self._simulation.data)
-        self._expert = Expert(task)
+        self._expert = MetaWorldExpert(task)
         self._observation = np.zeros(39)
         self._states: list[Array] = []
         self._step, self._success = 0, False

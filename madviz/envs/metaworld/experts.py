@@ -2,7 +2,7 @@
 
 The scripts know the object's true position. Meta-World's serve four tasks well, except that they
 go on after the goal is reached and may spoil it by the last step; they are therefore held still
-while the task's own condition is true. For the other eleven, ``metaworld_scripts`` has ours. Either
+while the task's own condition is true. For the other eleven, ``scripts.py`` has ours. Either
 way the action depends on the present state alone, so it can also label the states of a student,
 which is what the light recipe asks of it."""
 
@@ -35,7 +35,7 @@ METAWORLD_SUCCESS = {
 """Each task's condition in the pinned version, in words for cards and pages."""
 
 
-class Expert:
+class MetaWorldExpert:
     """The scripted policy of one task: ours where there is one, otherwise Meta-World's."""
 
     def __init__(self, task: str) -> None:

@@ -18,7 +18,7 @@ from madviz.types import Array
 MODEL_CAMERAS = {"first": "gripperPOV", "third_a": "corner2", "third_b": "corner3"}
 
 
-class StockFrames:
+class MetaWorldStock:
     """A task and its stock renderer. Belongs to the thread that makes it, as OpenGL contexts do."""
 
     def __init__(self, task: str, size: int) -> None:

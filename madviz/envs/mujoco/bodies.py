@@ -22,7 +22,7 @@ BEAD = 0.015
 _MAX_GEOMS = 2000
 
 
-class Scenery:
+class MuJoCoBodies:
     """The bodies of one model, and where they are."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -55,7 +55,7 @@ def _drawn(model: mujoco.MjModel, data: mujoco.MjData) -> list[mujoco.MjvGeom]:
     scene = mujoco.MjvScene(model, _MAX_GEOMS)
     everything = mujoco.mjtCatBit.mjCAT_ALL.value
     mujoco.mjv_updateScene(
-        *(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
+        model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene
     )
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     return [g for g in scene.geoms[: scene.ngeom] if g.rgba[3] > 0 and g.type != plane]

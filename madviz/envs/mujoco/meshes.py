@@ -15,15 +15,16 @@ from contextlib import contextmanager
 import mujoco
 import numpy as np
 
-from madviz.envs.decimation import simplify
+from madviz.envs.decimation import TRIANGLES, simplify
 from madviz.types import Array
 
-TRIANGLES = 1000
-"""What a heavier mesh is decimated to."""
-
 _CHANGED = (
-    *("mesh_vert", "mesh_vertnum", "mesh_face", "mesh_facenum"),
-    *("mesh_normal", "mesh_facenormal"),
+    "mesh_vert",
+    "mesh_vertnum",
+    "mesh_face",
+    "mesh_facenum",
+    "mesh_normal",
+    "mesh_facenormal",
 )
 
 

@@ -66,7 +66,7 @@ class SceneCameras:
         if self._stale:
             categories = mujoco.mjtCatBit.mjCAT_ALL.value
             mujoco.mjv_updateScene(
-                *(self._model, self._data, self._option, None, self._free, categories, self._scene)
+                self._model, self._data, self._option, None, self._free, categories, self._scene
             )
             self._stale = False
         near, far = self._place(position, rotation, fovy)

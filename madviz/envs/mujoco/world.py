@@ -31,7 +31,7 @@ class MuJoCoWorld:
             self._placements.check(camera)
         # Made when they are first asked for: many uses never draw.
         self._cameras: Any = None
-        self._scenery: Any = None
+        self._bodies: Any = None
 
     def moved(self) -> None:
         """Says that the data changed: the next view collects the scene again."""
@@ -58,22 +58,22 @@ class MuJoCoWorld:
         self._placements.move(self.spec, camera, to)
 
     def bodies(self) -> tuple[Body, ...]:
-        return self._scene().bodies
+        return self._drawn_bodies().bodies
 
     def body_poses(self) -> Array:
-        return self._scene().poses(self._data)
+        return self._drawn_bodies().poses(self._data)
 
     def close(self) -> None:
         if self._cameras is not None:
             self._cameras.close()
             self._cameras = None
 
-    def _scene(self) -> Any:
-        if self._scenery is None:
-            from madviz.envs.mujoco.bodies import Scenery
+    def _drawn_bodies(self) -> Any:
+        if self._bodies is None:
+            from madviz.envs.mujoco.bodies import MuJoCoBodies
 
-            self._scenery = Scenery(self._model, self._data)
-        return self._scenery
+            self._bodies = MuJoCoBodies(self._model, self._data)
+        return self._bodies
 
     def _position(self, spec: CameraSpec) -> Array:
         origin = self._data.body(spec.body).xpos if spec.body else np.zeros(3)

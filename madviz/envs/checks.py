@@ -1,0 +1,37 @@
+"""What every environment checks about what it is given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from madviz.errors import UserError
+from madviz.types import Array, CameraSpec
+
+
+def check_action(action: Array, action_dim: int) -> None:
+    """Raises UserError unless ``action`` is (A,) and finite; every environment calls it first."""
+    found = np.asarray(action)
+    if found.shape != (action_dim,) or not np.isfinite(found).all():
+        raise UserError(
+            f"expected a finite action of {action_dim} numbers in [-1, 1], found {found.tolist()}; "
+            "the policy that produced it is broken: reset, or pick another"
+        )
+
+
+def resized_cameras(
+    task: str, own: tuple[CameraSpec, ...], given: tuple[CameraSpec, ...]
+) -> tuple[CameraSpec, ...]:
+    """``own`` in the sizes of ``given``, for tasks whose cameras cannot be placed anew. Raises
+    UserError for a camera with another name, or at another place."""
+    cameras = {camera.name: camera for camera in own}
+    for camera in given:
+        if camera.name not in cameras or replace(cameras[camera.name], size=camera.size) != camera:
+            raise UserError(
+                f"{task} has the cameras {', '.join(cameras)} where they are, and no others; found "
+                f"{camera.name!r} placed elsewhere; leave it out, or take a task of Meta-World or "
+                "ManiSkill"
+            )
+    cameras |= {camera.name: camera for camera in given}
+    return tuple(cameras.values())
