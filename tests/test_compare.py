@@ -118,7 +118,7 @@ def test_the_figure_has_a_bar_for_a_method_and_a_dot_for_a_training(tmp_path: Pa
     assert len(result["comparisons"]) == 3
     drawn = figure.read_text()
     xml.fromstring(drawn)
-    assert drawn.count("<circle") == 3 and "merged-only (three, light, alpha 0.5)" in drawn
+    assert drawn.count('class="dot"') == 3 and "merged-only (three, light, alpha 0.5)" in drawn
     run_compare(CompareConfig(tuple(policies), figure=figure))
     assert figure.read_text() == drawn
 
@@ -140,8 +140,8 @@ def test_curves_need_success_by_subset(two: tuple[str, str], tmp_path: Path) -> 
         )
     run_compare(CompareConfig(two, curves=figure))
     drawn = figure.read_text()
-    assert drawn.count("<polyline") == 6  # Two methods; all, first and their average.
-    assert ">average<" in drawn and ">100 steps<" in drawn
+    assert drawn.count('class="line"') == 6  # Two methods; all, first and their average.
+    assert ">average<" in drawn and ">100<" in drawn
 
 
 def test_the_command(two: tuple[str, str], capsys: Any) -> None:

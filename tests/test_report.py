@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from madviz import cli, svg
+from madviz import cli
 from madviz.errors import UserError
 from madviz.evaluation.evidence import find_evidence, read_evidence
 from madviz.report.layouts import THREE
@@ -216,16 +216,6 @@ def test_recipes_are_never_pooled(tmp_path: Path) -> None:
 
 
 # --- Pictures and the command ---
-
-
-def test_pictures_show_values_intervals_and_escape_words() -> None:
-    drawn = svg.bars("a < b", ["all"], {"mad": [svg.Bar(0.5, 0.25, 1.0, (0.4,))], "none": [None]})
-    root = xml.fromstring(drawn)
-    assert "a &lt; b" in drawn and drawn.count("<circle") == 1
-    heights = [r.get("height") for r in root.iter("{http://www.w3.org/2000/svg}rect")]
-    assert "85.0" in heights  # Half of the plot.
-    curve = svg.Line([0, 10], [0.0, 1.0], [0.0, 0.8], [0.2, 1.0])
-    assert xml.fromstring(svg.lines("t", "steps", {"all": {"mad": curve}})) is not None
 
 
 def test_the_command_writes_beside_the_folder_and_prints_json(tmp_path: Path, capsys: Any) -> None:

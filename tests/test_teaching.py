@@ -206,8 +206,8 @@ def test_worths_in_success_share_all_of_it() -> None:
 
 def test_curves_of_an_episode_have_a_line_for_every_camera() -> None:
     episode = list(teaching.moments(FakePolicy(), seed=1))[:5]
-    assert norm_curves(episode).svg.count("<polyline") == 4
-    assert worth_curves(episode).svg.count("<polyline") == 3
+    assert norm_curves(episode).svg.count('class="line"') == 4
+    assert worth_curves(episode).svg.count('class="line"') == 3
     assert mean_gap(episode, "all") == 0 < mean_gap(episode, "none")
 
 

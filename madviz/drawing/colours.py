@@ -14,12 +14,20 @@ CAMERA_COLOURS = ("#E69F00", "#56B4E9", "#CC79A7", "#009E73", "#F0E442", "#D55E0
 MERGED, MUTED, INK, FAINT = "#FFFFFF", "#9a9fa6", "#e8eaed", "#3a3d42"
 GOOD, BAD, NOTE = "#4db6ff", "#ff8a3d", "#ffd166"
 """Success and failure: blue against orange, always with a word or a shape beside them."""
+MERGED_ON_WHITE = "#222222"
+_ON_WHITE = {"#F0E442": "#b3a600", "#56B4E9": "#2f8fc9", "#E69F00": "#c98500"}
+"""Camera colours that are too bright on white, and what stands for them."""
 
 
 def camera_colours(cameras: tuple[CameraSpec, ...]) -> dict[str, str]:
     """Camera name -> ``#rrggbb``, by position."""
     count = len(CAMERA_COLOURS)
     return {camera.name: CAMERA_COLOURS[i % count] for i, camera in enumerate(cameras)}
+
+
+def colours_on_white(cameras: tuple[CameraSpec, ...]) -> dict[str, str]:
+    """As ``camera_colours``, dark enough for thin lines on a white ground."""
+    return {name: _ON_WHITE.get(own, own) for name, own in camera_colours(cameras).items()}
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

@@ -21,7 +21,7 @@ from math import sqrt
 from pathlib import Path
 from typing import Any
 
-from madviz import svg
+from madviz import plots
 from madviz.errors import UserError
 from madviz.evaluation.evidence import Evidence, Outcomes, read_evidence
 from madviz.evaluation.statistics import Interval, pair, wilson
@@ -65,7 +65,7 @@ def run_compare(config: CompareConfig) -> dict[str, Any]:
             _same_seeds(name, first, rows[0], other, outcomes)
     if config.figure is not None:
         title = f"{first.task}: success by subset"
-        write_bytes(config.figure, svg.bars(title, list(table), _bars(found, table)).encode())
+        write_bytes(config.figure, plots.bars(title, list(table), _bars(found, table)).encode())
     if config.curves is not None:
         write_bytes(config.curves, curves(found).encode())
     return {
@@ -185,8 +185,8 @@ def over_trainings(rates: Sequence[float]) -> Interval:
 
 def _bars(
     found: Sequence[Evidence], table: dict[str, list[Outcomes]]
-) -> dict[str, list[svg.Bar | None]]:
-    series: dict[str, list[svg.Bar | None]] = {}
+) -> dict[str, list[plots.Bar | None]]:
+    series: dict[str, list[plots.Bar | None]] = {}
     for label, places in _grouped(found).items():
         series[label] = []
         for rows in table.values():
@@ -194,7 +194,7 @@ def _bars(
             mean = sum(rates) / len(rates)
             counted = wilson(sum(rows[places[0]].values()), len(rows[places[0]]))
             ends = over_trainings(rates) if len(rates) > 1 else counted
-            series[label].append(svg.Bar(mean, *ends, tuple(rates) if len(rates) > 1 else ()))
+            series[label].append(plots.Bar(mean, *ends, tuple(rates) if len(rates) > 1 else ()))
     return series
 
 
@@ -203,7 +203,7 @@ def curves(found: Sequence[Evidence]) -> str:
 
     Raises UserError for a policy whose curve.csv has no success by subset.
     """
-    panels: dict[str, dict[str, svg.Line]] = {}
+    panels: dict[str, dict[str, plots.Line]] = {}
     for label, places in _grouped(found).items():
         tables = [_curve(found[index]) for index in places]
         common = sorted(set.intersection(*(set(table) for table in tables)))
@@ -213,8 +213,8 @@ def curves(found: Sequence[Evidence]) -> str:
             means = [sum(rates) / len(rates) for rates in line]
             ends = [over_trainings(r) if len(r) > 1 else (r[0], r[0]) for r in line]
             lows, highs = [low for low, _ in ends], [high for _, high in ends]
-            panels.setdefault(name, {})[label] = svg.Line(common, means, lows, highs)
-    return svg.lines(f"{found[0].task}: success while training", "steps", panels)
+            panels.setdefault(name, {})[label] = plots.Line(common, means, lows, highs)
+    return plots.lines(f"{found[0].task}: success while training", "steps", panels)
 
 
 def _curve(evidence: Evidence) -> dict[float, dict[str, float]]:

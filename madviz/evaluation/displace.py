@@ -31,9 +31,9 @@ from madviz.evaluation.episodes import FIRST_SEED, Finished, Job, Runner, unsupp
 from madviz.evaluation.evaluate import run_anywhere
 from madviz.evaluation.statistics import in_words, wilson
 from madviz.observation.displacement import Displacement, along
+from madviz.plots import Line, lines
 from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of, name_of
-from madviz.svg import Line, lines
 from madviz.system.files import write_bytes, written_to
 from madviz.types import Policy
 

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from madviz.drawing.colours import camera_colours
+from madviz.drawing.colours import MERGED_ON_WHITE, colours_on_white
 from madviz.drawing.jpeg import jpeg_url
 from madviz.drawing.mosaic import mosaic
+from madviz.plots import curves
 from madviz.recording.facts import Facts, condition_words
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of
-from madviz.svg_curves import curves
 from madviz.system.files import write_bytes
 from madviz.types import Array
 
@@ -25,8 +25,6 @@ PICTURES = 10
 """In the strip, besides those of steps at which the cameras changed."""
 MOST_MARKED = 14
 TILE = 168
-_DARK = {"#F0E442": "#b3a600", "#56B4E9": "#2f8fc9", "#E69F00": "#c98500"}
-"""Camera colours that are too bright on white, and what stands for them."""
 
 _STYLE = """
 body{font:15px/1.5 sans-serif;max-width:980px;margin:24px auto;padding:0 16px;color:#222;
@@ -111,10 +109,9 @@ class HtmlWriter:
         return f'<div class="strip">{"".join(figures)}</div>'
 
     def _curves(self, last: Frame) -> str:
-        own = camera_colours(last.env.cameras)
-        streams = last.policy.streams
-        colours = {s: _DARK.get(own[camera_of(s)], own[camera_of(s)]) for s in streams}
-        colours |= {"merged": "#222", "Q": "#0b6e99", "reward": "#5c8a3a"}
+        streams, own = last.policy.streams, colours_on_white(last.env.cameras)
+        colours = {stream: own[camera_of(stream)] for stream in streams}
+        colours |= {"merged": MERGED_ON_WHITE, "Q": "#0b6e99", "reward": "#5c8a3a"}
         hands = [f"a{index}" for index in range(last.env.action_dim)]
         colours |= {
             hand: ("#0b6e99", "#d9730d", "#5c8a3a", "#ad1a72", "#777")[i % 5]
@@ -124,7 +121,7 @@ class HtmlWriter:
         panels = [
             ("Q of the next action", self._series("q", ["Q"])),
             (
-                "Length of the features",
+                "Norms of the features",
                 self._series("norms", list(streams)) | self._series("merged", ["merged"]),
             ),
             ("Cosine to the merged feature", self._series("cosines", list(streams))),

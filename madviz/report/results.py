@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from madviz import svg
+from madviz import plots
 from madviz.errors import UserError
 from madviz.evaluation.evidence import Evidence, find_evidence
 from madviz.evaluation.statistics import in_words
@@ -239,8 +239,8 @@ def picture(table: Table) -> str:
         rates = [row.rate(column) for column in table.columns]
         rates += [row.mean(table.mean_of)] if table.mean_of else []
         label = f"{row.label} ({len(row.tasks)} task{'s' * (len(row.tasks) != 1)})"
-        series[label] = [None if r is None else svg.Bar(r.value, *r.interval) for r in rates]
-    return svg.bars(f"{table.layout.title}: {table.suite}", groups, series)
+        series[label] = [None if r is None else plots.Bar(r.value, *r.interval) for r in rates]
+    return plots.bars(f"{table.layout.title}: {table.suite}", groups, series)
 
 
 def report_words(result: dict[str, Any]) -> str:

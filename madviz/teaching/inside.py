@@ -16,16 +16,15 @@ import numpy as np
 
 from madviz.analysis.saliency import Target, saliency
 from madviz.analysis.shapley import Worth, action_worth, success_interval, success_worth
-from madviz.drawing.colours import camera_colours, heat
+from madviz.drawing.colours import MERGED_ON_WHITE, colours_on_white, heat
 from madviz.errors import UserError
 from madviz.evaluation.statistics import wilson
+from madviz.plots import curves
 from madviz.recording.record import RecordConfig, run_record
 from madviz.subsets import camera_of, mask_of
-from madviz.svg_curves import curves
 from madviz.teaching import Moment, frames_of
 from madviz.teaching.show import Figure, Picture, Table, sheet, table
 
-MERGED = "#222222"
 """The colour of the sum, on white."""
 
 
@@ -81,8 +80,8 @@ def worth_curves(episode: Sequence[Moment]) -> Figure:
 
 
 def _drawn(title: str, series: Mapping[str, Sequence[float]], episode: Sequence[Moment]) -> Figure:
-    own = camera_colours(episode[0].env.cameras)
-    colours = {name: own.get(camera_of(name), MERGED) for name in series}
+    own = colours_on_white(episode[0].env.cameras)
+    colours = {name: own.get(camera_of(name), MERGED_ON_WHITE) for name in series}
     return Figure(curves(title, series, colours, {}, episode[-1].step, height=180), title)
 
 

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from madviz import svg
+from madviz import plots
 from madviz.errors import UserError
 from madviz.evaluation.statistics import wilson
 from madviz.types import Array
@@ -167,16 +167,16 @@ def bars(
     """Bars in groups. A pair (successes, n) becomes a rate with its Wilson interval; a number in
     [0, 1] stands for itself; where there is None there is no bar."""
     made = {name: [_bar(value) for value in values] for name, values in series.items()}
-    return Figure(svg.bars(title, list(groups), made), f"bars: {title}")
+    return Figure(plots.bars(title, list(groups), made), f"bars: {title}")
 
 
-def _bar(value: float | tuple[int, int] | None) -> svg.Bar | None:
+def _bar(value: float | tuple[int, int] | None) -> plots.Bar | None:
     if value is None:
         return None
     if isinstance(value, tuple):
         successes, n = value
-        return svg.Bar(successes / n if n else 0.0, *wilson(successes, n))
-    return svg.Bar(float(value), float(value), float(value))
+        return plots.Bar(successes / n if n else 0.0, *wilson(successes, n))
+    return plots.Bar(float(value), float(value), float(value))
 
 
 def curves(title: str, x_label: str, lines: Mapping[str, tuple[Sequence[float], Sequence[float]]]):
@@ -185,8 +185,8 @@ def curves(title: str, x_label: str, lines: Mapping[str, tuple[Sequence[float], 
     panel = {}
     for name, (x, y) in lines.items():
         scaled = [value / top for value in y]
-        panel[name] = svg.Line(list(x), scaled, scaled, scaled)
-    return Figure(svg.lines(title, x_label, {"": panel}), f"curves: {title}")
+        panel[name] = plots.Line(list(x), scaled, scaled, scaled)
+    return Figure(plots.lines(title, x_label, {"": panel}), f"curves: {title}")
 
 
 def presence(mask: Array, streams: Sequence[str]) -> str:
