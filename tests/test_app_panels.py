@@ -24,9 +24,9 @@ from madviz.app.panels.success import (
     sentence,
     strip_html,
 )
-from madviz.app.picture import Screen
 from madviz.app.rates import Rate, Rates
 from madviz.app.scene.scene import ScenePanel
+from madviz.app.screen import Screen
 from madviz.drawing.viewpoint import focus
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import Ablation, CameraState, Occlusion

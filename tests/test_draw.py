@@ -8,7 +8,7 @@ import viser
 
 from madviz.app.panel import apply
 from madviz.app.panels.cameras import CamerasPanel
-from madviz.app.panels.patch import DRAW_SCRIPT, LEAST, THIN, Box, parse_box, patched
+from madviz.app.panels.patch import Box, parse_box, patched
 from madviz.drawing.mosaic import GAP, HEADER, mosaic
 from madviz.errors import UserError
 from madviz.observation.ablation import CameraState, Occlusion
@@ -108,10 +108,6 @@ def test_who_only_watches_cannot_draw(server):
     panel = CamerasPanel(server.gui, None, frame_with(Pause()), 620)
     assert panel._field is None and "data-draw" not in panel._screen._image.content
     panel.remove()
-
-
-def test_the_script_knows_what_a_click_is():
-    assert f"const LEAST = {LEAST}, THIN = {THIN};" in DRAW_SCRIPT
 
 
 def test_a_patch_has_a_slider_for_each_side_and_only_a_patch_has(server):

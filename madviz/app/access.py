@@ -60,6 +60,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Data
 
+from madviz.app.browser import read
 from madviz.errors import UserError
 
 Role = Literal["presenter", "visitor"]
@@ -86,11 +87,6 @@ frustum, and a camera that is moved by its arrows. A page that sends more must a
 log = logging.getLogger(__name__)
 _starting = threading.Lock()
 
-FORM = """<!doctype html><html lang="en"><meta charset="utf-8"><title>madviz</title>
-<meta name="viewport" content="width=device-width"><body style="font:16px sans-serif;margin:3em">
-<h1>madviz</h1><p>{}</p><form><label>Token <input name="token" type="password" autofocus></label>
-<button>open</button></form></body></html>"""
-"""What those see who may not see the page."""
 ASKED = "This page needs the token that was printed where it was started."
 WRONG = "This is not the token that was printed where the page was started."
 FOREIGN = "A page of another site asked for this one; open this address itself."
@@ -338,7 +334,7 @@ def _admission(request: Request, port: int, token: str) -> Response:
 
 
 def _refusal(status: HTTPStatus, why: str) -> Response:
-    body = FORM.format(escape(why)).encode()
+    body = read("token.html").format(escape(why)).encode()
     headers = Headers(
         {
             "Content-Type": "text/html; charset=utf-8",

@@ -20,11 +20,8 @@ from html import escape
 import viser
 
 from madviz.app.layout import FASTEST, Panels, Shared
-from madviz.app.pace import PACE_SCRIPT
 from madviz.app.panel import apply
-from madviz.app.panels.patch import DRAW_SCRIPT
-from madviz.app.picture import SCREEN_SCRIPT
-from madviz.app.toolkit import STYLE, run_layout, run_script, window_is_wide
+from madviz.app.toolkit import window_is_wide
 from madviz.session.frame import Change, Failure, Frame
 from madviz.session.session import Session
 
@@ -199,9 +196,6 @@ class Page:
         self._strip()
         assert self._waiting is not None
         self._waiting.content = waiting_html(self._notice) if self._notice else ""
-        run_layout(self.client)
-        for script in (SCREEN_SCRIPT, DRAW_SCRIPT, PACE_SCRIPT):
-            run_script(self.client, script)
         with self.client.atomic():
             self._panels = Panels(
                 *(self.client, self.session, self._shared, frame, lambda: self._newest),
@@ -213,4 +207,4 @@ class Page:
 def waiting_html(text: str, error: str = "") -> str:
     """A line at the top of the main panel, with a traceback under it if there is one."""
     trace = f"<pre>{escape(error)}</pre>" if error else ""
-    return f'{STYLE}<div class="mv mv-notice">{escape(text)}{trace}</div>'
+    return f'<div class="mv mv-notice">{escape(text)}{trace}</div>'

@@ -14,11 +14,11 @@ from pathlib import Path
 import viser
 
 from madviz.app.access import Gate, new_token, stays_here
-from madviz.app.haste import obey_at_once
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.toolkit import theme
 from madviz.app.users import Users
+from madviz.app.viser_patches import patch_sender
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
@@ -109,7 +109,7 @@ class App:
         check_port(host, port)
         # A browser may leave while a frame is on its way to it; viser would warn about each.
         warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
-        obey_at_once()
+        patch_sender()
         self.rates = rates or Rates()
         self.gate = gate or Gate(local=stays_here(host))
         with self.gate.guarding():

@@ -13,12 +13,13 @@ would change the state.
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Sequence
+from html import escape
 from typing import Any, NamedTuple
 
 import viser
-from viser._messages import RunJavascriptMessage
 
 from madviz.app.panel import Assign
 from madviz.errors import UserError
@@ -28,29 +29,6 @@ log = logging.getLogger(__name__)
 LEFT_WIDTH, LEFT_WIDTH_WIDE, RIGHT_WIDTH = 640, 790, 320
 WIDE = 1600
 """Browser windows from this width on get bigger tiles."""
-
-# What we draw keeps its colours on a light page, on dark ground: they were chosen for it, and a
-# camera's colour means the same on both.
-STYLE = """<style>
-:root {--mv-soft:#c3c7cc; --mv-edge:#50545a; --mv-ink:#e8eaed; --mv-ground:#15171a}
-:root[data-mantine-color-scheme=light] {
-  --mv-soft:#3a3d42; --mv-edge:#adb5bd; --mv-ink:#2b2e33; --mv-ground:#ffffff}
-:root[data-mantine-color-scheme=light] .mv:not(.mv .mv) {
-  background:#25262b; border-radius:4px; padding-top:4px; margin-left:4px; margin-right:4px}
-.mv {font-size:13px; line-height:1.35; color:#e8eaed; padding:0 10px 6px; letter-spacing:-0.1px}
-.mv b {font-weight:600} .mv .dim {color:#9a9fa6} .mv table {border-collapse:collapse; width:100%}
-.mv td {padding:1px 4px 1px 0; white-space:nowrap}
-.mv .num {font-variant-numeric:tabular-nums; text-align:right}
-.mv .dot {display:inline-block; width:10px; height:10px; border-radius:2px; margin-right:5px}
-.mv .tag {display:inline-block; padding:0 6px; border-radius:3px; font-weight:600; color:#15171a}
-.mv img.strip {image-rendering:pixelated; width:100%; height:14px; display:block}
-.mv h4 {margin:6px 0 3px; font-size:12px; font-weight:600; color:#9a9fa6; letter-spacing:0.3px;
-  text-transform:uppercase} .mv h4 .plain {text-transform:none; font-weight:400; letter-spacing:0}
-.uplot-container {margin-top:2px !important; margin-bottom:4px !important}
-.mv-status {order:-2}
-:root[data-mantine-color-scheme=light] .uplot canvas {filter:drop-shadow(0 0 1px #00000099)}
-.mv pre {white-space:pre-wrap; font-size:11px; max-height:160px; overflow:auto; margin:4px 0}
-</style>"""
 
 
 def theme(gui: viser.GuiApi, light: bool) -> None:
@@ -120,103 +98,26 @@ class Cell(NamedTuple):
 
 def grid(name: str, columns: int, cells: Sequence[Cell]) -> str:
     """HTML, invisible, that lays out the container it is in: the widgets of ``cells`` where they
-    say, everything else across all columns. Needs ``run_layout`` once per page."""
-    here = f'[data-mv-grid="{name}"]'
-    rules = [
-        f"{here} {{display:grid; grid-template-columns:repeat({columns}, minmax(0, 1fr));"
-        "padding-left:7px; padding-right:7px}",
-        f"{here} > * {{grid-column:1 / -1; min-width:0; margin-left:-7px; margin-right:-7px}}",
+    say, everything else across all columns (``browser/grid.js``)."""
+    places = [
+        {
+            "id": cell.handle._impl.uuid,
+            "column": cell.column,
+            "span": cell.span,
+            "label": cell.label,
+            "button": cell.button,
+        }
+        for cell in cells
     ]
-    for cell in cells:
-        box = f"{here} > {selector(cell.handle)}"
-        rules.append(
-            f"{box} {{grid-column:{cell.column} / span {cell.span}; margin:0; "
-            "padding:0 3px 6px !important}"
-        )
-        if cell.label == "above":
-            rules.append(f"{box} > div {{flex-direction:column; align-items:stretch !important}}")
-            rules.append(f"{box} > div > div:first-child {{width:auto !important; font-size:13px}}")
-            rules.append(f"{box} button {{flex-basis:{cell.button} !important}}")
-        else:
-            rules.append(f"{box} > div > div:first-child {{width:{cell.label} !important}}")
-    ids = " ".join(cell.handle._impl.uuid for cell in cells)
     return (
-        f'<div class="mv-grid" data-name="{name}" data-cells="{ids}"></div>'
-        f"<style>{chr(10).join(rules)}</style>"
+        f'<div class="mv-grid" data-name="{name}" data-columns="{columns}" '
+        f'data-cells="{escape(json.dumps(places))}"></div>'
     )
 
 
 def selector(handle: Any) -> str:
     """CSS of the box around a widget that is a cell of some grid."""
     return f'[data-mv-id="{handle._impl.uuid}"]'
-
-
-_LAYOUT = """
-const label = (element, name, value) => {
-  if (element.dataset[name] !== value) element.dataset[name] = value;
-};
-const settle = marker => {
-  const container = marker.parentElement.parentElement;
-  label(container, 'mvGrid', marker.dataset.name);
-  for (const id of marker.dataset.cells.split(' ')) {
-    let box = document.getElementById(id) ?? document.querySelector(`label[for="${id}"]`);
-    while (box && box.parentElement !== container) box = box.parentElement;
-    if (box) label(box, 'mvId', id);
-  }
-};
-const all = () => document.querySelectorAll('.mv-grid').forEach(settle);
-const matters = record => record.target.dataset?.mvGrid !== undefined
-  || [...record.addedNodes].some(node => node.querySelector?.('.mv-grid'));
-if (!window.madvizLayout) {
-  window.madvizLayout = new MutationObserver(records => records.some(matters) && all());
-  window.madvizLayout.observe(document.body, {childList: true, subtree: true});
-}
-all();
-"""
-
-
-_PHONE = """
-const narrow = matchMedia('(max-width: 36em)');
-const arrange = () => {
-  const image = document.querySelector('.mv-mosaic'), status = document.querySelector('.mv-status');
-  if (!narrow.matches || !image || !status) return;
-  const sheet = image.closest('.mantine-Paper-root');
-  if (!sheet || !sheet.contains(status) || sheet.dataset.mvPhone) return;
-  let section = image, piece = status;
-  while (!section.parentElement.contains(status)) section = section.parentElement;
-  const root = section.parentElement;
-  for (piece = piece.parentElement; piece !== root; piece = piece.parentElement)
-    piece.style.display = 'contents';
-  root.style.display = 'flex';
-  root.style.flexDirection = 'column';
-  section.style.order = -1;
-  sheet.style.width = '100%';
-  sheet.style.maxHeight = '75%';
-  for (const box of sheet.querySelectorAll('div'))
-    if (box.style.width === '20em') box.style.width = '100vw';
-  sheet.dataset.mvPhone = 'done';
-};
-if (!window.madvizPhone) window.madvizPhone = setInterval(arrange, 500);
-arrange();
-"""
-# viser shows all panels on a phone in one sheet, two thirds as wide as the screen, the main one
-# first and the others closed under it. There the status and the pictures come first.
-
-
-def run_layout(client: viser.ClientHandle) -> None:
-    """Starts what gives the containers and cells of grids their names in the page, and what puts
-    the pictures first on a phone.
-
-    CSS alone could find them, with ``:has``; but then the browser looks for every label again at
-    every change of the page, and that took 47 of 75 ms of each update.
-    """
-    run_script(client, _LAYOUT)
-    run_script(client, _PHONE)
-
-
-def run_script(client: viser.ClientHandle, source: str) -> None:
-    """Runs our own JavaScript in a visitor's page."""
-    client._websock_connection.queue_message(RunJavascriptMessage(source=source))
 
 
 class Choice:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import viser
 
 from madviz.app.panels.policy import PolicyChoice
-from madviz.app.toolkit import Cell, grid, guarded, remove_all, run_script, theme
+from madviz.app.toolkit import Cell, grid, guarded, remove_all, theme
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.session.commands import Command, Play, Reset, Scrub, SetCamera, SetPolicy, SetSpeed
 from madviz.session.frame import Failure, Frame, untouched
@@ -50,18 +50,6 @@ looks through them and says how the hand moves next. You may take cameras away w
 Rest the pointer on a control's name, and it says what it does. Ctrl + K (or ⌘ + K) finds every
 command by name.
 """
-
-QUESTION_MARK = """
-if (!window.madvizHelp) {
-  window.madvizHelp = true;
-  document.addEventListener('keydown', event => {
-    if (event.key !== '?' || event.target.closest?.('input, textarea')) return;
-    const buttons = [...document.querySelectorAll('button')];
-    buttons.find(one => one.innerText.trim() === 'help, keys')?.click();
-  });
-}
-"""
-"""viser knows letters and digits as keys, not the question mark."""
 
 
 class Step(NamedTuple):
@@ -187,7 +175,6 @@ class Tour:
         )
         row.on_click(lambda event: self._pressed(event.target.value))
         self._handles: list[Any] = [row]
-        run_script(client, QUESTION_MARK)
 
     def _pressed(self, button: str) -> None:
         if button == TOUR_BUTTON:

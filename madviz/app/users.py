@@ -22,10 +22,12 @@ from dataclasses import dataclass
 
 import viser
 
+from madviz.app.browser import equip
 from madviz.app.layout import Shared
 from madviz.app.page import Page, waiting_html
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.rates import Rates
+from madviz.app.viser_patches import patch_rendering
 from madviz.session.session import Session
 from madviz.system.processes import give_back
 from madviz.training.job import TrainingJob
@@ -102,6 +104,8 @@ class Users:
 
     def join(self, client: viser.ClientHandle) -> None:
         """Gives a browser a simulation, or somebody else's to watch, or a place to wait."""
+        equip(client)
+        patch_rendering(client)
         presents = self._presents is not None and self._presents(client)
         with self._lock:
             place = self._place(presents)

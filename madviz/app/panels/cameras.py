@@ -9,8 +9,8 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.panels.patch import HINT, Box, attributes, field_style, parse_box, patched
-from madviz.app.picture import Screen
-from madviz.app.toolkit import STYLE, Cell, Choice, Shown, grid, on_value, remove_all
+from madviz.app.screen import Screen
+from madviz.app.toolkit import Cell, Choice, Shown, grid, on_value, remove_all
 from madviz.drawing.mosaic import GAP, mosaic
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import SetCamera
@@ -133,7 +133,7 @@ class CamerasPanel:
         """``width`` in pixels of the picture; tiles share it."""
         count = len(frame.env.cameras)
         self._tile = (width - (count - 1) * GAP) // count
-        self._style = gui.add_html(STYLE)
+        self._style = gui.add_html("")
         picture = mosaic(frame, self._tile)
         self._controls: list[CameraControls] = []
         self._field = gui.add_text("box", "") if send is not None else None
@@ -181,7 +181,7 @@ class CamerasPanel:
             changes += control.show(frame.camera(control.name))
         marks = "".join(control.style() for control in self._controls)
         marks += field_style(self._field) if self._field else ""
-        changes.append(Assign(self._style, "content", f"{STYLE}<style>{marks}</style>"))
+        changes.append(Assign(self._style, "content", f"<style>{marks}</style>"))
         hint = f'<div class="mv"><span class="dim">{HINT}</span></div>' if self._field else ""
         changes.append(Assign(self._note, "content", unused_note(frame) or hint))
         return changes

@@ -27,80 +27,6 @@ from madviz.errors import UserError
 from madviz.observation.ablation import CameraState, Occlusion
 
 HINT = "Drag a box on a picture: a black patch covers it."
-LEAST, THIN = 8, 2
-"""Pixels on the screen: a shorter drag is a click with an unsteady hand, a thinner one covers not a
-pixel of what the policy gets."""
-
-DRAW_SCRIPT = (
-    f"const LEAST = {LEAST}, THIN = {THIN};"
-    + """
-if (!window.madvizDraw) {
-  const draw = window.madvizDraw = {count: 0, drag: null};
-  const tileAt = (image, event) => {
-    const {tile, gap, header, tiles} = Object.fromEntries(
-      ['tile', 'gap', 'header', 'tiles'].map(name => [name, Number(image.dataset[name])]));
-    const box = image.getBoundingClientRect(), scale = box.width / image.getAttribute('width');
-    const index = Math.floor((event.clientX - box.left) / scale / (tile + gap));
-    const left = box.left + index * (tile + gap) * scale, top = box.top + header * scale;
-    const x = event.clientX - left, y = event.clientY - top, side = tile * scale;
-    const inside = index >= 0 && index < tiles && x >= 0 && x < side && y >= 0 && y < side;
-    return inside ? {image, index, left, top, side, x, y} : null;
-  };
-  const spanned = ({left, top, side, x, y}, event) => {
-    const within = value => Math.min(Math.max(value, 0), side);
-    const toX = within(event.clientX - left), toY = within(event.clientY - top);
-    const width = Math.abs(toX - x), height = Math.abs(toY - y);
-    return {left: Math.min(x, toX), top: Math.min(y, toY), width, height,
-      seen: Math.max(width, height) >= LEAST && Math.min(width, height) >= THIN};
-  };
-  const tell = (image, text) => {
-    const input = document.querySelector(`[data-mv-id="${image.dataset.draw}"] input`);
-    if (!input) return;
-    Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(input, text);
-    input.dispatchEvent(new Event('input', {bubbles: true}));
-  };
-  const end = () => { draw.drag?.band.remove(); draw.drag = null; };
-  addEventListener('pointerdown', event => {
-    end();
-    const image = event.target.closest?.('img[data-draw]');
-    if (!image || event.button !== 0 || event.pointerType === 'touch') return;
-    const start = tileAt(image, event);
-    if (!start) return;
-    event.preventDefault();
-    const band = document.createElement('div');
-    band.className = 'mv-band';
-    band.style.cssText = 'position:fixed;z-index:9999;pointer-events:none;box-sizing:border-box;'
-      + 'border:2px dashed #ffd166;background:rgba(0,0,0,0.45);display:none';
-    document.body.append(band);
-    draw.drag = {...start, band};
-  });
-  addEventListener('pointermove', event => {
-    const drag = draw.drag;
-    if (!drag) return;
-    const {left, top, width, height, seen} = spanned(drag, event);
-    Object.assign(drag.band.style, {
-      display: seen ? 'block' : 'none', left: drag.left + left + 'px',
-      top: drag.top + top + 'px', width: width + 'px', height: height + 'px'});
-  });
-  addEventListener('pointerup', event => {
-    const drag = draw.drag;
-    end();
-    if (!drag) return;
-    const {left, top, width, height, seen} = spanned(drag, event);
-    if (!seen) return;
-    const parts = [left + width / 2, top + height / 2, width, height].map(
-      one => Math.min(Math.max(one / drag.side, 0), 1).toFixed(4));
-    tell(drag.image, [++draw.count, drag.index, ...parts].join(' '));
-  });
-  addEventListener('pointercancel', end);
-  addEventListener('keydown', event => event.key === 'Escape' && end());
-  addEventListener('dragstart', event => {
-    if (event.target.closest?.('img[data-draw]')) event.preventDefault();
-  });
-}
-"""
-)
-
 _FRACTION = r"([01]\.\d{4})"
 _LINE = re.compile(r"[0-9]{1,9} ([0-9]{1,2})" + rf" {_FRACTION}" * 4, re.ASCII)
 
@@ -162,7 +88,7 @@ def _row(y: float, shown: str, tile: int) -> float:
 
 def field_style(field: viser.GuiTextHandle) -> str:
     """CSS that takes the field out of sight; the script finds it all the same."""
-    return f"{selector(field)} {{display:none}} img[data-draw] {{cursor:crosshair}}"
+    return f"{selector(field)} {{display:none}}"
 
 
 def attributes(field: viser.GuiTextHandle, tiles: int, tile: int) -> str:

@@ -26,39 +26,11 @@ from madviz.app.toolkit import remove_all
 from madviz.drawing.jpeg import jpeg_url
 from madviz.types import Array
 
-SCREEN_SCRIPT = """
-const PATIENCE = 1000;  // Milliseconds after which a picture that never loaded is given up.
-const turn = image => {
-  if (!image.next || performance.now() < image.busyUntil) return;
-  const {src, step} = image.next.dataset;
-  image.next = null;
-  image.busyUntil = performance.now() + PATIENCE;
-  image.dataset.step = step;
-  image.src = src;
-};
-const take = feed => {
-  const image = document.getElementById(feed.dataset.screen);
-  if (!image) return;
-  image.busyUntil ??= 0;
-  image.onload = image.onerror = () => { image.busyUntil = 0; turn(image); };
-  image.next = feed;
-  turn(image);
-};
-if (!window.madvizScreen) {
-  window.madvizScreen = new MutationObserver(records => {
-    for (const record of records)
-      for (const node of record.addedNodes)
-        if (node.className === 'mv-feed') take(node);
-  });
-  window.madvizScreen.observe(document.body, {childList: true, subtree: true});
-}
-"""
-
 _number = count()
 
 
 class Screen:
-    """One picture on the page, which must have run ``SCREEN_SCRIPT``. It travels as text, with the
+    """One picture on the page (``browser/screen.js``). It travels as text, with the
     texts it belongs to: viser's own image widget decodes every picture twice and shows it a frame
     later."""
 

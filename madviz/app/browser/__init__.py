@@ -1,0 +1,39 @@
+"""What runs in a visitor's browser: styles and scripts, each a file of its own in this folder."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from importlib.resources import files
+
+import viser
+from viser._messages import RunJavascriptMessage
+
+SCRIPTS = ("grid", "phone", "screen", "patch", "help_key", "gpu_note")
+"""What every page runs."""
+
+_ADD_STYLE = """
+const style = document.createElement('style');
+style.textContent = {css};
+document.head.append(style);
+"""
+
+
+@cache
+def read(name: str) -> str:
+    """The text of one of the files here, for example ``grid.js``."""
+    return files(__package__).joinpath(name).read_text("utf-8")
+
+
+def equip(client: viser.ClientHandle) -> None:
+    """Gives a visitor's page our styles and scripts; before anything that needs them."""
+    run_once(client, "style", _ADD_STYLE.format(css=json.dumps(read("page.css"))))
+    for name in SCRIPTS:
+        run_once(client, name, read(f"{name}.js"))
+
+
+def run_once(client: viser.ClientHandle, name: str, source: str) -> None:
+    """Runs JavaScript in a visitor's page, unless it has run a script of this ``name`` since it was
+    loaded: a page whose connection was lost for a moment comes again as another client."""
+    guard = f"const ran = window.madvizRan ??= {{}}; if (ran.{name}) return; ran.{name} = true;\n"
+    client._websock_connection.queue_message(RunJavascriptMessage(source=guard + source))

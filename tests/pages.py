@@ -1,0 +1,94 @@
+"""Pages without a browser: what is put on them, found and used as a visitor would."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import viser
+
+
+class Recorded:
+    """The ``gui`` or ``scene`` of a server or a client, and all that was added to it."""
+
+    def __init__(self, api: Any) -> None:
+        self._api = api
+        self.added: list[Any] = []
+
+    def __getattr__(self, name: str) -> Any:
+        real = getattr(self._api, name)
+        if not name.startswith("add_"):
+            return real
+
+        def add(*words: Any, **options: Any) -> Any:
+            self.added.append(real(*words, **options))
+            return self.added[-1]
+
+        return add
+
+    def of(self, kind: str) -> list[Any]:
+        """What was added of a kind, for example ``GuiUplotHandle``."""
+        return [handle for handle in self.added if type(handle).__name__ == kind]
+
+    def find(self, name: str, place: int = 0) -> Any:
+        """A widget by its label or a node by its name; of several, the one at ``place``."""
+        found = (getattr(one, "label", None) or getattr(one, "name", None) for one in self.added)
+        return [one for one, has in zip(self.added, found, strict=True) if has == name][place]
+
+    @property
+    def html(self) -> str:
+        """All text that is on it."""
+        return "\n".join(handle.content for handle in self.of("GuiHtmlHandle"))
+
+
+def browser(server: viser.ViserServer, number: int = 1, **more: Any) -> Any:
+    """A client that nobody sees: it draws into the server's own widgets, and keeps its ``notes``
+    and what was registered to follow its ``camera``."""
+    notes: list[tuple[str, str]] = []
+    followers: list[Any] = []
+    camera = SimpleNamespace(
+        image_width=1280, image_height=800, position=np.zeros(3), on_update=followers.append
+    )
+    client = SimpleNamespace(
+        client_id=number,
+        gui=Recorded(server.gui),
+        scene=Recorded(server.scene),
+        atomic=server.atomic,
+        flush=server.flush,
+        camera=camera,
+        followers=followers,
+        notes=notes,
+        add_notification=lambda title, body, **_: notes.append((title, body)),
+        _websock_connection=SimpleNamespace(queue_message=lambda message: None),
+    )
+    vars(client).update(more)
+    return client
+
+
+def use(handle: Any, value: Any = None, client: Any = None) -> list[tuple[str, str]]:
+    """A visitor presses a button, or gives a widget a ``value``. Returns the notes they get."""
+    notes: list[tuple[str, str]] = []
+    somebody = SimpleNamespace(
+        client_id=1, add_notification=lambda title, body, **_: notes.append((title, body))
+    )
+    if value is not None:
+        handle._impl.value = value
+    _hear(handle._impl.update_cb, viser.GuiEvent(client or somebody, 1, handle))
+    return notes
+
+
+def drag(handle: Any, phase: str) -> None:
+    """A visitor holds the arrows of a node, which stand where the test has put them."""
+    event = SimpleNamespace(client=object(), phase=phase, target=handle)
+    _hear(handle._impl_aux.update_cb, event)
+
+
+def _hear(callbacks: list[Any], event: Any) -> None:
+    for callback in list(callbacks):
+        answer = callback(event)
+        if inspect.iscoroutine(answer):
+            asyncio.run(answer)
