@@ -16,7 +16,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from html import escape
 from io import StringIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -119,7 +119,7 @@ def curves(
     ``marks`` says what happened at a step; the axis ends at step ``last``. The scale is that of the
     data: a Q value has no natural bounds."""
     with _style(title):
-        figure = _figure(width, height, layout="none")
+        figure = _figure(width, height, layout=None)
         axes = figure.subplots()
         # The same margins in every figure, so that steps lie under each other.
         figure.subplots_adjust(60 / width, 24 / height, 1 - 28 / width, 1 - 26 / height)
@@ -174,7 +174,9 @@ def _style(salt: str) -> AbstractContextManager[None]:
     )
 
 
-def _figure(width: float, height: float, layout: str = "constrained") -> Figure:
+def _figure(
+    width: float, height: float, layout: Literal["constrained"] | None = "constrained"
+) -> Figure:
     """``width`` and ``height`` in pixels, of which a browser shows 96 to an inch."""
     from matplotlib.figure import Figure
 
