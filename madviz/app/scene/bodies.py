@@ -1,32 +1,36 @@
 """Robot, table and objects on the page: one mesh for each body, sent once, then only moved.
 
 A body reaches the browser as binary glTF, with one piece for each of its colours. Browsers average
-the normals of all triangles that share a vertex, which would make a box look like a pillow. So
-vertices are shared only between triangles that meet at less than ``CREASE`` degrees:
+the normals of all triangles that share a vertex, which would round off a box. So vertices are
+shared only between triangles that are joined across edges of less than ``CREASE`` degrees:
 
     box: 8 corners, 12 triangles, 3 sides meet in a corner at 90 degrees  ->  24 vertices
 
 A browser without a GPU needs some 40 ms to draw the scene, whatever has moved in it. So poses go
-out at most ten times a second, at full speed, when the machine is wanted elsewhere, three times;
+out at most ten times a second, at full speed, when others need the machine, three times;
 and only of bodies that moved by more than can be seen.
 """
 
 from __future__ import annotations
 
-import json
-import struct
+from typing import Any
 
 import numpy as np
+import trimesh
 import viser
+from trimesh.exchange.gltf import export_glb
+from trimesh.graph import smooth_shade
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 from madviz.app.panel import Assign
 from madviz.session.frame import Frame
-from madviz.types import Array, Body
+from madviz.types import Body
 
-CREASE = 40.0
+CREASE = 30.0
 """Degrees between triangles from which on their edge is drawn sharp."""
 STILL, UNTURNED = 0.0005, 0.002
-"""Metres, and length of a quaternion's difference, below which a body has not moved."""
+"""Metres, and difference of a quaternion's components, below which a body has not moved."""
 
 
 class Bodies:
@@ -75,49 +79,31 @@ class Bodies:
 
 
 def glb(body: Body) -> bytes:
-    """Binary glTF of ``body``: one mesh, a piece and a material for each colour."""
-    pieces: dict[tuple[int, ...], list[tuple[Array, Array]]] = {}
+    """Binary glTF of ``body``: a piece and a material for each of its colours."""
+    pieces: dict[tuple[int, ...], list[trimesh.Trimesh]] = {}
     for part in body.parts:
-        key = tuple(int(value) for value in part.colour)
-        pieces.setdefault(key, []).append(creased(part.vertices, part.faces))
-    binary, views, accessors, primitives, materials = b"", [], [], [], []
+        mesh = trimesh.Trimesh(part.vertices, part.faces)
+        sharp = smooth_shade(mesh, np.radians(CREASE), facet_minarea=None)
+        pieces.setdefault(tuple(part.colour.tolist()), []).append(sharp)
+    scene = trimesh.Scene()
     for colour, meshes in pieces.items():
-        vertices, normals, faces = joined(meshes)
-        for data, kind, target in ((vertices, 5126, 34962), (normals, 5126, 34962),
-                                   (faces.reshape(-1), 5125, 34963)):  # fmt: skip
-            views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": data.nbytes,
-                          "target": target})  # fmt: skip
-            accessor = {"bufferView": len(views) - 1, "componentType": kind, "count": len(data),
-                        "type": "SCALAR" if kind == 5125 else "VEC3"}  # fmt: skip
-            accessors.append(accessor)
-            binary += data.tobytes()
-        first = len(accessors) - 3
-        accessors[first] |= {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
-        primitives.append({"attributes": {"POSITION": first, "NORMAL": first + 1},
-                           "indices": first + 2, "material": len(materials)})  # fmt: skip
-        surface = {"baseColorFactor": linear(colour), "metallicFactor": 0, "roughnessFactor": 0.7}
-        materials.append({"pbrMetallicRoughness": surface})
-    document = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": primitives}],
-        "buffers": [{"byteLength": len(binary)}],
-        "bufferViews": views,
-        "accessors": accessors,
-        "materials": materials,
-    }
-    return _container(json.dumps(document).encode(), binary)
+        piece: Any = trimesh.util.concatenate(meshes)
+        surface = PBRMaterial(name=_hex(colour), metallicFactor=0.0, roughnessFactor=0.7)
+        piece.visual = TextureVisuals(material=surface)
+        scene.add_geometry(piece)
+    linear_colours = {_hex(colour): linear(colour) for colour in pieces}
+
+    def set_colours(document: dict[str, Any]) -> None:
+        """trimesh would round the factors to 1/255, which is coarse for dark colours."""
+        for material in document["materials"]:
+            factor = linear_colours[material["name"]]
+            material["pbrMetallicRoughness"]["baseColorFactor"] = factor
+
+    return export_glb(scene, include_normals=True, tree_postprocessor=set_colours)
 
 
-def _container(text: bytes, binary: bytes) -> bytes:
-    """The two chunks of a GLB file. Every number in ``binary`` has four bytes, so it needs no
-    padding."""
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text
-    chunks += struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+def _hex(colour: tuple[int, ...]) -> str:
+    return "#" + bytes(colour).hex()
 
 
 def linear(colour: tuple[int, ...]) -> list[float]:
@@ -125,44 +111,3 @@ def linear(colour: tuple[int, ...]) -> list[float]:
     share = np.array(colour) / 255
     light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     return [*light.round(5).tolist(), 1.0]
-
-
-def joined(meshes: list[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
-    """One mesh of many: vertices (n, 3), normals (n, 3) float32 and triangles (m, 3) uint32."""
-    shift = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-    vertices = np.concatenate([vertices for vertices, _ in meshes]).astype(np.float32)
-    faces = np.concatenate([f + at for (_, f), at in zip(meshes, shift, strict=False)])
-    across = _across(vertices, faces)
-    normals = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(normals, faces[:, k], across)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return vertices, normals, faces.astype(np.uint32)
-
-
-def creased(vertices: Array, faces: Array) -> tuple[Array, Array]:
-    """The same triangles (m, 3), with vertices (n, 3) shared only where the surface is smooth."""
-    _, first, place = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    corner = place.reshape(-1)[faces].reshape(-1)  # (3m,) which place each corner is at.
-    across = np.repeat(_across(vertices, faces), 3, axis=0)
-    unit = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-20)
-    order = np.argsort(corner, kind="stable")
-    _, start, count = np.unique(corner[order], return_index=True, return_counts=True)
-    # Every corner with every corner at the same place, as two lists of equal length.
-    many = np.repeat(count, count)
-    one = np.repeat(order, many)
-    begin = np.repeat(np.repeat(start, count), many)
-    other = order[begin + np.arange(len(one)) - np.repeat(np.cumsum(many) - many, many)]
-    alike = (unit[one] * unit[other]).sum(1) > np.cos(np.radians(CREASE))
-    normal = np.zeros_like(across)
-    np.add.at(normal, one[alike], across[other[alike]])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
-    keys = np.c_[corner, np.round(normal, 2)]
-    _, chosen, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return vertices[first][corner[chosen]], index.reshape(-1, 3)
-
-
-def _across(vertices: Array, faces: Array) -> Array:
-    """(m, 3) normals of triangles, as long as twice their area."""
-    a, b, c = (vertices[faces[:, k]].astype(float) for k in range(3))
-    return np.cross(b - a, c - a)
