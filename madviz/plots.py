@@ -33,6 +33,9 @@ COLOURS = (
     "#2f9e9e",
     "#777777",
     "#c23b3b",
+    "#e58fc0",
+    "#a89f1a",
+    "#333333",
 )
 GRID, INK, MARK = "#dddddd", "#222222", "#b8860b"
 BAR, PANEL = 13, 230

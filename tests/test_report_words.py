@@ -1,4 +1,4 @@
-"""The bar, and sentences that follow from the numbers."""
+"""The target, and sentences that follow from the numbers."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import pytest
 from madviz.errors import UserError
 from madviz.evaluation.evidence import find_evidence
 from madviz.policies import checkpoint
-from madviz.report.bar import judge
 from madviz.report.claims import claims, same, signed, verdict
 from madviz.report.results import ReportConfig, run_report
+from madviz.report.target import judge
 from tests.evidence import rates, write_policy
 from tests.reports import GOOD, every_table, report, table
 
-# --- The bar ---
+# --- The target ---
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ from tests.reports import GOOD, every_table, report, table
         (GOOD, {"setting": "three-rgbd"}, "not trained"),
     ],
 )
-def test_a_task_meets_the_bar_or_the_table_says_why_not(
+def test_a_task_meets_the_target_or_the_table_says_why_not(
     measured: dict[str, float], change: dict[str, Any], expected: str, tmp_path: Path
 ) -> None:
     write_policy(tmp_path, measured, **change)
@@ -43,7 +43,7 @@ def test_a_task_meets_the_bar_or_the_table_says_why_not(
     assert expected in judge(task, find_evidence(tmp_path)).words
 
 
-def test_the_bar_has_twenty_tasks_and_the_page_counts_them(tmp_path: Path) -> None:
+def test_the_target_has_twenty_tasks_and_the_page_counts_them(tmp_path: Path) -> None:
     write_policy(tmp_path, GOOD)
     write_policy(tmp_path, rates(0.5, 0.5, 0.5, 0.5), task="maniskill/push-cube")
     result, text = report(tmp_path)
@@ -53,7 +53,7 @@ def test_the_bar_has_twenty_tasks_and_the_page_counts_them(tmp_path: Path) -> No
     assert "| metaworld/push | – | – |" in text
 
 
-def test_what_was_tried_stands_under_the_bar(tmp_path: Path) -> None:
+def test_what_was_tried_stands_under_the_target(tmp_path: Path) -> None:
     write_policy(tmp_path, GOOD)
     (tmp_path / "tried.json").write_text(
         '{"maniskill/push-cube": ["12 rounds: 0.4"], "metaworld/push": ["half a point", "more"]}'
@@ -102,7 +102,7 @@ def test_alike_takes_an_interval_that_is_narrow() -> None:
     assert same((0.01, 0.2)).startswith("does not agree")
 
 
-def test_the_lead_is_held_against_the_closest_baseline(tmp_path: Path) -> None:
+def test_the_lead_is_compared_with_the_closest_baseline(tmp_path: Path) -> None:
     write_policy(tmp_path, rates(1, 1, 1, 1))
     write_policy(tmp_path, rates(0.2, 0.2, 0.2, 0.2), method="mvd", merge="mvd")
     write_policy(tmp_path, rates(0.6, 0.8, 0.6, 0.6), method="vib", merge="vib")
@@ -165,7 +165,7 @@ def test_mixed_sizes_stand_beside_one_size(tmp_path: Path) -> None:
     assert "+0 points" in said and "no loss: agrees: within 10 points" in said
 
 
-def test_nothing_is_no_debt() -> None:
+def test_a_difference_of_nothing_has_a_plus() -> None:
     assert [signed(share) for share in (-0.002, 0.0, -0.006, 0.42)] == ["+0", "+0", "-1", "+42"]
 
 
@@ -187,7 +187,7 @@ def test_nothing_is_claimed_about_baselines_that_were_not_measured(tmp_path: Pat
         write_policy(tmp_path, GOOD, task="maniskill/pull-cube", method=method)
     said = claims(table(tmp_path, "overall", "maniskill"))
     assert (
-        len(said) == 1 and "+36 points" in said[0] and "nothing to hold against it yet" in said[0]
+        len(said) == 1 and "+36 points" in said[0] and "nothing to compare with it yet" in said[0]
     )
 
 
@@ -226,7 +226,7 @@ def test_the_papers_alpha_is_called_best_only_where_it_shows(
     ) and said.endswith(end)
 
 
-def test_merges_and_modalities_are_held_against_their_sentences(tmp_path: Path) -> None:
+def test_merges_and_modalities_are_compared_with_their_sentences(tmp_path: Path) -> None:
     write_policy(tmp_path, {"all": 1.0}, method="merged-only")
     write_policy(tmp_path, {"all": 1.0}, method="concat", merge="concat")
     write_policy(tmp_path, {"all": 0.6}, method="q-mean", merge="q-mean")
@@ -235,12 +235,19 @@ def test_merges_and_modalities_are_held_against_their_sentences(tmp_path: Path) 
     assert said[1].endswith("agrees: it is behind.")
     streams = ("third_a.rgb", "third_a.depth")
     write_policy(
-        *(tmp_path, {"all": 0.9, "rgb": 0.9, "depth": 0.9}),
-        **{"setting": "one-rgbd", "streams": streams, "folder": "mad-both"},
+        tmp_path,
+        {"all": 0.9, "rgb": 0.9, "depth": 0.9},
+        setting="one-rgbd",
+        streams=streams,
+        folder="mad-both",
     )
     write_policy(
-        *(tmp_path, {"all": 0.3}),
-        **{"setting": "one-depth", "streams": streams[1:], "method": "single", "folder": "depth"},
+        tmp_path,
+        {"all": 0.3},
+        setting="one-depth",
+        streams=streams[1:],
+        method="single",
+        folder="depth",
     )
     said = claims(table(tmp_path, "modality"))
     assert len(said) == 1 and "on depth alone: +60 points" in said[0]

@@ -65,7 +65,7 @@ def same(interval: Interval, margin: float = 0.1) -> str:
 def claims(table: Table) -> list[str]:
     """Sentences about one table; one saying so where nothing can be said."""
     found = CLAIMS[table.layout.key](table) if table.layout.key in CLAIMS else []
-    return found or ["Nothing here can be held against a sentence of the paper yet."]
+    return found or ["Nothing here can be compared with a sentence of the paper yet."]
 
 
 def points(gap: Difference) -> str:
@@ -85,23 +85,24 @@ def signed(share: float) -> str:
 
 def _lead(
     table: Table,
-    rivals: Sequence[str],
+    baselines: Sequence[str],
     claim: float | None,
     said: str,
     others: Sequence[str] = (),
 ) -> list[str]:
-    """MAD against each of ``rivals``; the claim is held against the one that comes closest.
+    """MAD against each of ``baselines``; the claim is compared with the one that comes closest.
     ``others`` are compared too, but the claim was not about them."""
     lines: list[str] = []
     for recipe in _recipes(table):
         mad = table.average(f"mad{recipe}")
         gaps: list[tuple[str, Difference]] = []
-        for name in (*rivals, *others):
-            rival = table.average(f"{name}{recipe}")
-            if mad and rival and (gap := difference(mad, rival, table.mean_of or table.columns)):
+        columns = table.mean_of or table.columns
+        for name in (*baselines, *others):
+            baseline = table.average(f"{name}{recipe}")
+            if mad and baseline and (gap := difference(mad, baseline, columns)):
                 gaps.append((name, gap))
         lines += [f"MAD minus {name}{recipe}: {points(gap)}." for name, gap in gaps]
-        meant = [each for each in gaps if each[0] in rivals]
+        meant = [each for each in gaps if each[0] in baselines]
         if meant:
             name, gap = min(meant, key=lambda each: each[1].value)
             how = ahead(gap.interval) if claim is None else verdict(gap.interval, claim)
@@ -127,7 +128,7 @@ def _overall(table: Table) -> list[str]:
     if not any("closest" in line for line in lines):
         lines.append(
             f"The paper reports {said}. None of these baselines ({', '.join(BASELINES)}) was "
-            "measured here on the same episodes, so there is nothing to hold against it yet."
+            "measured here on the same episodes, so there is nothing to compare with it yet."
         )
     return lines
 
@@ -177,15 +178,15 @@ def _best_alpha(task: str, rows: Sequence[Row]) -> str:
     if papers is None or len(rated) < 2:
         return ""
     best, second, *_ = [row for _, row in sorted(rated, key=lambda each: -each[0])]
-    rival = papers if best is not papers else second
-    gap = difference(best, rival, THREE)
+    other = papers if best is not papers else second
+    gap = difference(best, other, THREE)
     if gap is None:
         return ""
     how = "undecided: no difference could be shown"
     if gap.interval[0] > 0:
         how = "agrees" if best is papers else "does not agree"
     return (
-        f"On {task} {best.label} is best; {best.label} minus {rival.label}: {points(gap)}. "
+        f"On {task} {best.label} is best; {best.label} minus {other.label}: {points(gap)}. "
         f"The paper finds {BEST_ALPHA} best: {how}."
     )
 
@@ -267,8 +268,13 @@ def _resolution(table: Table) -> list[str]:
 
 
 CLAIMS: dict[str, Callable[[Table], list[str]]] = {
-    **{"overall": _overall, "components": _components, "alpha": _alpha, "methods": _methods},
+    "overall": _overall,
+    "components": _components,
+    "alpha": _alpha,
+    "methods": _methods,
     "merging": _merging,
-    **{"occlusion": _occlusion, "modality": _modality, "five": _five},
+    "occlusion": _occlusion,
+    "modality": _modality,
+    "five": _five,
     "resolution": _resolution,
 }

@@ -1,6 +1,6 @@
-"""The paper's tables, as layouts: who is in one, under which name, and what is looked at.
+"""The paper's tables, as layouts: who is in one, under which name, and which rates it compares.
 
-A label names the row that a policy belongs to, or keeps it out of the table. What a method has as
+A label names the row that a policy belongs to, or leaves it out of the table. What a method has as
 usual is not said: ``mad`` is MAD with a sum under the light recipe.
 """
 
@@ -21,12 +21,12 @@ ORDER = ("mad", "single", "mvd", "vib", "mv-mwm", "naive-both", "merged-only", "
 
 @dataclass(frozen=True)
 class Layout:
-    """One of the paper's tables: who is in it, under which name, and what is looked at."""
+    """One of the paper's tables: who is in it, under which name, and which rates it compares."""
 
     key: str
     title: str
     label: Callable[[Evidence], str | None]
-    """The row a policy belongs to; None keeps it out."""
+    """The row a policy belongs to; None leaves it out."""
     columns: tuple[str, ...]
     mean_of: tuple[str, ...] = ()
     """Columns of the last one, the mean; none: no such column."""
@@ -115,7 +115,10 @@ LAYOUTS = (
     Layout("methods", "Every method", any_method, THREE, THREE, needs=9),
     Layout("merging", "Multi-view merging", _merge, ("all",), needs=2),
     Layout(
-        *("occlusion", "Two cameras turned away", _in("turned-away"), ("all", "third_a")),
+        "occlusion",
+        "Two cameras turned away",
+        _in("turned-away"),
+        ("all", "third_a"),
         alphas="named",
     ),
     Layout("modality", "Modalities", _modality, ("all", "rgb", "depth")),

@@ -5,7 +5,7 @@
 
 What was tried on the way to a policy leaves no policy folder; ``tried.json`` beside them
 says it: a list of sentences for each task. Nothing else is typed and nothing is run: the same
-files give the same bytes, so that a committed RESULTS.md can be held against what it was made
+files give the same bytes, so that a committed RESULTS.md can be checked against what it was made
 from. Tables for which there are no files yet are left out; a task without a policy stays in the
 first table, as not trained.
 """
@@ -24,11 +24,15 @@ from madviz.evaluation.evidence import Evidence, find_evidence
 from madviz.evaluation.statistics import in_words
 from madviz.policies.card import AGAIN, train_again
 from madviz.policies.checkpoint import WEIGHTS
-from madviz.report.bar import (
-    BAR_ALL,
-    BAR_EPISODES,
-    BAR_MEAN,
-    BAR_SEED,
+from madviz.report.claims import claims
+from madviz.report.layouts import LAYOUTS, THREE
+from madviz.report.rows import Rate, Row
+from madviz.report.tables import Table, build
+from madviz.report.target import (
+    TARGET_ALL,
+    TARGET_EPISODES,
+    TARGET_MEAN,
+    TARGET_SEED,
     TRIED,
     TWENTY,
     Verdict,
@@ -37,10 +41,6 @@ from madviz.report.bar import (
     tried,
     verdict_json,
 )
-from madviz.report.claims import claims
-from madviz.report.layouts import LAYOUTS, THREE
-from madviz.report.rows import Rate, Row
-from madviz.report.tables import Table, build
 from madviz.system.files import write_bytes, written_to
 
 SHIPPED = (Path("checkpoints"), Path("results"))
@@ -56,7 +56,7 @@ class ReportConfig:
     out: Path | None = None
     """The file to write; FOLDER/RESULTS.md if not given. Pictures go to pictures/ beside it."""
     json: str | None = None
-    """Where to write what was written, and the table of the bar; - is standard output."""
+    """Where to write what was written, and which tasks meet the target; - is standard output."""
 
 
 def run_report(config: ReportConfig) -> dict[str, Any]:
@@ -127,24 +127,24 @@ def _page(
         f"The commands under a table train and evaluate its policies again, in `{AGAIN}/`; what "
         "ships with weights is evaluated as it is by the command in its card.",
         *_without_weights(evidence),
-        _bar_section(verdicts, attempts),
+        _target_section(verdicts, attempts),
         *(_section(table) for table in tables),
     ]
     return "\n\n".join(sections) + "\n"
 
 
-def _bar_section(verdicts: Sequence[Verdict], attempts: dict[str, list[str]]) -> str:
+def _target_section(verdicts: Sequence[Verdict], attempts: dict[str, list[str]]) -> str:
     met = sum(verdict.words == "met" for verdict in verdicts)
     missing = sum(verdict.row is None for verdict in verdicts)
     lines = [
-        "## Twenty tasks and the bar",
+        "## Twenty tasks and the target",
         "",
-        f"The bar: `all` at least {BAR_ALL}, and at least {BAR_MEAN:.2f} on the mean of "
+        f"The target: `all` at least {TARGET_ALL}, and at least {TARGET_MEAN:.2f} on the mean of "
         f"{', '.join(THREE)} (PokeCube: {', '.join(judged_on('maniskill/poke-cube'))}), with "
-        f"{BAR_EPISODES} episodes of each from seed {BAR_SEED} on. {met} of {len(verdicts)} tasks "
-        f"meet it, {len(verdicts) - met - missing} do not, {missing} have no policy yet.",
+        f"{TARGET_EPISODES} episodes of each from seed {TARGET_SEED} on. {met} of {len(verdicts)} "
+        f"tasks meet it, {len(verdicts) - met - missing} do not, {missing} have no policy yet.",
         "",
-        *_head(("task", "policy", *THREE, "mean", "bar")),
+        *_head(("task", "policy", *THREE, "mean", "target")),
     ]
     for verdict in verdicts:
         row = verdict.row
@@ -158,7 +158,7 @@ def _bar_section(verdicts: Sequence[Verdict], attempts: dict[str, list[str]]) ->
         if len(whole.tasks) > 1:
             lines.append(_line((label, "", *cells, _cell(whole.mean(THREE)), "")))
     if attempts:
-        lines += ["", f"What was tried on the way (`{TRIED}`; weights were not kept):", ""]
+        lines += ["", f"What was tried on the way (`{TRIED}`; weights were not saved):", ""]
         lines += [f"- {task}: {line}" for task, tries in attempts.items() for line in tries]
     used = [e for verdict in verdicts if verdict.row for e in verdict.row.evidence]
     return "\n".join([*lines, "", _commands(used)])
@@ -248,5 +248,5 @@ def report_words(result: dict[str, Any]) -> str:
     met = sum(each["verdict"] == "met" for each in result["bar"])
     return (
         f"{result['path']}: {result['policies']} policies, {len(result['tables'])} tables, "
-        f"{len(result['pictures'])} pictures; {met} of {len(result['bar'])} tasks meet the bar"
+        f"{len(result['pictures'])} pictures; {met} of {len(result['bar'])} tasks meet the target"
     )

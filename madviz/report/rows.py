@@ -1,4 +1,4 @@
-"""Rows of a table: rates of one method on one or several tasks, and what two of them differ by.
+"""Rows of a table: rates of one method on one or several tasks, and how two of them differ.
 
 A *row*'s cells hold single episodes and not rates, by *unit*: task, training seed, episode seed. So
 any two rows can be paired unit by unit, trainings of several seeds pool by themselves, and an

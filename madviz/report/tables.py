@@ -1,10 +1,10 @@
-"""The paper's tables, filled with what was measured here: which policies are rivals, their rows.
+"""The paper's tables, filled with what was measured here: which policies are compared, their rows.
 
 The paper's Single Camera baseline is three trainings, each with one camera; its row takes each
 camera's cell from the policy that has this camera, and has no cell for all cameras.
 
-What was trained for longer is no rival: a task's rows are those of one budget of updates, the one
-that most of them have. An average takes of every task the episodes that all its rows have, so that
+Only equal budgets are compared: a task's rows are those of one budget of updates, the one that
+most of them have. An average takes of every task the episodes that all its rows have, so that
 a policy that was evaluated for longer does not pull the average towards its task.
 """
 
@@ -50,7 +50,7 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[Table]:
         if layout.alphas == "named":
             chosen += [(f"{label}, alpha {each.alpha}", each) for label, each in others]
     tasks = {each.task for _, each in chosen}
-    chosen = [pair for task in sorted(tasks) for pair in _rivals(layout, task, chosen)]
+    chosen = [pair for task in sorted(tasks) for pair in _comparable(layout, task, chosen)]
     tables = []
     for suite in sorted({each.task.split("/")[0] for _, each in chosen} & SUITES):
         mine = [(label, each) for label, each in chosen if each.task.startswith(f"{suite}/")]
@@ -74,12 +74,12 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[Table]:
     return tables
 
 
-def _rivals(
+def _comparable(
     layout: Layout, task: str, chosen: Sequence[tuple[str, Evidence]]
 ) -> list[tuple[str, Evidence]]:
     """Rows of a task that can be compared: of one recipe and budget, and enough of them."""
     here = [(label, each) for label, each in chosen if each.task == task]
-    kept = []
+    found = []
     for recipe in sorted({each.recipe for _, each in here}):
         mine = [(label, each) for label, each in here if each.recipe == recipe]
         rows: dict[int, set[str]] = {}
@@ -87,8 +87,8 @@ def _rivals(
             rows.setdefault(each.updates or 0, set()).add(label)
         budget = max(rows, key=lambda updates: (len(rows[updates]), updates))
         if len(rows[budget]) >= layout.needs:
-            kept += [pair for pair in mine if (pair[1].updates or 0) == budget]
-    return kept
+            found += [pair for pair in mine if (pair[1].updates or 0) == budget]
+    return found
 
 
 def _columns(layout: Layout, mine: list[Evidence]) -> tuple[tuple[str, ...], tuple[str, ...]]:

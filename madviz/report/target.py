@@ -1,4 +1,4 @@
-"""Twenty tasks and the bar that a task's policy is held to, and what was tried on the way to it."""
+"""Twenty tasks, the target that a policy of each should meet, and what was tried on the way."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ TWENTY = (
     *(f"metaworld/{task}" for task in METAWORLD_TASKS),
     *(f"maniskill/{task}" for task in MANISKILL_TASKS),
 )
-BAR_ALL, BAR_MEAN, BAR_EPISODES, BAR_SEED = 0.92, 0.80, 100, 5000
-"""A policy meets the bar with these rates, on at least so many episodes from this seed on."""
+TARGET_ALL, TARGET_MEAN, TARGET_EPISODES, TARGET_SEED = 0.92, 0.80, 100, 5000
+"""A policy meets the target with these rates, on at least so many episodes from this seed on."""
 TRIED = "tried.json"
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How a task's policy stands to the bar."""
+    """Whether a task's policy meets the target."""
 
     task: str
     row: Row | None
     """None where no policy was trained and measured."""
     mean: Rate | None
     reasons: tuple[str, ...]
-    """What it falls short of; none: the bar is met."""
+    """What it falls short of; none: the target is met."""
 
     @property
     def words(self) -> str:
@@ -71,14 +71,14 @@ def _reasons(task: str, row: Row, mean: Rate | None) -> list[str]:
     if missing:
         reasons.append(f"{', '.join(missing)} not measured")
     whole = row.rate("all")
-    if whole is not None and whole.value < BAR_ALL:
-        reasons.append(f"all {whole.value:.2f} is below {BAR_ALL}")
-    if mean is not None and mean.value < BAR_MEAN:
-        reasons.append(f"mean {mean.value:.2f} is below {BAR_MEAN:.2f}")
-    if mean is not None and mean.n < BAR_EPISODES:
-        reasons.append(f"{mean.n} episodes, {BAR_EPISODES} are needed")
-    if row.evidence[0].first_seed < BAR_SEED:
-        reasons.append(f"seeds below {BAR_SEED}")
+    if whole is not None and whole.value < TARGET_ALL:
+        reasons.append(f"all {whole.value:.2f} is below {TARGET_ALL}")
+    if mean is not None and mean.value < TARGET_MEAN:
+        reasons.append(f"mean {mean.value:.2f} is below {TARGET_MEAN:.2f}")
+    if mean is not None and mean.n < TARGET_EPISODES:
+        reasons.append(f"{mean.n} episodes, {TARGET_EPISODES} are needed")
+    if row.evidence[0].first_seed < TARGET_SEED:
+        reasons.append(f"seeds below {TARGET_SEED}")
     return reasons
 
 
