@@ -68,12 +68,18 @@ def test_what_was_tried_stands_under_the_target(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["{", "[]", '{"metaworld/nothing": ["x"]}', '{"metaworld/push": "x"}']
+    ("text", "said"),
+    [
+        ("{", "expected a JSON file"),
+        ("[]", "expected a table of named values, found"),
+        ('{"metaworld/nothing": ["x"]}', "unknown task 'metaworld/nothing'"),
+        ('{"metaworld/push": "x"}', "expected .* to be a list, found .*'x'"),
+    ],
 )
-def test_a_list_of_what_was_tried_has_one_form(tmp_path: Path, text: str) -> None:
+def test_a_list_of_what_was_tried_has_one_form(tmp_path: Path, text: str, said: str) -> None:
     write_policy(tmp_path, GOOD)
     (tmp_path / "tried.json").write_text(text)
-    with pytest.raises(UserError, match="expected .*tried.json"):
+    with pytest.raises(UserError, match=f"tried.json: {said}"):
         report(tmp_path)
 
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from madviz.envs.registry import MANISKILL_TASKS, METAWORLD_TASKS
-from madviz.errors import UserError
+from madviz.errors import UserError, unknown
 from madviz.evaluation.evidence import Evidence
 from madviz.report.layouts import THREE
 from madviz.report.rows import Rate, Row
 from madviz.report.tables import usual_alphas
+from madviz.system.files import read_json
+from madviz.system.typed import typed
 
 TWENTY = (
     *(f"metaworld/{task}" for task in METAWORLD_TASKS),
@@ -88,19 +89,11 @@ def tried(folder: Path) -> dict[str, list[str]]:
     path = folder / TRIED
     if not path.exists():
         return {}
-    try:
-        found = json.loads(path.read_text())
-    except ValueError as error:
-        raise UserError(f"expected JSON in {path}: {error}") from error
-    form = isinstance(found, dict) and set(found) <= set(TWENTY) and all(
-        isinstance(lines, list) and all(isinstance(line, str) for line in lines)
-        for lines in found.values()
-    )  # fmt: skip
-    if not form:
-        raise UserError(
-            f'expected {path} to hold a list of sentences for each task, such as {{"{TWENTY[0]}": '
-            '["12 rounds: all 0.90"]}; see the tasks with `madviz list`'
-        )
+    fix = f'list sentences for each task: {{"{TWENTY[0]}": ["12 rounds: all 0.90"]}}'
+    found = typed(read_json(path), dict[str, list[str]], path, fix)
+    for task in found:
+        if task not in TWENTY:
+            raise UserError(f"{path}: {unknown('task', task, list(TWENTY))}")
     return {task: found[task] for task in TWENTY if found.get(task)}
 
 
