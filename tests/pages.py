@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import viser
+
+from madviz.app.access import Gate
+from madviz.app.address import Address
+from madviz.app.layout import Shared
+from madviz.app.panels.policy import PolicyChoice
+from madviz.app.server import App
+from madviz.app.users import Limits
+from madviz.envs.registry import make_env
+from madviz.session.session import Session
+from tests.fakes import policies
 
 
 class Recorded:
@@ -92,3 +101,19 @@ def _hear(callbacks: list[Any], event: Any) -> None:
         answer = callback(event)
         if inspect.iscoroutine(answer):
             asyncio.run(answer)
+
+
+def choices_of(*names: str) -> list[PolicyChoice]:
+    """Policies of ``tests.fakes`` as a page offers them."""
+    return [PolicyChoice(name, name) for name in names]
+
+
+def fake_app(
+    *names: str, speed: float = 10.0, gate: Gate | None = None, limits: Limits | None = None
+) -> App:
+    """A page on the toy task with the fake policies of these ``names``, on a free port."""
+
+    def new_session() -> Session:
+        return Session(make_env, policies(names[0]), policies, speed=speed)
+
+    return App(new_session, Shared(choices_of(*names)), Address(gate=gate), limits)

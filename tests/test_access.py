@@ -25,13 +25,13 @@ from madviz.app.access import (
     same,
     stays_here,
 )
-from madviz.app.panels.policy import PolicyChoice
 from madviz.app.server import App, ExploreConfig, gate_for
+from madviz.app.users import Limits
 from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
-from tests.fakes import FakePolicy, policies
+from tests.pages import fake_app
 
-CHOICES = [PolicyChoice("toy-mad", "MAD"), PolicyChoice("toy-other", "other")]
+NAMES = ("toy-mad", "toy-other")
 
 
 class NoRedirect(urllib.request.HTTPRedirectHandler):
@@ -60,7 +60,7 @@ def until(condition, seconds: float = 60.0) -> None:
 @pytest.fixture(scope="module")
 def closed() -> Iterator[App]:
     """A page behind a token."""
-    app = App(FakePolicy(), CHOICES, policies, gate=Gate(visit="right"), visitors=4)
+    app = fake_app(*NAMES, gate=Gate(visit="right"))
     yield app
     app.stop()
 
@@ -69,14 +69,14 @@ def closed() -> Iterator[App]:
 def shown() -> Iterator[App]:
     """A presentation whose watchers need no token; two may watch."""
     gate = Gate(present="mine")
-    app = App(FakePolicy(), CHOICES, policies, gate=gate, watchers=2, speed=20.0)
+    app = fake_app(*NAMES, gate=gate, limits=Limits(watchers=2), speed=20.0)
     yield app
     app.stop()
 
 
 @pytest.fixture(scope="module")
 def open_() -> Iterator[App]:
-    app = App(FakePolicy(), CHOICES, policies, visitors=3, speed=20.0)
+    app = fake_app(*NAMES, limits=Limits(visitors=3), speed=20.0)
     yield app
     app.stop()
 
@@ -263,20 +263,21 @@ def test_one_presents_and_the_others_watch(shown: App):
             until(lambda: watcher.shown('data-phase="playing"'))
             assert shown.users.sessions == 1 and shown.users.watchers == 1
     until(lambda: shown.users.watchers == 0)
-    assert shown.users._spare is not None and shown.users._spare._thread.is_alive()  # type: ignore
+    with Visitor(shown.url) as late:  # It goes on while nobody watches.
+        until(lambda: late.shown('data-phase="playing"'))
 
 
-def test_seats_end_and_are_taken_when_they_come_free(shown: App):
+def test_watchers_beyond_the_limit_wait_until_somebody_leaves(shown: App):
     with Visitor(shown.url) as first, Visitor(shown.url) as second:
         until(lambda: first.steps and second.steps)
         with Visitor(shown.url) as third:
-            until(lambda: third.shown("All 2 seats"))
+            until(lambda: third.shown("All 2 places"))
             assert not third.steps
             with Visitor(shown.url, cookie(shown, "mine")) as presenter:
                 until(lambda: presenter.find("Episode"))  # There is always room for the presenter.
             first.close()
             until(lambda: bool(third.steps))
-            assert not third.shown("All 2 seats")
+            assert not third.shown("All 2 places")
     until(lambda: shown.users.watchers == 0)
 
 

@@ -6,8 +6,7 @@ import contextlib
 import socket
 import threading
 import time
-from pathlib import Path
-from types import SimpleNamespace
+from typing import Any
 
 import msgspec.msgpack
 import numpy as np
@@ -15,21 +14,25 @@ import pytest
 import viser
 import zstandard
 
+from madviz.app.address import check_port
+from madviz.app.layout import Shared
 from madviz.app.page import Page
-from madviz.app.panels.comparison import VersusPanel
+from madviz.app.panel import Assign
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.panels.training import TrainingPanel
 from madviz.app.rates import Rates
-from madviz.app.server import App, ExploreConfig, check_port, explore, first_choice
-from madviz.app.users import Users
+from madviz.app.refresh import AFTER, FASTEST, Refresh, TimedPanel
+from madviz.app.server import ExploreConfig, explore, first_choice
+from madviz.app.users import Limits, Users
 from madviz.bench.visitor import Visitor
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.session.commands import Pause, SetSpeed
 from madviz.session.frame import Frame
 from madviz.session.session import Session
-from madviz.training.job import TrainingJob
 from tests.fakes import FakePolicy, policies
+from tests.pages import browser, choices_of, fake_app
+from tests.sessions import frame_with
 
 
 def test_a_taken_port_is_named_with_the_flag_that_helps():
@@ -43,7 +46,7 @@ def test_a_taken_port_is_named_with_the_flag_that_helps():
 
 
 def test_an_app_frees_its_port():
-    app = App(FakePolicy(), [PolicyChoice("toy-mad", "MAD")], policies)
+    app = fake_app("toy-mad")
     port = app.server.get_port()
     assert app.url == f"http://127.0.0.1:{port}"
     with pytest.raises(UserError, match="cannot be served"):
@@ -54,7 +57,7 @@ def test_an_app_frees_its_port():
 
 def test_no_message_looks_as_if_it_were_part_of_an_animation():
     """viser's page holds back what was written within 0.1 s of the message before it."""
-    app = App(FakePolicy(), [PolicyChoice("toy-mad", "MAD")], policies, speed=40.0)
+    app = fake_app("toy-mad", speed=40.0)
     stamps: list[float] = []
 
     class Reader(Visitor):
@@ -78,25 +81,13 @@ def test_without_policies_the_next_move_is_named():
     assert first_choice([PolicyChoice("one", "One")], None) == "one"
 
 
-class Browser:
-    """A client that nobody looks through: it draws into the server's own widgets."""
-
-    def __init__(self, number: int, server: viser.ViserServer) -> None:
-        self.client_id, self.gui, self.scene = number, server.gui, server.scene
-        self.atomic, self.flush = server.atomic, server.flush
-        self.camera = SimpleNamespace(
-            **{"image_width": 1280, "image_height": 800, "position": np.zeros(3)},
-            on_update=lambda callback: None,
-        )
-        self._websock_connection = SimpleNamespace(queue_message=lambda message: None)
-
-
 class Lobby:
     """A server whose visitors come and go as a test says."""
 
     def __init__(self) -> None:
         self.real = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-        self.present: dict[int, Browser] = {}
+        self.present: dict[int, Any] = {}
+        self.rates = Heard()
 
     def on_client_connect(self, callback) -> None:
         self.join = callback
@@ -104,16 +95,37 @@ class Lobby:
     def on_client_disconnect(self, callback) -> None:
         self.leave = callback
 
-    def get_clients(self) -> dict[int, Browser]:
+    def get_clients(self) -> dict[int, Any]:
         return dict(self.present)
 
-    def come(self, number: int) -> Browser:
-        browser = self.present[number] = Browser(number, self.real)
-        self.join(browser)
-        return browser
+    def come(self, number: int) -> Any:
+        client = self.present[number] = browser(self.real, number)
+        self.join(client)
+        return client
 
     def go(self, number: int) -> None:
         self.leave(self.present.pop(number))
+
+
+class Heard(Rates):
+    """Success rates that know who listens to them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.listening: set[object] = set()
+
+    def subscribe(self, listener) -> None:
+        self.listening.add(listener)
+        super().subscribe(listener)
+
+    def unsubscribe(self, listener) -> None:
+        self.listening.discard(listener)
+        super().unsubscribe(listener)
+
+
+def ticking() -> list[threading.Thread]:
+    """Threads of sessions that have not ended."""
+    return [thread for thread in threading.enumerate() if thread.name == "madviz-session"]
 
 
 @contextlib.contextmanager
@@ -125,9 +137,8 @@ def users(cap: int):
         made.append(Session(make_env, FakePolicy(), policies, speed=2.0))
         return made[-1]
 
-    choices = [PolicyChoice("toy-mad", "MAD")]
-    job = TrainingJob(Path("runs"))
-    one = Users(lobby, new_session, choices, Rates(), job, cap)  # type: ignore[arg-type]
+    shared = Shared(choices_of("toy-mad"), lobby.rates)
+    one = Users(lobby, new_session, shared, Limits(cap))  # type: ignore[arg-type]
     yield one, lobby, made
     one.close()
     lobby.real.stop()
@@ -150,39 +161,42 @@ def test_everybody_has_their_own_until_the_cap():
 
 
 def test_who_leaves_frees_a_thread_and_watchers_inherit():
+    before = set(ticking())
     with users(cap=1) as (them, lobby, made):
+        (thread,) = set(ticking()) - before
         lobby.come(1)
         lobby.come(2)
         lobby.come(3)
         assert (them.sessions, them.watchers) == (1, 2)
         lobby.go(1)
         assert (them.sessions, them.watchers) == (1, 1)
-        assert made[0]._thread is not None and not made[0]._thread.is_alive()
+        assert not thread.is_alive()
         assert them.session_of(2) is made[1] and them.session_of(3) is made[1]
         lobby.go(3)
         assert (them.sessions, them.watchers) == (1, 0)
 
 
-def test_who_left_before_sitting_down_keeps_no_seat():
-    with users(cap=2) as (them, lobby, made):
-        browser = Browser(7, lobby.real)
-        lobby.join(browser)
+def test_who_left_before_their_page_was_made_has_no_simulation():
+    before = set(ticking())
+    with users(cap=2) as (them, lobby, _):
+        client = browser(lobby.real, 7)
+        lobby.join(client)
         assert them.sessions == 0
-        lobby.leave(browser)
-        assert not any(session._thread.is_alive() for session in made if session._thread)
+        lobby.leave(client)
+        assert not set(ticking()) - before
 
 
 def test_who_leaves_before_their_page_starts_leaves_nothing_to_listen(monkeypatch):
     with users(cap=2) as (them, lobby, _):
-        browser, start = Browser(7, lobby.real), Page.start
+        client, start = browser(lobby.real, 7), Page.start
 
         def late(page: Page) -> None:
-            lobby.leave(browser)
+            lobby.leave(client)
             start(page)
 
         monkeypatch.setattr(Page, "start", late)
-        lobby.join(browser)
-        assert them.sessions == 0 and them._shared.rates._listeners == ()
+        lobby.join(client)
+        assert them.sessions == 0 and not lobby.rates.listening
 
 
 def test_a_page_that_is_closed_stops_drawing():
@@ -206,14 +220,13 @@ def test_a_panel_that_cannot_be_built_is_tried_once_and_said(monkeypatch):
 
     monkeypatch.setattr("madviz.app.layout.KeepPanel", broken)
     with users(cap=1) as (them, lobby, made):
-        lobby.come(1)
+        client = lobby.come(1)
         made[0].send(SetSpeed(None))
-        page = them._seats[1].page
         await_that(lambda: bool(tries))
         frames = getattr(made[0].latest, "number", 0)
         await_that(lambda: getattr(made[0].latest, "number", 0) >= frames + 15)
         assert len(tries) == 1
-        assert page._waiting is not None and "no such widget" in page._waiting.content
+        assert "no such widget" in client.gui.html
 
 
 def test_a_training_is_followed_while_the_episode_stands_still(monkeypatch):
@@ -232,29 +245,33 @@ def test_a_training_is_followed_while_the_episode_stands_still(monkeypatch):
         await_that(lambda: len(looks) >= 6 and looks[-1] == looks[-2] == looks[-3])
 
 
-def test_tables_make_way_for_somebody_who_has_touched_a_camera(monkeypatch):
-    looks: list[int] = []
-    monkeypatch.setattr(VersusPanel, "update", lambda panel, frame: looks.append(1) or [])
-    with users(cap=1) as (them, lobby, made):
-        lobby.come(1)
-        made[0].send(Pause())
-        await_that(lambda: bool(looks))
-        page = them._seats[1].page
-        await_that(lambda: getattr(made[0].latest, "phase", "") == "paused")
-        frame = made[0].latest
-        assert frame is not None
-        page._drawing.acquire()  # Nobody else draws from here on.
-        looks.clear()
-        assert page._panels is not None
-        for shown in page._panels.shown:
-            shown.done, shown.number = -1e9, 0
-        page._hurried.set()
-        page._push(frame, time.monotonic())
-        assert not looks  # A frame that nobody waits for ends where somebody begins to.
-        page._hurried.clear()
-        page._push(frame, time.monotonic())
-        assert looks == [1]
-        page._drawing.release()
+class Counted:
+    """A panel that counts its updates."""
+
+    def __init__(self) -> None:
+        self.updates = 0
+
+    def update(self, frame: Frame) -> list[Assign]:
+        self.updates += 1
+        return []
+
+    def remove(self) -> None: ...
+
+
+def test_tables_make_way_for_somebody_who_has_touched_a_camera():
+    picture, table, frame = Counted(), Counted(), frame_with(Pause())
+    refresh = Refresh([TimedPanel(picture, FASTEST), TimedPanel(table, 0.5)])
+    assert refresh.update(frame, 10.0, lambda: False) == []
+    assert (picture.updates, table.updates) == (1, 0), "what is watched all the time goes first"
+    assert refresh.wait(frame, 10.0) == pytest.approx(AFTER)
+    refresh.update(frame, 10.2, lambda: True)
+    assert table.updates == 0, "a frame that nobody waits for ends where somebody begins to"
+    refresh.update(frame, 10.2, lambda: False)
+    assert (picture.updates, table.updates) == (1, 1)
+    assert refresh.wait(frame, 10.2) is None
+    refresh.again()
+    refresh.update(frame, 11.0, lambda: False)
+    assert (picture.updates, table.updates) == (2, 2)
 
 
 def await_that(happened, patience: float = 20.0) -> None:

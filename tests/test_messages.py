@@ -17,10 +17,9 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from madviz.app.access import TAKEN, Gate
-from madviz.app.panels.policy import PolicyChoice
 from madviz.app.server import App
 from madviz.bench.visitor import Visitor
-from tests.fakes import FakePolicy, policies
+from tests.pages import fake_app
 
 KINDS: dict[str, type[Message]] = {kind.__name__: kind for kind in Message.get_subclasses()}
 LET_GO = 1002
@@ -111,8 +110,7 @@ def test_what_viser_acts_upon_is_known_here(shown: App):
 
 @pytest.fixture(scope="module")
 def shown() -> Iterator[App]:
-    choices = [PolicyChoice("toy-mad", "MAD")]
-    app = App(FakePolicy(), choices, policies, gate=Gate(present="mine"), speed=20.0)
+    app = fake_app("toy-mad", gate=Gate(present="mine"), speed=20.0)
     yield app
     app.stop()
 

@@ -11,13 +11,12 @@ import weakref
 
 import pytest
 
-from madviz.app.panels.policy import PolicyChoice
-from madviz.app.server import App
+from madviz.app.users import Limits
 from madviz.bench.live import LiveConfig, watched
 from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, sample, settled, soak
 from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
-from tests.fakes import FakePolicy, policies
+from tests.pages import fake_app
 
 
 def samples(memory, threads=None, processes=None) -> list[Sample]:
@@ -85,8 +84,7 @@ def ours() -> set[threading.Thread]:
 
 def test_visitors_leave_neither_threads_nor_processes():
     before = ours()  # What other tests have left is not this test's concern.
-    choices = [PolicyChoice(name, name) for name in ("toy-mad", "toy-other")]
-    app = App(FakePolicy(), choices, policies, visitors=2)
+    app = fake_app("toy-mad", "toy-other", limits=Limits(visitors=2))
     crowd = Crowd(app.url, os.getpid(), most=3, seed=1)
     try:
         left = [crowd.round(4.0), crowd.round(4.0)]
@@ -98,21 +96,19 @@ def test_visitors_leave_neither_threads_nor_processes():
         assert not ours() - before
         assert crowd.visits >= 2 and crowd.touches > 20 and crowd.updates > 5
         assert left[-1].processes == left[0].processes
-        assert not app.users._seats and not app.users._standing
+        assert not app.users.sessions + app.users.watchers + app.users.waiting
     finally:
         app.stop()
 
 
 def test_a_simulation_is_forgotten_without_waiting_for_the_next_one_to_end():
     """The call that closes a page holds on to it; somebody must tidy up after that call."""
-    choices = [PolicyChoice("toy-mad", "toy-mad")]
-    app = App(FakePolicy(), choices, policies, visitors=2)
+    app = fake_app("toy-mad", limits=Limits(visitors=2))
     try:
         with Visitor(app.url) as visitor:
             wait_until(lambda: visitor.steps)
-            (seat,) = app.users._seats.values()
-            session = weakref.ref(seat.session)
-            del seat
+            (number,) = app.server.get_clients()
+            session = weakref.ref(app.users.session_of(number))
         wait_until(lambda: session() is None)
     finally:
         app.stop()

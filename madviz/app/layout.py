@@ -1,17 +1,15 @@
 """What stands on a page and where: every panel, and how often it is brought up to date.
 
-    left    what the cameras send, their switches, the words; under them a tab for each way to look
-    middle  the scene, and the arrows in it
-    right   who acts and how fast, success by subset
-
-Pictures, actions and states are watched all the time and come with every frame; tables, textures
-and curves a few times a second.
+left    what the cameras send, their switches, the words; under them one tab for each analysis
+middle  the scene, and the arrows in it
+right   who acts and how fast, success by subset
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import viser
 
@@ -29,9 +27,11 @@ from madviz.app.panels.saliency import SaliencyPanel
 from madviz.app.panels.save import KeepPanel
 from madviz.app.panels.shapley import WorthPanel
 from madviz.app.panels.subsets import SubsetsPanel
-from madviz.app.panels.success import Rates, SuccessPanel, WordsPanel
+from madviz.app.panels.success import SuccessPanel, WordsPanel
 from madviz.app.panels.timeline import TimelinePanel
 from madviz.app.panels.training import TrainingPanel
+from madviz.app.rates import Rates
+from madviz.app.refresh import FASTEST, Refresh, TimedPanel
 from madviz.app.scene.arrows import ArrowsPanel
 from madviz.app.scene.scene import ScenePanel, extent
 from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
@@ -41,38 +41,15 @@ from madviz.session.frame import Failure, Frame
 from madviz.session.session import Session
 from madviz.training.job import TrainingJob
 
-FASTEST = 1 / 40
-"""Seconds between two frames that are shown: more would be wasted on a browser."""
-
-
-@dataclass
-class Shown:
-    """A panel, and how often it is brought up to date while nothing is touched."""
-
-    panel: Panel
-    period: float
-    """Seconds."""
-    done: float = -1e9
-    number: int = 0
-    """The last frame it showed."""
-
-    def patience(self, frame: Frame) -> float:
-        """Seconds between two updates. At full speed, what is not watched all the time waits twice
-        as long: the machine is wanted for the simulator and the pictures."""
-        return self.period * (2 if frame.speed is None and self.period > FASTEST else 1)
-
-    def due(self, frame: Frame) -> float:
-        """When it is brought up to date next."""
-        return self.done + self.patience(frame)
-
 
 @dataclass(frozen=True)
 class Shared:
     """What all visitors of a server have in common."""
 
     choices: Sequence[PolicyChoice]
-    rates: Rates
-    training: TrainingJob
+    rates: Rates = field(default_factory=Rates)
+    training: TrainingJob = field(default_factory=lambda: TrainingJob(Path("runs")))
+    """Trainings from the page get folders in its own."""
 
 
 class Panels:
@@ -108,22 +85,29 @@ class Panels:
             tabs = gui.add_tab_group()
         tabbed = self._build_tabs(tabs, frame)
         self._extras = [dockable, tour, *commands(client, keys.table)]
-        self.shown = [
-            *(Shown(cameras, FASTEST), Shown(policy, FASTEST), Shown(words, FASTEST)),
-            *(*tabbed, Shown(success, 0.5)),
-            Shown(ScenePanel(client, frame, None if readonly else keys.toggle), 0.05),
-            Shown(ArrowsPanel(client, frame, extent(frame)), 0.25),
-        ]
-        self.curves = next(s.panel for s in tabbed if isinstance(s.panel, FeaturesPanel))
+        scene = ScenePanel(client, frame, None if readonly else keys.toggle)
+        arrows = ArrowsPanel(client, frame, extent(frame))
+        self.refresh = Refresh(
+            [
+                TimedPanel(cameras, FASTEST),
+                TimedPanel(policy, FASTEST),
+                TimedPanel(words, FASTEST),
+                *tabbed,
+                TimedPanel(success, 0.5),
+                TimedPanel(scene, 0.05),
+                TimedPanel(arrows, 0.25),
+            ]
+        )
+        self.curves = next(t.panel for t in tabbed if isinstance(t.panel, FeaturesPanel))
 
     def remove(self) -> None:
         """Takes panels and scene off the page."""
-        for shown in self.shown:
-            shown.panel.remove()
+        for timed in self.refresh.panels:
+            timed.panel.remove()
         for handle in self._extras:
             handle.remove()
 
-    def _build_tabs(self, tabs: viser.GuiTabGroupHandle, frame: Frame) -> list[Shown]:
+    def _build_tabs(self, tabs: viser.GuiTabGroupHandle, frame: Frame) -> list[TimedPanel]:
         """What stands under the cameras, a tab each. Names are short: ten fit into one row."""
         gui, send, wide, shared = self._client.gui, self._send, self._wide, self._shared
         explain = self._explain if send else None
@@ -145,11 +129,11 @@ class Panels:
             ("Train", [(lambda: TrainingPanel(gui, send, frame, shared.training), 1.0)]),
             ("Keep", [(lambda: KeepPanel(gui, self._session.keep, frame), 1.0)]),
         ]
-        shown = []
+        built = []
         for name, panels in table:
             with tabs.add_tab(name):
-                shown += [Shown(build(), period) for build, period in panels]
-        return shown
+                built += [TimedPanel(build(), period) for build, period in panels]
+        return built
 
     def _explain(self, target: Target | None) -> None:
         self._session.send(SetSaliency(target))

@@ -1,9 +1,8 @@
 """One visitor's page: panels around the scene, and the thread that keeps them up to date.
 
 Frames come from the session's thread into a slot for one; the page's thread takes the newest, lets
-every panel compute, and assigns all changes in one ``atomic`` block. A slow page skips frames and
-never slows the simulator. What a visitor looks at while switching a camera goes first and at every
-frame: pictures, action, state. Tables and textures follow at a few a second.
+every panel that is due compute, and assigns all changes in one ``atomic`` block. A slow page skips
+frames and never slows the simulator.
 
 The first frame after a touch is drawn by the session's own thread, which has it already: every
 change of threads would be a wait for a core, and at full speed all cores are taken.
@@ -19,15 +18,11 @@ from html import escape
 
 import viser
 
-from madviz.app.layout import FASTEST, Panels, Shared
+from madviz.app.layout import Panels, Shared
 from madviz.app.panel import apply
 from madviz.app.toolkit import window_is_wide
 from madviz.session.frame import Change, Failure, Frame
 from madviz.session.session import Session
-
-AFTER = 0.1
-"""Seconds after which tables, curves and the scene follow when something was touched; at full speed
-they keep to their own times, or they would be in the way of the next touch."""
 
 log = logging.getLogger(__name__)
 
@@ -51,10 +46,9 @@ class Page:
         self._wanted: object = None
         """The task and cameras whose panels were to be built last."""
         self._reported = ""
-        self._touched: object = None
         self._expected: Change | None = None
         self._drawing = threading.Lock()
-        self._hurried = threading.Event()
+        self._urgent = threading.Event()
         """Somebody has touched a camera and waits for ``_drawing``."""
         self._newest: Frame | Failure | None = None
         self._wake, self._closing = threading.Event(), threading.Event()
@@ -72,23 +66,22 @@ class Page:
             self._shared.rates.subscribe(self.poke)
 
     def show(self, frame: Frame | Failure) -> None:
-        """Takes a frame, from any thread; an older one that was not shown yet is forgotten. If it
-        is the first one since its visitor touched a camera, it is on its way before this returns.
-        """
+        """Takes a frame, from any thread; an older one that was not shown yet is left out. If it is
+        the first one since its visitor touched a camera, it is on its way before this returns."""
         self._newest = frame
         change = frame.change if isinstance(frame, Frame) else None
         fresh = change is not None and change is not self._expected and not self._readonly
         self._expected = change
         if fresh and self._panels is not None:
-            self._hurried.set()
+            self._urgent.set()
             self._draw()
-            self._hurried.clear()
+            self._urgent.clear()
         self._wake.set()
 
     def poke(self) -> None:
         """Shows the newest frame again: something beside it has changed."""
-        for shown in self._panels.shown if self._panels else ():
-            shown.number = 0
+        if self._panels is not None:
+            self._panels.refresh.again()
         self._wake.set()
 
     def close(self) -> None:
@@ -130,14 +123,14 @@ class Page:
         with self._drawing:
             try:
                 pause = self._push(self._newest, time.monotonic()) if self._newest else None
-                self._forgive()
+                self._take_back_report()
                 return pause
             except Exception:
                 # A panel that fails must not take the page down; the next frame may be fine.
                 self._report(traceback.format_exc())
                 return None
 
-    def _forgive(self) -> None:
+    def _take_back_report(self) -> None:
         """Takes back what ``_report`` said: a later frame was shown, nothing is broken."""
         if (
             self._panels is not None
@@ -170,27 +163,11 @@ class Page:
             return None
         if not frame.past:
             panels.curves.note(frame)
-        urgent = self._touched != (frame.change, frame.policy, frame.phase, frame.error)
-        self._touched = (frame.change, frame.policy, frame.phase, frame.error)
-        due = [s for s in panels.shown if s.number != frame.number]
-        if urgent:  # What somebody waits for goes ahead of the rest.
-            for shown in panels.shown:
-                rest = now + AFTER - shown.patience(frame)
-                shown.done = rest if frame.speed is not None else max(shown.done, rest)
-        ready = [s for s in due if (urgent and s.period <= FASTEST) or now >= s.due(frame)]
-        # All in one message, because each one costs the browser a frame.
-        changes = []
-        for shown in ready:
-            if self._hurried.is_set() and not urgent:
-                break  # A table is not worth the wait of somebody who has just touched a camera.
-            changes += shown.panel.update(frame)
-            settled = not getattr(shown.panel, "unsettled", False)
-            shown.done, shown.number = now, frame.number if settled else 0
-        with self.client.atomic():
+        changes = panels.refresh.update(frame, now, self._urgent.is_set)
+        with self.client.atomic():  # One message, because each one costs the browser a frame.
             apply(changes)
         self.client.flush()
-        later = [s.due(frame) - now for s in due if s.number != frame.number]
-        return max(0.01, min(later)) if later else None
+        return panels.refresh.wait(frame, now)
 
     def _build(self, frame: Frame) -> None:
         self._strip()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import socket
 import sys
 import threading
 import warnings
@@ -14,10 +13,12 @@ from pathlib import Path
 import viser
 
 from madviz.app.access import Gate, new_token, stays_here
+from madviz.app.address import Address, check_port, reached_at, with_token
+from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.rates import Rates
 from madviz.app.toolkit import theme
-from madviz.app.users import Users
+from madviz.app.users import Limits, Users
 from madviz.app.viser_patches import patch_sender
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import make_env
@@ -26,11 +27,10 @@ from madviz.evaluation.live import Evaluator, Tally
 from madviz.evaluation.store import Store
 from madviz.policies import checkpoint
 from madviz.session.replay import check_policies, differences, finder
-from madviz.session.session import EnvFactory, Session
+from madviz.session.session import Session
 from madviz.session.session_file import KeptEpisode
 from madviz.session.session_reader import read_kept
 from madviz.system.processes import share_memory_between_threads
-from madviz.training.job import TrainingJob
 from madviz.types import CameraSpec, Environment, Policy, PolicySpec
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"
@@ -56,7 +56,7 @@ class ExploreConfig:
     visitors: int = 4
     """Visitors with a simulation of their own; more than that watch."""
     watchers: int = 50
-    """Seats to watch from."""
+    """Visitors who watch, at most."""
     light: bool = False
     """Dark text on light ground; visitors can change it for themselves."""
     workers: int = 1
@@ -64,7 +64,7 @@ class ExploreConfig:
     speed: float | None = 10.0
     """Decisions per second at the start; None for as fast as it goes."""
     replay: Path | None = None
-    """A kept session: the page begins by living one of its episodes again."""
+    """A saved session: the page begins with one of its episodes again."""
     episode: int | None = None
     """Which one of them, from 1; by default the last."""
 
@@ -87,42 +87,29 @@ class App:
 
     def __init__(
         self,
-        policy: Policy | str,
-        choices: Sequence[PolicyChoice],
-        load_policy: Callable[[str], Policy],
+        new_session: Callable[[], Session],
+        shared: Shared,
+        address: Address | None = None,
+        limits: Limits | None = None,
         *,
-        env_factory: EnvFactory = env_in_one_thread,
-        rates: Rates | None = None,
-        host: str = "127.0.0.1",
-        port: int = 0,
-        visitors: int = 4,
-        watchers: int = 50,
-        gate: Gate | None = None,
         light: bool = False,
-        speed: float | None = 10.0,
-        runs: Path = Path("runs"),
-        script: KeptEpisode | None = None,
     ) -> None:
-        """``policy`` may be a name for ``load_policy``: the page answers while it is being loaded.
-        Trainings from the page get folders in ``runs``. ``port`` 0 takes a free one. ``gate`` with
-        a presenter's token makes it a presentation. Raises UserError if the port is taken."""
-        check_port(host, port)
+        """``new_session`` makes a simulation that is not started yet. ``light``: dark text on light
+        ground. Raises UserError if the port is taken."""
+        address = address or Address()
+        check_port(address.host, address.port)
         # A browser may leave while a frame is on its way to it; viser would warn about each.
         warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
         patch_sender()
-        self.rates = rates or Rates()
-        self.gate = gate or Gate(local=stays_here(host))
+        self.shared = shared
+        self.gate = address.gate or Gate(local=stays_here(address.host))
         with self.gate.guarding():
-            self.server = viser.ViserServer(host=host, port=port, label="madviz", verbose=False)
+            self.server = viser.ViserServer(
+                host=address.host, port=address.port, label="madviz", verbose=False
+            )
         theme(self.server.gui, light)
-
-        def new_session() -> Session:
-            return Session(env_factory, policy, load_policy, speed=speed, script=script)
-
-        self.training = TrainingJob(runs)
-        shared = (choices, self.rates, self.training)
         presents = self._presents if self.gate.present else None
-        self.users = Users(self.server, new_session, *shared, visitors, watchers, presents)
+        self.users = Users(self.server, new_session, shared, limits or Limits(), presents)
 
     def _presents(self, client: viser.ClientHandle) -> bool:
         return self.gate.presents(self.server, client.client_id)
@@ -149,8 +136,8 @@ class App:
     def stop(self) -> None:
         self.users.close()
         self.server.stop()
-        self.rates.close()
-        self.training.close()
+        self.shared.rates.close()
+        self.shared.training.close()
 
 
 def explore(config: ExploreConfig | None = None) -> None:
@@ -174,47 +161,55 @@ def open_app(config: ExploreConfig) -> App:
     sys.setswitchinterval(0.001)
     allow_task(config.task)
     choices = policy_choices(config.task)
-    script, loaded = kept_script(config)
-    name = next(iter(loaded), None) or config.policy or first_choice(choices, config.task)
-    if name not in loaded and not checkpoint.is_folder(name):
-        loaded[name] = checkpoint.load_policy(name)
-    # Loading a folder takes seconds, most of them spent on importing torch. Looking at it takes
+    script, given = saved_episode(config)
+    name = next(iter(given), None) or config.policy or first_choice(choices, config.task)
+    if name not in given and not checkpoint.is_folder(name):
+        given[name] = checkpoint.load_policy(name)
+    # Loading a folder takes seconds, most of them spent on importing torch. Describing it takes
     # none, and a browser can use those seconds to open the page.
-    spec = loaded[name].spec if name in loaded else checkpoint.describe(name).spec
+    spec = given[name].spec if name in given else checkpoint.describe(name).spec
+    if name not in [choice.name for choice in choices]:
+        choices = [PolicyChoice(name, spec.name), *choices]
+    policies = LoadedPolicies(given)
 
-    def load(wanted: str) -> Policy:
-        if wanted not in loaded:
-            loaded[wanted] = checkpoint.load_policy(wanted)
-            settle()
-        return loaded[wanted]
-
-    def reference(spec: PolicySpec) -> str:
-        return next((key for key, one in loaded.items() if one.spec == spec), spec.name)
+    def new_session() -> Session:
+        return Session(env_in_one_thread, name, policies.load, speed=config.speed, script=script)
 
     def evaluator(listener: Callable[[Tally], None]) -> Evaluator:
         return Evaluator(config.workers, Store(), listener)
 
-    if name not in [choice.name for choice in choices]:
-        choices = [PolicyChoice(name, spec.name), *choices]
+    rates = Rates(shipped_rates, evaluator if config.workers else None, policies.name_of)
     return App(
-        name,
-        choices,
-        load,
-        rates=Rates(shipped_rates, evaluator if config.workers else None, reference),
-        host=config.host,
-        port=config.port,
-        visitors=config.visitors,
-        watchers=config.watchers,
-        gate=gate_for(config),
+        new_session,
+        Shared(choices, rates),
+        Address(config.host, config.port, gate_for(config)),
+        Limits(config.visitors, config.watchers),
         light=config.light,
-        speed=config.speed,
-        script=script,
     )
 
 
+class LoadedPolicies:
+    """Policies by name, each loaded once for all visitors."""
+
+    def __init__(self, policies: dict[str, Policy]) -> None:
+        self._policies = policies
+
+    def load(self, name: str) -> Policy:
+        """Raises UserError for a name that is none."""
+        if name not in self._policies:
+            self._policies[name] = checkpoint.load_policy(name)
+            settle()
+        return self._policies[name]
+
+    def name_of(self, spec: PolicySpec) -> str:
+        """What ``load`` knows a policy by."""
+        found = (name for name, policy in self._policies.items() if policy.spec == spec)
+        return next(found, spec.name)
+
+
 def settle() -> None:
-    """What is there now stays; looking through it again for garbage after every visit would take a
-    fifth of a second from everybody else."""
+    """Takes what is there now out of garbage collection: going through it after every visit would
+    take a fifth of a second from everybody else."""
     gc.collect()
     gc.freeze()
 
@@ -226,26 +221,8 @@ def gate_for(config: ExploreConfig) -> Gate:
     return Gate(new_token() if guarded else None, new_token() if config.present else None, local)
 
 
-def with_token(address: str, token: str | None) -> str:
-    """An address that opens the page for whoever has it."""
-    return f"{address}/?token={token}" if token else address
-
-
-def reached_at(host: str) -> str:
-    """How other machines call ``host``. For 0.0.0.0 that is the address from which this machine
-    would reach others; asking for it sends nothing."""
-    if host != "0.0.0.0":
-        return host
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("10.255.255.255", 9))
-        except OSError:
-            return socket.gethostname()
-        return str(probe.getsockname()[0])
-
-
-def kept_script(config: ExploreConfig) -> tuple[KeptEpisode | None, dict[str, Policy]]:
-    """The episode to live again, if there is one, and all its policies by name, the first one
+def saved_episode(config: ExploreConfig) -> tuple[KeptEpisode | None, dict[str, Policy]]:
+    """The episode to replay, if there is one, and all its policies by name, the first one
     first. Says what is known to be different here. Raises UserError for a file that won't do."""
     if config.replay is None:
         return None, {}
@@ -286,16 +263,3 @@ def first_choice(choices: Sequence[PolicyChoice], task: str | None) -> str:
         what = f"policy for {task!r}" if task else "policy"
         raise UserError(f"no {what} found; name one with --policy, or train one: madviz train")
     return names[0]
-
-
-def check_port(host: str, port: int) -> None:
-    """Raises UserError if ``port`` is taken; viser would silently take the next one."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            raise UserError(
-                f"port {port} on {host} cannot be served ({error.strerror}); choose another "
-                "with --port"
-            ) from error

@@ -1,13 +1,12 @@
-"""Who is on the page: a simulation for each visitor, up to a cap; beyond it, a seat to watch from.
+"""Who is on the page: a simulation for each visitor, up to a limit; beyond it, visitors watch.
 
 A closed page gives back its thread, its environment and its memory. Whoever watched it then gets a
 simulation of their own. In presenter mode there is one simulation, which nobody owns: whoever
 ``presents`` has the controls, in every page they open, all others watch, and it goes on while
-nobody looks. Seats to watch from end, too; who finds none is told so, and sits down when somebody
-leaves.
+nobody looks. Watchers have a limit, too: who comes after that waits until somebody leaves.
 
 A simulation that ends leaves 7 MB of pictures and messages in cycles of objects, and the allocator
-keeps what it once had: without ``give_back``, 70 visits in three minutes cost 30 MB for good.
+holds on to what it once had: without ``give_back``, 70 visits in three minutes cost 30 MB for good.
 
 Everything personal lives in ``client.gui`` and ``client.scene``; viser's server-wide widgets would
 be shared by all.
@@ -17,7 +16,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import viser
@@ -25,12 +24,9 @@ import viser
 from madviz.app.browser import equip
 from madviz.app.layout import Shared
 from madviz.app.page import Page, waiting_html
-from madviz.app.panels.policy import PolicyChoice
-from madviz.app.rates import Rates
 from madviz.app.viser_patches import patch_rendering
 from madviz.session.session import Session
 from madviz.system.processes import give_back
-from madviz.training.job import TrainingJob
 
 log = logging.getLogger(__name__)
 
@@ -39,13 +35,23 @@ WATCHING = (
     "visitor you are watching leaves."
 )
 PRESENTED = "You are watching a presentation: the presenter has the controls."
-FULL = "All {} seats to watch from are taken. You get one as soon as somebody leaves."
+FULL = "All {} places for watchers are taken. You get one as soon as somebody leaves."
 TIDY_AFTER = 0.5
 """Seconds from when somebody leaves to when memory is given back."""
 
 
+@dataclass(frozen=True)
+class Limits:
+    """How many browsers a server shows something to; the others wait."""
+
+    visitors: int = 4
+    """Those with a simulation of their own."""
+    watchers: int = 50
+    """Those who watch somebody else's."""
+
+
 @dataclass
-class Seat:
+class Visit:
     """One browser: its page, and whether it has the controls of the session it shows."""
 
     client: viser.ClientHandle
@@ -55,27 +61,22 @@ class Seat:
 
 
 class Users:
-    """Seats people as they come, frees what they leave."""
+    """Gives each browser a page as it comes, and frees what it leaves."""
 
     def __init__(
         self,
         server: viser.ViserServer,
         new_session: Callable[[], Session],
-        choices: Sequence[PolicyChoice],
-        rates: Rates,
-        job: TrainingJob,
-        cap: int,
-        watchers: int = 50,
+        shared: Shared,
+        limits: Limits,
         presents: Callable[[viser.ClientHandle], bool] | None = None,
     ) -> None:
-        """``cap`` simulations and ``watchers`` seats beside them. ``presents`` tells the presenter
-        from the others; None: there is no presenter."""
+        """``presents`` tells the presenter from the others; None: there is no presenter."""
         self._server, self._new_session = server, new_session
-        self._shared = Shared(choices, rates, job)
-        self._cap, self._most_watchers, self._presents = cap, watchers, presents
-        self._seats: dict[int, Seat] = {}
-        self._standing: dict[int, tuple[viser.ClientHandle, viser.GuiHtmlHandle]] = {}
-        """Who found no seat, and the line that tells them."""
+        self._shared, self._limits, self._presents = shared, limits, presents
+        self._visits: dict[int, Visit] = {}
+        self._queue: dict[int, tuple[viser.ClientHandle, viser.GuiHtmlHandle]] = {}
+        """Who found no place, and the line that says so."""
         self._tidying: threading.Timer | None = None
         self._lock = threading.Lock()
         """Guards all of these; never held while a widget is assigned."""
@@ -89,18 +90,24 @@ class Users:
     def sessions(self) -> int:
         """Pages that have the controls of a simulation."""
         with self._lock:
-            return sum(seat.owner for seat in self._seats.values())
+            return sum(visit.owner for visit in self._visits.values())
 
     @property
     def watchers(self) -> int:
         with self._lock:
-            return sum(not seat.owner for seat in self._seats.values())
+            return sum(not visit.owner for visit in self._visits.values())
+
+    @property
+    def waiting(self) -> int:
+        """Browsers for which there is no place."""
+        with self._lock:
+            return len(self._queue)
 
     def session_of(self, client_id: int) -> Session | None:
-        """The session a browser shows, if it has a seat."""
+        """The session a browser shows, if it has one."""
         with self._lock:
-            seat = self._seats.get(client_id)
-        return seat.session if seat else None
+            visit = self._visits.get(client_id)
+        return visit.session if visit else None
 
     def join(self, client: viser.ClientHandle) -> None:
         """Gives a browser a simulation, or somebody else's to watch, or a place to wait."""
@@ -118,11 +125,11 @@ class Users:
                     notice="" if owner else self._watching_words(),
                     readonly=not owner,
                 )
-                self._seats[client.client_id] = Seat(client, page, session, owner)
+                self._visits[client.client_id] = Visit(client, page, session, owner)
         if place is None:
-            line = client.gui.add_html(waiting_html(FULL.format(self._most_watchers)))
+            line = client.gui.add_html(waiting_html(FULL.format(self._limits.watchers)))
             with self._lock:
-                self._standing[client.client_id] = (client, line)
+                self._queue[client.client_id] = (client, line)
         else:
             try:
                 page.start()
@@ -133,15 +140,15 @@ class Users:
             self.leave(client)  # It left while its page was being made.
 
     def _place(self, presents: bool) -> tuple[Session, bool] | None:
-        """The session for one more browser, and whether it gets the controls; None: no seat left.
-        Called with the lock held."""
-        seats = self._seats.values()
-        owners = [seat.session for seat in seats if seat.owner]
-        watched = [seat.session for seat in seats if not seat.owner]
-        if self._presents is None and len(owners) < self._cap:
+        """The session for one more browser, and whether it gets the controls; None: all places
+        are taken. Called with the lock held."""
+        visits = self._visits.values()
+        owners = [visit.session for visit in visits if visit.owner]
+        watched = [visit.session for visit in visits if not visit.owner]
+        if self._presents is None and len(owners) < self._limits.visitors:
             session, self._spare = self._spare or self._new_session().start(), None
             return session, True
-        if not presents and len(watched) >= self._most_watchers:
+        if not presents and len(watched) >= self._limits.watchers:
             return None
         if self._presents is not None:
             assert self._spare is not None
@@ -149,29 +156,29 @@ class Users:
         return min(owners, key=watched.count), False
 
     def _watching_words(self) -> str:
-        return PRESENTED if self._presents is not None else WATCHING.format(self._cap)
+        return PRESENTED if self._presents is not None else WATCHING.format(self._limits.visitors)
 
     def leave(self, client: viser.ClientHandle) -> None:
-        """Frees what a browser had; those who watched it, or waited, sit down anew."""
+        """Frees what a browser had; those who watched it, or waited, get a place anew."""
         with self._lock:
-            self._standing.pop(client.client_id, None)
-            seat = self._seats.pop(client.client_id, None)
-            if seat is None:
+            self._queue.pop(client.client_id, None)
+            visit = self._visits.pop(client.client_id, None)
+            if visit is None:
                 return
-            theirs = seat.owner and self._presents is None
-            stranded = [other for other in self._seats.values() if other.session is seat.session]
+            theirs = visit.owner and self._presents is None
+            stranded = [other for other in self._visits.values() if other.session is visit.session]
             stranded = stranded if theirs else []
             for other in stranded:
-                del self._seats[other.client.client_id]
-            standing, self._standing = list(self._standing.values()), {}
-        seat.page.close()
+                del self._visits[other.client.client_id]
+            queue, self._queue = list(self._queue.values()), {}
+        visit.page.close()
         if theirs:
-            seat.session.close()
+            visit.session.close()
         for other in stranded:
             other.page.close()
             other.page.clear()
             self.join(other.client)
-        for waiting, line in standing:
+        for waiting, line in queue:
             line.remove()
             self.join(waiting)
         self._tidy_soon()
@@ -195,10 +202,10 @@ class Users:
         with self._lock:
             if self._tidying is not None:
                 self._tidying.cancel()
-            seats, self._seats = list(self._seats.values()), {}
+            visits, self._visits = list(self._visits.values()), {}
             spare, self._spare = self._spare, None
-        for seat in seats:
-            seat.page.close()
-        theirs = [seat.session for seat in seats if seat.owner and seat.session is not spare]
+        for visit in visits:
+            visit.page.close()
+        theirs = [visit.session for visit in visits if visit.owner and visit.session is not spare]
         for session in theirs + ([spare] if spare else []):
             session.close()

@@ -12,14 +12,20 @@ import pytest
 from playwright import sync_api as playwright_api
 
 from madviz.app.access import Gate
-from madviz.app.panels.policy import PolicyChoice
+from madviz.app.address import Address
+from madviz.app.layout import Shared
 from madviz.app.rates import Rates
 from madviz.app.server import App
+from madviz.app.users import Limits
+from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState
 from madviz.session.commands import Play, Reset, SetCamera, SetPolicy, SetSpeed
 from madviz.session.frame import Frame
+from madviz.session.session import Session
 from madviz.system.browser import CHROMIUM_FLAGS, find_browser
+from madviz.training.job import TrainingJob
 from tests.fakes import policies
+from tests.pages import choices_of
 
 PICTURES = Path(__file__).parents[2] / "build" / "e2e"
 PATIENCE = 60_000
@@ -73,11 +79,14 @@ def app() -> Iterator[App]:
 def toy_app(visitors: int, gate: Gate | None = None) -> App:
     """The page on the toy task with fake policies, on a free port."""
     names = ("toy-mad", "toy-other", "toy-rgbd", "toy-nan")
-    choices = [PolicyChoice(name, name) for name in names]
     rates = Rates(lambda spec: SHIPPED if spec.name == "toy-mad" else {})
-    runs = Path(tempfile.mkdtemp(prefix="madviz-runs-"))
-    shared = {"rates": rates, "visitors": visitors, "gate": gate, "runs": runs}
-    return App(policies("toy-mad"), choices, policies, **shared)
+    training = TrainingJob(Path(tempfile.mkdtemp(prefix="madviz-runs-")))
+
+    def new_session() -> Session:
+        return Session(make_env, policies("toy-mad"), policies)
+
+    shared = Shared(choices_of(*names), rates, training)
+    return App(new_session, shared, Address(gate=gate), Limits(visitors))
 
 
 class Visitor:

@@ -1,0 +1,81 @@
+"""How often each panel of a page is brought up to date.
+
+What a visitor watches while switching a camera comes first and with every frame: pictures, action,
+state. Tables, curves and the scene follow a few times a second. When somebody has touched something
+they all follow soon; but what is being touched right now never waits for a table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from madviz.app.panel import Assign, Panel
+from madviz.session.frame import Frame
+
+FASTEST = 1 / 40
+"""Seconds between two frames that are shown: more would be wasted on a browser."""
+AFTER = 0.1
+"""Seconds after which tables, curves and the scene follow when something was touched; at full speed
+they keep to their own times, or they would be in the way of the next touch."""
+SHORTEST_WAIT = 0.01
+
+
+@dataclass
+class TimedPanel:
+    """A panel, and how often it is brought up to date while nothing is touched."""
+
+    panel: Panel
+    period: float
+    """Seconds."""
+    updated: float = -1e9
+    number: int = 0
+    """The last frame it showed."""
+
+    def interval(self, frame: Frame) -> float:
+        """Seconds between two updates. At full speed, what is not watched all the time waits twice
+        as long: the machine is wanted for the simulator and the pictures."""
+        return self.period * (2 if frame.speed is None and self.period > FASTEST else 1)
+
+    def due(self, frame: Frame) -> float:
+        """When it is brought up to date next."""
+        return self.updated + self.interval(frame)
+
+
+class Refresh:
+    """Decides which panels show a frame now, and which a little later."""
+
+    def __init__(self, panels: Sequence[TimedPanel]) -> None:
+        self.panels = panels
+        self._touched: object = None
+
+    def again(self) -> None:
+        """The newest frame is shown again: something beside it has changed."""
+        for timed in self.panels:
+            timed.number = 0
+
+    def update(self, frame: Frame, now: float, interrupted: Callable[[], bool]) -> list[Assign]:
+        """What has to change on the page at ``now``, in seconds. Ends early where ``interrupted``
+        says that somebody waits for a newer frame."""
+        touched = (frame.change, frame.policy, frame.phase, frame.error)
+        urgent, self._touched = touched != self._touched, touched
+        waiting = [timed for timed in self.panels if timed.number != frame.number]
+        if urgent:
+            for timed in self.panels:
+                soon = now + AFTER - timed.interval(frame)
+                timed.updated = soon if frame.speed is not None else max(timed.updated, soon)
+        changes = []
+        for timed in waiting:
+            if not (urgent and timed.period <= FASTEST) and now < timed.due(frame):
+                continue
+            if interrupted() and not urgent:
+                break
+            changes += timed.panel.update(frame)
+            settled = not getattr(timed.panel, "unsettled", False)
+            timed.updated, timed.number = now, frame.number if settled else 0
+        return changes
+
+    def wait(self, frame: Frame, now: float) -> float | None:
+        """In how many seconds a panel that does not show ``frame`` yet is due; None: all do."""
+        later = [timed.due(frame) - now for timed in self.panels if timed.number != frame.number]
+        return max(SHORTEST_WAIT, min(later)) if later else None
