@@ -81,7 +81,7 @@ def browser(server: viser.ViserServer, number: int = 1, **more: Any) -> Any:
 def use(handle: Any, value: Any = None, client: Any = None) -> list[tuple[str, str]]:
     """A visitor presses a button, or gives a widget a ``value``. Returns the notes they get."""
     notes: list[tuple[str, str]] = []
-    somebody = SimpleNamespace(
+    somebody: Any = SimpleNamespace(
         client_id=1, add_notification=lambda title, body, **_: notes.append((title, body))
     )
     if value is not None:

@@ -22,7 +22,7 @@ document.head.append(style);
 @cache
 def read(name: str) -> str:
     """The text of one of the files here, for example ``grid.js``."""
-    return files(__package__).joinpath(name).read_text("utf-8")
+    return files(__name__).joinpath(name).read_text("utf-8")
 
 
 def equip(client: viser.ClientHandle) -> None:
