@@ -172,22 +172,24 @@ def test_own_cameras_come_in_the_modalities_of_the_setting(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("fovy = 55", "fov = 55", "camera 1: unknown key 'fov'; known: .*fovy"),
-        ("fovy = 55", 'fovy = "wide"', "camera 1: expected fovy, a number from 5 to 150"),
-        ("size = 96", "size = 96.5", "expected size, a whole number from 16 to 512, found 96.5"),
-        ("size = 96", "size = 9600", "expected size, a whole number from 16 to 512, found 9600"),
+        ("fovy = 55", "fov = 55", "camera 1: unknown word 'fov'; known: .*fovy"),
+        ("fovy = 55", 'fovy = "wide"', "camera 1: expected 'fovy' to be a number, found 'wide'"),
+        ("fovy = 55", "fovy = 155", "'fovy' to be a number <= 150.0, found 155"),
+        ("size = 96", "size = 96.5", "expected 'size' to be a whole number, found 96.5"),
+        ("size = 96", "size = 9600", "'size' to be a whole number <= 512, found 9600"),
         ('name = "left"', 'name = "Left side"', "small letters, digits and _, found 'Left side'"),
-        ('name = "left"', 'name = "all"', "the name 'all' is a subset's already"),
-        ('name = "left"', "", "expected a name .* found None"),
+        ('name = "left"', 'name = "all"', "expected another name than 'all', which is a subset's"),
+        ('name = "left"', "", "camera 1: expected 'name', found none"),
         ('name = "left"', 'name = "wrist"', "two cameras 'wrist'"),
-        ("[-0.7, 0.3, 0.6]", "[-0.7, 0.3]", r"expected position = \[3 numbers\], found \[-0.7"),
-        ("[-0.7, 0.3, 0.6]", "[0.0, 0.7, 0.1]", "cannot look at its own position"),
-        ("[-0.7, 0.3, 0.6]", "[nan, 0.7, 0.1]", r"expected position = \[3 numbers\]"),
+        ("[-0.7, 0.3, 0.6]", "[-0.7, 0.3]", r"'position' to be a list of length 3, found \[-0.7"),
+        ("[-0.7, 0.3, 0.6]", "[0.0, 0.7, 0.1]", "expected look_at apart from position"),
+        ("[-0.7, 0.3, 0.6]", "[nan, 0.7, 0.1]", r"'position\[0\]' to be a number .*, found nan"),
         ("look_at = [0.0, 0.7, 0.1]", "", "expected either wxyz or look_at, found neither"),
-        ("[1.0, 0.0, 0.0, 0.0]", "[1.0, 1.0, 0.0, 0.0]", "camera 2: .*length 1, found 1.41"),
-        ("[0.0, 0.5]", "[0.5, 0.0]", r"expected depth_range = \[near, far\]"),
-        ("[[camera]]", "[[cameras]]", "expected 1 to 8 .*camera.* tables and nothing else"),
+        ("[1.0, 0.0, 0.0, 0.0]", "[1.0, 1.0, 0.0, 0.0]", "camera 2: .*norm 1, .*found norm 1.41"),
+        ("[0.0, 0.5]", "[0.5, 0.0]", r"expected depth_range = \[near, far\].*found \[0.5, 0.0\]"),
+        ("[[camera]]", "[[cameras]]", "unknown word 'cameras'.* did you mean camera?"),
         ("fovy = 55", "fovy = ", "expected TOML, found a mistake: .*line 6"),
+        ("fovy = 55", "fovy = 55\nfovy = 56", "expected TOML, found a mistake: .*overwrite"),
     ],
 )
 def test_mistakes_in_a_camera_file_are_told_in_one_line(
@@ -202,6 +204,10 @@ def test_mistakes_in_a_camera_file_are_told_in_one_line(
 def test_a_file_that_is_not_there_and_a_body_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="expected a camera file, found none"):
         read_cameras(tmp_path / "none.toml")
+    with pytest.raises(UserError, match="expected 'camera' to be a list of length <= 8, found"):
+        read_cameras(written(tmp_path, 5 * GOOD))
+    with pytest.raises(UserError, match="expected 'camera', found none"):
+        read_cameras(written(tmp_path, ""))
     cameras = read_cameras(written(tmp_path, GOOD.replace('"hand"', '"hnad"')))
     with pytest.raises(UserError, match="unknown body of the camera wrist 'hnad'; known: .*hand"):
         make_env(TASK, cameras=cameras)

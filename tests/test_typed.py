@@ -31,7 +31,7 @@ MISTAKES = [
     ),
     (
         {"name": "a", "cameras": [{**CAMERA, "position": [1]}]},
-        r"expected array of length 3, got 1 at 'cameras\[0\].position'",
+        r"expected 'cameras\[0\].position' to be a list of length 3, found \[1\]",
     ),
     ({"name": "a", "cameras": [{"name": "b"}]}, r"expected 'cameras\[0\].label', found none"),
 ]

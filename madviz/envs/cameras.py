@@ -21,19 +21,85 @@ import math
 import re
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 from scipy.spatial.transform import Rotation
 
-from madviz.errors import UserError, unknown
+from madviz.errors import UserError
+from madviz.system.typed import typed
 from madviz.types import CameraSpec
 
-KEYS = ("name", "label", "position", "wxyz", "look_at", "fovy", "size", "body", "depth_range")
 RESERVED = ("all", "none", "rgb", "depth")
 """Words that already name subsets."""
 MOST = 8
 """Cameras in a file: every subset of the streams is read at every step, and there are 2^V."""
+
+Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
+"""Any but NaN and infinity."""
+Position = tuple[Number, Number, Number]
+
+
+class CameraTable(Struct, forbid_unknown_fields=True):
+    """One [[camera]] of a file."""
+
+    name: str
+    position: Position
+    label: str = ""
+    wxyz: tuple[Number, Number, Number, Number] | None = None
+    look_at: Position | None = None
+    fovy: Annotated[float, Meta(ge=5, le=150)] = 60.0
+    size: Annotated[int, Meta(ge=16, le=512)] = 84
+    body: str | None = None
+    depth_range: tuple[Number, Number] = (0.0, 2.0)
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[a-z][a-z0-9_]{0,23}", self.name):
+            raise ValueError(
+                f"expected a name of small letters, digits and _, found {self.name!r:.40}"
+            )
+        if self.name in RESERVED:
+            raise ValueError(f"expected another name than {self.name!r}, which is a subset's")
+        near, far = self.depth_range
+        if not 0 <= near < far:
+            raise ValueError(
+                "expected depth_range = [near, far] in metres, 0 <= near < far, found "
+                f"{[near, far]}"
+            )
+        if (self.wxyz is None) == (self.look_at is None):
+            found = "neither" if self.wxyz is None else "both"
+            raise ValueError(f"expected either wxyz or look_at, found {found}")
+        if self.wxyz and not 0.9 < (norm := math.hypot(*self.wxyz)) < 1.1:
+            raise ValueError(
+                f"expected wxyz of norm 1, its scalar part first, found norm {norm:.2f}"
+            )
+        if self.look_at and math.dist(self.look_at, self.position) < 1e-9:
+            raise ValueError(f"expected look_at apart from position, found both at {self.look_at}")
+
+    def as_spec(self) -> CameraSpec:
+        """What an environment draws."""
+        if self.wxyz:
+            w, x, y, z = (np.array(self.wxyz) / np.linalg.norm(self.wxyz)).tolist()
+            turn = (w, x, y, z)
+        else:
+            turn = look_at(self.position, self.look_at or self.position)
+        return CameraSpec(
+            self.name,
+            self.label.strip() or self.name.replace("_", " ").capitalize(),
+            self.fovy,
+            self.position,
+            turn,
+            self.body,
+            self.depth_range,
+            self.size,
+        )
+
+
+class CameraFile(Struct, forbid_unknown_fields=True):
+    """A whole file; its tables are read one by one, so that a mistake names its camera."""
+
+    camera: Annotated[list[dict[str, Any]], Meta(min_length=1, max_length=MOST)]
 
 
 def look_at(
@@ -66,101 +132,13 @@ def read_cameras(path: str | Path) -> tuple[CameraSpec, ...]:
         ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: expected TOML, found a mistake: {error}; mend it") from error
-    tables = document.pop("camera", None)
-    if document or not isinstance(tables, list) or not 1 <= len(tables) <= MOST:
-        raise UserError(
-            f"{path}: expected 1 to {MOST} [[camera]] tables and nothing else, found "
-            f"{', '.join(document) or ('none' if not tables else f'{len(tables)} of them')}"
-        )
-    cameras = tuple(_camera(table, f"{path}, camera {i + 1}") for i, table in enumerate(tables))
-    names = [camera.name for camera in cameras]
-    for name in names:
-        if names.count(name) > 1:
-            raise UserError(f"{path}: expected every name once, found two cameras {name!r}; rename")
-    return cameras
-
-
-def _camera(table: Any, where: str) -> CameraSpec:
-    if not isinstance(table, dict):
-        raise UserError(f"{where}: expected a [[camera]] table, found {table!r:.40}")
-    for key in table:
-        if key not in KEYS:
-            raise UserError(f"{where}: {unknown('key', key, list(KEYS))}")
-    name = table.get("name")
-    if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,23}", name):
-        raise UserError(
-            f"{where}: expected a name of small letters, digits and _, found {name!r:.40}; "
-            'write for example name = "left"'
-        )
-    if name in RESERVED:
-        raise UserError(f"{where}: the name {name!r} is a subset's already; choose another")
-    position = _numbers(table, "position", 3, where)
-    near, far = _numbers(table, "depth_range", 2, where) if "depth_range" in table else (0.0, 2.0)
-    if not 0 <= near < far:
-        raise UserError(f"{where}: expected depth_range = [near, far] in metres, 0 <= near < far")
-    body = table.get("body")
-    return CameraSpec(
-        name,
-        _text(table.get("label", name.replace("_", " ").capitalize()), "label", where),
-        fovy=_number(table.get("fovy", 60), "fovy", 5, 150, where),
-        position=(position[0], position[1], position[2]),
-        wxyz=_orientation(table, position, where),
-        body=None if body is None else _text(body, "body", where),
-        depth_range=(near, far),
-        size=int(_number(table.get("size", 84), "size", 16, 512, where, whole=True)),
-    )
-
-
-def _orientation(
-    table: dict[str, Any], position: tuple[float, ...], where: str
-) -> tuple[float, float, float, float]:
-    if ("wxyz" in table) == ("look_at" in table):
-        found = "both" if "wxyz" in table else "neither"
-        raise UserError(f"{where}: expected either wxyz or look_at, found {found}")
-    if "look_at" in table:
-        try:
-            return look_at(position, _numbers(table, "look_at", 3, where))
-        except ValueError as error:
-            raise UserError(f"{where}: {error}; move look_at or position") from error
-    wxyz = np.array(_numbers(table, "wxyz", 4, where))
-    length = float(np.linalg.norm(wxyz))
-    if not 0.9 < length < 1.1:
-        raise UserError(
-            f"{where}: expected wxyz of length 1, found {length:.2f}; the scalar part comes first"
-        )
-    w, x, y, z = (wxyz / length).tolist()
-    return (w, x, y, z)
-
-
-def _numbers(table: dict[str, Any], key: str, count: int, where: str) -> tuple[float, ...]:
-    found = table.get(key)
-    if not isinstance(found, list) or len(found) != count or not all(map(_finite, found)):
-        raise UserError(
-            f"{where}: expected {key} = [{count} numbers], found {_shown(table, key)}; mend it"
-        )
-    return tuple(float(number) for number in found)
-
-
-def _number(
-    found: Any, key: str, low: float, high: float, where: str, *, whole: bool = False
-) -> float:
-    if not _finite(found) or not low <= found <= high or (whole and not isinstance(found, int)):
-        kind = "a whole number" if whole else "a number"
-        raise UserError(
-            f"{where}: expected {key}, {kind} from {low} to {high}, found {found!r:.40}"
-        )
-    return float(found)
-
-
-def _text(found: Any, key: str, where: str) -> str:
-    if not isinstance(found, str) or not found.strip():
-        raise UserError(f"{where}: expected {key} to be a text, found {found!r:.40}")
-    return found
-
-
-def _finite(found: Any) -> bool:
-    return isinstance(found, int | float) and not isinstance(found, bool) and math.isfinite(found)
-
-
-def _shown(table: dict[str, Any], key: str) -> str:
-    return f"{table[key]!r:.40}" if key in table else "none"
+    tables = typed(document, CameraFile, path, "write one [[camera]] table for each").camera
+    cameras = []
+    for number, table in enumerate(tables, 1):
+        camera = typed(table, CameraTable, f"{path}, camera {number}", "mend it").as_spec()
+        if camera.name in [other.name for other in cameras]:
+            raise UserError(
+                f"{path}: expected every name once, found two cameras {camera.name!r}; rename"
+            )
+        cameras.append(camera)
+    return tuple(cameras)

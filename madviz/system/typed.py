@@ -49,8 +49,8 @@ def _mistake(message: str, value: Any, kind: type) -> str:
             return f"expected no {_joined(place, extra[1])!r}, found one"
         known = [field.encode_name for field in msgspec.structs.fields(kind)]
         return str(unknown("word", extra[1], known))
-    if wrong := re.fullmatch(r"Expected `(.*)`, got `.*`", what):
-        words = " or ".join(KINDS.get(name, name) for name in wrong[1].split(" | "))
+    if wrong := re.fullmatch(r"Expected `(.*?)`(.*?)(?:, got .*)?", what):
+        words = " or ".join(KINDS.get(name, name) for name in wrong[1].split(" | ")) + wrong[2]
         named = f"{place!r} to be {words}" if place else words
         return f"expected {named}, found {_found(value, place)!r:.60}"
     return f"{what[0].lower()}{what[1:].replace('`', '')}" + (f" at {place!r}" if place else "")
