@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from madviz.agent.agent import Agent
-from madviz.agent.merge import MERGES
+from madviz.agent.merges import table
+from madviz.agent.merges.table import MERGES, merge_functions
 from madviz.agent.networks import NetworkConfig
-from madviz.agent.supports import SUPPORTS
 from madviz.envs.registry import SETTINGS
 from madviz.errors import UserError
 from madviz.subsets import every_mask
@@ -50,7 +51,7 @@ def weights(module: nn.Module) -> Weights:
 
 
 def supported(merge: str) -> Array:
-    return np.array([mask for mask in every_mask(V) if SUPPORTS[merge].allows(mask)])
+    return np.array([mask for mask in every_mask(V) if MERGES[merge].support.allows(mask)])
 
 
 def close(found: Tensor, expected: Array) -> None:
@@ -182,7 +183,7 @@ def test_q_mean_averages_what_the_heads_say_of_each_view() -> None:
             close(found[index], sum(alone[v][each].detach().numpy() for v in present) / mask.sum())
         for found, twin in ((q1, 0), (q2, 1)):
             close(found[index], sum(judged[v][twin].detach().numpy() for v in present) / mask.sum())
-        shown = agent.merge.shown_merged(rows)[index]
+        shown = agent.merge.merged_feature(rows)[index]
         close(shown, features.numpy()[:, present].mean(1))
 
 
@@ -198,8 +199,18 @@ def test_q_mean_is_blind_to_absent_views() -> None:
 # --- What a merge can do without -------------------------------------------------------------
 
 
-def test_merges_and_what_they_support_have_the_same_names() -> None:
-    assert set(MERGES) == set(SUPPORTS)
+def test_every_row_of_the_table_has_a_file_of_its_name() -> None:
+    assert len({type(merge_functions(name)) for name in MERGES}) == len(MERGES)
+    folder = Path(table.__file__).parent
+    files = {file.stem.replace("_", "-") for file in folder.glob("[a-z]*.py")}
+    assert files == {*MERGES, "base", "table"}
+
+
+def test_the_table_says_which_merges_bring_a_loss() -> None:
+    for name, merge in MERGES.items():
+        agent = make(name)
+        penalty = agent.merge.penalty(agent.encoder, agent.encode(pictures()))
+        assert merge.own_loss == (bool(agent.merge.own_optimiser) or penalty is not None)
 
 
 @pytest.mark.parametrize(
@@ -211,7 +222,7 @@ def test_merges_and_what_they_support_have_the_same_names() -> None:
     ],
 )  # fmt: skip
 def test_what_a_merge_can_do_without(merge: str, expected: str) -> None:
-    found = "".join(str(int(SUPPORTS[merge].allows(mask))) for mask in every_mask(V))
+    found = "".join(str(int(MERGES[merge].support.allows(mask))) for mask in every_mask(V))
     assert found == expected
 
 

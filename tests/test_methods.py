@@ -16,11 +16,11 @@ import torch
 from safetensors.torch import load_file
 
 from madviz.agent.agent import Agent, TorchPolicy
-from madviz.agent.bottleneck import kl_loss
-from madviz.agent.contrast import contrastive_loss
+from madviz.agent.merges.mvd import contrastive_loss
+from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.vib import kl_loss
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
-from madviz.agent.supports import SUPPORTS
 from madviz.analysis.probes import probe
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
@@ -113,7 +113,7 @@ def acts_where_it_says(folder: Path, words: str) -> None:
     found = probe(policy, encoded)
     for index, mask in enumerate(every_mask(len(streams))):
         supported = policy.supports(mask)
-        assert supported == SUPPORTS[policy.agent.merge_name].allows(mask)  # type: ignore[attr-defined]
+        assert supported == MERGES[policy.agent.merge_name].support.allows(mask)  # type: ignore[attr-defined]
         assert np.isfinite(found.readout.action[index]).all() == supported
         assert np.isfinite(found.readout.q[index]) == supported
         if not supported:
@@ -152,7 +152,7 @@ def test_paper(method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert state["updates"] == 1 and np.isfinite(list(state["losses"].values())).all()
     header = (folder / "curve.csv").read_text().splitlines()[0].split(",")
     measured = {name.removeprefix("success_") for name in header if name.startswith("success_")}
-    alone = SUPPORTS[METHODS[method].merge].allows(np.array([True, False, False]))
+    alone = MERGES[METHODS[method].merge].support.allows(np.array([True, False, False]))
     streams = STREAMS if alone and method != "single" else ()
     assert measured == {"all", *streams}
     assert checkpoint.load_policy(folder).spec.method == method
@@ -255,12 +255,12 @@ def test_a_light_update_is_imitation_and_the_methods_own_loss(
     run.rng = np.random.default_rng(SEED)
     index = np.random.default_rng(SEED).integers(0, 2 * HORIZON, LIGHT.batch_size)
     generator, agent = torch.Generator().manual_seed(0), run.agent
-    luck = agent.luck(LIGHT.batch_size, generator)
+    noise = agent.noise(LIGHT.batch_size, generator)
     positive = int(torch.randint(3, (), generator=generator))
     losses = stepped(run, monkeypatch)
 
     views, encoder = run.data.views(index), agent.encoder
-    row = agent.rows(agent.encode(views), torch.ones(1, 3), luck)[0]
+    row = agent.rows(agent.encode(views), torch.ones(1, 3), noise)[0]
     mean, _ = agent.actor(row, run.data.column("states", index))
     imitation = (torch.tanh(mean) - run.data.column("labels", index)).square().mean()
     if method == "vib":

@@ -13,14 +13,14 @@ from torch import Tensor
 
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.augment import shift
-from madviz.agent.bottleneck import BottleneckEncoder, kl_loss
-from madviz.agent.contrast import (
+from madviz.agent.merges.mvd import (
     TwoPartEncoder,
     contrastive_loss,
     drawn,
     private_loss,
     shared_loss,
 )
+from madviz.agent.merges.vib import BottleneckEncoder, kl_loss
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.objectives import Batch, critic_losses, td_target
@@ -118,7 +118,7 @@ def test_nothing_is_learned_through_keys() -> None:
 def test_two_views_are_drawn_evenly_from_the_present_ones() -> None:
     generator = torch.Generator().manual_seed(0)
     agent, masks = make("mvd"), torch.tensor([[True, True, True], [True, False, True]])
-    keys = [agent.luck(B, generator) for _ in range(600)]
+    keys = [agent.noise(B, generator) for _ in range(600)]
     pairs = np.stack([drawn(masks, key).numpy() for key in keys if key is not None])
     assert pairs.shape == (600, 2, 2)
     for n, expected in enumerate(([1 / 3, 1 / 3, 1 / 3], [1 / 2, 0, 1 / 2])):
@@ -137,7 +137,7 @@ def test_rows_are_a_shared_part_beside_a_private_part() -> None:
     rows = agent.rows(features, masks, keys)
     for row, (i, j) in zip(rows, ((1, 2), (2, 2), (0, 0)), strict=True):
         assert torch.equal(row, torch.cat([features[:, i, :50], features[:, j, 50:]], -1))
-    torch.testing.assert_close(agent.look(views, masks, keys)[1], rows)
+    torch.testing.assert_close(agent.encode_and_merge(views, masks, keys)[1], rows)
     assert isinstance(agent.actor.trunk, torch.nn.Identity)
 
 
@@ -163,11 +163,11 @@ def test_contrast_is_a_step_of_its_own_after_everything_else() -> None:
     other = copy.deepcopy(agent)
     whole, without = learner(agent, "mvd"), learner(other, "mvd")
     draw = whole.draw(B)
-    assert draw.contrast is not None
-    shifts, positive = draw.contrast
+    assert draw.own_loss is not None
+    shifts, positive = draw.own_loss
     assert not np.array_equal(shifts, draw.shifts), "freshly shifted"
     whole.update(batch, draw)
-    without.update(batch, replace(draw, contrast=None))
+    without.update(batch, replace(draw, own_loss=None))
     for part in ("actor", "critic", "target"):
         one, two = getattr(agent, part).state_dict(), getattr(other, part).state_dict()
         assert all(torch.equal(one[name], two[name]) for name in one), f"{part} has no part in it"
@@ -227,7 +227,7 @@ def test_every_mean_keeps_its_own_log_std() -> None:
     agent, views = make("vib"), make_batch().views
     noise = numbers(B, 2, L, seed=6)
     slots = [outputs(agent, v, views[:, v]) for v in range(V)]
-    features, rows = agent.look(views, torch.ones(1, V), noise)
+    features, rows = agent.encode_and_merge(views, torch.ones(1, V), noise)
     torch.testing.assert_close(rows[0], representation(slots, noise))
     mean, log_std = bottleneck(agent).gaussian(features)
     for third in (0, 1):
@@ -260,7 +260,7 @@ def test_an_update_adds_ten_times_the_cost_to_the_critics_loss() -> None:
     agent, batch = make("vib"), make_batch()
     other, whole = copy.deepcopy(agent), learner(agent, "vib")
     draw = whole.draw(B)
-    noise, next_noise = (luck.double() for luck in draw.luck if luck is not None)
+    noise, next_noise = (one.double() for one in draw.merge_noise if one is not None)
     assert not torch.equal(noise, next_noise)
     whole.update(batch, draw)
 

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 
 from madviz.agent.agent import random_policy
 from madviz.agent.augment import _shift_by_index, random_shift, shift
-from madviz.agent.merge import merge_sum
+from madviz.agent.merges.sum import merge_sum
 from madviz.agent.networks import Actor, Critic, Encoder, NetworkConfig, squash
 from madviz.envs.registry import SETTINGS
 from madviz.subsets import every_mask

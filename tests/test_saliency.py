@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from madviz.agent.agent import Agent, TorchPolicy
-from madviz.agent.merge import MERGES
+from madviz.agent.merges.table import MERGES
 from madviz.agent.networks import Encoder, NetworkConfig, Trunk
 from madviz.analysis import saliency as module
 from madviz.analysis.saliency import LiveSaliency, saliency
@@ -47,7 +47,7 @@ def test_the_number_explained_is_the_one_the_policy_gives(target) -> None:
     mask = np.array([True, False, True])
     readout = policy.read(policy.encode(views, STATE), mask[None])
     pixels = torch.from_numpy(views)[None]
-    number = module._number(policy.agent, pixels, STREAMS, STATE, mask, target)
+    number = module._number(policy.agent, pixels, STATE, mask, target)
     expected = readout.q[0] if target == "q" else np.linalg.norm(readout.action[0])
     assert number(pixels.float()).item() == pytest.approx(float(expected), rel=1e-5)
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from madviz import teaching
+from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import METHODS
-from madviz.agent.supports import SUPPORTS
 from madviz.errors import UserError
 from madviz.evaluation.statistics import pair
 from madviz.subsets import mask_of
@@ -158,7 +158,7 @@ def test_what_ships_is_whole_and_agrees_with_the_merges() -> None:
     for name, outcomes in measured.items():
         assert {len(digits) for digits in outcomes.values()} == {EPISODES}
         if not METHODS[name].one_camera:
-            allows = SUPPORTS[METHODS[name].merge].allows
+            allows = MERGES[METHODS[name].merge].support.allows
             for case, (cameras, _) in cases().items():
                 assert (case in outcomes) == allows(mask_of("+".join(cameras), CAMERAS))
 

@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from madviz.agent.merge import Luck, Merge, merge_called
+from madviz.agent.merges.base import MergeFunctions, Noise
+from madviz.agent.merges.table import MERGES, merge_functions
 from madviz.agent.networks import NetworkConfig
-from madviz.agent.supports import SUPPORTS
 from madviz.errors import UserError
 from madviz.subsets import name_of
 from madviz.types import Array, Encoded, PolicySpec, Readout
@@ -41,30 +41,28 @@ class Agent(nn.Module):
         self.log_temperature = nn.Parameter(torch.tensor(float(np.log(temperature))))
 
     @property
-    def merge(self) -> Merge:
+    def merge(self) -> MergeFunctions:
         """The functions of this agent's merge; by name, so that an agent can go to a worker."""
-        return merge_called(self.merge_name)
+        return merge_functions(self.merge_name)
 
     def encode(self, views: Tensor) -> Tensor:
         """(B, V, C, H, W) uint8 -> features; (B, V, Z) for a sum, else the merge's own layout."""
         return self.merge.encode(self.encoder, views)
 
-    def rows(self, features: Tensor, masks: Tensor, luck: Luck = None) -> Tensor:
+    def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
         """Features, (N, V) masks -> (N, B, width): what the heads read under each subset."""
-        return self.merge.rows(self.encoder, features, masks, luck)
+        return self.merge.rows(self.encoder, features, masks, noise)
 
-    def look(self, views: Tensor, masks: Tensor, luck: Luck = None) -> tuple[Tensor, Tensor]:
+    def encode_and_merge(
+        self, views: Tensor, masks: Tensor, noise: Noise = None
+    ) -> tuple[Tensor, Tensor]:
         """``encode`` and ``rows`` in one, for learning: features, and the rows from them. A merge
         that draws its views encodes no others, and its rows are all the features there are."""
-        if self.merge.rows_of_pixels is not None:
-            rows = self.merge.rows_of_pixels(self.encoder, views, masks, luck)
-            return rows, rows
-        features = self.encode(views)
-        return features, self.rows(features, masks, luck)
+        return self.merge.encode_and_merge(self.encoder, views, masks, noise)
 
-    def luck(self, batch: int, generator: torch.Generator) -> Luck:
-        """The randomness of ``rows`` for ``batch`` samples; None if the merge has none."""
-        return self.merge.luck(self.streams, self.config, batch, generator)
+    def noise(self, batch: int, generator: torch.Generator) -> Noise:
+        """The random tensor of ``rows`` for ``batch`` samples; None if the merge has none."""
+        return self.merge.noise(self.config, self.streams, batch, generator)
 
     def acting_state(self) -> dict[str, Tensor]:
         """What a policy needs to act and to show Q: no target, no temperature."""
@@ -83,40 +81,41 @@ class TorchPolicy:
 
     @torch.inference_mode()
     def encode(self, views: Array, state: Array) -> Encoded:
-        """Every stream through the networks, once. ``private`` holds the merge's own features and
-        what it draws, where the rows of ``features`` are not all there is."""
+        """Every stream through the networks, once: ``views`` (V, C, H, W) uint8, ``state`` (S,).
+        ``private`` holds the merge's own features and its noise, where the rows of ``features``
+        are not all there is."""
         agent, merge = self.agent, self.agent.merge
         pictures = torch.from_numpy(views)[None]
-        features = (merge.encode_to_act or merge.encode)(agent.encoder, pictures)
-        shown = merge.shown(agent.encoder, features, self.spec.streams)[0]
-        luck = merge.luck_to_act(self.spec.streams, pictures)
-        private = None if shown.shape == features.shape[1:] and luck is None else (features, luck)
+        features, noise = merge.encode_to_act(agent.encoder, pictures), merge.noise_to_act(pictures)
+        shown = merge.feature_of_each(agent.encoder, features, self.spec.streams)[0]
+        private = None if shown.shape == features.shape[1:] and noise is None else (features, noise)
         return Encoded(shown.float().numpy(), np.asarray(state, np.float32), private)
 
     @torch.inference_mode()
     def read(self, encoded: Encoded, masks: Array) -> Readout:
-        """Raises UserError for a subset that this policy does not support."""
+        """``masks`` (N, V) bool, in one pass. Raises UserError for a subset that this policy does
+        not support."""
         masks = np.atleast_2d(masks)
         for mask in masks:
             if not self.supports(mask):
                 raise self._cannot(mask)
-        features, luck = encoded.private or (torch.from_numpy(encoded.features)[None], None)
-        rows = self.agent.rows(features, torch.from_numpy(masks), luck)[:, 0]
+        features, noise = encoded.private or (torch.from_numpy(encoded.features)[None], None)
+        rows = self.agent.rows(features, torch.from_numpy(masks), noise)[:, 0]
         state = torch.from_numpy(encoded.state).expand(len(rows), -1)
         action = torch.tanh(self.agent.actor(rows, state)[0])
         q = torch.minimum(*self.agent.critic(rows, state, action)) / self._reward_scale
-        return Readout(self.agent.merge.shown_merged(rows).numpy(), action.numpy(), q.numpy())
+        return Readout(self.agent.merge.merged_feature(rows).numpy(), action.numpy(), q.numpy())
 
     def supports(self, mask: Array) -> bool:
         """Whether there is a place for every stream, and the merge can do without the absent."""
         right_length = len(mask) == len(self.spec.streams)
-        return right_length and SUPPORTS[self.agent.merge_name].allows(mask)
+        return right_length and MERGES[self.agent.merge_name].support.allows(mask)
 
     def _cannot(self, mask: Array) -> UserError:
         streams = self.spec.streams
         found = repr(name_of(mask, streams)) if len(mask) == len(streams) else f"{len(mask)} marks"
         return UserError(
-            f"{self.spec.name} expects {SUPPORTS[self.agent.merge_name].words} of "
+            f"{self.spec.name} expects {MERGES[self.agent.merge_name].support.words} of "
             f"{', '.join(streams)}, found {found}; bring the missing cameras back"
         )
 

@@ -9,9 +9,9 @@ MAD with three streams and alpha 0.8 reads each sample four times:
     weight      0.8                          0.0667   0.0667     0.0667     (0.2 in equal parts)
     targets     from the merged feature, in every row
 
-A method also names its *merge* (``supports.py``, ``merge.py``): how the streams of a row become one
-feature. The paper's merge methods are Merged Only with another merge; MVD and VIB bring their own,
-and an extra loss each.
+A method also names its *merge* (``merges/table.py``): how the streams of a row become one feature.
+Every merge but the sum is a method of its own, too: Merged Only with that merge. Those of MVD and
+VIB bring a loss besides.
 
 Everything that trains (the losses, imitation, checkpoints' cards) asks this table, so that another
 weighting or another list of subsets is another row of it and no other code. No torch here.
@@ -29,9 +29,9 @@ from typing import Literal
 
 import numpy as np
 
-from madviz.agent.supports import SUPPORTS
+from madviz.agent.merges.table import MERGES, SEVERAL_STREAMS, Merge, Needs
 from madviz.errors import UserError, unknown
-from madviz.subsets import cameras_of, mad_subsets, mask_of, name_of, single_streams
+from madviz.subsets import mad_subsets, mask_of, name_of, single_streams
 from madviz.types import Array
 
 Streams = tuple[str, ...]
@@ -50,43 +50,21 @@ class Method:
     targets: Literal["merged", "own"] = "merged"
     """Where targets and the actor read Q: from the merged feature, or from each row's own."""
     recipes: tuple[str, ...] = ("paper", "paper-vectorised", "light")
-    needs: tuple[str, ...] = ()
-    """What must be there to train it, in words, for ``madviz list``."""
-    min_streams: int = 1
-    min_cameras: int = 1
+    needs: Needs = Needs()
+    """What a setting must have."""
     merge: str = "sum"
-    """How the streams of a row become one feature: a row of ``SUPPORTS`` and ``MERGES``."""
+    """How the streams of a row become one feature: a row of ``MERGES``."""
     other_merges: bool = True
     """Whether the method also makes sense with another merge."""
-    extra: Literal["none", "kl", "contrast"] = "none"
-    """A loss besides the rows': VIB's bottleneck cost, or MVD's two contrastive losses."""
     one_camera: bool = False
     """Whether it takes one camera of the setting and leaves the others."""
-    needs_camera: str = ""
-    """A camera it cannot be built without."""
+    page_words: str = ""
+    """A sentence for visitors of the page who never heard of it."""
 
     def rows(self, streams: Streams) -> Streams:
         """The names of the N rows: the merged feature (``all``) first, then the subsets."""
-        if len(streams) < self.min_streams:
-            raise UserError(
-                f"expected a setting with {self.min_streams} or more streams, found "
-                f"{len(streams)} ({', '.join(streams)}); pick another setting or method"
-            )
-        self._check_cameras(streams)
+        self.needs.check(streams)
         return ("all", *self.subsets(streams))
-
-    def _check_cameras(self, streams: Streams) -> None:
-        cameras = cameras_of(streams)
-        if len(cameras) < self.min_cameras:
-            raise UserError(
-                f"expected a setting with {self.min_cameras} or more cameras, found "
-                f"{', '.join(cameras)}; pick another setting or method"
-            )
-        if self.needs_camera and self.needs_camera not in cameras:
-            raise UserError(
-                f"expected a setting with the camera {self.needs_camera!r}, found "
-                f"{', '.join(cameras)}; pick another setting or method"
-            )
 
     def masks(self, streams: Streams) -> Array:
         """(N, V) bool: which streams are present in each row."""
@@ -105,9 +83,8 @@ class Method:
         return self.row_weights(streams, 0.5) > 0
 
     def trained_subsets(self, streams: Streams) -> Streams:
-        """The subsets a policy learns to work from; the rest is off-training."""
-        if self.extra == "contrast":
-            # One row, but a drawn one: it is often a single stream's two parts.
+        """The subsets a policy learns to work from; on the rest it is not trained."""
+        if MERGES[self.merge].trains_each_alone:
             return ("all", *(name for name in single_streams(streams) if name != "all"))
         trained = self.masks(streams)[self.trained_rows(streams)]
         return tuple(name_of(mask, streams) for mask in trained)
@@ -117,10 +94,10 @@ class Method:
 
         Raises UserError for an unknown one and for one that cannot form the method's rows.
         """
-        if asked and asked not in SUPPORTS:
-            raise unknown("merge", asked, list(SUPPORTS))
+        if asked and asked not in MERGES:
+            raise unknown("merge", asked, list(MERGES))
         chosen = asked or self.merge
-        with_a_loss = [row.merge for row in METHODS.values() if row.extra != "none"]
+        with_a_loss = [name for name, merge in MERGES.items() if merge.own_loss]
         if chosen != self.merge and (not self.other_merges or chosen in with_a_loss):
             free = ", ".join(name for name, row in METHODS.items() if row.other_merges)
             raise UserError(
@@ -128,10 +105,10 @@ class Method:
                 f"than {' and '.join(with_a_loss)} can be picked with: {free}"
             )
         for name, mask in zip(self.rows(streams), self.masks(streams), strict=True):
-            if not SUPPORTS[chosen].allows(mask):
+            if not MERGES[chosen].support.allows(mask):
                 raise UserError(
                     f"expected a merge that can form {name!r}, found {chosen!r}, which needs "
-                    f"{SUPPORTS[chosen].words}; pick another merge, or method merged-only"
+                    f"{MERGES[chosen].support.words}; pick another merge, or method merged-only"
                 )
         return chosen
 
@@ -148,13 +125,16 @@ def _nothing(streams: Streams) -> Streams:
     return ()
 
 
-_SEVERAL = ("two or more streams",)
-
-
-def _merging(merge: str, how: str) -> Method:
-    """A row of the paper's comparison of merges: Merged Only with another merge."""
+def _merging(name: str, merge: Merge) -> Method:
+    """Merged Only with another merge: the paper's comparison of merges, MVD and VIB."""
     return Method(
-        f"{how}, without disentanglement", _nothing, _merged_only, merge=merge, other_merges=False
+        merge.summary if merge.own_loss else f"{merge.summary}, without disentanglement",
+        _nothing,
+        _merged_only,
+        needs=merge.needs,
+        merge=name,
+        other_merges=False,
+        page_words=merge.page_words,
     )
 
 
@@ -163,21 +143,22 @@ METHODS: dict[str, Method] = {
         "merge and disentangle: every trained subset is an augmentation of the merged feature",
         subsets=mad_subsets,
         weights=_mad,
-        needs=_SEVERAL,
-        min_streams=2,
+        needs=SEVERAL_STREAMS,
+        page_words="MAD: trained on all cameras and each one alone.",
     ),
     "merged-only": Method(
         "all streams summed and nothing else: the baseline that was never disentangled",
         subsets=_nothing,
         weights=_merged_only,
+        page_words="Trained on all cameras together only.",
     ),
     "singular-only": Method(
         "every subset alone and never the merge: each is its own teacher",
         subsets=mad_subsets,
         weights=lambda alpha: {"singular": 1.0},
         targets="own",
-        needs=_SEVERAL,
-        min_streams=2,
+        needs=SEVERAL_STREAMS,
+        page_words="Trained on single cameras only.",
     ),
     "naive-both": Method(
         "merged and singular rows as if they were different samples: each is its own teacher and "
@@ -185,8 +166,8 @@ METHODS: dict[str, Method] = {
         subsets=mad_subsets,
         weights=lambda alpha: {"every": 1.0},
         targets="own",
-        needs=_SEVERAL,
-        min_streams=2,
+        needs=SEVERAL_STREAMS,
+        page_words="Trained on all cameras and each one alone, each its own teacher.",
     ),
     "single": Method(
         "one camera from the start, --camera: what the others are measured against",
@@ -194,33 +175,9 @@ METHODS: dict[str, Method] = {
         weights=_merged_only,
         other_merges=False,
         one_camera=True,
+        page_words="Trained on one camera.",
     ),
-    "mvd": Method(
-        "multi-view disentanglement: shared and private parts, told apart by contrast",
-        subsets=_nothing,
-        weights=_merged_only,
-        needs=_SEVERAL,
-        min_streams=2,
-        merge="mvd",
-        other_merges=False,
-        extra="contrast",
-    ),
-    "vib": Method(
-        "variational information bottleneck on every view but the first person's",
-        subsets=_nothing,
-        weights=_merged_only,
-        needs=("the camera first", "one or more other cameras"),
-        min_cameras=2,
-        merge="vib",
-        other_merges=False,
-        extra="kl",
-        needs_camera="first",
-    ),
-    "frame-stack": _merging("frame-stack", "pixels stacked before one encoder"),
-    "concat": _merging("concat", "features side by side"),
-    "attention": _merging("attention", "features attend to each other, then summed"),
-    "vit": _merging("vit", "one token per view through a transformer layer"),
-    "q-mean": _merging("q-mean", "every view judged alone, actions and Q averaged"),
+    **{name: _merging(name, merge) for name, merge in MERGES.items() if name != "sum"},
 }
 
 

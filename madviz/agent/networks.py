@@ -12,6 +12,7 @@ move into the first convolution, so that the result equals the paper's x / 255 -
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -127,8 +128,30 @@ def _trunk(config: NetworkConfig, width: int, projected: bool) -> tuple[nn.Modul
     return nn.Identity(), width
 
 
-class Actor(nn.Module):
-    """Feature and state to a tanh-Gaussian over actions."""
+class ActorHead(nn.Module):
+    """What acts on the rows of a merge: feature and state to a tanh-Gaussian over actions."""
+
+    def forward(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """(..., Z), (..., S) -> mean and log standard deviation before tanh, (..., A) each."""
+        raise NotImplementedError
+
+
+class CriticHead(nn.Module):
+    """What judges actions on the rows of a merge: twin Q behind one trunk."""
+
+    trunk: Callable[[Tensor], Tensor]
+
+    def heads(self, hidden: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """The part behind the trunk: a feature read for several actions is projected once."""
+        raise NotImplementedError
+
+    def forward(self, feature: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """(..., Z), (..., S), (..., A) -> Q1, Q2, (...,) each."""
+        return self.heads(self.trunk(feature), state, action)
+
+
+class Actor(ActorHead):
+    """One trunk and one MLP."""
 
     def __init__(
         self, config: NetworkConfig, width: int = FEATURE_SIZE, projected: bool = True
@@ -143,18 +166,11 @@ class Actor(nn.Module):
         orthogonal(self)
 
     def forward(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, Z), (B, S) -> mean and log standard deviation before tanh, (B, A) each."""
         known = self.config.read_state(state)
         output = _read(self.mlp, torch.cat([known, self.trunk(feature)], -1))
         mean, raw = output.chunk(2, -1)
         low, high = self.config.log_std_bounds
         return mean, low + 0.5 * (high - low) * (torch.tanh(raw) + 1)
-
-    def sample(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """A reparameterised action (B, A) in (-1, 1) and its log-probability (B,)."""
-        mean, log_std = self(feature, state)
-        noise = torch.randn_like(mean)
-        return squash(mean, log_std, noise)
 
 
 def squash(mean: Tensor, log_std: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
@@ -168,7 +184,7 @@ def squash(mean: Tensor, log_std: Tensor, noise: Tensor) -> tuple[Tensor, Tensor
     return torch.tanh(x), (gaussian - correction).sum(-1)
 
 
-class Critic(nn.Module):
+class Critic(CriticHead):
     """Twin Q with one trunk between them."""
 
     def __init__(
@@ -183,11 +199,6 @@ class Critic(nn.Module):
         self.q2 = _mlp(inputs, config.hidden_dim, 1)
         orthogonal(self)
 
-    def forward(self, feature: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, Z), (B, S), (B, A) -> Q1, Q2, (B,) each."""
-        return self.heads(self.trunk(feature), state, action)
-
     def heads(self, hidden: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """The part behind the trunk: a feature read for several actions is projected once."""
         x = torch.cat([hidden, action, self.config.read_state(state)], -1)
         return _read(self.q1, x).squeeze(-1), _read(self.q2, x).squeeze(-1)

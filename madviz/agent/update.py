@@ -8,8 +8,9 @@
 The encoder learns from the critic's losses alone. The actor acts on features from before the critic
 and encoder step and is judged by the critic from after it.
 
-Two methods add a loss: VIB its bottleneck's cost, to the critic's; MVD two contrastive losses on
-freshly shifted pictures, after everything else, with an Adam of their own on the encoder.
+A merge may bring a loss. A *penalty* is added to the critic's (VIB's bottleneck); an *own loss* has
+an Adam of its own on the encoder, and comes after everything else, on freshly shifted pictures
+(MVD's contrastive losses).
 
 Speed on a CPU comes from the encoder's memory layout (``networks.py``), from bfloat16 where the
 processor multiplies it natively, from one pass of the heads over all N x B rows, and from asking
@@ -30,9 +31,7 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from madviz.agent.agent import Agent, fast_bfloat16, optimisers
 from madviz.agent.augment import PAD, shift
-from madviz.agent.bottleneck import BottleneckEncoder, kl_loss
-from madviz.agent.contrast import TwoPartEncoder, contrastive_loss
-from madviz.agent.merge import Luck, each_stream
+from madviz.agent.merges.base import Noise
 from madviz.agent.methods import Method
 from madviz.agent.networks import squash
 from madviz.agent.objectives import (
@@ -76,10 +75,10 @@ class Draw:
     """(R, B, A) standard normal, for a'."""
     actor_noise: Tensor
     """(N, B, A) standard normal, for the rows' actions."""
-    luck: tuple[Luck, Luck] = (None, None)
-    """What the merge draws for observations and for next observations."""
-    contrast: tuple[Array, int] | None = None
-    """MVD's fresh shifts, (2, B, V, 2) as above, and its positive view."""
+    merge_noise: tuple[Noise, Noise] = (None, None)
+    """Of the merge, for observations and for next observations."""
+    own_loss: tuple[Array, int] | None = None
+    """For a merge's own loss: fresh shifts, (2, B, V, 2) as above, and a view."""
 
 
 class Learner:
@@ -97,9 +96,9 @@ class Learner:
         self.config = config or LearningConfig()
         self.method = method
         self.optimisers = optimisers(agent, self.config.learning_rate)
-        if method.extra == "contrast":
+        if agent.merge.own_optimiser:
             encoder = agent.encoder.parameters()
-            self.optimisers["contrast"] = torch.optim.Adam(
+            self.optimisers[agent.merge.own_optimiser] = torch.optim.Adam(
                 encoder, lr=self.config.learning_rate, fused=True
             )
         self.weights = method.weights(self.config.alpha)
@@ -120,11 +119,11 @@ class Learner:
         shifts = self._draw_shifts(batch)
         target_noise = torch.randn(self._reads, batch, actions, generator=self._noise)
         actor_noise = torch.randn(rows, batch, actions, generator=self._noise)
-        luck = (self.agent.luck(batch, self._noise), self.agent.luck(batch, self._noise))
-        contrast = None
-        if self.method.extra == "contrast":
-            contrast = (self._draw_shifts(batch), int(self._rng.integers(count)))
-        return Draw(shifts, target_noise, actor_noise, luck, contrast)
+        noise = (self.agent.noise(batch, self._noise), self.agent.noise(batch, self._noise))
+        own_loss = None
+        if self.agent.merge.own_optimiser:
+            own_loss = (self._draw_shifts(batch), int(self._rng.integers(count)))
+        return Draw(shifts, target_noise, actor_noise, noise, own_loss)
 
     def _draw_shifts(self, batch: int) -> Array:
         count = self._masks.shape[1]
@@ -139,9 +138,12 @@ class Learner:
         batch = self._shifted(batch, draw.shifts)
         target = self._target(batch, draw)
         with self._autocast():
-            features, rows = self.agent.look(batch.views, self._masks, draw.luck[0])
+            noise = draw.merge_noise[0]
+            features, rows = self.agent.encode_and_merge(batch.views, self._masks, noise)
             critic = weighted(critic_losses(self.agent, rows, batch, target), self.weights)
-        self._step(critic + self._bottleneck_cost(features), "critic", "encoder")
+        penalty = self.agent.merge.penalty(self.agent.encoder, features)
+        loss = critic if penalty is None else critic + self.config.kl_weight * penalty
+        self._step(loss, "critic", "encoder")
         with self._autocast():
             noise, reads = draw.actor_noise.to(self._device), rows[: self._reads]
             losses, log_prob = actor_losses(self.agent, rows, batch, noise, reads)
@@ -153,8 +155,8 @@ class Learner:
             self._average(
                 list(self.agent.target.parameters()), list(self.agent.critic.parameters()), 0
             )
-        if draw.contrast is not None:
-            self._contrast(as_stored, *draw.contrast)
+        if draw.own_loss is not None:
+            self._own_step(as_stored, *draw.own_loss)
         return {
             "critic_loss": critic.item(),
             "actor_loss": actor.item(),
@@ -174,8 +176,8 @@ class Learner:
         rows, drawn anew at every decision.
         """
         row = 0 if 0 in self._trained else int(self._rng.choice(self._trained))
-        luck, mask = self.agent.luck(len(views), self._noise), self._masks[row : row + 1]
-        merged = self.agent.look(views.to(self._device), mask, luck)[1][0]
+        drawn, mask = self.agent.noise(len(views), self._noise), self._masks[row : row + 1]
+        merged = self.agent.encode_and_merge(views.to(self._device), mask, drawn)[1][0]
         mean, log_std = self.agent.actor(merged, state.to(self._device))
         noise = torch.randn(mean.shape, generator=self._noise).to(self._device)
         return squash(mean, log_std, noise)[0].float().cpu().numpy()
@@ -212,28 +214,20 @@ class Learner:
         # step, and none made without gradients may be met by a pass that needs them.
         return torch.autocast(self._device.type, torch.bfloat16, enabled=self.low_precision)
 
-    def _bottleneck_cost(self, features: Tensor) -> Tensor | float:
-        if self.method.extra != "kl":
-            return 0.0
-        assert isinstance(self.agent.encoder, BottleneckEncoder)
-        return self.config.kl_weight * kl_loss(*self.agent.encoder.gaussian(features))
-
-    def _contrast(self, batch: Batch, both: Array, positive: int) -> None:
-        """MVD's own step on the encoder, on pictures that are shifted anew."""
-        encoder, batch = self.agent.encoder, self._shifted(batch, both)
-        assert isinstance(encoder, TwoPartEncoder)
-        with self._autocast():
-            features = self.agent.encode(batch.views)
-        # Keys carry no gradient; a context of their own, see _autocast.
-        with torch.no_grad(), self._autocast():
-            following = each_stream(encoder.private, batch.next_views)
-        self._step(contrastive_loss(features, following, positive), "contrast")
+    def _own_step(self, batch: Batch, both: Array, positive: int) -> None:
+        """The merge's own loss, on pictures that are shifted anew."""
+        agent, batch = self.agent, self._shifted(batch, both)
+        loss = agent.merge.own_loss(
+            agent.encoder, batch.views, batch.next_views, positive, self._autocast
+        )
+        self._step(loss, agent.merge.own_optimiser)
 
     @torch.no_grad()
     def _target(self, batch: Batch, draw: Draw) -> Tensor:
         with self._autocast():
             masks = self._masks[: self._reads]
-            _, reads = self.agent.look(batch.next_views, masks, draw.luck[1])
+            noise = draw.merge_noise[1]
+            _, reads = self.agent.encode_and_merge(batch.next_views, masks, noise)
             return td_target(self.agent, reads, batch, draw.target_noise.to(self._device))
 
     def _step(self, loss: Tensor, *names: str) -> None:

@@ -55,7 +55,7 @@ def saliency(
     from captum.attr import NoiseTunnel, Saliency
 
     pictures = torch.from_numpy(views)[None]
-    number = _number(agent, pictures, policy.spec.streams, state, mask, target)
+    number = _number(agent, pictures, state, mask, target)
     # The noise comes from torch's own generator, which others want to find as they left it.
     with torch.random.fork_rng(devices=[]), torch.enable_grad():
         torch.manual_seed(0)
@@ -66,19 +66,18 @@ def saliency(
 
 
 def _number(
-    agent: Any, pictures: Any, streams: tuple[str, ...], state: Array, mask: Array, target: Target
+    agent: Any, pictures: Any, state: Array, mask: Array, target: Target
 ) -> Callable[[Any], Any]:
     """(B, V, C, H, W) floating pixels -> (B,): the policy's own way from pixels to ``target``."""
     import torch
 
-    luck = agent.merge.luck_to_act(streams, pictures)
-    encode = agent.merge.encode_to_act or agent.merge.encode
+    noise = agent.merge.noise_to_act(pictures)
     present = torch.from_numpy(np.asarray(mask, bool))[None]
     known = torch.from_numpy(np.asarray(state, np.float32))
 
     def number(pixels: Any) -> Any:
-        features = encode(agent.encoder, pixels)
-        rows = agent.rows(features, present, luck)[0]
+        features = agent.merge.encode_to_act(agent.encoder, pixels)
+        rows = agent.rows(features, present, noise)[0]
         states = known.expand(len(rows), -1)
         action = torch.tanh(agent.actor(rows, states)[0])
         if target == "action":

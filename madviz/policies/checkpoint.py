@@ -152,7 +152,7 @@ def load_policy(policy: str | Path) -> Policy:
     weights = _existing(path / WEIGHTS).read_bytes()
 
     from madviz.agent.agent import TorchPolicy
-    from madviz.agent.merge import MERGES
+    from madviz.agent.merges.table import MERGES
 
     if config["merge"] not in MERGES:
         raise UserError(
@@ -289,23 +289,23 @@ def list_everything() -> dict[str, Any]:
     A method ``supports`` what its own merge does; ``merges`` lists all of them. Policies that can
     act are under ``policies``; those of which only figures are here, under ``without_weights``.
     """
+    from madviz.agent.merges.table import MERGES
     from madviz.agent.methods import METHODS
-    from madviz.agent.supports import SUPPORTS
     from madviz.envs.registry import SETTINGS, known_tasks
 
     policies, broken = list_policies()
     methods = {
         name: {
-            **{"recipes": list(method.recipes), "needs": list(method.needs)},
+            **{"recipes": list(method.recipes), "needs": list(method.needs.words)},
             **{"summary": method.summary, "merge": method.merge},
-            "supports": SUPPORTS[method.merge].words,
+            "supports": MERGES[method.merge].support.words,
         }
         for name, method in METHODS.items()
     }
     return {
         "schema": 1,
         **{"tasks": list(known_tasks()), "settings": list(SETTINGS), "methods": methods},
-        "merges": {name: {"supports": support.words} for name, support in SUPPORTS.items()},
+        "merges": {name: {"supports": merge.support.words} for name, merge in MERGES.items()},
         "policies": policies,
         "without_weights": list_measured(),
         "broken": broken,

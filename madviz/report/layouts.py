@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from madviz.agent.merges import table as merges
+from madviz.agent.methods import METHODS
 from madviz.evaluation.evidence import Evidence
 
 THREE = ("all", "first", "third_a", "third_b")
-MERGES = ("sum", "concat", "frame-stack", "attention", "vit", "q-mean")
-OWN_MERGE = {"mvd": "mvd", "vib": "vib"}
-"""How a method merges where it is not by a sum."""
+MERGES = tuple(name for name, merge in merges.MERGES.items() if not merge.own_loss)
+"""The merges that the paper compares by themselves, in its order."""
 ORDER = ("mad", "single", "mvd", "vib", "mv-mwm", "naive-both", "merged-only", "singular-only")
 
 
@@ -40,7 +41,7 @@ class Layout:
 def _method(evidence: Evidence) -> str:
     """The method, and what of it is not as usual."""
     name = evidence.method
-    if evidence.merge != OWN_MERGE.get(name, "sum"):
+    if evidence.merge != (METHODS[name].merge if name in METHODS else "sum"):
         name = f"{name} with {evidence.merge}"
     return name if evidence.recipe == "light" else f"{name}, {evidence.recipe}"
 

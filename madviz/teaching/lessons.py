@@ -13,9 +13,9 @@ import numpy as np
 import torch
 
 from madviz.agent.agent import Agent, TorchPolicy
+from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import METHODS, method
 from madviz.agent.networks import NetworkConfig
-from madviz.agent.supports import SUPPORTS
 from madviz.drawing.colours import heat
 from madviz.errors import UserError
 from madviz.evaluation.evaluate import evaluate
@@ -199,7 +199,7 @@ def support_table(streams: tuple[str, ...] = ("first", "third_a", "third_b")) ->
             marks = [MARK[0] if mask.sum() == 0 or not mask[0] else MARK[1] for mask in masks]
             rows.append([name, *marks, "its one camera (here first) and nothing else"])
         else:
-            allowed = SUPPORTS[chosen.merge].allows
+            allowed = MERGES[chosen.merge].support.allows
             marks = [MARK[int(allowed(mask))] for mask in masks]
             rows.append([name, *marks, chosen.summary])
     return table(["method", *(presence(mask, streams) for mask in masks), "what it is"], rows)

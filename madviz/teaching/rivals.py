@@ -25,8 +25,9 @@ import numpy as np
 import torch
 
 from madviz.agent.agent import TorchPolicy
-from madviz.agent.attention import HEADS, CrossAttention, ViewTransformer, attend
-from madviz.agent.contrast import drawn
+from madviz.agent.merges.attention import HEADS, CrossAttention, attend
+from madviz.agent.merges.mvd import drawn
+from madviz.agent.merges.vit import ViewTransformer
 from madviz.errors import UserError
 from madviz.evaluation.evaluate import FIRST_SEED, evaluate
 from madviz.evaluation.evidence import Evidence, find_evidence

@@ -41,9 +41,6 @@ from torch import Tensor
 
 from madviz.agent.agent import Agent, TorchPolicy, autocast
 from madviz.agent.augment import random_shift
-from madviz.agent.bottleneck import BottleneckEncoder, kl_loss
-from madviz.agent.contrast import TwoPartEncoder, contrastive_loss
-from madviz.agent.merge import each_stream
 from madviz.agent.methods import method
 from madviz.errors import UserError
 from madviz.subsets import mask_of
@@ -99,11 +96,13 @@ def imitation_loss(
     agent: Agent, views: Tensor, state: Tensor, label: Tensor, masks: Tensor, weights: Tensor
 ) -> Tensor:
     """Weighted squared error of every row's deterministic action to the expert's, for merges
-    without luck.
+    without noise.
 
     views (B, V, C, H, W), state (B, S), label (B, A), masks (N, V), weights (N,) -> scalar.
     """
-    return (row_errors(agent, agent.look(views, masks)[1], state, label) * weights).sum()
+    return (
+        row_errors(agent, agent.encode_and_merge(views, masks)[1], state, label) * weights
+    ).sum()
 
 
 def row_errors(agent: Agent, merged: Tensor, state: Tensor, label: Tensor) -> Tensor:
@@ -136,9 +135,9 @@ class LightRun:
         self.optimisers = {
             "optimiser": torch.optim.Adam(learned, lr=config.learning_rate, fused=True)
         }
-        if chosen.extra == "contrast":
+        if agent.merge.own_optimiser:
             encoder = agent.encoder.parameters()
-            self.optimisers["contrast"] = torch.optim.Adam(
+            self.optimisers[agent.merge.own_optimiser] = torch.optim.Adam(
                 encoder, lr=config.learning_rate, fused=True
             )
         total = config.demonstrations + config.rounds * config.episodes_per_round
@@ -187,17 +186,18 @@ class LightRun:
     def _update(self) -> float:
         config = self.config
         index = self.rng.integers(0, len(self.data), config.batch_size)
-        # Of this update alone, so that a resumed run draws the same; unused by merges without luck.
+        # Of this update alone, so that a resumed run draws the same.
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.updates)
-        luck = self.agent.luck(config.batch_size, generator)
+        noise = self.agent.noise(config.batch_size, generator)
         views = random_shift(self.data.views(index), self.rng, pad=config.shift)
         state, label = self.data.column("states", index), self.data.column("labels", index)
         with autocast():
-            features, merged = self.agent.look(views, self.masks, luck)
+            features, merged = self.agent.encode_and_merge(views, self.masks, noise)
             loss = (row_errors(self.agent, merged, state, label) * self.weights).sum()
-        self._step("optimiser", loss + self._bottleneck_cost(features))
-        if self.method.extra == "contrast":
-            self._contrast(index, generator)
+        penalty = self.agent.merge.penalty(self.agent.encoder, features)
+        self._step("optimiser", loss if penalty is None else loss + config.kl_weight * penalty)
+        if self.agent.merge.own_optimiser:
+            self._own_step(index, generator)
         decay = min(config.average, (1 + self.updates) / (10 + self.updates))
         with torch.no_grad():
             pairs = zip(self.average.parameters(), self.agent.parameters(), strict=True)
@@ -205,29 +205,18 @@ class LightRun:
                 slow.lerp_(fast, 1 - decay)
         return loss.item()
 
-    def _bottleneck_cost(self, features: Tensor) -> Tensor | float:
-        if self.method.extra != "kl":
-            return 0.0
-        assert isinstance(self.agent.encoder, BottleneckEncoder)
-        return self.config.kl_weight * kl_loss(*self.agent.encoder.gaussian(features))
-
-    def _contrast(self, index: Array, generator: torch.Generator) -> None:
-        """MVD's own step, on freshly shifted pictures; the last decision of an episode has no
-        next one and is its own."""
+    def _own_step(self, index: Array, generator: torch.Generator) -> None:
+        """The merge's own loss, on freshly shifted pictures; the last decision of an episode has
+        no next one and is its own."""
         horizon, shift = self.data.horizon, self.config.shift
         following = np.minimum(index + 1, index - index % horizon + horizon - 1)
         now, then = (
             random_shift(self.data.views(i), self.rng, pad=shift) for i in (index, following)
         )
         positive = int(torch.randint(now.shape[1], (), generator=generator))
-        encoder = self.agent.encoder
-        assert isinstance(encoder, TwoPartEncoder)
-        with autocast():
-            features = self.agent.encode(now)
-        # Keys carry no gradient. A context of their own: it remembers weights as it met them.
-        with torch.no_grad(), autocast():
-            keys = each_stream(encoder.private, then)
-        self._step("contrast", contrastive_loss(features, keys, positive))
+        merge = self.agent.merge
+        loss = merge.own_loss(self.agent.encoder, now, then, positive, autocast)
+        self._step(merge.own_optimiser, loss)
 
     def _step(self, name: str, loss: Tensor) -> None:
         config, optimiser = self.config, self.optimisers[name]

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from madviz.agent.agent import Agent, autocast
-from madviz.agent.merge import Luck
+from madviz.agent.merges.base import Noise
 from madviz.agent.methods import Method
 from madviz.agent.objectives import Batch, critic_losses, weighted
 from madviz.training.demonstrations import Dataset
@@ -64,14 +64,14 @@ def fit_critic(
     state, action = data.column("states", index), data.column("actions", index)
     masks, weights = torch.from_numpy(method.masks(streams)), method.weights(alpha)
     reads = masks[:1] if method.targets == "merged" else masks
-    luck = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(seed)
     critic, target = agent.critic.requires_grad_(True).train(), agent.target
     target.load_state_dict(critic.state_dict())
     optimiser = torch.optim.Adam(critic.parameters(), lr=_LEARNING_RATE, fused=True)
     losses = []
     for _ in range(updates):
         rows = rng.integers(0, len(index), _BATCH)
-        drawn = agent.luck(_BATCH, luck)
+        drawn = agent.noise(_BATCH, generator)
         next_value = _value(agent, features[ahead[rows]], state[ahead[rows]], reads, drawn)
         y = torch.from_numpy(sums[rows]) + torch.from_numpy(discount[rows]) * next_value
         batch = _batch(state[rows], action[rows])
@@ -90,11 +90,11 @@ def fit_critic(
 
 
 @torch.no_grad()
-def _value(agent: Agent, features: Tensor, state: Tensor, reads: Tensor, luck: Luck) -> Tensor:
+def _value(agent: Agent, features: Tensor, state: Tensor, reads: Tensor, noise: Noise) -> Tensor:
     """Features of B samples, (B, S), masks (R, V) -> (R, B) min of the target twins for the actor's
     mean action, on each of the R rows."""
     with autocast():
-        rows = agent.rows(features, reads, luck)
+        rows = agent.rows(features, reads, noise)
         states = state.expand(len(rows), *state.shape)
         action = torch.tanh(agent.actor(rows, states)[0])
         return torch.minimum(*agent.target(rows, states, action))

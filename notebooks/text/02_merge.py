@@ -25,7 +25,7 @@ import numpy as np
 
 import madviz
 from madviz import teaching
-from madviz.agent.merge import merge_sum
+from madviz.agent.merges.sum import merge_sum
 from madviz.agent.networks import FEATURE_SIZE
 from madviz.subsets import every_mask
 from madviz.teaching.lessons import (

@@ -23,10 +23,11 @@
 import numpy as np
 
 from madviz import teaching
-from madviz.agent.bottleneck import kl_loss
-from madviz.agent.contrast import drawn
-from madviz.agent.merge import concatenated, stacked_pixels
-from madviz.agent.per_view import mean_of_present
+from madviz.agent.merges.concat import concatenated
+from madviz.agent.merges.frame_stack import stacked_pixels
+from madviz.agent.merges.mvd import drawn
+from madviz.agent.merges.q_mean import mean_of_present
+from madviz.agent.merges.vib import kl_loss
 from madviz.teaching.lessons import answers, support_table, untrained
 from madviz.teaching.rivals import (
     CAMERAS,

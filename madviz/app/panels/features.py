@@ -17,6 +17,7 @@ import numpy as np
 import viser
 from viser import uplot
 
+from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import MODALITY_WORDS
@@ -28,17 +29,6 @@ from madviz.types import Array
 
 BINS, HISTORY = 128, 150
 """Columns of a strip; decisions a curve goes back."""
-
-
-MERGES = {
-    "frame-stack": "one feature of all pictures",
-    "concat": "side by side",
-    "attention": "by attention, then summed",
-    "vit": "by a transformer layer",
-    "mvd": "halves of two cameras, drawn",
-    "vib": "side by side, narrowed",
-}
-"""What a merge that is no plain sum does, in the words of a table's cell."""
 NO_VIEWS = (
     "This policy puts the pictures of all cameras on top of each other before anything else. No "
     "camera has a feature of its own, so there is only one row here, and no camera can be left out."
@@ -153,7 +143,7 @@ def merged_words(frame: Frame) -> str:
     if kind == "mean":
         return "their mean (not merged)"
     method = METHODS.get(frame.policy.method)
-    how = MERGES.get(method.merge, "") if method else ""
+    how = MERGES[method.merge].cell_words if method else ""
     return f"merged: {how}" if how else "merged"
 
 

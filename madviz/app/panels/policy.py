@@ -9,6 +9,7 @@ from html import escape
 import numpy as np
 import viser
 
+from madviz.agent.methods import METHODS
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import action_bars
 from madviz.app.toolkit import Cell, Choice, Shown, grid, guarded, on_value, remove_all
@@ -29,20 +30,6 @@ from madviz.types import PolicySpec
 
 SPEEDS: dict[str, float | None] = {"1": 1.0, "5": 5.0, "10": 10.0, "20": 20.0, "max": None}
 RUNS = {"play": "▶ play", "pause": "pause", "step": "step", "again": "again", "next": "next"}
-METHODS = {
-    "mad": "MAD: trained on all cameras and each one alone.",
-    "merged-only": "Trained on all cameras together only.",
-    "singular-only": "Trained on single cameras only.",
-    "single": "Trained on one camera.",
-    "naive-both": "Trained on all cameras and each one alone, each its own teacher.",
-    "mvd": "MVD: acts on a shared part of one camera and a private part of another.",
-    "vib": "VIB: third-person cameras pass a noisy bottleneck; all cameras, or one.",
-    "frame-stack": "All cameras' pixels in one encoder: cannot do without any.",
-    "concat": "Features side by side: cannot do without any camera.",
-    "attention": "Cameras' features attend to each other; trained on all together.",
-    "vit": "One token per camera in a transformer layer; trained on all together.",
-    "q-mean": "Every camera judged alone, actions and Q averaged; trained on all together.",
-}
 
 
 @dataclass(frozen=True)
@@ -154,7 +141,9 @@ class PolicyPanel:
 
 def policy_words(spec: PolicySpec) -> str:
     """What kind of policy this is, for somebody who never heard of it."""
-    return METHODS.get(spec.method, f"Method {spec.method}, recipe {spec.recipe}.")
+    if spec.method in METHODS:
+        return METHODS[spec.method].page_words
+    return f"Method {spec.method}, recipe {spec.recipe}."
 
 
 def verdict(frame: Frame) -> tuple[str, str]:

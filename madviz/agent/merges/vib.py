@@ -1,6 +1,6 @@
 """VIB: third-person views pass a noisy bottleneck, the first-person view does not.
 
-The idea (Hsu et al., as the paper's code has it): what a third-person camera adds must be worth its
+The idea (Hsu et al., as the paper's code has it): what a third-person camera adds must pay for its
 bits. Its feature becomes a Gaussian per number, a sample of it goes on, and the distance of that
 Gaussian to N(0, 1) is a cost next to the critic's loss:
 
@@ -25,6 +25,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from madviz.agent.merges.base import Heads, MergeFunctions, Noise, Streams, wide_heads
 from madviz.agent.networks import FEATURE_SIZE, Encoder, NetworkConfig, orthogonal
 from madviz.subsets import camera_of
 
@@ -32,7 +33,7 @@ FIRST = "first"
 """The camera without a bottleneck."""
 
 
-def third_person(streams: tuple[str, ...]) -> list[int]:
+def third_person(streams: Streams) -> list[int]:
     """Which streams pass the bottleneck: those of every camera but ``first``."""
     return [i for i, name in enumerate(streams) if camera_of(name) != FIRST]
 
@@ -40,7 +41,7 @@ def third_person(streams: tuple[str, ...]) -> list[int]:
 class BottleneckEncoder(nn.Module):
     """A CNN per stream, and a Gaussian's two linear maps for every third-person one."""
 
-    def __init__(self, config: NetworkConfig, streams: tuple[str, ...]) -> None:
+    def __init__(self, config: NetworkConfig, streams: Streams) -> None:
         super().__init__()
         self.third = third_person(streams)
         self.first = [i for i in range(len(streams)) if i not in self.third]
@@ -94,14 +95,14 @@ class BottleneckEncoder(nn.Module):
             rows.append(self.represent(own, noise))
         return torch.stack(rows)
 
-    def shown(self, features: Tensor) -> Tensor:
+    def feature_of_each(self, features: Tensor) -> Tensor:
         """(B, V, V, D) -> (B, V, Z): every view's means or feature in its own slot, the rest 0."""
         own = torch.diagonal(features, dim1=1, dim2=2).transpose(1, 2).clone()
         own[:, self.third, self.latent :] = 0
         return own[..., : max(self.latent, FEATURE_SIZE)]
 
 
-def bottleneck_width(config: NetworkConfig, streams: tuple[str, ...]) -> int:
+def bottleneck_width(config: NetworkConfig, streams: Streams) -> int:
     """Numbers in the representation that the heads read: 9408 for the paper's three views."""
     third = len(third_person(streams))
     return third * config.bottleneck_dim + (len(streams) - third) * FEATURE_SIZE
@@ -115,3 +116,36 @@ def kl_loss(mean: Tensor, log_std: Tensor) -> Tensor:
     if mean.dtype == torch.bfloat16:
         mean, log_std = mean.float(), log_std.float()
     return (0.5 * (mean.square() + (2 * log_std).exp() - 1) - log_std).mean()
+
+
+class Vib(MergeFunctions):
+    def networks(self, config: NetworkConfig, streams: Streams) -> BottleneckEncoder:
+        return BottleneckEncoder(config, streams)
+
+    def heads(self, config: NetworkConfig, streams: Streams) -> Heads:
+        return wide_heads(config, bottleneck_width(config, streams))
+
+    def encode(self, net: BottleneckEncoder, views: Tensor) -> Tensor:
+        return net.own(views)
+
+    def rows(self, net: BottleneckEncoder, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
+        return net.rows(features, masks, noise)
+
+    def noise(
+        self, config: NetworkConfig, streams: Streams, batch: int, generator: torch.Generator
+    ) -> Tensor:
+        """(B, T, latent) standard normal; the first-person streams need none."""
+        third = len(third_person(streams))
+        return torch.randn(batch, third, config.bottleneck_dim, generator=generator)
+
+    def penalty(self, net: BottleneckEncoder, features: Tensor) -> Tensor:
+        return kl_loss(*net.gaussian(features))
+
+    def encode_to_act(self, net: BottleneckEncoder, views: Tensor) -> Tensor:
+        return net.everywhere(views)
+
+    def feature_of_each(self, net: BottleneckEncoder, features: Tensor, streams: Streams) -> Tensor:
+        return net.feature_of_each(features)
+
+
+FUNCTIONS = Vib()

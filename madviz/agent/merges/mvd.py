@@ -1,9 +1,9 @@
-"""MVD: every view has a shared and a private part, told apart by two contrastive losses.
+"""MVD: every view has a shared and a private part, separated by two contrastive losses.
 
 Two CNNs, common to all views, each followed by Linear, LayerNorm and Tanh to 50 numbers:
 
-    s_i = shared(V_i)    what any camera would tell; pushed to agree between cameras
-    p_i = private(V_i)   what this camera alone tells; pushed apart between cameras
+    s_i = shared(V_i)    what any camera would show; pushed to agree between cameras
+    p_i = private(V_i)   what this camera alone shows; pushed apart between cameras
 
 A policy acts on [s_i, p_j] (100 numbers, no further trunk) for one view i and one view j, drawn
 independently from the views that are present, the same for a whole batch. So it often sees one
@@ -23,10 +23,20 @@ log(1 + exp(-10)) = 0.00005; the other way round it costs 10.
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from madviz.agent.merges.base import (
+    Heads,
+    MergeFunctions,
+    Noise,
+    Precision,
+    Streams,
+    each_stream,
+    wide_heads,
+)
 from madviz.agent.networks import Encoder, NetworkConfig, Trunk, orthogonal
 
 TEMPERATURE = 0.1
@@ -68,19 +78,30 @@ def drawn(masks: Tensor, keys: Tensor) -> Tensor:
     """Which views a subset's two parts come from: (N, V), (2, V) -> (2, N), i and j.
 
     ``keys`` are random numbers, one per part and view: the present view with the greatest key is
-    taken. So subsets of one instant share a draw, and dropping a view that was not drawn changes
+    taken. So subsets of one time step share a draw, and dropping a view that was not drawn changes
     nothing.
     """
     keys = keys.to(masks.device)
     return keys[:, None].masked_fill(~masks.bool(), -torch.inf).argmax(-1)
 
 
-def draw_rows(features: Tensor, masks: Tensor, keys: Tensor | None) -> Tensor:
+def draw_rows(features: Tensor, masks: Tensor, keys: Noise) -> Tensor:
     """[s_i, p_j] of every subset: (B, V, 100), (N, V), (2, V) -> (N, B, 100)."""
     assert keys is not None
     shared, private = split(features)
     i, j = drawn(masks, keys)
     return torch.cat([shared[:, i], private[:, j]], -1).transpose(0, 1)
+
+
+def drawn_pixels(net: TwoPartEncoder, views: Tensor, masks: Tensor, keys: Noise) -> Tensor:
+    """``draw_rows`` from (B, V, C, H, W) pixels: only the two views that were drawn are encoded."""
+    assert keys is not None
+    pairs = drawn(masks, keys).T.tolist()
+    rows = [
+        [each_stream(net.shared, views[:, [i]]), each_stream(net.private, views[:, [j]])]
+        for i, j in pairs
+    ]
+    return torch.stack([torch.cat(row, -1)[:, 0] for row in rows])
 
 
 def shared_loss(anchor: Tensor, positive: Tensor, private: Tensor) -> Tensor:
@@ -120,3 +141,52 @@ def _similarity(a: Tensor, b: Tensor) -> Tensor:
     if a.dtype == torch.bfloat16:
         a, b = a.float(), b.float()
     return F.cosine_similarity(a, b, dim=-1) / TEMPERATURE
+
+
+class Mvd(MergeFunctions):
+    own_optimiser = "contrast"
+
+    def networks(self, config: NetworkConfig, streams: Streams) -> TwoPartEncoder:
+        return TwoPartEncoder(config)
+
+    def heads(self, config: NetworkConfig, streams: Streams) -> Heads:
+        return wide_heads(config, 2 * config.feature_dim, projected=False)
+
+    def rows(self, net: TwoPartEncoder, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
+        return draw_rows(features, masks, noise)
+
+    def encode_and_merge(
+        self, net: TwoPartEncoder, views: Tensor, masks: Tensor, noise: Noise
+    ) -> tuple[Tensor, Tensor]:
+        """Views that were not drawn are not encoded: the rows are all the features there are."""
+        rows = drawn_pixels(net, views, masks, noise)
+        return rows, rows
+
+    def noise(
+        self, config: NetworkConfig, streams: Streams, batch: int, generator: torch.Generator
+    ) -> Tensor:
+        """(2, V) uniform: the keys of ``drawn``, one draw for the whole batch."""
+        return torch.rand(2, len(streams), generator=generator)
+
+    def noise_to_act(self, views: Tensor) -> Tensor:
+        """An episode stays a function of its seed, and a draw still changes from step to step."""
+        rng = np.random.default_rng(int(views.sum(dtype=torch.int64)))
+        return torch.from_numpy(rng.random((2, views.shape[1]), np.float32))
+
+    def own_loss(
+        self,
+        net: TwoPartEncoder,
+        views: Tensor,
+        next_views: Tensor,
+        positive: int,
+        precision: Precision,
+    ) -> Tensor:
+        with precision():
+            features = self.encode(net, views)
+        # Keys carry no gradient, and no context with gradients may meet what was made without.
+        with torch.no_grad(), precision():
+            following = each_stream(net.private, next_views)
+        return contrastive_loss(features, following, positive)
+
+
+FUNCTIONS = Mvd()

@@ -16,10 +16,13 @@ the view is present and 0 where it is not.
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor, nn
+from typing import Any
 
-from madviz.agent.networks import Actor, Critic, NetworkConfig
+import torch
+from torch import Tensor
+
+from madviz.agent.merges.base import Heads, MergeFunctions, Noise, Streams
+from madviz.agent.networks import Actor, ActorHead, Critic, CriticHead, NetworkConfig
 
 
 def pack(features: Tensor, masks: Tensor) -> Tensor:
@@ -40,7 +43,7 @@ def mean_feature(rows: Tensor) -> Tensor:
     return mean_of_present(rows[..., :-1], rows[..., -1])
 
 
-class PerViewActor(nn.Module):
+class PerViewActor(ActorHead):
     """The mean of one actor's answers to every present view."""
 
     def __init__(self, config: NetworkConfig) -> None:
@@ -54,7 +57,7 @@ class PerViewActor(nn.Module):
         return mean_of_present(mean, present), mean_of_present(log_std, present)
 
 
-class PerViewCritic(nn.Module):
+class PerViewCritic(CriticHead):
     """The mean of one twin critic's answers to every present view."""
 
     def __init__(self, config: NetworkConfig) -> None:
@@ -75,11 +78,21 @@ class PerViewCritic(nn.Module):
         q1, q2 = (mean_of_present(q[..., None], present)[..., 0] for q in twins)
         return q1, q2
 
-    def forward(self, rows: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """(..., V, Z + 1), (..., S), (..., A) -> Q1, Q2, (...,) each."""
-        return self.heads(self.trunk(rows), state, action)
-
 
 def _per_view(x: Tensor, present: Tensor) -> Tensor:
     """(..., K) -> (..., V, K), the same for every view."""
     return x.unsqueeze(-2).expand(*present.shape, x.shape[-1])
+
+
+class QMean(MergeFunctions):
+    def heads(self, config: NetworkConfig, streams: Streams) -> Heads:
+        return PerViewActor(config), PerViewCritic(config)
+
+    def rows(self, net: Any, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
+        return pack(features, masks)
+
+    def merged_feature(self, rows: Tensor) -> Tensor:
+        return mean_feature(rows)
+
+
+FUNCTIONS = QMean()
