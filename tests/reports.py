@@ -8,18 +8,18 @@ from typing import Any
 from madviz.evaluation.evidence import find_evidence
 from madviz.report.layouts import LAYOUTS
 from madviz.report.results import ReportConfig, run_report
-from madviz.report.tables import Table, build
+from madviz.report.tables import ResultTable, build
 from tests.evidence import rates
 
 GOOD = rates(0.95, 0.90, 0.85, 0.80)
 
 
-def table(root: Path, key: str, suite: str = "metaworld") -> Table:
+def table(root: Path, key: str, suite: str = "metaworld") -> ResultTable:
     layout = next(layout for layout in LAYOUTS if layout.key == key)
     return next(t for t in build(layout, find_evidence(root)) if t.suite == suite)
 
 
-def every_table(root: Path) -> list[Table]:
+def every_table(root: Path) -> list[ResultTable]:
     return [t for layout in LAYOUTS for t in build(layout, find_evidence(root))]
 
 

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from madviz.evaluation.statistics import Interval
 from madviz.report.layouts import MERGES, THREE
 from madviz.report.rows import Difference, Row, difference
-from madviz.report.tables import Table
+from madviz.report.tables import ResultTable
 
 BASELINES = ("single", "mvd", "vib", "mv-mwm")
 COMPONENTS = ("naive-both", "merged-only", "singular-only")
@@ -62,7 +62,7 @@ def same(interval: Interval, margin: float = 0.1) -> str:
     return "undecided: the interval is too wide to call them alike"
 
 
-def claims(table: Table) -> list[str]:
+def claims(table: ResultTable) -> list[str]:
     """Sentences about one table; one saying so where nothing can be said."""
     found = CLAIMS[table.layout.key](table) if table.layout.key in CLAIMS else []
     return found or ["Nothing here can be compared with a sentence of the paper yet."]
@@ -84,7 +84,7 @@ def signed(share: float) -> str:
 
 
 def _lead(
-    table: Table,
+    table: ResultTable,
     baselines: Sequence[str],
     claim: float | None,
     said: str,
@@ -112,12 +112,12 @@ def _lead(
     return lines
 
 
-def _recipes(table: Table) -> list[str]:
+def _recipes(table: ResultTable) -> list[str]:
     """What follows ``mad`` in the labels: '' for the light recipe, ', paper' and so on."""
     return [r.label.removeprefix("mad") for r in table.averages if r.label.split(",")[0] == "mad"]
 
 
-def _overall(table: Table) -> list[str]:
+def _overall(table: ResultTable) -> list[str]:
     lead, count = LEAD.get(table.suite, 0.0), TASKS.get(table.suite, 0)
     if not lead:
         return []
@@ -133,12 +133,12 @@ def _overall(table: Table) -> list[str]:
     return lines
 
 
-def _components(table: Table) -> list[str]:
+def _components(table: ResultTable) -> list[str]:
     said = f"{100 * COMPONENT_LEAD:+.0f} points over all three ablations, on five Meta-World tasks"
     return [*_lead(table, COMPONENTS, COMPONENT_LEAD, said), *_one_and_the_same(table)]
 
 
-def _one_and_the_same(table: Table) -> list[str]:
+def _one_and_the_same(table: ResultTable) -> list[str]:
     """Naive Both weighs all rows alike. Where an expert labels, no row is another's teacher, so
     MAD with alpha 1 / (1 + V) is the same training."""
     both, mad = table.average("naive-both"), table.average("mad")
@@ -155,17 +155,17 @@ def _one_and_the_same(table: Table) -> list[str]:
     ]
 
 
-def _methods(table: Table) -> list[str]:
+def _methods(table: ResultTable) -> list[str]:
     everybody = [row.label for row in table.averages if row.label != "mad"]
     return _lead(table, (), None, "", others=everybody)
 
 
-def _five(table: Table) -> list[str]:
+def _five(table: ResultTable) -> list[str]:
     said = f"{100 * FIVE_LEAD:+.0f} points over its baselines with five views"
     return _lead(table, BASELINES, FIVE_LEAD, said)
 
 
-def _alpha(table: Table) -> list[str]:
+def _alpha(table: ResultTable) -> list[str]:
     """Task by task: not every alpha was trained on all of them."""
     tasks = dict.fromkeys(task for task, _ in table.rows)
     each = [_best_alpha(task, [row for at, row in table.rows if at == task]) for task in tasks]
@@ -191,7 +191,7 @@ def _best_alpha(task: str, rows: Sequence[Row]) -> str:
     )
 
 
-def _merging(table: Table) -> list[str]:
+def _merging(table: ResultTable) -> list[str]:
     base, lines = table.average("sum"), []
     for name in MERGES[1:]:
         row = table.average(name)
@@ -208,7 +208,7 @@ def _merge_verdict(name: str, gap: Difference) -> str:
     return same(gap.interval)
 
 
-def _occlusion(table: Table) -> list[str]:
+def _occlusion(table: ResultTable) -> list[str]:
     lines, single = [], table.average("single")
     for mad in [row for row in table.averages if row.label.split(",")[0] == "mad"]:
         if single and (gap := difference(mad, single, ("all",))):
@@ -224,7 +224,7 @@ def _occlusion(table: Table) -> list[str]:
     ]
 
 
-def _blind(table: Table) -> list[str]:
+def _blind(table: ResultTable) -> list[str]:
     """How much of MAD's loss is on streams alone that see nothing: (1 - alpha) / V for each."""
     blind = {
         alpha: (1 - alpha) * (1 - 1 / len(each.streams))
@@ -241,7 +241,7 @@ def _blind(table: Table) -> list[str]:
     ]
 
 
-def _modality(table: Table) -> list[str]:
+def _modality(table: ResultTable) -> list[str]:
     lines, mad = [], table.average("mad, one-rgbd")
     depth, both = table.average("single, one-depth"), table.average("single, one-rgbd")
     if mad and depth and (gap := difference(mad, depth, ("depth",))):
@@ -257,7 +257,7 @@ def _modality(table: Table) -> list[str]:
     return lines
 
 
-def _resolution(table: Table) -> list[str]:
+def _resolution(table: ResultTable) -> list[str]:
     mixed, alike = table.average("mad"), table.average("mad, one size")
     if mixed is None or alike is None or not (gap := difference(mixed, alike, THREE)):
         return []
@@ -267,7 +267,7 @@ def _resolution(table: Table) -> list[str]:
     ]
 
 
-CLAIMS: dict[str, Callable[[Table], list[str]]] = {
+CLAIMS: dict[str, Callable[[ResultTable], list[str]]] = {
     "overall": _overall,
     "components": _components,
     "alpha": _alpha,

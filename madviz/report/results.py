@@ -27,7 +27,7 @@ from madviz.policies.checkpoint import WEIGHTS
 from madviz.report.claims import claims
 from madviz.report.layouts import LAYOUTS, THREE
 from madviz.report.rows import Rate, Row
-from madviz.report.tables import Table, build
+from madviz.report.tables import ResultTable, build
 from madviz.report.target import (
     TARGET_ALL,
     TARGET_EPISODES,
@@ -114,7 +114,7 @@ def _page(
     remake: str,
     evidence: Sequence[Evidence],
     verdicts: Sequence[Verdict],
-    tables: Sequence[Table],
+    tables: Sequence[ResultTable],
     attempts: dict[str, list[str]],
 ) -> str:
     sections = [
@@ -174,7 +174,7 @@ def _whole(suite: str, verdicts: Sequence[Verdict]) -> Row:
     return whole
 
 
-def _section(table: Table) -> str:
+def _section(table: ResultTable) -> str:
     layout, mean_of = table.layout, table.mean_of
     headings = ("task", "method", "trainings", *table.columns, *(["mean"] if mean_of else []))
     lines = [f"## {layout.title}: {table.suite}", "", *_head(headings)]
@@ -190,7 +190,7 @@ def _section(table: Table) -> str:
     return "\n".join([*lines, "", _commands(used)])
 
 
-def _row_line(task: str, row: Row, table: Table) -> str:
+def _row_line(task: str, row: Row, table: ResultTable) -> str:
     cells = [_cell(row.rate(column)) for column in table.columns]
     mean = [_cell(row.mean(table.mean_of))] if table.mean_of else []
     if mean and row.measured(table.mean_of) != list(table.mean_of):
@@ -231,7 +231,7 @@ def _commands(evidence: Sequence[Evidence]) -> str:
     )
 
 
-def picture(table: Table) -> str:
+def picture(table: ResultTable) -> str:
     """The table's averages as bars with their intervals, SVG."""
     groups = (*table.columns, *(["mean"] if table.mean_of else []))
     series = {}

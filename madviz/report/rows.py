@@ -42,6 +42,7 @@ class Row:
 
     @property
     def tasks(self) -> tuple[str, ...]:
+        """Those with an episode in any cell, in alphabetical order."""
         return tuple(sorted({unit[0] for cell in self.cells.values() for unit in cell}))
 
     @property
@@ -65,6 +66,7 @@ class Row:
         return {unit: sum(cell[unit] for cell in cells) / len(cells) for unit in sorted(common)}
 
     def measured(self, columns: Sequence[str]) -> list[str]:
+        """Those of ``columns`` that this row has episodes of."""
         return [column for column in columns if self.cells.get(column)]
 
     def mean(self, columns: Sequence[str]) -> Rate | None:

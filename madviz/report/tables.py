@@ -24,7 +24,7 @@ SUITES = {"metaworld", "maniskill"}
 
 
 @dataclass(frozen=True)
-class Table:
+class ResultTable:
     """A layout with the rows that were measured, by suite and task."""
 
     layout: Layout
@@ -37,10 +37,11 @@ class Table:
     """A row for every label over all its tasks, of the episodes that a task's rows share."""
 
     def average(self, label: str) -> Row | None:
+        """The row of ``label`` over all its tasks; None where it has none."""
         return next((row for row in self.averages if row.label == label), None)
 
 
-def build(layout: Layout, evidence: Sequence[Evidence]) -> list[Table]:
+def build(layout: Layout, evidence: Sequence[Evidence]) -> list[ResultTable]:
     """The tables of one layout, one for each suite with a task that has enough rows."""
     chosen = [(label, each) for each in evidence if (label := layout.label(each))]
     if layout.alphas != "all":
@@ -51,27 +52,28 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[Table]:
             chosen += [(f"{label}, alpha {each.alpha}", each) for label, each in others]
     tasks = {each.task for _, each in chosen}
     chosen = [pair for task in sorted(tasks) for pair in _comparable(layout, task, chosen)]
-    tables = []
-    for suite in sorted({each.task.split("/")[0] for _, each in chosen} & SUITES):
-        mine = [(label, each) for label, each in chosen if each.task.startswith(f"{suite}/")]
-        labels = sorted({label for label, _ in mine}, key=rank)
-        columns, mean_of = _columns(layout, [each for _, each in mine])
-        rows = [
-            (
-                task,
-                _row(label, columns, [e for name, e in mine if name == label and e.task == task]),
-            )
-            for task in sorted({each.task for _, each in mine}, key=_task_rank)
-            for label in labels
-        ]
-        rows = [(task, row) for task, row in rows if row.cells]
-        shared = _shared_seeds(rows)
-        averages = [
-            _row(label, columns, [e for name, e in mine if name == label], shared)
-            for label in labels
-        ]
-        tables.append(Table(layout, suite, columns, mean_of, tuple(rows), tuple(averages)))
-    return tables
+    suites = sorted({each.task.split("/")[0] for _, each in chosen} & SUITES)
+    return [_table(layout, suite, chosen) for suite in suites]
+
+
+def _table(layout: Layout, suite: str, chosen: Sequence[tuple[str, Evidence]]) -> ResultTable:
+    """Of the policies of one suite, each with its row's label."""
+    mine = [(label, each) for label, each in chosen if each.task.startswith(f"{suite}/")]
+    labels = sorted({label for label, _ in mine}, key=rank)
+    columns, mean_of = _columns(layout, [each for _, each in mine])
+    rows = []
+    for task in sorted({each.task for _, each in mine}, key=_task_rank):
+        for label in labels:
+            members = [each for name, each in mine if (name, each.task) == (label, task)]
+            row = _row(label, columns, members)
+            if row.cells:
+                rows.append((task, row))
+    shared = _shared_seeds(rows)
+    averages = [
+        _row(label, columns, [each for name, each in mine if name == label], shared)
+        for label in labels
+    ]
+    return ResultTable(layout, suite, columns, mean_of, tuple(rows), tuple(averages))
 
 
 def _comparable(

@@ -38,6 +38,7 @@ class Verdict:
 
     @property
     def words(self) -> str:
+        """``met``, ``not met: ...`` with the reasons, or ``not trained``."""
         if self.row is None:
             return "not trained"
         return "met" if not self.reasons else f"not met: {'; '.join(self.reasons)}"
