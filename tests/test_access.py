@@ -321,7 +321,7 @@ def test_absurd_values_do_no_harm(open_: App):
         until(lambda: other.steps and hostile.find("Episode"))
         for uuid in list(hostile.controls):
             label = hostile.controls[uuid]["props"].get("label")
-            if label in ("start", "watch", "keep this episode", "keep the last 20"):
+            if label in ("start", "watch", "save this episode", "save the last 20"):
                 continue
             for value in ABSURD:
                 hostile.set(uuid, value)

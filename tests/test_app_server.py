@@ -218,7 +218,7 @@ def test_a_panel_that_cannot_be_built_is_tried_once_and_said(monkeypatch):
         tries.append(1)
         raise RuntimeError("no such widget")
 
-    monkeypatch.setattr("madviz.app.layout.KeepPanel", broken)
+    monkeypatch.setattr("madviz.app.layout.SavePanel", broken)
     with users(cap=1) as (them, lobby, made):
         client = lobby.come(1)
         made[0].send(SetSpeed(None))

@@ -9,7 +9,7 @@ import pytest
 import viser
 
 from madviz.app.panels.failures import FailuresPanel, failures_html
-from madviz.app.panels.save import KeepPanel
+from madviz.app.panels.save import SavePanel
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.observation.ablation import CameraState, Occlusion
@@ -248,7 +248,7 @@ def test_the_keep_panel_hands_out_what_was_lived() -> None:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
         assert isinstance(one.latest, Frame)
-        panel = KeepPanel(server.gui, one.keep, one.latest)
+        panel = SavePanel(server.gui, one.keep, one.latest)
         sent: list[tuple[str, bytes]] = []
         client = SimpleNamespace(
             send_file_download=lambda name, content, **_: sent.append((name, content)),
@@ -259,7 +259,7 @@ def test_the_keep_panel_hands_out_what_was_lived() -> None:
         assert name == "reach-seed3.json"
         assert parse(content, name).episodes[-1].steps >= 5
         assert "madviz replay reach-seed3.json" in panel.update(one.latest)[0].value
-        empty = KeepPanel(server.gui, Journal().kept, one.latest)
+        empty = SavePanel(server.gui, Journal().kept, one.latest)
         empty._download(client, last=False)  # type: ignore[arg-type]
         assert sent[-1] == ("That did not work", b"")
         panel.remove()

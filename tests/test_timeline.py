@@ -9,7 +9,7 @@ import pytest
 import viser
 
 from madviz.app.panel import apply
-from madviz.app.panels.timeline import PATIENCE, TimelinePanel, marks, timeline_html
+from madviz.app.panels.timeline import AFTER_DRAG, TimelinePanel, marks, timeline_html
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState
 from madviz.session.commands import Command, Fork, Scrub, SetCamera, SetPolicy
@@ -58,11 +58,11 @@ def test_marks_are_where_cameras_or_the_policy_changed() -> None:
 def test_the_drawing_has_a_point_for_every_step_and_the_branch() -> None:
     play = Played()
     html = timeline_html(play(6))
-    assert html.count("<polyline") == 4 and "first future" not in html
+    assert html.count("<polyline") == 4 and "original run" not in html
     frame = play(Scrub(2))
     assert "Looking back: step 2 of 6" in timeline_html(frame)
     html = timeline_html(play(SetCamera("first", OFF), Fork()))
-    assert "the first future, step 2" in html and "third_a+third_b" in html
+    assert "the original run, step 2" in html and "third_a+third_b" in html
 
 
 def test_a_slider_shows_the_step_and_is_not_pulled_back_while_dragged(server) -> None:
@@ -78,7 +78,7 @@ def test_a_slider_shows_the_step_and_is_not_pulled_back_while_dragged(server) ->
     assert handle.value == 5  # A frame that has not heard of the drag moves nothing.
     apply(panel.update(play(Scrub(2))))
     assert handle.value == 5  # Nor does one that has: a visitor may still be dragging.
-    now[0] += PATIENCE
+    now[0] += AFTER_DRAG
     apply(panel.update(play(Scrub(2))))
     assert handle.value == 2
     apply(panel.update(play(Scrub(None))))

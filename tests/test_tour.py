@@ -72,7 +72,7 @@ def browser(server: viser.ViserServer) -> viser.ClientHandle:
 
 def test_steps_that_make_no_sense_here_are_left_out(table: Table):
     titles = [step.title for step in steps(table.frame, CHOICES)]
-    assert len(titles) == 8 and "Another robot brain" in titles
+    assert len(titles) == 8 and "Another policy" in titles
     assert len(steps(table.frame, CHOICES[:1])) == 7
     for step in steps(table.frame, CHOICES):
         assert 60 < len(step.words) < 320

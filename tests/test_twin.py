@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from madviz.app.panels.comparison import versus_html
+from madviz.app.panels.comparison import comparison_html
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.commands import Scrub, SetCamera, SetPolicy, SetTwin
 from madviz.session.comparison import tally
@@ -57,7 +57,7 @@ def test_ending_b_and_starting_another_forgets_the_pairs() -> None:
     assert play(SetTwin("toy-mad"), 25).pairs
     frame = play(SetTwin(None))
     assert frame.twin is None and not frame.pairs
-    assert "Start B" in versus_html(frame)
+    assert "Start B" in comparison_html(frame)
 
 
 def test_a_policy_of_another_task_has_nothing_to_compare(monkeypatch) -> None:
@@ -87,7 +87,7 @@ def test_the_tally_counts_each_seed_once_and_one_comparison_only() -> None:
 
 def test_the_panel_says_what_the_pairs_say() -> None:
     frame = Played()(SetTwin("toy-mad"), 3)
-    assert "None yet" in versus_html(frame)
+    assert "None yet" in comparison_html(frame)
     frame = Played()(SetTwin("toy-mad"), 25)
-    html = versus_html(frame)
+    html = comparison_html(frame)
     assert "n = 1 pairs" in html and "Every pair came out alike." in html

@@ -21,7 +21,7 @@ to what a proxy passes on: that has a port of its own, or says so in a header th
 with a websocket. What is left open is a tunnel (``ssh -L``) whose port here has another number than
 there: it looks like a proxy that says nothing.
 
-What a page sends is looked at, too. viser takes messages that no page here sends: one asks for a
+What a page sends is checked, too. viser takes messages that no page here sends: one asks for a
 public address of this server, one begins an upload of any size, one goes on to all other visitors.
 Only the kinds in ``TAKEN`` reach viser; whoever sends another one is let go.
 

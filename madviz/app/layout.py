@@ -17,15 +17,15 @@ from madviz.analysis.saliency import Target
 from madviz.app.keys import Keys
 from madviz.app.panel import Panel
 from madviz.app.panels.cameras import CamerasPanel
-from madviz.app.panels.comparison import VersusPanel
+from madviz.app.panels.comparison import ComparisonPanel
 from madviz.app.panels.failures import FailuresPanel
 from madviz.app.panels.features import FeaturesPanel
 from madviz.app.panels.move import MovePanel
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel
-from madviz.app.panels.projection import MapPanel
+from madviz.app.panels.projection import ProjectionPanel
 from madviz.app.panels.saliency import SaliencyPanel
-from madviz.app.panels.save import KeepPanel
-from madviz.app.panels.shapley import WorthPanel
+from madviz.app.panels.save import SavePanel
+from madviz.app.panels.shapley import ShapleyPanel
 from madviz.app.panels.subsets import SubsetsPanel
 from madviz.app.panels.success import SuccessPanel, WordsPanel
 from madviz.app.panels.timeline import TimelinePanel
@@ -114,20 +114,20 @@ class Panels:
         table: list[tuple[str, list[tuple[Callable[[], Panel], float]]]] = [
             ("Features", [(lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25)]),
             ("Subsets", [(lambda: SubsetsPanel(gui, frame), 0.5)]),
-            ("Worth", [(lambda: WorthPanel(gui, frame, shared.rates), 0.5)]),
+            ("Shapley", [(lambda: ShapleyPanel(gui, frame, shared.rates), 0.5)]),
             (
                 "Inside",
                 [
                     (lambda: SaliencyPanel(gui, explain, frame), 0.25),
-                    (lambda: MapPanel(gui, frame, 330 if wide else 170), 0.4),
+                    (lambda: ProjectionPanel(gui, frame, 330 if wide else 170), 0.4),
                 ],
             ),
             ("Move", [(lambda: MovePanel(gui, send, frame, self._client.scene), 0.25)]),
             ("Timeline", [(lambda: TimelinePanel(gui, send, frame), 0.5)]),
-            ("A/B", [(lambda: VersusPanel(gui, send, frame, shared.choices), 0.5)]),
+            ("A/B", [(lambda: ComparisonPanel(gui, send, frame, shared.choices), 0.5)]),
             ("Failures", [(lambda: FailuresPanel(gui, send, frame), 0.5)]),
             ("Train", [(lambda: TrainingPanel(gui, send, frame, shared.training), 1.0)]),
-            ("Keep", [(lambda: KeepPanel(gui, self._session.keep, frame), 1.0)]),
+            ("Save", [(lambda: SavePanel(gui, self._session.keep, frame), 1.0)]),
         ]
         built = []
         for name, panels in table:

@@ -1,9 +1,9 @@
 """Success so far: what shipped with a policy, and what is measured here while the page is open.
 
-Every visitor wants the setting they look at measured; worker processes take turns among them.
-Episodes are kept by seed, so that the same one seen twice (by a worker and on a page, or on two
-pages) counts once. Listeners are told when something was added; the tables themselves are replaced,
-never changed, so readers need no lock.
+The setting of every visitor is measured; worker processes take turns among them.
+Episodes are stored by seed, so that the same one seen twice (by a worker and on a page, or on two
+pages) counts once. Listeners are called when something was added; tables are replaced, never
+changed, so readers need no lock.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Rates:
         return live if live.n >= known.n else known
 
     def add(self, spec: PolicySpec, setting: Setting, outcomes: Mapping[int, bool]) -> None:
-        """Takes outcomes by seed; tells the listeners if one of them is new."""
+        """Takes outcomes by seed; calls the listeners if one of them is new."""
         self._add((key_of(spec), setting), outcomes)
 
     def _add(self, key: tuple[str, Setting], outcomes: Mapping[int, bool], error: str = "") -> None:
@@ -141,5 +141,5 @@ class Rates:
 
 
 def key_of(spec: PolicySpec) -> str:
-    """What episodes of a policy are kept under: its version, or its name where it has none."""
+    """What episodes of a policy are stored under: its version, or its name where it has none."""
     return spec.digest or spec.name

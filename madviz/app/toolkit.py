@@ -160,10 +160,9 @@ class Choice:
         return rules
 
 
-class Shown:
-    """Shows a state in an input widget when the state changes, not with every frame: a frame that
-    is a moment old would take back what a visitor has just chosen, before a callback could read
-    it."""
+class SyncedInput:
+    """An input widget that follows a state when the state changes, not with every frame: an older
+    frame would take back what a visitor has just chosen, before a callback could read it."""
 
     def __init__(self, handle: Any) -> None:
         self.handle, self._last = handle, handle.value

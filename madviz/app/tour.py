@@ -4,8 +4,8 @@ A tour is a list of steps. Each one says something in plain words and does it on
 same time, with the commands that a visitor's click would send, so that the page itself is the
 picture beside the text:
 
-    1 look ─► 2 take one away ─► 3 give it back ─► 4 black instead ─► 5 a single one is left
-           ─► 6 somebody else acts ─► 7 back in time ─► 8 your turn
+    1 the page ─► 2 drop a camera ─► 3 switch it on again ─► 4 black instead ─► 5 a single camera
+               ─► 6 another policy ─► 7 back in time ─► 8 your turn
 
 Steps that make no sense here (another policy where there is none, a single camera of one) are left
 out, and the count says so. However it ends, cameras, policy and pace are as they were before it.
@@ -36,7 +36,7 @@ TOUR_BUTTON, HELP_BUTTON = "2-minute tour", "help, keys"
 
 HELP = """
 **What this is.** A robot works at a task. Several cameras watch it; a *policy*, a trained network,
-looks through them and says how the hand moves next. You may take cameras away while it works.
+gets their pictures and says how the hand moves next. You may take cameras away while it works.
 
 **off** takes a camera away: nothing of it is added. **black**, **noise**, **freeze**, **blur**,
 **patch**, **lossy** and **late** break it instead: it still sends pictures, but bad ones.
@@ -45,7 +45,7 @@ looks through them and says how the hand moves next. You may take cameras away w
 
 **Q** is how much reward the policy expects from here on. **action** is how the hand moves next.
 
-**Every subset** shows what it would do, at this instant, with every other choice of cameras.
+**Subsets** shows what it would do, at this time step, with every other choice of cameras.
 
 Rest the pointer on a control's name, and it says what it does. Ctrl + K (or ⌘ + K) finds every
 command by name.
@@ -74,33 +74,33 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
     yield Step(
         "What you see",
         f"A robot works at a task; it is done when: {frame.env.success}. The pictures on the left "
-        "are all the robot's brain gets to see. Nothing here is a film: it decides anew at every "
-        "step, now, on this machine.",
+        "are all that the robot's policy gets. Nothing here is a recording: it decides anew at "
+        "every step, now, on this machine.",
         (*whole(frame), SetSpeed(10.0), Reset(), Play()),
     )
     yield Step(
-        "A camera is gone",
-        f"We have just taken {label[middle]} away: dimmed, DROPPED. The line under the pictures "
+        "A camera is dropped",
+        f"We have just dropped {label[middle]}: its picture is dim. The line under the pictures "
         "says by how much the robot's next movement has changed. Does it still do its task?",
         (_camera(frame, middle, "off"),),
     )
     yield Step(
-        "And it is back",
+        "The camera is back",
         f"{label[middle]} is back, and the movement is as it was. The robot did not have to start "
-        "again: what each camera tells is added up anew at every step.",
+        "again: the features of all cameras are added up anew at every step.",
         (_camera(frame, middle),),
     )
     yield Step(
-        "Black is not gone",
-        f"{label[last]} sends a black picture now. That is worse than no picture: black is added "
-        "up with the rest, as if it meant something. A camera that breaks is better dropped.",
+        "Black is not dropped",
+        f"{label[last]} sends a black picture now. That is worse than no picture: the feature of a "
+        "black picture is added to the others. A camera that breaks is better dropped.",
         (_camera(frame, last, kind="black"),),
     )
     if len(cameras) > 1:
         yield Step(
             f"Only {label[0]}",
-            "Now one camera is left, the others are gone. The tab Every subset shows what it "
-            "would do, at this very instant, with every other choice of cameras.",
+            "Now one camera is left, the others are dropped. The tab Subsets shows what it would "
+            "do, at this very time step, with every other choice of cameras.",
             (
                 _camera(frame, 0),
                 *(_camera(frame, index, "off") for index in range(1, len(cameras))),
@@ -109,7 +109,7 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
     other = never_alone(frame.policy, choices)
     if other is not None:
         yield Step(
-            "Another robot brain",
+            "Another policy",
             "The same camera, but another policy: this one learned with all cameras and never with "
             "a single one. Watch the success under the pictures, and how the hand moves.",
             (SetPolicy(other), Reset(), Play()),
@@ -117,7 +117,7 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
     yield Step(
         "Back in time",
         "It has stopped, and the page shows what was a few steps ago, as it was then. The tab "
-        "Timeline has a slider for that: go back, drop a camera there, and see another future.",
+        "Timeline has a slider for that: go back, drop a camera there, and see another run.",
         back=BACK,
     )
     yield Step(
@@ -220,7 +220,7 @@ class Tour:
         if panel is None or self._start is None:
             return
         panel.remove()
-        # First to the newest step: a camera that is touched in the past begins another future.
+        # First to the newest step: a camera that is touched in the past begins another run.
         self._do((Play(), *restored(self._start)))
 
     def _show(self) -> None:
@@ -251,10 +251,10 @@ class Tour:
             gui.add_markdown(HELP)
             if self._keys:
                 gui.add_markdown(keys_table(self._keys))
-            look = gui.add_button_group(
-                "This page", ("dark", "light"), hint="Only here; other visitors keep theirs."
+            shade = gui.add_button_group(
+                "This page", ("dark", "light"), hint="Only here; other visitors choose theirs."
             )
-            look.on_click(lambda event: theme(gui, event.target.value == "light"))
+            shade.on_click(lambda event: theme(gui, event.target.value == "light"))
             gui.add_button("close").on_click(lambda _: modal.close())
 
     def remove(self) -> None:

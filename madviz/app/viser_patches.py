@@ -2,14 +2,14 @@
 
 With ``MADVIZ_PATCH_VISER=0`` in the environment viser stays as it is: everything works, later.
 
-*Messages are obeyed when they come.* viser's page plays messages at the pace at which the server
+*Messages take effect when they come.* viser's page plays messages at the pace at which the server
 wrote them, by the time that is stamped on each. Let one come 60 ms late, because the browser was
 busy. It sets a new pace: all that follow are held back until they are as late, and win back a
 twentieth of the time between two.
 
     written    0   40   80  120  160  ...   ms
     comes      0  100  101  125  165
-    obeyed     0  100  138  175  213  ...   and still 50 ms late: 30 messages until that is gone
+    in effect  0  100  138  175  213  ...   and still 50 ms late: 30 messages until that is gone
 
 That is right for an animation that shall be smooth. It is wrong for a camera that a visitor has
 just dropped. The page holds back nothing that was written more than 0.1 s after the message before

@@ -56,19 +56,19 @@ def test_a_camera_switched_off_in_the_past_begins_another_future(visitor: Visito
     visitor.press("step")
     visitor.until("status.step === '3'")
     text = visitor.until_text(".mv-timeline", "forked at step 2")
-    assert "first future" in text and "up to step 5" in text
+    assert "original run" in text and "up to step 5" in text
 
 
 def test_a_against_b_counts_pairs(visitor: Visitor):
     open_tab(visitor, "A/B")
-    visitor.until_text(".mv-versus", "A is the page")
+    visitor.until_text(".mv-comparison", "A is the page")
     visitor.press("start B")
-    visitor.until_text(".mv-versus", "None yet")
+    visitor.until_text(".mv-comparison", "None yet")
     visitor.press("max")
-    text = visitor.until_text(".mv-versus", "n = [1-9][0-9]* pairs")
+    text = visitor.until_text(".mv-comparison", "n = [1-9][0-9]* pairs")
     assert "both" in text and "McNemar" in text
     visitor.press("end B")
-    visitor.until_text(".mv-versus", "A is the page")
+    visitor.until_text(".mv-comparison", "A is the page")
 
 
 def test_a_training_starts_shows_itself_and_stops(visitor: Visitor):
@@ -86,12 +86,12 @@ def test_a_training_starts_shows_itself_and_stops(visitor: Visitor):
 
 
 def test_what_cameras_are_worth_stands_in_a_table(visitor: Visitor):
-    open_tab(visitor, "Worth")
-    text = visitor.until_text(".mv-worth", "none → all present")
+    open_tab(visitor, "Shapley")
+    text = visitor.until_text(".mv-shapley", "none → all present")
     assert all(word in text for word in ("Q now", "First person", "Third A", "Third B"))
     assert "dropped" not in text
     visitor.press("off", camera=1)
-    text = visitor.until_text(".mv-worth", "Third A · dropped")
+    text = visitor.until_text(".mv-shapley", "Third A · dropped")
     assert "First person · dropped" not in text
 
 
@@ -117,10 +117,10 @@ def test_a_scenario_runs_as_planned_and_ends(visitor: Visitor):
 
 
 def test_a_session_is_kept_as_a_file_that_replays(visitor: Visitor, app: App, tmp_path):
-    open_tab(visitor, "Keep")
+    open_tab(visitor, "Save")
     paused_at(visitor, app, 4)
     with visitor.page.expect_download(timeout=PATIENCE) as download:
-        visitor.page.get_by_role("button", name="keep this episode").click()
+        visitor.page.get_by_role("button", name="save this episode").click()
     path = tmp_path / download.value.suggested_filename
     download.value.save_as(path)
     (episode,) = read_kept(path).episodes

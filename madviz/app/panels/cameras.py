@@ -10,7 +10,7 @@ import viser
 from madviz.app.panel import Assign
 from madviz.app.panels.patch import HINT, Box, attributes, field_style, parse_box, patched
 from madviz.app.screen import Screen
-from madviz.app.toolkit import Cell, Choice, Shown, grid, on_value, remove_all
+from madviz.app.toolkit import Cell, Choice, SyncedInput, grid, on_value, remove_all
 from madviz.drawing.mosaic import GAP, mosaic
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import SetCamera
@@ -33,8 +33,8 @@ SLIDERS = {
 """Each fraction of an occlusion, and the kinds it matters to."""
 HINTS = {
     "input": "What the policy gets of this camera. Off drops it: its feature leaves the sum.",
-    "occlusion": "A failing camera: it stays in the sum, but sends a spoilt picture.",
-    "strength": "How strongly the picture is spoilt.",
+    "occlusion": "A failing camera: it stays in the sum, but sends a broken picture.",
+    "strength": "How strongly the picture is occluded.",
     "x": "Centre of the patch, from the left; 0.5 is the middle.",
     "y": "Centre of the patch, from the top; 0.5 is the middle.",
     "width": "Width of the patch, as a share of the picture's; 1 is all of it.",
@@ -53,7 +53,7 @@ class CameraControls:
         self.input: Choice
         self.occlusion: Choice
         self.sliders: dict[str, viser.GuiSliderHandle] = {}
-        self._shown: dict[str, Shown] = {}
+        self._shown: dict[str, SyncedInput] = {}
         self._gui = gui
 
     def add_input(self) -> None:
@@ -76,7 +76,7 @@ class CameraControls:
             hint=HINTS[field],
         )
         on_value(handle, lambda _, value: self._on_fraction(field, value))
-        self.sliders[field], self._shown[field] = handle, Shown(handle)
+        self.sliders[field], self._shown[field] = handle, SyncedInput(handle)
 
     @property
     def handles(self) -> list:
@@ -121,7 +121,7 @@ class CameraControls:
 
 
 class CamerasPanel:
-    """The mosaic with a column of controls under every tile. ``send`` None: look, don't touch."""
+    """The mosaic with a column of controls under every tile. ``send`` None: read-only."""
 
     def __init__(
         self,
@@ -193,7 +193,7 @@ class CamerasPanel:
 
 
 def step_of(frame: Frame) -> str:
-    """Which instant a picture shows; the status line says it too."""
+    """Which time step a picture shows; the status line says it too."""
     return f"{frame.episode}:{frame.step}"
 
 

@@ -35,8 +35,8 @@ HINTS = {
 }
 
 
-class VersusPanel:
-    """Controls, B's cameras, and the tally. ``send`` None: look, don't touch."""
+class ComparisonPanel:
+    """Controls, B's cameras, and the tally. ``send`` None: read-only."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class VersusPanel:
         self._names = {choice.label: choice.name for choice in choices}
         if send is not None and self._names:
             self._add_controls(gui, send)
-        self._html = gui.add_html(versus_html(frame))
+        self._html = gui.add_html(comparison_html(frame))
         self._handles.append(self._html)
 
     def _add_controls(self, gui: viser.GuiApi, send: Callable[[Command], None]) -> None:
@@ -74,16 +74,16 @@ class VersusPanel:
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
-        return [Assign(self._html, "content", versus_html(frame))]
+        return [Assign(self._html, "content", comparison_html(frame))]
 
     def remove(self) -> None:
         remove_all(self._handles)
 
 
-def versus_html(frame: Frame) -> str:
+def comparison_html(frame: Frame) -> str:
     """Both sides in a table, B's cameras, and the tally under them."""
     if frame.twin is None:
-        return f'<div class="mv mv-versus">{INTRODUCTION}</div>'
+        return f'<div class="mv mv-comparison">{INTRODUCTION}</div>'
     rows = "".join(_side(name, side) for name, side in (("A", frame), ("B", frame.twin)))
     head = (
         '<tr class="dim"><td></td><td>policy</td><td>gets</td><td class="num">Q</td>'
@@ -95,7 +95,7 @@ def versus_html(frame: Frame) -> str:
     ]
     strip = np.concatenate(tiles, axis=1)
     return (
-        f'<div class="mv mv-versus"><table>{head}{rows}</table>'
+        f'<div class="mv mv-comparison"><table>{head}{rows}</table>'
         '<div style="display:flex;gap:12px;margin-top:6px;align-items:center">'
         f'<div><div class="dim">B, step {frame.twin.step}</div><img width="{strip.shape[1]}" '
         f'height="{TILE}" src="{jpeg_url(strip)}" alt="the cameras of B"></div>'
@@ -157,7 +157,7 @@ def _verdict(counted: Paired) -> str:
     said = (
         "They differ."
         if p < 0.05
-        else "No difference can be told yet."
+        else "No difference can be seen yet."
         if counted.first_only + counted.second_only
         else "Every pair came out alike."
     )

@@ -29,7 +29,7 @@ class FailuresPanel:
     def __init__(
         self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
     ) -> None:
-        """``send`` None: look, don't touch."""
+        """``send`` None: read-only."""
         self._send, self._env = send, frame.env
         self._handles: list = []
         if send is not None:

@@ -1,9 +1,9 @@
-"""What the policy makes of the pictures: feature lengths, the merged feature and its terms.
+"""What the policy encodes the pictures to: feature norms, the merged feature and its terms.
 
 The strips show where a feature is active: its Z numbers in ``BINS`` groups, the mean size of each.
 All strips share one colour scale, so that a stream that adds little looks dark.
 
-How features become one is told from the numbers (``Probe.merged_kind``), not from a policy's name:
+How features become one is read from the numbers (``Probe.merged_kind``), not from a policy's name:
 only of a sum may the page say that it is one, and only a sum has shares.
 """
 
@@ -81,7 +81,7 @@ class FeaturesPanel:
             return
         episode, step = self._last
         if (frame.episode, frame.step) == (episode, step) and self._history:
-            self._history.pop()  # The same instant, perhaps under another setting.
+            self._history.pop()  # The same time step, perhaps under another setting.
         elif frame.episode == episode:
             self._time += max(1, frame.step - step)
         else:
@@ -175,7 +175,7 @@ def features_html(frame: Frame) -> str:
 
 _HEAD = (
     '<tr class="dim"><td>stream</td><td style="width:48%">where its feature is active</td>'
-    '<td class="num">length</td>'
+    '<td class="num">norm</td>'
     '<td class="num" title="of the angle to the merged feature: 1 is the same direction">cosine'
     '</td><td class="num" title="V·M / |M|²: how much of the merged feature M this stream\'s '
     'feature V explains. The shares of all streams add up to 100 %.">share</td></tr>'

@@ -15,7 +15,7 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.scene.gizmo import Gizmo
-from madviz.app.toolkit import Cell, Choice, Shown, grid, on_value, remove_all
+from madviz.app.toolkit import Cell, Choice, SyncedInput, grid, on_value, remove_all
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.drawing.viewpoint import extent
 from madviz.observation.displacement import Displacement, MoveCamera
@@ -43,7 +43,7 @@ RANGES = {
 
 
 class MovePanel:
-    """See the module. ``send`` None: look, don't touch."""
+    """See the module. ``send`` None: read-only."""
 
     def __init__(
         self,
@@ -61,7 +61,7 @@ class MovePanel:
         self._camera = self._names[0]
         self._moves = dict(frame.ablation.moves)
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
-        self._shown: dict[str, Shown] = {}
+        self._shown: dict[str, SyncedInput] = {}
         self._wanted: dict[str, float] = {}
         """What a slider was dragged to and no frame has confirmed yet: not to be pulled back."""
         self._handles: list = []
@@ -84,7 +84,7 @@ class MovePanel:
             value = getattr(self._move, field)
             slider = gui.add_slider(field, low, high, step, value, marks=(), hint=HINTS[field])
             on_value(slider, lambda _, value, field=field: self._drag(field, value))
-            self._sliders[field], self._shown[field] = slider, Shown(slider)
+            self._sliders[field], self._shown[field] = slider, SyncedInput(slider)
         cells += [
             Cell(slider, 1 + 4 * (index % 3), 4)
             for index, slider in enumerate(self._sliders.values())

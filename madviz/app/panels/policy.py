@@ -12,7 +12,7 @@ import viser
 from madviz.agent.methods import METHODS
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import action_bars
-from madviz.app.toolkit import Cell, Choice, Shown, grid, guarded, on_value, remove_all
+from madviz.app.toolkit import Cell, Choice, SyncedInput, grid, guarded, on_value, remove_all
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.session.commands import (
     Command,
@@ -41,7 +41,7 @@ class PolicyChoice:
 
 
 class PolicyPanel:
-    """Picker, transport, and the state of the episode. ``send`` None: look, don't touch."""
+    """Picker, transport, and the state of the episode. ``send`` None: read-only."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class PolicyPanel:
             "Policy", labels, initial_value=current, hint="Swap the policy in mid-episode."
         )
         on_value(self._picker, lambda _, label: send(SetPolicy(self._names[label])))
-        self._shown_policy = Shown(self._picker)
+        self._shown_policy = SyncedInput(self._picker)
         self._run = Choice(gui, "Episode", RUNS, self._on_run, "Space, S, R and N do it, too.")
         self._speed = Choice(
             gui,
@@ -91,7 +91,7 @@ class PolicyPanel:
         self._auto = gui.add_checkbox(
             "Auto", True, hint="Start the next seed by itself when an episode is over."
         )
-        self._shown_auto = Shown(self._auto)
+        self._shown_auto = SyncedInput(self._auto)
         on_value(self._auto, lambda _, on: send(SetAutoNext(bool(on))))
         cells = [
             *(

@@ -26,7 +26,7 @@ from madviz.subsets import camera_of, modality_of
 from madviz.types import Array
 
 TRAIL, FADES = 60, (0.12, 0.25, 0.45, 0.8)
-"""Instants a trail goes back; how strongly its quarters are drawn, oldest first."""
+"""Time steps a trail goes back; how strongly its quarters are drawn, oldest first."""
 WIDTH, MARGIN = 600, 14
 """Units of the drawing; it is stretched to the panel's width as a whole."""
 
@@ -40,7 +40,7 @@ class Place:
     """(V + 1, Z) float32: the streams, and the merged feature on their scale (NaN: none)."""
 
 
-class MapPanel:
+class ProjectionPanel:
     """One point per stream and one for what they are merged to, on axes that stay."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, height: int = 190) -> None:
@@ -69,9 +69,9 @@ class MapPanel:
         return map_html(frame, basis, trail, self._height)
 
     def _note(self, frame: Frame, key: str) -> list[Place]:
-        """The trail that leads to this instant, which is added to it, and to the map while that is
-        being made. An instant seen again, perhaps under another setting, replaces what there was
-        from that step on; one that is only looked back at changes nothing."""
+        """The trail that leads to this time step, which is added to it, and to the map while that
+        is being made. A step that is computed again replaces the trail from there on; one that is
+        only shown again changes nothing."""
         if self._of != (key, frame.episode):
             self._of, self._trail = (key, frame.episode), []
         if self._seen != (frame.episode, frame.step) and not frame.past:
@@ -84,7 +84,7 @@ class MapPanel:
 
 
 def _points(frame: Frame) -> Array:
-    """(V + 1, Z): the streams' features and the merged one, brought to the length of one stream: a
+    """(V + 1, Z): the streams' features and the merged one, brought to the norm of one stream: a
     mean has it, and so has MVD's, which is put together from two halves."""
     probe, row = frame.probe, frame.row
     merged = probe.merged(row)
@@ -100,7 +100,7 @@ def waiting_html(progress: float) -> str:
     done = f"{100 * progress:.0f}"
     return (
         '<div class="mv mv-map"><div>The map is made of the first '
-        f"{DECISIONS} instants that are seen of this policy, and then stays as it is. "
+        f"{DECISIONS} time steps that are seen of this policy, and then stays as it is. "
         f"So far {done} %.</div>"
         f'<div style="height:4px;background:{FAINT};margin:6px 0">'
         f'<div style="height:4px;width:{done}%;background:{MUTED}"></div></div></div>'
@@ -127,12 +127,12 @@ def map_html(frame: Frame, basis: Basis, trail: list[Place], height: int) -> str
         f"{shapes}</svg>"
         '<div class="dim">A point is what a picture becomes inside the policy; near means alike. '
         f"These two directions show {100 * basis.share:.0f} % of what changed in the first "
-        f"{DECISIONS} instants. Hollow: dropped.</div></div>"
+        f"{DECISIONS} time steps. Hollow: dropped.</div></div>"
     )
 
 
 def _on_paper(points: Array, basis: Basis, height: int) -> Array:
-    """(T, N, 2) map coordinates -> drawing units, one scale for both axes, kept on the paper."""
+    """(T, N, 2) map coordinates -> drawing units, one scale for both axes, clipped to the paper."""
     span = np.maximum(basis.high - basis.low, 1e-9) * 1.15
     room = np.array([WIDTH - 2 * MARGIN, height - 2 * MARGIN])
     scale = float((room / span).min())
@@ -142,7 +142,7 @@ def _on_paper(points: Array, basis: Basis, height: int) -> Array:
 
 
 def _way(points: Array, colour: str, dashed: bool) -> str:
-    """A line through (T, 2) points, the older the fainter; instants without a point are gaps."""
+    """A line through (T, 2) points, the older the fainter; steps without a point are gaps."""
     points = points[np.isfinite(points).all(1)]
     if len(points) < 2:
         return ""

@@ -1,4 +1,4 @@
-"""The switch that lays over every picture where the policy looks, and the words that go with it.
+"""The switch that lays a saliency map over every picture, and the words that go with it.
 
 It is off until somebody wants it: a map is 50 ms of the thread that owns simulator and policy. The
 maps themselves are drawn into the tiles (``mosaic.py``).
@@ -22,7 +22,7 @@ HINT = "Lights up the pixels that matter; takes as long as a step."
 
 
 class SaliencyPanel:
-    """Three buttons and a line. ``ask`` None: look, don't touch."""
+    """Three buttons and a line. ``ask`` None: read-only."""
 
     def __init__(
         self, gui: viser.GuiApi, ask: Callable[[Target | None], None] | None, frame: Frame
@@ -36,7 +36,7 @@ class SaliencyPanel:
                 self._asked = value
                 ask(value or None)  # type: ignore[arg-type]
 
-            self._choice = Choice(gui, "Where it looks", OPTIONS, choose, HINT)
+            self._choice = Choice(gui, "Saliency", OPTIONS, choose, HINT)
             cell = Cell(self._choice.handle, 1, 1, "7.5em")
             self._handles = [self._choice.handle, gui.add_html(grid("saliency", 1, [cell]))]
         self._line = gui.add_html(self._html(frame))
@@ -58,9 +58,9 @@ def saliency_words(frame: Frame, asked: str) -> str:
     """What the colours on the pictures mean, or why there are none."""
     maps = frame.saliency
     if not asked and maps is None:
-        return "Lays over every picture which of its pixels the policy's output hangs on."
+        return "Shows on every picture which of its pixels the policy's output depends on."
     if maps is not None:
-        what = "the length of its action" if asked == "action" else "its Q"
+        what = "the norm of its action" if asked == "action" else "its Q"
         what = what if asked else "what it gives out"
         return (
             f"Bright: if this pixel changed a little, {what} would change most (SmoothGrad, twice "

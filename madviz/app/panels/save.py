@@ -1,4 +1,4 @@
-"""Keep what happened: an episode as a small file, to be lived again, looked at and given away."""
+"""Save what happened: an episode as a small file, to be replayed, inspected and shared."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ HINTS = {
 }
 
 
-class KeepPanel:
-    """Two buttons, and what to do with what they save. Watchers may keep, too: it only reads."""
+class SavePanel:
+    """Two buttons, and what to do with what they save. Watchers may save, too: it only reads."""
 
     def __init__(self, gui: viser.GuiApi, keep: Callable[[], KeptSession], frame: Frame) -> None:
         self._keep = keep
-        one = gui.add_button("keep this episode", icon=viser.Icon.DOWNLOAD, hint=HINTS["one"])
-        several = gui.add_button("keep the last 20", hint=HINTS["all"])
+        one = gui.add_button("save this episode", icon=viser.Icon.DOWNLOAD, hint=HINTS["one"])
+        several = gui.add_button("save the last 20", hint=HINTS["all"])
         one.on_click(lambda event: self._download(event.client, last=True))
         several.on_click(lambda event: self._download(event.client, last=False))
         cells = [Cell(one, 1), Cell(several, 2)]
-        self._words = gui.add_html(keep_html(frame))
-        self._handles = [one, several, gui.add_html(grid("keep", 2, cells)), self._words]
+        self._words = gui.add_html(save_html(frame))
+        self._handles = [one, several, gui.add_html(grid("save", 2, cells)), self._words]
 
     def _download(self, client: viser.ClientHandle | None, last: bool) -> None:
         if client is None:
@@ -44,7 +44,7 @@ class KeepPanel:
         guarded(client, save)
 
     def update(self, frame: Frame) -> list[Assign]:
-        return [Assign(self._words, "content", keep_html(frame))]
+        return [Assign(self._words, "content", save_html(frame))]
 
     def remove(self) -> None:
         remove_all(self._handles)
@@ -58,7 +58,7 @@ def file_name(kept: KeptSession) -> str:
     return f"{task}-{count}-episodes.json" if count > 1 else f"{task}-seed{last.seed}.json"
 
 
-def keep_html(frame: Frame) -> str:
+def save_html(frame: Frame) -> str:
     """What the file is good for."""
     task = escape(frame.env.task.split("/")[-1])
     name = f"{task}-seed{frame.seed}.json"

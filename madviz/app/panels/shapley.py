@@ -1,4 +1,4 @@
-"""What each camera is worth: its Shapley value in Q, in the action and in success, side by side.
+"""The Shapley value of every camera, in Q, in the action and in success, side by side.
 
 Three games with the same players. Q and action are read from what every subset would do at this
 very step; success is shared out from measured rates, so it waits until every set of cameras has
@@ -31,15 +31,15 @@ from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array
 
 IDEA = (
-    "Cameras cover for each other, so taking one away tells too little. Let them come one after "
-    "the other: <b>a camera is worth what it adds when it comes</b>, on average over all orders "
-    "(Shapley, 1953). Together they add what is in the last row."
+    "Several cameras show the same things, so dropping one says too little. Add them one after the "
+    "other instead: <b>the Shapley value of a camera is what it adds</b>, on average over all "
+    "orders. Together they add what is in the last row."
 )
 ARROWS = (
     "<b>Arrows at the gripper:</b> where it would go next with each set of cameras. "
     f'<b style="color:{NOTE}">Yellow</b> is the present setting, <b>white</b> all cameras, a '
-    "camera's own colour that camera alone; grey is any other set, dashed is a set it never "
-    "learned from. None at full speed."
+    "camera's own colour that camera alone; grey is any other set, dashed is a set it was "
+    "not trained on. None at full speed."
 )
 
 
@@ -57,21 +57,21 @@ class Column(NamedTuple):
     """(C,) half the width of the interval."""
 
 
-class WorthPanel:
+class ShapleyPanel:
     """A table with a row per camera and a column per game; below it, what the numbers mean."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, rates: Rates) -> None:
         self._rates = rates
-        self._table = gui.add_html(worth_html(frame, rates))
+        self._table = gui.add_html(shapley_html(frame, rates))
 
     def update(self, frame: Frame) -> list[Assign]:
-        return [Assign(self._table, "content", worth_html(frame, self._rates))]
+        return [Assign(self._table, "content", shapley_html(frame, self._rates))]
 
     def remove(self) -> None:
         remove_all([self._table])
 
 
-def worth_html(frame: Frame, rates: Rates) -> str:
+def shapley_html(frame: Frame, rates: Rates) -> str:
     """A row per camera with a signed bar for each game, and what they share in the last row."""
     columns = [q_column(frame), action_column(frame), success_column(frame, rates)]
     cameras = cameras_of(frame.policy.streams)
@@ -80,7 +80,7 @@ def worth_html(frame: Frame, rates: Rates) -> str:
     totals = "".join(f'<td class="num" style="text-align:center">{c.total}</td>' for c in columns)
     words = "".join(f"<div>{column.words}</div>" for column in columns)
     return (
-        f'<div class="mv mv-worth"><div>{IDEA}</div><table style="margin:5px 0">'
+        f'<div class="mv mv-shapley"><div>{IDEA}</div><table style="margin:5px 0">'
         f'<tr class="dim"><td></td>{heads}</tr>{rows}'
         f'<tr style="border-top:1px solid {FAINT}"><td class="dim">none → all present</td>{totals}'
         f'</tr></table>{words}<div style="margin-top:4px">{ARROWS}</div></div>'
@@ -91,8 +91,8 @@ def q_column(frame: Frame) -> Column:
     """Shares in the critic's forecast."""
     worth = q_worth(frame.probe, frame.policy.streams, frame.mask)
     words = (
-        "<b>Q</b> is the policy's own forecast of the reward still to come; of sets it never "
-        "learned from, it may be far from the truth."
+        "<b>Q</b> is the policy's own forecast of the reward still to come; of sets it was "
+        "not trained on, it may be far from the truth."
     )
     if not np.isfinite(frame.q):
         return Column("Q now", None, 1, "–", "<b>Q</b>: no forecast here, so nothing to share.")
@@ -102,7 +102,7 @@ def q_column(frame: Frame) -> Column:
 
 
 def action_column(frame: Frame) -> Column:
-    """Shares in the way from the blind action to the present one."""
+    """Shares in the way from the action without cameras to the present one."""
     worth = action_worth(frame.probe, frame.policy.streams, frame.mask)
     if not np.isfinite(worth.cameras).all():
         return Column("action now", None, 2, "–", f"<b>Action</b>: {_undefined(frame)}")
@@ -127,7 +127,7 @@ def success_column(frame: Frame, rates: Rates) -> Column:
     least = min(rate.n for rate in found.values())
     clean = " Measured with clean pictures." if frame.setting.occlusions else ""
     words = (
-        "<b>Success</b>: the share of episodes won that a camera brings, ± 95 % interval "
+        "<b>Success</b>: the success rate that a camera adds, ± 95 % interval "
         f"({least} or more episodes for each set).{clean}"
     )
     total = f"{worth.nothing:.2f} → {worth.everything:.2f}"

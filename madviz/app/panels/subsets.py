@@ -70,7 +70,7 @@ def subsets_html(frame: Frame, everything: bool = True) -> str:
     left_out = len(masks) - len(lines)
     more = f" · {left_out} sets with half a camera are not shown" if left_out else ""
     key = (
-        '<div class="dim">† off-training: it never learned from this set · apart: distance between '
+        '<div class="dim">† not trained on this subset · apart: distance between '
         f"this row's action and the one taken now, and the one of all cameras{more}</div>"
     )
     return f'<div class="mv"><table>{_HEAD}{"".join(lines)}</table>{key}</div>'
@@ -94,7 +94,7 @@ def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
     readout, mask = frame.probe.readout, frame.probe.masks[row]
     label = escape(subset_label(frame, name_of(mask, frame.policy.streams)))
     now = f'<span class="tag" style="background:{NOTE}">now</span> ' if here else ""
-    dagger = "" if trained else '<span class="dim" title="off-training">† </span>'
+    dagger = "" if trained else '<span class="dim" title="not trained on this subset">† </span>'
     if np.isfinite(readout.action[row]).all():
         apart = "".join(
             f'<td class="num">{"–" if np.isnan(d) else f"{d:.2f}"}</td>'

@@ -1,4 +1,4 @@
-"""What comes of it: success rates with their intervals, the last live outcomes, and the words."""
+"""Success rates with their intervals, the last live outcomes, and a line on what has changed."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ MEASURE_HINT = (
 EDGE = "rgba(77, 182, 255, 0.5)"
 """The ends of the interval around the success curve."""
 BELOW = -1.0
-"""Where the success curve keeps what is not to be seen; its axis ends at 0."""
+"""Where the success curve has what is not to be seen; its axis ends at 0."""
 LABEL = 14
 """Letters that a row has room for; a longer label gives way to the subset's own name."""
 HISTORY = 200
-"""Points of the success curve that are kept."""
+"""Points of the success curve."""
 
 
 class SuccessPanel:
@@ -40,7 +40,7 @@ class SuccessPanel:
     def __init__(
         self, gui: viser.GuiApi, frame: Frame, rates: Rates, visitor: Hashable | None
     ) -> None:
-        """``visitor`` has the present setting measured; None only looks on."""
+        """``visitor`` has the present setting measured; None only watches."""
         self._rates, self._visitor = rates, visitor
         self._wanted: tuple[PolicySpec, Setting] | None = None
         self._known: tuple[Outcome, ...] = ()
@@ -173,7 +173,7 @@ def bars_html(frame: Frame, rates: Rates) -> str:
     key = (
         f'<span class="dot" style="background:{MUTED};height:5px"></span>shipped'
         f'<span class="dot" style="background:{GOOD};height:5px;margin-left:8px"></span>'
-        f'here · † off-training · <b style="color:{NOTE}">▸</b> now'
+        f'here · † not trained on · <b style="color:{NOTE}">▸</b> now'
     )
     return (
         f'<div class="mv"><h4>Success at the last step</h4><div class="dim">{key}'
@@ -241,7 +241,7 @@ def strip_html(frame: Frame) -> str:
     else:
         body = "".join(_outcome(frame, outcome) for outcome in frame.outcomes)
     return (
-        '<div class="mv"><h4>Last episodes <span class="plain">● camera off, ○ spoilt</span></h4>'
+        '<div class="mv"><h4>Last episodes <span class="plain">● dropped, ○ occluded</span></h4>'
         f'<div style="display:flex;gap:3px;min-height:38px">{body}</div>'
         "<h4>Success, present setting, by episode</h4></div>"
     )

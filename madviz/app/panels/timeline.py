@@ -1,7 +1,7 @@
-"""The episode so far: drag back to any step, and try another future from there.
+"""The episode so far: drag back to any step, and try another run from there.
 
 Two lanes, reward and Q by step, with a mark wherever cameras or the policy changed. After a fork,
-the first future stays as a dashed line, with its pictures at the same step under it.
+the original run stays as a dashed line, with its pictures at the same step under it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.scene.scene import picture
-from madviz.app.toolkit import Cell, Shown, grid, on_press, on_value, remove_all
+from madviz.app.toolkit import Cell, SyncedInput, grid, on_press, on_value, remove_all
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.drawing.jpeg import jpeg_url
 from madviz.session.commands import Command, Fork, Scrub
@@ -24,10 +24,10 @@ from madviz.session.frame import Frame, Moment
 
 WIDTH, LANE, LEFT, TOP = 600, 40, 44, 14
 """Pixels of the drawing, of a lane, left of the lanes and above them."""
-PATIENCE = 1.0
+AFTER_DRAG = 1.0
 """Seconds in which a slider that is being dragged is left alone."""
 TILE = 84
-"""Pixels of a camera's picture in the first future."""
+"""Pixels of a camera's picture in the original run."""
 HINTS = {
     "step": "Drag back to see everything as it was at an earlier step.",
     "fork": "Go on from the step that is shown, with the cameras as they were then. "
@@ -37,7 +37,7 @@ HINTS = {
 
 
 class TimelinePanel:
-    """A slider over the steps, two lanes, and the branch. ``send`` None: look, don't touch."""
+    """A slider over the steps, two lanes, and the branch. ``send`` None: read-only."""
 
     def __init__(
         self,
@@ -49,8 +49,8 @@ class TimelinePanel:
         self._send, self._clock = send, clock
         self._horizon = frame.env.horizon
         self._handles: list = []
-        self._slider: Shown | None = None
-        self._dragged, self._crossed = -PATIENCE, False
+        self._slider: SyncedInput | None = None
+        self._dragged, self._crossed = -AFTER_DRAG, False
         """When a visitor moved the slider last, and whether it was set right since."""
         if send is not None:
             self._add_controls(gui, send, frame)
@@ -68,7 +68,7 @@ class TimelinePanel:
         live = gui.add_button("newest", hint=HINTS["live"])
         for button, command in ((fork, Fork()), (live, Scrub(None))):
             on_press(button, lambda command=command: send(command))
-        self._slider = Shown(slider)
+        self._slider = SyncedInput(slider)
         cells = [Cell(slider, 1, 6, "3em"), Cell(fork, 7, 2), Cell(live, 9, 2)]
         layout = gui.add_html(grid("timeline", 10, cells))
         self._handles = [*(cell.handle for cell in cells), layout]
@@ -87,7 +87,7 @@ class TimelinePanel:
         changes = [Assign(self._drawing, "content", timeline_html(frame))]
         if self._slider is None:
             return changes
-        if self._clock() - self._dragged < PATIENCE:
+        if self._clock() - self._dragged < AFTER_DRAG:
             return changes
         if not self._crossed:
             return [*changes, *self._slider.show(frame.step)]
@@ -143,7 +143,7 @@ def _x(step: float, horizon: int) -> float:
 def _lane(
     label: str, index: int, live: Sequence[float], first: Sequence[float], horizon: int
 ) -> str:
-    """One curve over the first future's, on one scale that holds both."""
+    """One curve over the original run's, on one scale that holds both."""
     top = TOP + index * (LANE + 8) + 4
     known = np.array([*live, *first], float)
     known = known[np.isfinite(known)]
@@ -214,19 +214,19 @@ def _words(frame: Frame) -> str:
         newest = len(frame.story) - 1
         return (
             f'<b style="color:{NOTE}">Looking back: step {frame.step} of {newest}.</b> '
-            "Switch a camera here, or fork, and another future begins. Play goes on from the "
+            "Switch a camera here, or fork, and another run begins. Play goes on from the "
             "newest step."
         )
     if frame.branch:
         return (
-            f'<span style="color:{NOTE}">╌╌</span> the first future, forked at step '
+            f'<span style="color:{NOTE}">╌╌</span> the original run, forked at step '
             f"{frame.branch.at} · <b>—</b> this one · {goal}"
         )
     return f'<span class="dim">Drag the step back to see everything as it was · {goal}</span>'
 
 
 def _first(frame: Frame) -> str:
-    """The first future's cameras at the same step, and how the two compare."""
+    """The original run's cameras at the same step, and how the two compare."""
     if frame.branch is None or frame.past:
         return ""
     other, story, horizon = frame.branch.frame, frame.branch.story, frame.env.horizon
@@ -236,7 +236,7 @@ def _first(frame: Frame) -> str:
     ]
     strip = np.concatenate(tiles, axis=1)
     rows = [
-        ("first future", str(other.setting), other.total_reward, _outcome(story, horizon)),
+        ("original run", str(other.setting), other.total_reward, _outcome(story, horizon)),
         ("now", str(frame.setting), frame.total_reward, _outcome(frame.story, horizon)),
     ]
     table = "".join(
@@ -247,14 +247,14 @@ def _first(frame: Frame) -> str:
     head = '<tr class="dim"><td></td><td>policy gets</td><td class="num">reward</td><td></td></tr>'
     return (
         '<div style="display:flex;gap:10px;margin-top:4px;align-items:center">'
-        f'<div><div class="dim">the first future, step {other.step}</div>'
+        f'<div><div class="dim">the original run, step {other.step}</div>'
         f'<img width="{strip.shape[1]}" height="{TILE}" src="{jpeg_url(strip)}" '
-        f'alt="the first future"></div><table style="width:auto">{head}{table}</table></div>'
+        f'alt="the original run"></div><table style="width:auto">{head}{table}</table></div>'
     )
 
 
 def _outcome(story: Sequence[Moment], horizon: int) -> str:
-    """How a future ended, or how far it came; success counts at the last step."""
+    """How a run ended, or how far it came; success counts at the last step."""
     if len(story) <= horizon:
         return f'<span class="dim">up to step {len(story) - 1}</span>'
     word, colour = ("✔ SUCCESS", GOOD) if story[-1].success else ("✘ FAIL", BAD)

@@ -41,18 +41,18 @@ HINTS = {
     "recipe": "light imitates an expert in minutes; paper learns from rewards and needs hours.",
     "budget": "a look: minutes, to see it move. short: the recipe's defaults. full: as shipped.",
     "start": "A process of its own, at the lowest priority: the page stays quick.",
-    "stop": "Keeps everything learned.",
+    "stop": "Loses nothing that was learned.",
     "go on": "Goes on exactly where it was stopped.",
     "watch": "Puts the newest weights to work in this page.",
 }
 WIDTH, HEIGHT, LEFT = 600, 70, 40
 """Pixels of the curves."""
-PATIENCE = 3.0
-"""Seconds between two looks at the run's files."""
+READ_EVERY = 3.0
+"""Seconds between two reads of the run's files."""
 
 
 class TrainingPanel:
-    """Controls and curves. ``send`` None: look, don't touch."""
+    """Controls and curves. ``send`` None: read-only."""
 
     unsettled = True
     """A training goes on while the episode stands still."""
@@ -66,7 +66,7 @@ class TrainingPanel:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._job, self._clock = job, clock
-        self._looked, self._status = -PATIENCE, JobStatus()
+        self._read_at, self._status = -READ_EVERY, JobStatus()
         self._handles: list = []
         if send is not None:
             self._add_controls(gui, send, frame)
@@ -114,15 +114,15 @@ class TrainingPanel:
             if event.client is None:
                 return
             guarded(event.client, work)
-            self._looked = -PATIENCE
+            self._read_at = -READ_EVERY
             if name == "start":
                 notify(event.client, "Training", "The first round takes half a minute to show.")
 
         return button
 
     def update(self, frame: Frame) -> list[Assign]:
-        if self._clock() - self._looked >= PATIENCE:
-            self._looked, self._status = self._clock(), self._job.status()
+        if self._clock() - self._read_at >= READ_EVERY:
+            self._read_at, self._status = self._clock(), self._job.status()
         return [Assign(self._html, "content", training_html(self._status))]
 
     def remove(self) -> None:

@@ -39,7 +39,7 @@ NEAR = 0.4
 """Of the distance to the eye; less would be as good until the visitor is very near."""
 DASHES = 5
 OTHER, DIM = (170, 174, 180), 0.85
-"""The colour of sets that have none of their own; what is left of a colour off-training."""
+"""The colour of sets that have none of their own; the share of a colour for untrained sets."""
 
 
 class ArrowsPanel:

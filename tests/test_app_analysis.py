@@ -1,4 +1,4 @@
-"""Panels that say what a camera is worth: numbers in their words, points on their map, arrows."""
+"""Panels that explain a time step: Shapley values, the map of features, saliency, arrows."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ import viser
 from madviz.analysis.projection import DECISIONS
 from madviz.analysis.shapley import set_names
 from madviz.app.panel import apply
-from madviz.app.panels.projection import MapPanel
+from madviz.app.panels.projection import ProjectionPanel
 from madviz.app.panels.saliency import SaliencyPanel, saliency_words
 from madviz.app.panels.shapley import (
-    WorthPanel,
+    ShapleyPanel,
     action_column,
     q_column,
+    shapley_html,
     success_column,
-    worth_html,
 )
 from madviz.app.rates import Rates
 from madviz.app.scene.arrows import NEAR, ArrowsPanel, arrows, towards
@@ -66,7 +66,7 @@ def text(html: str) -> str:
 def test_a_camera_has_a_row_with_what_it_is_worth_in_every_game() -> None:
     frame = frame_with()
     rates = Rates(lambda spec: {**MEASURED, "all": {"success": 1.0, "n": 100}})
-    html = worth_html(frame, rates)
+    html = shapley_html(frame, rates)
     for column in (q_column(frame), action_column(frame), success_column(frame, rates)):
         assert column.worth is not None
         for value in column.worth.cameras:
@@ -84,7 +84,7 @@ def test_worths_of_the_page_sum_to_its_last_row() -> None:
     assert q.cameras.sum() == pytest.approx(float(readout.q[0] - readout.q[-1]), abs=1e-4)
     distance = float(np.linalg.norm(readout.action[0] - readout.action[-1]))
     assert action.cameras.sum() == pytest.approx(distance, abs=1e-5)
-    assert f"{distance:.2f} → 0.00 apart" in worth_html(frame, Rates())
+    assert f"{distance:.2f} → 0.00 apart" in shapley_html(frame, Rates())
 
 
 def test_success_says_what_is_not_measured_yet() -> None:
@@ -98,7 +98,7 @@ def test_with_a_camera_dropped_it_is_worth_nothing_and_half_the_sets_will_do() -
     known = ("first+third_a", "first", "third_a", "none")
     column = success_column(frame, Rates(lambda spec: {name: MEASURED[name] for name in known}))
     assert column.worth is not None and column.worth.cameras[2] == 0
-    html = worth_html(frame, Rates())
+    html = shapley_html(frame, Rates())
     assert "Third B · dropped" in html and "opacity:0.45" in html
 
 
@@ -111,7 +111,7 @@ def test_occlusions_are_no_part_of_the_measured_success() -> None:
 def test_a_policy_that_cannot_do_without_cameras_has_no_worths_and_says_why() -> None:
     frame = frame_with(policy=AllOrNothing("toy-stack"))
     assert q_column(frame).worth is None and action_column(frame).worth is None
-    words = text(worth_html(frame, Rates()))
+    words = text(shapley_html(frame, Rates()))
     assert "cannot act on First person + Third A, First person + Third B, First person" in words
     assert "4 more" in words
     broken = action_column(frame_with(policy=NanPolicy("toy-nan")))
@@ -126,7 +126,7 @@ def test_a_policy_without_a_critic_has_no_worth_in_q() -> None:
 
 
 def test_the_panel_follows_another_policy(server: viser.ViserServer) -> None:
-    panel = WorthPanel(server.gui, frame_with(), Rates())
+    panel = ShapleyPanel(server.gui, frame_with(), Rates())
     apply(panel.update(frame_with(SetPolicy("toy-rgbd"))))
     assert panel._table.content.count("Third B") >= 1
     panel.remove()
@@ -138,7 +138,7 @@ def circles(html: str) -> list[tuple[str, str, str]]:
 
 def test_a_map_is_made_while_an_episode_runs_and_then_stays(server: viser.ViserServer) -> None:
     session, panels = session_with(speed=None), []
-    panel = MapPanel(server.gui, shown(session))
+    panel = ProjectionPanel(server.gui, shown(session))
     for _ in range(DECISIONS + 3):
         html = panel._drawing.content
         panels.append("<svg" in html)
@@ -154,10 +154,10 @@ def test_a_map_is_made_while_an_episode_runs_and_then_stays(server: viser.ViserS
     panel.remove()
 
 
-def mapped(server: viser.ViserServer) -> tuple[MapPanel, Session]:
+def mapped(server: viser.ViserServer) -> tuple[ProjectionPanel, Session]:
     """A panel that has its map, and the session it came from."""
     session = session_with(speed=None)
-    panel = MapPanel(server.gui, shown(session))
+    panel = ProjectionPanel(server.gui, shown(session))
     for _ in range(DECISIONS + 2):
         session.tick(0.0)
         apply(panel.update(shown(session)))
@@ -195,7 +195,7 @@ def test_another_episode_begins_another_trail(server: viser.ViserServer) -> None
 def test_without_features_of_their_own_cameras_have_no_map(server: viser.ViserServer) -> None:
     frame = frame_with()
     blank = replace(frame, probe=replace(frame.probe, features=0 * frame.probe.features))
-    panel = MapPanel(server.gui, blank)
+    panel = ProjectionPanel(server.gui, blank)
     assert "No camera has a feature of its own" in panel._drawing.content
     panel.remove()
 
@@ -230,7 +230,7 @@ def test_the_switch_asks_and_the_line_says_what_comes(server: viser.ViserServer)
     frame = frame_with()
     panel = SaliencyPanel(server.gui, asked.append, frame)
     assert panel._choice is not None
-    assert "hangs on" in saliency_words(frame, "")
+    assert "depends on" in saliency_words(frame, "")
     assert "never has one" in saliency_words(frame, "q")
     assert "its Q would change" in saliency_words(looking(frame), "q")
     assert "full speed" in saliency_words(replace(frame, speed=None), "q")
