@@ -4,7 +4,7 @@
     rates        successes in words, with their intervals
     small_runs   trainings that fit into a lesson
 
-All of these are here under ``madviz.teaching``; ``show``, ``lessons``, ``rivals`` and ``inside``
+All of these are here under ``madviz.teaching``; ``show``, ``lessons``, ``baselines`` and ``inside``
 are modules of their own, for those lessons that need them.
 """
 

@@ -172,7 +172,7 @@ def width_table(rate: float, episodes: Sequence[int]) -> Table:
     return table(["episodes", "95% interval", "width"], rows)
 
 
-# The rivals.
+# Other methods.
 
 
 def untrained(name: str, streams: tuple[str, ...] = ("first", "third_a", "third_b")) -> TorchPolicy:

@@ -1,5 +1,5 @@
 # %% [markdown]
-# # Solution 6: black for those who cannot drop
+# # Solution 6: black for merges that cannot drop a camera
 
 # %%
 import numpy as np
@@ -32,5 +32,5 @@ table(["what happened", "distance of the action"], rows)
 
 # %% [markdown]
 # The numbers of untrained networks mean nothing by themselves. The point is the third row: it
-# exists for MAD alone. A sum without a term is a smaller sum; a row of features without a feature
-# is a hole.
+# exists for MAD alone. A sum without a term is still a sum; features side by side with one of them
+# missing are not what the network expects.

@@ -1,7 +1,8 @@
-"""Lesson 6: what is taken from the rivals, what is kept of it, and how each does without."""
+"""Lesson 6: success with cameras missing, the file it is saved in, and how each merge acts."""
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import pytest
@@ -13,33 +14,34 @@ from madviz.errors import UserError
 from madviz.evaluation.statistics import pair
 from madviz.subsets import mask_of
 from madviz.system.files import read_json
-from madviz.teaching import rivals
-from madviz.teaching.lessons import untrained
-from madviz.teaching.rivals import (
+from madviz.teaching import baselines
+from madviz.teaching.baselines import (
     CAMERAS,
+    COMPARED,
     EPISODES,
-    RIVALS,
+    attention_shares,
     averaged_heads,
+    by_seed,
     cases,
     counted,
-    gone_bars,
-    gone_table,
-    keep,
-    kept,
-    looks,
     on_robot,
+    one_missing,
+    outcome_bars,
+    outcome_table,
     put_everywhere,
-    scenes,
-    take_away,
-    unmoved,
+    read_outcomes,
+    run_cases,
+    same_draws,
+    save_outcomes,
 )
+from madviz.teaching.lessons import untrained
 from tests.evidence import write_policy
 from tests.fakes import AllOrNothing, FakePolicy
 
-SHIPPED = Path(__file__).resolve().parent.parent / "notebooks" / "measured" / "rivals.json"
+SHIPPED = Path(__file__).resolve().parent.parent / "notebooks" / "measured" / "baselines.json"
 
 
-def test_every_camera_goes_in_every_way() -> None:
+def test_every_camera_is_missing_in_every_way() -> None:
     assert len(cases()) == 1 + 3 * len(CAMERAS)
     assert cases()["third_a dropped"] == (("first", "third_b"), "")
     assert cases()["third_a black"] == (CAMERAS, "third_a")
@@ -47,28 +49,30 @@ def test_every_camera_goes_in_every_way() -> None:
 
 
 def test_outcomes_are_those_of_the_evaluation() -> None:
-    found = take_away(FakePolicy(), ["all", "first dropped", "first black"], episodes=3)
+    found = run_cases(FakePolicy(), ["all", "first dropped", "first black"], episodes=3)
     assert {len(digits) for digits in found.values()} == {3}
     policy = FakePolicy()
     last = [list(teaching.moments(policy, seed))[-1].success for seed in (5000, 5001, 5002)]
     assert found["all"] == "".join(str(int(success)) for success in last)
 
 
-def test_what_a_policy_refuses_is_not_there() -> None:
-    found = take_away(AllOrNothing(), episodes=1)
+def test_cases_that_a_policy_refuses_are_left_out() -> None:
+    found = run_cases(AllOrNothing(), episodes=1)
     assert list(found) == ["all", "first black", "third_a black", "third_b black"]
 
 
-def test_a_camera_that_was_never_there_can_go(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_that_the_policy_never_had_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     asked: list[tuple[str, dict]] = []
-    whole = rivals.evaluate
+    whole = baselines.evaluate
 
     def evaluate(policy, subsets, **options):
         asked.append((*subsets, options["occlusions"]))
         return whole(policy, subsets, **options)
 
-    monkeypatch.setattr(rivals, "evaluate", evaluate)
-    found = take_away(untrained("single"), episodes=1)
+    monkeypatch.setattr(baselines, "evaluate", evaluate)
+    found = run_cases(untrained("single"), episodes=1)
     assert [(subset, list(black)) for subset, black in asked] == [
         ("first", []),
         ("first", ["first"]),
@@ -77,52 +81,52 @@ def test_a_camera_that_was_never_there_can_go(monkeypatch: pytest.MonkeyPatch) -
     assert "first dropped" not in found and "only third_a" not in found
 
 
-def test_what_is_kept_stays_when_another_method_comes(tmp_path: Path) -> None:
-    file = tmp_path / "rivals.json"
-    keep(file, "vib", {"all": "11"})
-    keep(file, "mad", {"all": "10"})
-    keep(file, "vib", {"all": "01", "only first": "00"})
-    assert kept(file) == {"mad": {"all": "10"}, "vib": {"all": "01", "only first": "00"}}
-    assert list(kept(file)) == ["mad", "vib"], "in the order of the tables"
+def test_saved_outcomes_stay_when_another_method_is_added(tmp_path: Path) -> None:
+    file = tmp_path / "baselines.json"
+    save_outcomes(file, "vib", {"all": "11"})
+    save_outcomes(file, "mad", {"all": "10"})
+    save_outcomes(file, "vib", {"all": "01", "only first": "00"})
+    assert read_outcomes(file) == {"mad": {"all": "10"}, "vib": {"all": "01", "only first": "00"}}
+    assert list(read_outcomes(file)) == ["mad", "vib"], "in the order of the tables"
 
 
-def test_methods_are_compared_scene_by_scene() -> None:
+def test_methods_are_compared_seed_by_seed() -> None:
     measured = {"a": {"all": "1101"}, "b": {"all": "1000", "only first": "0000"}}
-    assert scenes("1101") == {5000: True, 5001: True, 5002: False, 5003: True}
-    paired = pair(scenes(measured["a"]["all"]), scenes(measured["b"]["all"]))
+    assert by_seed("1101") == {5000: True, 5001: True, 5002: False, 5003: True}
+    paired = pair(by_seed(measured["a"]["all"]), by_seed(measured["b"]["all"]))
     assert (paired.both, paired.first_only, paired.second_only, paired.neither) == (1, 2, 0, 1)
     assert counted(measured, "only first") == {"b": (0, 4)}
 
 
-def test_a_camera_goes_in_the_way_that_suits_the_method() -> None:
+def test_a_camera_is_missing_in_the_way_that_suits_the_method() -> None:
     black = {f"{camera} black": "00" for camera in CAMERAS}
     measured = {
         "concat": {"all": "11", **black},
         "sum": {"all": "11", **black, "first dropped": "10"},
     }
-    best = rivals.at_best(measured)
-    assert [best[name]["first gone"] for name in measured] == ["00", "10"]
-    assert list(best["sum"]) == ["all", "first gone", "third_a gone", "third_b gone"]
+    best = one_missing(measured)
+    assert [best[name]["first missing"] for name in measured] == ["00", "10"]
+    assert list(best["sum"]) == ["all", "first missing", "third_a missing", "third_b missing"]
 
 
 def test_a_refusal_is_written_in_the_table_and_has_no_bar() -> None:
     measured = {"a": {"all": "1101"}, "b": {"all": "1111", "only first": "0001"}}
-    rows = {row[0]: row[1:] for row in gone_table(measured, ["all", "only first"]).rows}
+    rows = {row[0]: row[1:] for row in outcome_table(measured, ["all", "only first"]).rows}
     assert rows["a"] == ("0.75 [0.30, 0.95] n=4", "refuses")
-    both = gone_bars("t", measured, ["all", "only first"]).svg
-    assert (
-        both.count('class="bar"') == gone_bars("t", measured, ["all"]).svg.count('class="bar"') + 1
-    )
+    both = outcome_bars("t", measured, ["all", "only first"]).svg
+    one = outcome_bars("t", measured, ["all"]).svg
+    assert both.count('class="bar"') == one.count('class="bar"') + 1
 
 
 def shares(name: str, subset: str) -> dict[str, list[float]]:
     moment = teaching.moment_at(FakePolicy(), step=1)
     return {
-        row[0]: [float(x) for x in row[1:]] for row in looks(untrained(name), moment, subset).rows
+        row[0]: [float(x) for x in row[1:]]
+        for row in attention_shares(untrained(name), moment, subset).rows
     }
 
 
-def test_nobody_looks_at_a_camera_that_is_gone() -> None:
+def test_no_view_attends_to_a_dropped_camera() -> None:
     for name in ("vit", "attention"):
         left = shares(name, "first+third_b")
         assert list(left) == ["first", "third_b"]
@@ -137,24 +141,24 @@ def test_nobody_looks_at_a_camera_that_is_gone() -> None:
         shares("mad", "all")
 
 
-def test_looking_leaves_the_network_as_it_was() -> None:
+def test_reading_the_attention_leaves_no_hook() -> None:
     policy, moment = untrained("vit"), teaching.moment_at(FakePolicy(), step=1)
-    looks(policy, moment, "all")
-    assert not any(module._forward_hooks for module in policy.agent.modules())
+    attention_shares(policy, moment, "all")
+    pickle.dumps(policy.agent)  # A hook that is left cannot be pickled.
 
 
-def test_each_rival_does_what_the_lesson_says() -> None:
+def test_each_merge_does_what_the_lesson_says() -> None:
     moment = teaching.moment_at(FakePolicy(), step=1)
     mean = {row[0]: row[1] for row in averaged_heads(untrained("q-mean"), moment).rows}
     assert mean["mean of the three"] == mean["all"] != mean["only first"]
     thrice = [row[1] for row in put_everywhere(untrained("vib"), moment, "third_a").rows]
     assert thrice[0] == thrice[1]
-    assert unmoved(2000)[0] / 2000 == pytest.approx(4 / 9, abs=0.03)
+    assert same_draws(2000)[0] / 2000 == pytest.approx(4 / 9, abs=0.03)
 
 
 def test_what_ships_is_whole_and_agrees_with_the_merges() -> None:
-    measured = kept(SHIPPED)
-    assert tuple(measured) == RIVALS
+    measured = read_outcomes(SHIPPED)
+    assert tuple(measured) == COMPARED
     for name, outcomes in measured.items():
         assert {len(digits) for digits in outcomes.values()} == {EPISODES}
         if not METHODS[name].one_camera:
@@ -163,7 +167,7 @@ def test_what_ships_is_whole_and_agrees_with_the_merges() -> None:
                 assert (case in outcomes) == allows(mask_of("+".join(cameras), CAMERAS))
 
 
-def test_rivals_on_a_robot_are_those_of_one_budget(
+def test_baselines_on_a_robot_share_one_budget(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     everywhere = {"all": 0.9, "first": 0.8, "third_a": 0.7, "third_b": 0.6}
@@ -179,17 +183,19 @@ def test_rivals_on_a_robot_are_those_of_one_budget(
         "mad": list(everywhere), "single": ["third_a"], "concat": ["all"]
     }  # fmt: skip
     assert counted(found, "third_a") == {"mad": (7, 10), "single": (4, 10)}
-    # Scene by scene, in the order of seeds.
-    kept = read_json(tmp_path / "metaworld-hammer-mad-light" / "evaluation.json")["episodes"]
-    digits = {e["seed"]: str(int(e["success"])) for e in kept if e["subset"] == "first"}
+    # Episode by episode, in the order of seeds.
+    saved = read_json(tmp_path / "metaworld-hammer-mad-light" / "evaluation.json")["episodes"]
+    digits = {e["seed"]: str(int(e["success"])) for e in saved if e["subset"] == "first"}
     assert found["mad"]["first"] == "".join(digits[seed] for seed in sorted(digits))
-    assert [row[1] for row in gone_table(found, ["all"], missing="–").rows] == [
-        *("0.90 [0.60, 0.98] n=10", "–", "0.50 [0.24, 0.76] n=10")
+    assert [row[1] for row in outcome_table(found, ["all"], missing="–").rows] == [
+        "0.90 [0.60, 0.98] n=10",
+        "–",
+        "0.50 [0.24, 0.76] n=10",
     ]
     assert on_robot("toy/reach") == {}
 
 
-def test_the_shipped_rivals_on_push_met_the_same_scenes() -> None:
+def test_the_shipped_baselines_on_push_have_the_same_seeds() -> None:
     found = on_robot("metaworld/push")
     assert {"mad", "single", "vib", "merged-only", "singular-only"} <= found.keys()
     assert {len(digits) for outcomes in found.values() for digits in outcomes.values()} == {50}

@@ -1,17 +1,17 @@
-"""What lesson 6 measures: every rival trained small on ``toy/reach``, and cameras taken from it.
+"""What lesson 6 measures: MAD and nine baselines, small on ``toy/reach``, without some cameras.
 
-A camera goes in one of two ways. It is *dropped*: the policy is told, and its merge does without.
-Or it *sends black*, and nobody tells the policy. A merge that has a place for every camera (pixels
-or features side by side) knows the second way only. So each rival meets the same cases:
+A camera can be missing in one of two ways. It is *dropped*: the merge does without it. Or it *sends
+black*, and the policy takes that for its picture. A merge that has a place for every camera (pixels
+or features side by side) knows the second way only. So each method is measured in the same cases:
 
     all                 what it was trained for
     third_a dropped     two cameras are left, where its merge allows that
     third_a black       three arrive, one of them black
     only third_a        one is left, where its merge allows that
 
-Ten trainings take longer than a lesson, so ``notebooks/rivals.py`` made them once and kept what
-came out, an episode a digit, seeds counting from 5000. Any two methods can therefore be compared
-scene by scene: "1101" and "1100" differ in the last of four.
+Ten trainings take longer than a lesson, so ``notebooks/baselines.py`` made them once and saved the
+outcomes, an episode a digit, seeds counting from 5000. Any two methods can therefore be compared
+episode by episode: "1101" and "1100" differ in the last of four.
 
     {"seed": 5000, "methods": {"vib": {"all": "1101...", "third_a black": "0100...", ...}}, ...}
 """
@@ -43,9 +43,17 @@ from madviz.teaching.show import Figure, Table, bars, table
 from madviz.types import Array, Policy
 
 CAMERAS = ("first", "third_a", "third_b")
-RIVALS = (
-    *("mad", "merged-only", "q-mean", "attention", "vit"),
-    *("mvd", "vib", "concat", "frame-stack", "single"),
+COMPARED = (
+    "mad",
+    "merged-only",
+    "q-mean",
+    "attention",
+    "vit",
+    "mvd",
+    "vib",
+    "concat",
+    "frame-stack",
+    "single",
 )
 """Methods in the order of the tables."""
 ROUNDS, UPDATES = 6, 100
@@ -61,26 +69,26 @@ def cases() -> dict[str, tuple[tuple[str, ...], str]]:
     """Name of a case -> the cameras that are left, and the one of them that sends black."""
     return {
         "all": (CAMERAS, ""),
-        **{f"{gone} dropped": (tuple(c for c in CAMERAS if c != gone), "") for gone in CAMERAS},
+        **{f"{name} dropped": (tuple(c for c in CAMERAS if c != name), "") for name in CAMERAS},
         **{f"{black} black": (CAMERAS, black) for black in CAMERAS},
         **{f"only {camera}": ((camera,), "") for camera in CAMERAS},
     }
 
 
-def train_rival(name: str) -> SmallRun:
-    """The small training of one rival: ``single`` learns from Third A, the others from all."""
+def train_baseline(name: str) -> SmallRun:
+    """The small training of one method: ``single`` learns from Third A, the others from all."""
     camera = "third_a" if name == "single" else ""
     return train_small(name, camera=camera, rounds=ROUNDS, updates=UPDATES)
 
 
-def take_away(
+def run_cases(
     policy: Policy,
     names: Sequence[str] = (),
     episodes: int = EPISODES,
     seed: int = FIRST_SEED,
 ) -> dict[str, str]:
-    """Runs the cases called ``names`` (all of them if there are none) in this process. Where a
-    camera goes that the policy never had, nothing happens, and nothing is run twice."""
+    """Case -> outcomes of those called ``names`` (all of them if there are none), run in this
+    process. A camera that the policy never had changes nothing, and nothing is run twice."""
     known = cases()
     found: dict[str, str] = {}
     ran: dict[tuple[str, str], str] = {}
@@ -100,32 +108,32 @@ def take_away(
     return found
 
 
-# What was kept.
+# Saved outcomes.
 
 
-def keep(file: Path, method: str, outcomes: Outcomes) -> None:
-    """Puts what came of ``method`` into ``file``, beside what is there."""
-    found = {**(kept(file) if file.exists() else {}), method: dict(outcomes)}
-    methods = {name: found[name] for name in RIVALS if name in found}
-    write_json(file, {"task": "toy/reach", "rounds": ROUNDS, "updates": UPDATES, "seed": FIRST_SEED,
-                      "methods": methods})  # fmt: skip
+def save_outcomes(file: Path, method: str, outcomes: Outcomes) -> None:
+    """Puts the outcomes of ``method`` into ``file``, beside those of other methods."""
+    found = {**(read_outcomes(file) if file.exists() else {}), method: dict(outcomes)}
+    methods = {name: found[name] for name in COMPARED if name in found}
+    budget = {"rounds": ROUNDS, "updates": UPDATES}
+    write_json(file, {"task": "toy/reach", **budget, "seed": FIRST_SEED, "methods": methods})
 
 
-def kept(file: Path | str) -> dict[str, dict[str, str]]:
-    """Method -> outcomes, as ``notebooks/rivals.py`` measured them."""
+def read_outcomes(file: Path | str) -> dict[str, dict[str, str]]:
+    """Method -> outcomes, as ``notebooks/baselines.py`` measured them."""
     return read_json(Path(file))["methods"]
 
 
-def at_best(measured: Mapping[str, Outcomes]) -> dict[str, dict[str, str]]:
-    """What is left of each method when one camera goes, in the way that suits it: dropped where its
-    merge can do without, else black. Cases are then called ``first gone`` and so on."""
-    return {
-        name: {
-            "all": outcomes["all"],
-            **{f"{c} gone": outcomes.get(f"{c} dropped", outcomes[f"{c} black"]) for c in CAMERAS},
-        }
-        for name, outcomes in measured.items()
-    }
+def one_missing(measured: Mapping[str, Outcomes]) -> dict[str, dict[str, str]]:
+    """The outcomes of each method with one camera missing, in the way that suits it: dropped where
+    its merge can do without, else black. The cases are called ``first missing`` and so on."""
+    found = {}
+    for name, outcomes in measured.items():
+        found[name] = {"all": outcomes["all"]}
+        for camera in CAMERAS:
+            black = outcomes[f"{camera} black"]
+            found[name][f"{camera} missing"] = outcomes.get(f"{camera} dropped", black)
+    return found
 
 
 def counted(measured: Mapping[str, Outcomes], case: str) -> dict[str, tuple[int, int]]:
@@ -137,12 +145,12 @@ def counted(measured: Mapping[str, Outcomes], case: str) -> dict[str, tuple[int,
     }
 
 
-def scenes(outcomes: str) -> dict[int, bool]:
+def by_seed(outcomes: str) -> dict[int, bool]:
     """Digits -> success by seed, for ``statistics.pair`` and ``teaching.paired_table``."""
     return {FIRST_SEED + index: digit == "1" for index, digit in enumerate(outcomes)}
 
 
-def gone_table(
+def outcome_table(
     measured: Mapping[str, Outcomes], names: Sequence[str], missing: str = "refuses"
 ) -> Table:
     """A row per method, and its success in each case with interval and count; ``missing`` says why
@@ -157,15 +165,15 @@ def gone_table(
 
 def on_robot(task: str) -> dict[str, dict[str, str]]:
     """Method -> outcomes with all cameras and with each alone, of the trainings of ``task`` that
-    were measured before and are rivals: one recipe, one budget, the same scenes. Of Single Camera,
-    which is a training per camera, there is none with all."""
+    were measured before and are comparable: one recipe, one budget, the same seeds. Single Camera
+    is a training per camera and has none with all."""
 
     def label(evidence: Evidence) -> str | None:
         return any_method(evidence) if evidence.task == task else None
 
     for root in checkpoint.policy_roots():
         evidence = find_evidence(root, checkpoint.results_beside(root))
-        for found in build(Layout("rivals", task, label, THREE, needs=2), evidence):
+        for found in build(Layout("baselines", task, label, THREE, needs=2), evidence):
             return {
                 row.label: {
                     column: "".join(str(int(success)) for _, success in sorted(cell.items()))
@@ -176,7 +184,7 @@ def on_robot(task: str) -> dict[str, dict[str, str]]:
     return {}
 
 
-def gone_bars(title: str, measured: Mapping[str, Outcomes], names: Sequence[str]) -> Figure:
+def outcome_bars(title: str, measured: Mapping[str, Outcomes], names: Sequence[str]) -> Figure:
     """Success by method with a bar for each case; no bar where the method refuses."""
     counts = {name: counted(measured, name) for name in names}
     return bars(
@@ -187,42 +195,42 @@ def gone_bars(title: str, measured: Mapping[str, Outcomes], names: Sequence[str]
 # How they do it.
 
 
-def looks(policy: TorchPolicy, moment: Moment, subset: str) -> Table:
+def attention_shares(policy: TorchPolicy, moment: Moment, subset: str) -> Table:
     """Which share of its attention each present view gives to each view under ``subset``, a mean
     over heads and places; from the network's own queries and keys.
 
-    Raises UserError for a policy that has no attention.
+    Raises UserError for a policy without attention.
     """
     net = policy.agent.encoder
     if not isinstance(net, CrossAttention | ViewTransformer):
         raise UserError(f"expected a policy that attends, found {policy.spec.name}")
-    heard: dict[str, torch.Tensor] = {}
+    outputs: dict[str, torch.Tensor] = {}
 
-    def listen(name: str):
-        return lambda module, given, said: heard.__setitem__(name, said)
+    def store(name: str):
+        return lambda module, inputs, output: outputs.__setitem__(name, output)
 
-    hooks = [getattr(net, n).register_forward_hook(listen(n)) for n in ("query", "key")]
+    hooks = [getattr(net, n).register_forward_hook(store(n)) for n in ("query", "key")]
     streams = policy.spec.streams
     mask = mask_of(subset, streams)
     policy.read(policy.encode(moment.stack, moment.state), mask[None])
     for hook in hooks:
         hook.remove()
-    shares = _shares(heard["query"], heard["key"], mask, isinstance(net, ViewTransformer))
+    shares = _shares(outputs["query"], outputs["key"], mask, isinstance(net, ViewTransformer))
     rows = [[name, *shares[i]] for i, name in enumerate(streams) if mask[i]]
-    return table(["looks at", *streams], rows)
+    return table(["attends to", *streams], rows)
 
 
 def _shares(query: torch.Tensor, key: torch.Tensor, mask: Array, itself: bool) -> Array:
-    """(1, T, D) twice, (V,) -> (V, V) shares, zeros where nobody may be looked at. What a token
-    would tell is replaced by the name of its view, so that the answers are the shares."""
+    """(1, T, D) twice, (V,) -> (V, V) shares, zeros where no view may be attended to. The values
+    are replaced by the one-hot index of their view, so that the outputs are the shares."""
     views, tokens = len(mask), query.shape[1]
     places = tokens // views
     who = np.tile(mask, (views, 1)) & (itself | ~np.eye(views, dtype=bool))
     allowed = torch.from_numpy(who.repeat(places, 0).repeat(places, 1))
     query, key = (x.unflatten(-1, (HEADS, -1)).transpose(1, 2) for x in (query, key))
-    names = torch.eye(views).repeat_interleave(places, 0).expand(1, HEADS, -1, -1)
-    told = attend(query, key, names, allowed)[0].unflatten(-1, (HEADS, views)).mean(1)
-    return told.unflatten(0, (views, places)).mean(1).numpy() * who.any(1, keepdims=True)
+    one_hot = torch.eye(views).repeat_interleave(places, 0).expand(1, HEADS, -1, -1)
+    shares = attend(query, key, one_hot, allowed)[0].unflatten(-1, (HEADS, views)).mean(1)
+    return shares.unflatten(0, (views, places)).mean(1).numpy() * who.any(1, keepdims=True)
 
 
 def averaged_heads(policy: TorchPolicy, moment: Moment) -> Table:
@@ -247,7 +255,7 @@ def put_everywhere(policy: TorchPolicy, moment: Moment, camera: str) -> Table:
     return table(["what arrives", "action"], rows)
 
 
-def unmoved(draws: int, seed: int = 0) -> tuple[int, int]:
+def same_draws(draws: int, seed: int = 0) -> tuple[int, int]:
     """How often MVD's draw is the same with Third A as without: (times, draws)."""
     masks = torch.from_numpy(np.stack([mask_of(s, CAMERAS) for s in ("all", "first+third_b")]))
     generator = torch.Generator().manual_seed(seed)
