@@ -23,8 +23,8 @@ from madviz.teaching.inside import (
     report,
     saliency_shares,
     saliency_sheet,
-    success_worths,
-    worth_curves,
+    shapley_curves,
+    success_shapley,
 )
 from madviz.teaching.lessons import (
     action_gaps,
@@ -33,8 +33,8 @@ from madviz.teaching.lessons import (
     count_views,
     feature_sheet,
     interval_figure,
-    lengths_by_views,
     measure,
+    norms_by_views,
     occlusion_sheet,
     stack_sheet,
     subset_table,
@@ -57,9 +57,9 @@ def decoded(picture) -> np.ndarray:
 
 def test_moments_are_the_episode_that_an_evaluation_counts() -> None:
     policy = FakePolicy()
-    instants = list(teaching.moments(policy, seed=5001))
-    assert [m.step for m in instants] == list(range(26))
-    assert measure(policy, ["all"], 1, seed=5001)["all"] == (int(instants[-1].success), 1)
+    steps = list(teaching.moments(policy, seed=5001))
+    assert [m.step for m in steps] == list(range(26))
+    assert measure(policy, ["all"], 1, seed=5001)["all"] == (int(steps[-1].success), 1)
 
 
 def test_a_moment_has_what_the_network_gets() -> None:
@@ -77,7 +77,7 @@ def test_an_occluded_camera_arrives_black_but_is_seen_as_it_is() -> None:
     assert now.stack[0].max() == 0 and now.stack[1].max() > 0
 
 
-def test_the_same_instant_can_be_seen_with_a_failed_camera() -> None:
+def test_the_same_time_step_with_a_failed_camera() -> None:
     now = teaching.moment_at(FakePolicy(), step=3)
     failed = teaching.occluded(now, {"first": Occlusion("black"), "third_a": Occlusion("freeze")})
     assert failed.stack[0].max() == 0 and now.stack[0].max() > 0
@@ -152,11 +152,11 @@ def test_shipped_numbers_are_those_of_the_card() -> None:
         teaching.shipped("no-such-policy")
 
 
-def test_lengths_tell_the_number_of_views_where_features_are_alike() -> None:
+def test_norms_give_the_number_of_views_where_features_are_alike() -> None:
     known, asked = {1: [1.0, 1.2], 2: [2.0], 3: [3.0]}, {0: [0.0], 1: [1.1], 2: [2.9], 3: [3.1]}
     assert count_views(known, asked) == (2, 3)
-    lengths = lengths_by_views(FakePolicy(), seeds=[1], every=25)
-    assert {views: len(found) for views, found in lengths.items()} == {0: 2, 1: 6, 2: 6, 3: 2}
+    norms = norms_by_views(FakePolicy(), seeds=[1], every=25)
+    assert {views: len(found) for views, found in norms.items()} == {0: 2, 1: 6, 2: 6, 3: 2}
 
 
 def test_gaps_are_zero_for_everything_and_not_for_less() -> None:
@@ -194,20 +194,20 @@ def test_saliency_is_dark_where_a_camera_is_not_in_the_sum() -> None:
         saliency_sheet(teaching.moment_at(FakePolicy(), step=1))
 
 
-def test_worths_in_success_share_all_of_it() -> None:
+def test_shapley_values_for_success_add_up_to_it() -> None:
     streams = ("first", "third_a")
     counted = {"all": (10, 10), "first": (2, 10), "third_a": (6, 10), "none": (0, 10)}
-    worth, shown = success_worths(counted, streams)
+    worth, shown = success_shapley(counted, streams)
     assert worth.cameras == pytest.approx([0.3, 0.7])
     assert [row[1] for row in shown.rows] == ["+0.30", "+0.70", "+1.00"]
     with pytest.raises(UserError, match="every set"):
-        success_worths({"all": (1, 2)}, streams)
+        success_shapley({"all": (1, 2)}, streams)
 
 
 def test_curves_of_an_episode_have_a_line_for_every_camera() -> None:
     episode = list(teaching.moments(FakePolicy(), seed=1))[:5]
     assert norm_curves(episode).svg.count('class="line"') == 4
-    assert worth_curves(episode).svg.count('class="line"') == 3
+    assert shapley_curves(episode).svg.count('class="line"') == 3
     assert mean_gap(episode, "all") == 0 < mean_gap(episode, "none")
 
 
@@ -258,14 +258,14 @@ def test_a_training_that_was_stopped_goes_on(
         (out / "config.json").write_text(json.dumps(described))
 
     monkeypatch.setattr("madviz.training.train.train", train)
-    with pytest.raises(UserError, match="goes on where it was"):
+    with pytest.raises(UserError, match="to resume it"):
         teaching.train_light("toy/reach", "mad", folder=tmp_path)
     done = teaching.train_light("toy/reach", "mad", folder=tmp_path)
     assert [config.resume for config in asked] == [False, True]
     assert asked[0].light == LightConfig() and done.seconds > 0
 
 
-def test_two_policies_are_compared_on_the_scenes_that_both_met() -> None:
+def test_two_policies_are_compared_on_the_seeds_that_both_have() -> None:
     ours, theirs = {1: True, 2: True, 3: False}, {2: False, 3: False, 4: True}
     row = teaching.paired_table(("a", "b"), {"first": (ours, theirs)}).rows[0]
     assert row[:5] == ("first", "0", "1", "0", "1") and row[5].startswith("+0.50 [")

@@ -1,6 +1,6 @@
 """What the notebooks share, so that a cell of theirs is a question and a line or two of code.
 
-    episode      its moments, and what a policy makes of each
+    episode      its time steps, and how a policy acts at each
     rates        successes in words, with their intervals
     small_runs   trainings that fit into a lesson
 

@@ -39,7 +39,7 @@ from madviz.subsets import mask_of
 from madviz.system.files import read_json, write_json
 from madviz.teaching import Moment, SmallRun, train_small
 from madviz.teaching.rates import counted_in_words
-from madviz.teaching.show import Figure, Table, bars, table
+from madviz.teaching.show import Figure, TextTable, bars, table
 from madviz.types import Array, Policy
 
 CAMERAS = ("first", "third_a", "third_b")
@@ -152,7 +152,7 @@ def by_seed(outcomes: str) -> dict[int, bool]:
 
 def outcome_table(
     measured: Mapping[str, Outcomes], names: Sequence[str], missing: str = "refuses"
-) -> Table:
+) -> TextTable:
     """A row per method, and its success in each case with interval and count; ``missing`` says why
     there may be none."""
     rows = []
@@ -195,7 +195,7 @@ def outcome_bars(title: str, measured: Mapping[str, Outcomes], names: Sequence[s
 # How they do it.
 
 
-def attention_shares(policy: TorchPolicy, moment: Moment, subset: str) -> Table:
+def attention_shares(policy: TorchPolicy, moment: Moment, subset: str) -> TextTable:
     """Which share of its attention each present view gives to each view under ``subset``, a mean
     over heads and places; from the network's own queries and keys.
 
@@ -233,7 +233,7 @@ def _shares(query: torch.Tensor, key: torch.Tensor, mask: Array, itself: bool) -
     return shares.unflatten(0, (views, places)).mean(1).numpy() * who.any(1, keepdims=True)
 
 
-def averaged_heads(policy: TorchPolicy, moment: Moment) -> Table:
+def averaged_heads(policy: TorchPolicy, moment: Moment) -> TextTable:
     """Q-mean's actions on single cameras, their mean taken before tanh, and its action on all."""
     alone = np.stack([moment_action(policy, moment, name) for name in policy.spec.streams])
     mean = np.tanh(np.arctanh(alone.astype(float)).mean(0))
@@ -243,7 +243,7 @@ def averaged_heads(policy: TorchPolicy, moment: Moment) -> Table:
     return table(["cameras", "action"], rows)
 
 
-def put_everywhere(policy: TorchPolicy, moment: Moment, camera: str) -> Table:
+def put_everywhere(policy: TorchPolicy, moment: Moment, camera: str) -> TextTable:
     """VIB's action on ``camera`` alone, and on three cameras that all send its picture."""
     index = policy.spec.streams.index(camera)
     thrice = policy.encode(moment.stack[[index] * len(moment.stack)], moment.state)

@@ -1,13 +1,12 @@
-"""Moments of an episode as a policy meets them, and what it makes of each.
+"""Time steps of an episode as a policy gets them: pictures, features, actions of every subset.
 
-A lesson mostly needs one thing. ``moments`` plays an episode and yields every instant;
-``moment_at`` goes straight to one:
+``moments`` plays an episode and yields every time step; ``moment_at`` returns one of them:
 
     policy = madviz.load_policy("metaworld-hammer-mad-light")
     now = moment_at(policy, seed=2000, step=20)
     now.views["first"].rgb     (84, 84, 3)   what the camera sees
     now.stack                  (V, 9, 84, 84) what the network gets
-    now.probe.norms            (V,)          the length of every camera's feature
+    now.probe.norms            (V,)          the norm of every camera's feature
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array, EnvSpec, Policy, View
 
 LESSON_SEED = 2000
-"""Moments of lessons are taken from here: no training saw these episodes, no card reports them."""
+"""Episodes of lessons start here: none of them is used for training, or reported on a card."""
 
 
 def begin() -> None:
@@ -47,7 +46,7 @@ def begin() -> None:
 
 @dataclass(frozen=True)
 class Moment:
-    """One instant of an episode, and what ``policy`` makes of it."""
+    """One time step of an episode, and how ``policy`` acts at it."""
 
     policy: Policy
     env: EnvSpec
@@ -61,7 +60,7 @@ class Moment:
     """(S,) float32 proprioception."""
     step: int
     success: bool
-    """The task's condition at this very step."""
+    """The task's condition at this time step."""
 
     @cached_property
     def probe(self) -> Probe:
@@ -83,8 +82,8 @@ def moments(
     subset: str = "all",
     occlusions: Mapping[str, Occlusion] | None = None,
 ) -> Iterator[Moment]:
-    """Plays the episode ``seed`` with the cameras of ``subset``, and yields every instant, the last
-    one included. All cameras are drawn, so that a lesson can show what was not used.
+    """Plays the episode ``seed`` with the cameras of ``subset``, and yields all time steps with
+    the last one. All cameras are drawn, so that a lesson can show what was not used.
 
     Raises UserError for unknown words and for a subset the policy cannot act on.
     """
@@ -101,8 +100,14 @@ def moments(
             views = {camera: env.view(camera) for camera in cameras_of(spec.streams)}
             stack.push(views, ablation, seed, step)
             moment = Moment(
-                *(policy, env.spec, views, dict(stack.newest), stack.views),
-                *(np.asarray(now.state, np.float32), step, now.success),
+                policy=policy,
+                env=env.spec,
+                views=views,
+                arrived=dict(stack.newest),
+                stack=stack.views,
+                state=np.asarray(now.state, np.float32),
+                step=step,
+                success=now.success,
             )
             yield moment
             if now.last:
@@ -118,7 +123,7 @@ def moment_at(
     subset: str = "all",
     occlusions: Mapping[str, Occlusion] | None = None,
 ) -> Moment:
-    """The instant after ``step`` decisions. Raises UserError for a step beyond the episode."""
+    """The time step after ``step`` decisions. Raises UserError for a step beyond the episode."""
     for moment in moments(policy, seed, subset, occlusions):
         if moment.step == step:
             return moment
@@ -126,9 +131,9 @@ def moment_at(
 
 
 def occluded(moment: Moment, occlusions: Mapping[str, Occlusion]) -> Moment:
-    """The same instant as if cameras had failed for as long as the network looks back, and nothing
-    had come of it yet. A frozen camera shows the oldest frame of the stack, and so does a late one:
-    older frames are not there."""
+    """The same time step as if cameras had failed during all frames of the stack, without an effect
+    on the actions before. A frozen camera shows the oldest frame of the stack, and so does a late
+    one: older frames are not there."""
     stack, streams = moment.stack.copy(), moment.policy.spec.streams
     for index, stream in enumerate(streams):
         occlusion = occlusions.get(camera_of(stream), Occlusion())

@@ -1,7 +1,7 @@
-"""What lesson 7 looks at: where a policy looks, what each camera is worth, an episode as a file.
+"""For lesson 7: saliency, norms of features, Shapley values of the cameras, an episode as a file.
 
-An episode is played once and kept as a list of moments; everything here is computed from that list,
-so that one run of the simulator serves all figures. 100 moments of three cameras are 20 MB.
+An episode is played once and stored as a list of moments; everything here is computed from that
+list, so that the simulator runs once for all figures. 100 moments of three cameras are 20 MB.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from madviz.plots import curves
 from madviz.recording.record import RecordConfig, run_record
 from madviz.subsets import camera_of, mask_of
 from madviz.teaching import Moment, frames_of
-from madviz.teaching.show import Figure, Picture, Table, sheet, table
+from madviz.teaching.show import Figure, Picture, TextTable, sheet, table
 
 """The colour of the sum, on white."""
 
@@ -31,7 +31,7 @@ from madviz.teaching.show import Figure, Picture, Table, sheet, table
 def saliency_sheet(
     moment: Moment, subset: str = "all", target: Target = "action", size: int = 168
 ) -> Picture:
-    """The newest frame of every stream, dark where ``target`` does not hang on it.
+    """The newest frame of every stream, dark where ``target`` does not depend on it.
 
     Raises UserError for a policy without torch networks, and for a subset it cannot act on.
     """
@@ -49,7 +49,7 @@ def saliency_sheet(
     return sheet(shown, size)
 
 
-def saliency_shares(episode: Sequence[Moment], target: Target = "action") -> Table:
+def saliency_shares(episode: Sequence[Moment], target: Target = "action") -> TextTable:
     """Which share of all saliency falls on each stream, a mean over the moments given."""
     shares = []
     for moment in episode:
@@ -62,21 +62,22 @@ def saliency_shares(episode: Sequence[Moment], target: Target = "action") -> Tab
 
 
 def norm_curves(episode: Sequence[Moment]) -> Figure:
-    """The length of every stream's feature over an episode, and of their sum."""
+    """The norm of every stream's feature over an episode, and of their sum."""
     streams = episode[0].policy.spec.streams
     series = {
         name: [float(m.probe.norms[i]) for m in episode] for i, name in enumerate(streams)
     } | {"sum": [m.probe.merged_norm(0) for m in episode]}
-    return _drawn("length of the features", series, episode)
+    return _drawn("norm of the features", series, episode)
 
 
-def worth_curves(episode: Sequence[Moment]) -> Figure:
-    """How much nearer to the final action each camera brings it, over an episode."""
+def shapley_curves(episode: Sequence[Moment]) -> Figure:
+    """Shapley values of the cameras for the action, over an episode: by how much each brings it
+    nearer to the action on all."""
     streams = episode[0].policy.spec.streams
-    worths = [action_worth(m.probe, streams).cameras for m in episode]
+    values = [action_worth(m.probe, streams).cameras for m in episode]
     cameras = dict.fromkeys(map(camera_of, streams))
-    series = {name: [float(w[i]) for w in worths] for i, name in enumerate(cameras)}
-    return _drawn("worth of each camera for the action", series, episode)
+    series = {name: [float(w[i]) for w in values] for i, name in enumerate(cameras)}
+    return _drawn("Shapley values for the action", series, episode)
 
 
 def _drawn(title: str, series: Mapping[str, Sequence[float]], episode: Sequence[Moment]) -> Figure:
@@ -85,24 +86,26 @@ def _drawn(title: str, series: Mapping[str, Sequence[float]], episode: Sequence[
     return Figure(curves(title, series, colours, {}, episode[-1].step, height=180), title)
 
 
-def success_worths(
+def success_shapley(
     measured: Mapping[str, tuple[int, int]], streams: tuple[str, ...]
-) -> tuple[Worth, Table]:
-    """Shapley values of the cameras in a success that was counted for every set of them: the
-    numbers, and a table with their intervals. Raises UserError where a set was not measured."""
+) -> tuple[Worth, TextTable]:
+    """Shapley values of the cameras for the success rate, which was counted for every subset of
+    them: the numbers, and a table with their intervals. Raises UserError where one is missing."""
     rates = {name: successes / n for name, (successes, n) in measured.items()}
-    worth = success_worth(rates, streams)
-    if worth is None:
-        raise UserError("expected success for every set of cameras; measure the missing ones")
+    values = success_worth(rates, streams)
+    if values is None:
+        raise UserError(
+            "expected success for every subset of the cameras; measure the missing ones"
+        )
     bounded = {name: (rates[name], *wilson(*counted)) for name, counted in measured.items()}
     low, high = success_interval(bounded, streams)
     cameras = dict.fromkeys(map(camera_of, streams))
     rows = [
-        [name, f"{worth.cameras[i]:+.2f}", f"[{low[i]:+.2f}, {high[i]:+.2f}]"]
+        [name, f"{values.cameras[i]:+.2f}", f"[{low[i]:+.2f}, {high[i]:+.2f}]"]
         for i, name in enumerate(cameras)
     ]
-    sums = f"{float(worth.cameras.sum()):+.2f}"
-    return worth, table(["camera", "worth", "95% interval"], [*rows, ["together", sums, ""]])
+    rows.append(["together", f"{float(values.cameras.sum()):+.2f}", ""])
+    return values, table(["camera", "Shapley value", "95% interval"], rows)
 
 
 def mean_gap(episode: Sequence[Moment], subset: str) -> float:

@@ -1,7 +1,7 @@
 """One function for each thing that a lesson draws or counts; the words are in the notebooks.
 
 They take moments, policies or counts and return what draws itself (``madviz.teaching.show``), so
-that a cell is one line and its result also fits into a widget's place.
+that a cell is one line and a widget can show its result, too.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from madviz.observation.ablation import Occlusion, OcclusionKind, noise_generato
 from madviz.observation.streams import depth_code
 from madviz.subsets import every_mask, name_of
 from madviz.teaching import Moment, counts, frames_of, moments
-from madviz.teaching.show import MARK, Figure, Picture, Table, bars, presence, sheet, table
+from madviz.teaching.show import MARK, Figure, Picture, TextTable, bars, presence, sheet, table
 from madviz.types import Array, Policy, PolicySpec
 
-# What a policy sees.
+# The input of a policy.
 
 
 def camera_sheet(moment: Moment, modality: str = "rgb", size: int = 168) -> Picture:
@@ -61,7 +61,7 @@ def feature_sheet(moment: Moment, size: int = 168) -> Picture:
     return sheet({n: heat(np.sqrt(s)) for n, s in zip(names, squares, strict=True)}, size)
 
 
-def state_table(moment: Moment, words: Sequence[str] = ()) -> Table:
+def state_table(moment: Moment, words: Sequence[str] = ()) -> TextTable:
     """The proprioceptive numbers, with ``words`` for the first of them."""
     rows = [
         [index, words[index] if index < len(words) else "", f"{value:+.3f}"]
@@ -82,11 +82,11 @@ def occlusion_sheet(moment: Moment, camera: str = "first", size: int = 140) -> P
     return sheet(shown, size, columns=4)
 
 
-# What it makes of it.
+# Features and actions.
 
 
-def subset_table(moment: Moment, every: bool = True) -> Table:
-    """Length of the merged feature, action and Q under every subset (or the trained ones)."""
+def subset_table(moment: Moment, every: bool = True) -> TextTable:
+    """Norm of the merged feature, action and Q under every subset (or the trained ones)."""
     probe, spec = moment.probe, moment.policy.spec
     rows = []
     for row, mask in enumerate(probe.masks):
@@ -96,20 +96,20 @@ def subset_table(moment: Moment, every: bool = True) -> Table:
             trained = name in spec.trained_subsets
             merged, q = probe.merged_norm(row), float(probe.readout.q[row])
             rows.append([name, int(mask.sum()), trained, merged, action, q])
-    return table(["cameras", "views", "trained", "length of M", "action", "Q"], rows)
+    return table(["cameras", "views", "trained", "norm of M", "action", "Q"], rows)
 
 
 def norm_bars(moment: Moment) -> Figure:
-    """The length of every subset's merged feature, relative to that of all together."""
+    """The norm of every subset's merged feature, relative to the largest."""
     probe, streams = moment.probe, moment.policy.spec.streams
-    lengths = [probe.merged_norm(row) for row in range(len(probe.masks))]
+    norms = [probe.merged_norm(row) for row in range(len(probe.masks))]
     groups = [name_of(mask, streams) for mask in probe.masks]
-    values = [length / max(lengths) for length in lengths]
-    return bars("length of M, relative to all cameras", groups, {"this instant": values})
+    values = [norm / max(norms) for norm in norms]
+    return bars("norm of M, relative to the largest", groups, {"this time step": values})
 
 
-def lengths_by_views(policy: Policy, seeds: Sequence[int], every: int = 5) -> dict[int, list]:
-    """Number of views -> lengths of the merged feature over subsets, episodes and every fifth
+def norms_by_views(policy: Policy, seeds: Sequence[int], every: int = 5) -> dict[int, list]:
+    """Number of views -> norms of the merged feature over subsets, episodes and every fifth
     decision."""
     found: dict[int, list[float]] = {}
     for seed in seeds:
@@ -121,17 +121,17 @@ def lengths_by_views(policy: Policy, seeds: Sequence[int], every: int = 5) -> di
 
 
 def count_views(known: Mapping[int, list], asked: Mapping[int, list]) -> tuple[int, int]:
-    """How often the nearest mean length in ``known`` tells the number of views in ``asked``:
-    (hits, tries). Zero views are left out; a sum of nothing gives itself away."""
-    means = {views: float(np.mean(lengths)) for views, lengths in known.items() if views}
-    tries = [(views, length) for views, lengths in asked.items() if views for length in lengths]
-    hits = sum(min(means, key=lambda v: abs(means[v] - length)) == views for views, length in tries)
+    """How often the nearest mean norm in ``known`` gives the number of views in ``asked``:
+    (hits, tries). Zero views are left out: their sum is always 0."""
+    means = {views: float(np.mean(norms)) for views, norms in known.items() if views}
+    tries = [(views, norm) for views, norms in asked.items() if views for norm in norms]
+    hits = sum(min(means, key=lambda v: abs(means[v] - norm)) == views for views, norm in tries)
     return hits, len(tries)
 
 
 def action_gaps(policy: Policy, seed: int, subsets: Sequence[str]) -> dict[str, float]:
     """Mean distance over an episode between the action on all streams and on each of ``subsets``,
-    asked at the same instants; the episode is driven by all streams."""
+    at the same time steps; the policy acts on all streams."""
     gaps: dict[str, list[float]] = {name: [] for name in subsets}
     for moment in moments(policy, seed):
         for name in subsets:
@@ -139,7 +139,7 @@ def action_gaps(policy: Policy, seed: int, subsets: Sequence[str]) -> dict[str, 
     return {name: float(np.mean(values)) for name, values in gaps.items()}
 
 
-# What comes of it.
+# Success.
 
 
 def measure(
@@ -163,7 +163,7 @@ def interval_figure(successes: int = 8, n: int = 10) -> Figure:
     return bars(f"{successes} of {n}", [f"n = {n}", f"n = {10 * n}"], series)
 
 
-def width_table(rate: float, episodes: Sequence[int]) -> Table:
+def width_table(rate: float, episodes: Sequence[int]) -> TextTable:
     """How wide Wilson's interval is around ``rate`` for several numbers of episodes."""
     rows = []
     for n in episodes:
@@ -181,7 +181,12 @@ def untrained(name: str, streams: tuple[str, ...] = ("first", "third_a", "third_
     chosen = method(name)
     streams = streams[:1] if chosen.one_camera else streams
     spec = PolicySpec(
-        *(f"toy-reach-{name}-untrained", "toy/reach", name, "three", "none", streams),
+        name=f"toy-reach-{name}-untrained",
+        task="toy/reach",
+        method=name,
+        setting="three",
+        recipe="none",
+        streams=streams,
         trained_subsets=chosen.trained_subsets(streams),
     )
     config = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=64, bottleneck_dim=64)
@@ -190,7 +195,7 @@ def untrained(name: str, streams: tuple[str, ...] = ("first", "third_a", "third_
         return TorchPolicy(spec, Agent(config, merge=chosen.merge, streams=streams))
 
 
-def support_table(streams: tuple[str, ...] = ("first", "third_a", "third_b")) -> Table:
+def support_table(streams: tuple[str, ...] = ("first", "third_a", "third_b")) -> TextTable:
     """Which subsets every method can act on, from its merge."""
     masks = every_mask(len(streams))
     rows = []
@@ -205,8 +210,8 @@ def support_table(streams: tuple[str, ...] = ("first", "third_a", "third_b")) ->
     return table(["method", *(presence(mask, streams) for mask in masks), "what it is"], rows)
 
 
-def answers(policy: Policy, moment: Moment, subsets: Sequence[str]) -> Table:
-    """What ``policy`` says to each of ``subsets`` of one instant: an action, or its refusal."""
+def answers(policy: Policy, moment: Moment, subsets: Sequence[str]) -> TextTable:
+    """The action of ``policy`` on each of ``subsets`` at one time step, or why it refuses."""
     encoded = policy.encode(moment.stack, moment.state)
     rows = []
     for name in subsets:

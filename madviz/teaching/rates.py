@@ -9,7 +9,7 @@ from madviz.errors import UserError
 from madviz.evaluation import statistics
 from madviz.evaluation.statistics import pair, wilson
 from madviz.policies import checkpoint
-from madviz.teaching.show import Figure, Table, Words, bars, table
+from madviz.teaching.show import Figure, TextTable, Words, bars, table
 
 
 def in_words(successes: int, n: int) -> Words:
@@ -46,7 +46,7 @@ def shipped_outcomes(policy: str, subset: str) -> dict[int, bool]:
     return {e["seed"]: e["success"] for e in found["episodes"] if e["subset"] == subset}
 
 
-def success_table(measured: Mapping[str, Mapping[str, tuple[int, int]]]) -> Table:
+def success_table(measured: Mapping[str, Mapping[str, tuple[int, int]]]) -> TextTable:
     """A row per subset, and for each of ``measured`` its rate, interval and count."""
     names = dict.fromkeys(name for one in measured.values() for name in one)
     rows = []
@@ -71,15 +71,15 @@ def success_bars(title: str, measured: Mapping[str, Mapping[str, tuple[int, int]
 
 def paired_table(
     names: tuple[str, str], outcomes: Mapping[str, tuple[Mapping[int, bool], Mapping[int, bool]]]
-) -> Table:
-    """Two policies on the scenes that both met (seed -> success, twice), a row for each subset:
-    how they came out, and the difference of their rates with its interval."""
+) -> TextTable:
+    """Two policies on the seeds that both have (seed -> success, twice), a row for each subset:
+    how often which succeeded, and the difference of their rates with its interval."""
     rows = []
     for subset, (first, second) in outcomes.items():
-        met = pair(first, second)
-        low, high = met.interval()
-        difference = f"{met.difference:+.2f} [{low:+.2f}, {high:+.2f}] n={met.n}"
-        counted = (met.both, met.first_only, met.second_only, met.neither)
+        paired = pair(first, second)
+        low, high = paired.interval()
+        difference = f"{paired.difference:+.2f} [{low:+.2f}, {high:+.2f}] n={paired.n}"
+        counted = (paired.both, paired.first_only, paired.second_only, paired.neither)
         rows.append([subset, *counted, difference])
     only = [f"only {name}" for name in names]
     return table(["cameras", "both", *only, "neither", " - ".join(names)], rows)

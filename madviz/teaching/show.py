@@ -1,9 +1,9 @@
 """What a lesson shows: pictures, figures, tables and source, each a value that draws itself.
 
 A notebook asks a value for ``_repr_png_``, ``_repr_svg_`` or ``_repr_html_`` and shows the first it
-knows; a page that only displays saved notebooks does the same. So the objects here need neither
-Jupyter nor a plotting library, the pictures stay small (a sheet of three cameras is some 20 kB),
-and each of them also has ``html``, which a widget can put in the place of an older one.
+knows; a page that only displays saved notebooks does the same. So the objects here do not need
+Jupyter, the pictures stay small (a sheet of three cameras is some 20 kB), and each of them also has
+``html``, which a widget can show.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Rows of words; in a terminal, columns of plain text."""
 
     head: tuple[str, ...]
@@ -122,9 +122,9 @@ def source(*things: Any) -> Source:
     )
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
+def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> TextTable:
     """A table of anything; numbers that are not whole get two digits."""
-    return Table(tuple(head), tuple(tuple(_cell(value) for value in row) for row in rows))
+    return TextTable(tuple(head), tuple(tuple(_cell(value) for value in row) for row in rows))
 
 
 def _cell(value: Any) -> str:
@@ -196,11 +196,11 @@ def presence(mask: Array, streams: Sequence[str]) -> str:
 
 def png(pixels: Array) -> bytes:
     """(H, W, 3) RGB uint8 -> a PNG file of at most 256 colours: a third of the size, and in
-    pictures of a scene nobody sees the difference."""
+    pictures of a scene the difference is hardly visible."""
     data = BytesIO()
     Image.fromarray(pixels).quantize(256, dither=Image.Dither.NONE).save(data, "PNG", optimize=True)
     return data.getvalue()
 
 
-Drawable = Picture | Figure | Table
+Drawable = Picture | Figure | TextTable
 Draws = Callable[..., Drawable]

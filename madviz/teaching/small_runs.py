@@ -1,6 +1,6 @@
 """Trainings of a lesson: real ones, small on ``toy/reach`` or of the light recipe's own size.
 
-They are kept in a folder, and what is there already is not trained again: a lesson that is run a
+They are saved in a folder, and what is there already is not trained again: a lesson that is run a
 second time has its policies at once.
 """
 
@@ -73,9 +73,9 @@ def train_light(
 ) -> SmallRun:
     """Trains with the light recipe, as ``madviz train`` does; ``light`` None is its own size.
 
-    A run that is there already is loaded and not repeated, and one that was interrupted goes on.
-    ``folder`` is where runs are kept, by default a temporary one of this user. Raises UserError for
-    unknown names, and where the training is stopped before its end.
+    A run that is there already is loaded and not repeated, and one that was interrupted is resumed.
+    ``folder`` is where runs are saved, by default a temporary one of this user. Raises UserError
+    for unknown names, and where the training is stopped before its end.
     """
     from madviz.sweep.run import trained
     from madviz.training.light import LightConfig
@@ -94,14 +94,14 @@ def train_light(
         if not trained(out):
             raise UserError(
                 "expected a finished training, found one that was stopped; "
-                "run the cell again, and it goes on where it was"
+                "run the cell again to resume it"
             )
     seconds = 0.0 if done else time.monotonic() - began
     return SmallRun(out, checkpoint.load_policy(out), seconds, _read_curve(out / "curve.csv"))
 
 
 def _say(event: dict[str, Any]) -> None:
-    """One line that grows, so that a class sees the training go on."""
+    """Progress in one line that grows."""
     if event["kind"] == "curve":
         minutes = round(event["seconds_left"] / 60)
         left = f" ({minutes} min to go)" if minutes > 1 else ""

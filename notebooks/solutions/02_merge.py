@@ -19,12 +19,12 @@ rows = [
     [name_of(mask, policy.spec.streams), *(float(np.linalg.norm(x)) for x in (total, mean))]
     for mask, total, mean in zip(masks, sums, means, strict=True)
 ]
-table(["cameras", "length of the sum", "length of the mean"], rows)
+table(["cameras", "norm of the sum", "norm of the mean"], rows)
 
 # %% [markdown]
-# A mean does not make the lengths alike: it turns them upside down. Three features that point in
-# different directions shrink when they are averaged, so now the single cameras are long and all
-# together is short. The number of cameras is still in the length. And something is lost: with a
-# sum, a camera adds the same term whoever else is there; with a mean, it counts for a third as soon
-# as two others join. The paper's sum keeps a single camera's feature exactly what that camera's own
-# policy would get.
+# A mean does not make the norms alike: it reverses their order. Three features that point in
+# different directions shrink when they are averaged, so now the single cameras have large norms
+# and all together a small one. The norm still depends on the number of cameras. And something is
+# lost: with a sum, a camera adds the same term in every subset; with a mean, it counts for a
+# third as soon as two others join. The paper's sum keeps a single camera's feature exactly what
+# that camera's own policy would get.

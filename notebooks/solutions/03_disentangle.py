@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Solution 3: Singular Only
 #
-# It never saw a sum, and a sum is longer than anything it knows. It works from single cameras. On
-# all three its actions come from inputs it never met: sometimes that goes well, but nobody
-# trained it to.
+# It was never trained on a sum, and the norm of a sum is larger than that of any feature it was
+# trained on. It works from single cameras. On all three its actions come from new inputs:
+# sometimes they are good, but it was not trained for them.
 
 # %%
 from madviz import teaching
@@ -15,5 +15,5 @@ measured = measure(singular.policy, ["all", "first", "third_a", "third_b"], 40)
 teaching.success_table({"singular-only": measured})
 
 # %% [markdown]
-# Compare the row `all` with MAD's in the lesson, and mind the intervals: 40 episodes tell 0.9
-# from 0.5, but not from 0.8.
+# Compare the row `all` with MAD's in the lesson, and note the intervals: 40 episodes show the
+# difference between 0.9 and 0.5, but not between 0.9 and 0.8.

@@ -13,15 +13,15 @@ rows = [
     [name, one.n, one.difference, f"[{one.interval()[0]:+.2f}, {one.interval()[1]:+.2f}]"]
     + [f"{one.mcnemar():.2g}"]
     for name, one in {
-        "ten scenes, best case for A": best,
-        "ten scenes, worst case for A": worst,
-        "a hundred scenes, best case": more,
-        "a hundred scenes, worst case": more_mixed,
+        "ten episodes, best case for A": best,
+        "ten episodes, worst case for A": worst,
+        "a hundred episodes, best case": more,
+        "a hundred episodes, worst case": more_mixed,
     }.items()
 ]
 table(["case", "n", "A - B", "95% interval", "exact p"], rows)
 
 # %% [markdown]
-# With ten scenes neither case says that A is better: two tosses that both come up heads are no
-# evidence. With a hundred both do. The case in which the scenes agree is the stronger one: only
-# what came out differently counts, and there all of it points one way.
+# With ten episodes neither case says that A is better: two tosses that both come up heads are no
+# evidence. With a hundred both do. The case in which the episodes agree is the stronger one: only
+# those with different outcomes count, and there all of them are for A.

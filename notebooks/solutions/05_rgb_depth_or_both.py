@@ -1,5 +1,5 @@
 # %% [markdown]
-# # Solution 5: colour goes black, depth stays
+# # Solution 5: colour black, depth intact
 
 # %%
 import numpy as np
@@ -19,6 +19,6 @@ rows = [[name, float(np.linalg.norm(dark - now.action(name)))] for name in ("all
 table(["distance of the action in the dark to that of", "distance"], rows)
 
 # %% [markdown]
-# Black colour is not absent colour: three features of black pictures are in the sum. Who knows
-# that the light is out does better to drop the colour streams, because for `depth` the policy was
-# trained.
+# Black colour is not absent colour: three features of black pictures are in the sum. If it is
+# known that the light is out, it is better to drop the colour streams: the policy was trained on
+# `depth`.

@@ -7,7 +7,7 @@ from itertools import permutations
 import madviz
 from madviz import teaching
 from madviz.subsets import mask_of, name_of
-from madviz.teaching.inside import success_worths
+from madviz.teaching.inside import success_shapley
 from madviz.teaching.show import table
 
 name = "metaworld-hammer-merged-only-light"
@@ -25,14 +25,14 @@ for order in permutations(streams):
     before = order[: order.index("first")]
     added.append(rate([*before, "first"]) - rate(before))
     rows.append([", ".join(order), " + ".join(before) or "none", added[-1]])
-table(["order", "there before First person", "what it adds"], rows)
+table(["order", "present before First person", "what it adds"], rows)
 
 # %%
 print(f"mean of the six: {sum(added) / 6:.3f}")
-assert abs(sum(added) / 6 - success_worths(counted, streams)[0].cameras[0]) < 1e-9
+assert abs(sum(added) / 6 - success_shapley(counted, streams)[0].cameras[0]) < 1e-9
 
 # %% [markdown]
 # Third B can be spared (without it success is 1.00), and Third A costs a fifth. So "success
-# without it" alone would say that Third B is worth nothing; but once Third A is gone, Third B is
-# what is left to work with. And alone, Third A and Third B look equally useless (0.00 each),
-# though Third A is worth twice as much.
+# without it" alone would say that Third B adds nothing; but once Third A is missing, Third B is
+# what is left. And alone, Third A and Third B seem equally useless (0.00 each), though the
+# Shapley value of Third A is twice as large.

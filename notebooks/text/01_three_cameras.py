@@ -13,7 +13,7 @@
 #
 # A robot arm in a simulator has to pick up a hammer and drive a nail in. It is steered by a
 # *policy*: a function that gets pictures and a few numbers, and answers with an action. Here
-# three cameras look at the scene. In this lesson you follow their pictures from the scene to the
+# three cameras show the scene. In this lesson you follow their pictures from the scene to the
 # network's first numbers.
 #
 # Time: 30 minutes. You need the bundled policy `metaworld-hammer-mad-light`, and nothing else.
@@ -33,8 +33,8 @@ now = teaching.moment_at(policy, seed=2000, step=20)
 # %% [markdown]
 # ## What the cameras see
 #
-# `now` is one instant of one episode, 20 decisions after its start. *First person* rides on the
-# hand, *Third A* and *Third B* stand beside the table. The pictures have 84 x 84 pixels: few, but
+# `now` is one time step of one episode, 20 decisions after its start. *First person* is mounted
+# on the hand, *Third A* and *Third B* stand beside the table. The pictures have 84 x 84 pixels;
 # the network gets no more.
 
 # %%
@@ -48,7 +48,7 @@ camera_sheet(now)
 camera_sheet(now, "depth")
 
 # %% [markdown]
-# ## What a single picture cannot tell
+# ## What a single picture cannot show
 
 # %%
 guess = Predict(
@@ -66,7 +66,7 @@ guess
 stack_sheet(now, "third_a")
 
 # %%
-guess.compare("the pictures differ only where something moved, so they tell motion")
+guess.compare("the pictures differ only where something moved, so they show motion")
 
 # %% [markdown]
 # Three colour pictures are nine numbers per pixel. This is the network's whole visual input, with
@@ -76,7 +76,7 @@ guess.compare("the pictures differ only where something moved, so they tell moti
 now.stack.shape
 
 # %% [markdown]
-# ## What the robot feels
+# ## The robot's own state
 #
 # Beside the pictures there are 24 numbers that come from the robot itself (*proprioception*):
 # where its hand is and how open its gripper. Each of three frames gives eight. Nothing in here
@@ -89,10 +89,10 @@ halves = ("", ", one simulator step before")
 state_table(now, [f"{f}: {part}{half}" for f in frames for half in halves for part in parts])
 
 # %% [markdown]
-# ## What the network makes of it
+# ## Features
 #
-# One small network, the *encoder*, looks at each camera's stack and answers with 3136 numbers,
-# the camera's *feature*. It is the same network for all cameras. Here are the three features as
+# One small network, the *encoder*, gets each camera's stack and turns it into 3136 numbers, the
+# camera's *feature*. It is the same network for all cameras. Here are the three features as
 # squares of 56 x 56, bright where a number is large. You cannot read them, but you can see that
 # they differ, and that many numbers are zero: the last layer cuts off everything below zero.
 
@@ -104,14 +104,14 @@ source(Encoder)
 
 # %%
 names = [now.env.camera(camera).label for camera in policy.spec.streams]
-table(["camera", "length of its feature"], list(zip(names, now.probe.norms, strict=True)))
+table(["camera", "norm of its feature"], list(zip(names, now.probe.norms, strict=True)))
 
 # %% [markdown]
 # ## Play
 #
 # Press *Play*. Then switch *Third A* off, and on again; let it send black; let it freeze. Watch
 # the first line of the table (what the policy does now) and how far every other set of cameras
-# would be from it. Some questions to look at while it runs:
+# would be from it. Some questions while it runs:
 #
 # 1. Which camera changes most from picture to picture?
 # 2. When the hand covers the nail in one camera, does another one still see it?
@@ -131,8 +131,8 @@ tried = measure(policy, ["all"], episodes=3)["all"]
 teaching.in_words(*tried)
 
 # %% [markdown]
-# Even three out of three leave a wide interval: a policy that works half the time would manage
-# three in a row once in eight tries. The policy's card has 100 episodes, measured before and
+# Even three out of three leave a wide interval: a policy that works half the time has three
+# successes in a row once in eight tries. The policy's card has 100 episodes, measured before and
 # shipped with it:
 
 # %%

@@ -31,8 +31,8 @@ from madviz.subsets import every_mask
 from madviz.teaching.lessons import (
     answers,
     count_views,
-    lengths_by_views,
     norm_bars,
+    norms_by_views,
     subset_table,
     untrained,
 )
@@ -47,7 +47,7 @@ now = teaching.moment_at(policy, seed=2000, step=20)
 # ## The sum
 #
 # This is all of it, as it runs in training and on the live page. A *mask* says which cameras are
-# there: a row of ones and zeros.
+# present: a row of ones and zeros.
 
 # %%
 source(merge_sum)
@@ -62,7 +62,7 @@ every_mask(3).astype(int)
 # ## All subsets in one pass
 #
 # Every camera is encoded once. The eight sums cost next to nothing, and they go through the actor
-# together as a batch of eight. So at every instant we know not only what the policy does, but
+# together as a batch of eight. So at every time step we know not only what the policy does, but
 # also what it would do with every other set of cameras:
 
 # %%
@@ -70,20 +70,20 @@ subset_table(now)
 
 # %% [markdown]
 # *Trained* says whether the policy learned to work from that set. *Q* is how much reward the
-# policy expects from here on; where it was not trained, do not believe it (look at `none`). Pairs
-# of cameras were never shown to it in training. They work all the same here, but nobody promised
-# it.
+# policy expects from here on; for subsets it was not trained on, do not trust it (see `none`).
+# Pairs of cameras were never used in its training. They work all the same here, but there was no
+# guarantee.
 
 # %% [markdown]
-# ## How long is a sum?
+# ## The norm of a sum
 
 # %%
 guess = Predict(
-    "A camera's feature has a certain length. How long is the sum of three, compared with one?",
+    "How large is the norm of the sum of three features, compared with that of one?",
     [
         "About the same",
-        "Longer, and one can tell how many cameras there are",
-        "Three times as long",
+        "Larger, and one can infer how many cameras there are",
+        "Three times as large",
     ],
 )
 guess
@@ -93,37 +93,36 @@ norm_bars(now)
 
 # %% [markdown]
 # Features have no negative numbers (the encoder cuts them off), so they cannot cancel out: the
-# more cameras, the longer the sum. It would be three times as long only if the three features
-# pointed in the same direction.
+# more cameras, the larger the norm of the sum. It would be three times as large only if the three
+# features pointed in the same direction.
 #
-# Can one tell the *number* of cameras from the length alone? Take the mean length for one, two
-# and three cameras from one episode, and guess with them in two other episodes:
+# Can one infer the *number* of cameras from the norm alone? Take the mean norm for one, two and
+# three cameras from one episode, and guess with them in two other episodes:
 
 # %%
-known = lengths_by_views(policy, seeds=[2000])
-asked = lengths_by_views(policy, seeds=[2001, 2002])
+known = norms_by_views(policy, seeds=[2000])
+asked = norms_by_views(policy, seeds=[2001, 2002])
 hits, tries = count_views(known, asked)
 measured = teaching.in_words(hits, tries)
 print(measured)
-guess.compare(f"the number of cameras is guessed from the length in {measured}")
+guess.compare(f"the number of cameras is guessed from the norm in {measured}")
 
 # %% [markdown]
 # Always saying "one" would be right for 3 of the 7 sets (three singles, three pairs, one triple),
-# in 0.43. So the length tells something, but it does not tell all: in the saved run First
-# person's feature is so long that it alone exceeds the sum of the two others. (The instants of
-# one episode resemble each other; the interval treats every one as a new experiment, so the real
-# one is wider.)
+# in 0.43. So the norm says something, but not everything: in the saved run the norm of First
+# person's feature is larger than that of the sum of the two others. (The time steps of one
+# episode resemble each other; the interval treats every one as a new experiment, so the real one
+# is wider.)
 #
-# This is the policy's difficulty in a nutshell: a sum over one camera looks different to the
-# actor from a sum over three, merely because it is shorter. Lesson 3 shows what training does
-# about it.
+# This is the policy's difficulty: to the actor, a sum over one camera differs from a sum over
+# three, merely because its norm is smaller. Lesson 3 shows what training does about it.
 
 # %% [markdown]
 # ## Why not put the features side by side?
 #
-# Three features side by side (*concatenation*) keep apart what came from where. But there is a
-# place for every camera, and nothing to put into an empty one. Here is an untrained network of
-# each kind; the numbers mean nothing, but what they accept does:
+# Three features side by side (*concatenation*) show which camera each number came from. But every
+# camera has its place, and there is nothing to put there when it is missing. Here is an untrained
+# network of each kind; the numbers mean nothing, but what they accept does:
 
 # %%
 toy = teaching.moment_at(untrained("mad"), step=3)
@@ -157,7 +156,7 @@ explorer
 # ## Exercise
 #
 # MAD adds features and does not average them. Suppose it did: divide the sum by the number of
-# cameras. Can you still tell from the length how many cameras there are? Use `now.probe.features`
+# cameras. Can you still infer from the norm how many cameras there are? Use `now.probe.features`
 # (one row per camera) and `every_mask(3)`. What would be better about a mean, and what is lost
 # with it? A solution is in `solutions/02_merge.py`.
 

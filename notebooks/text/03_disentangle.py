@@ -10,7 +10,7 @@
 # # 3. Disentangle
 #
 # **Question: two policies see the same three cameras and learn from the same demonstrations. Why
-# does one of them survive when cameras are taken away, and the other does not?**
+# does one of them still work when cameras are taken away, and the other does not?**
 #
 # You will train both, here and now, on a small task, and take cameras away from both. The
 # difference between them is one line of mathematics.
@@ -73,7 +73,7 @@ source(objectives.td_target, objectives.critic_losses)
 
 # %% [markdown]
 # Reinforcement learning takes days on a laptop. So that you can train in minutes, the *light*
-# recipe learns by imitation: an expert (a small program that looks at the simulator's true state)
+# recipe learns by imitation: an expert (a small program that reads the simulator's true state)
 # says what it would do, and the loss is the squared distance to that. The weights are MAD's, and
 # everything else stays:
 
@@ -84,7 +84,8 @@ source(light.imitation_loss, light.row_errors)
 # ## The task
 #
 # `toy/reach` is a table drawn with a few lines of NumPy. A hand (blue) has to get to a target
-# (orange) in 25 decisions. The first camera rides on the hand and sees only its surroundings.
+# (orange) in 25 decisions. The first camera is mounted on the hand and sees only its
+# surroundings.
 
 # %%
 mad = teaching.train_small("mad", rounds=ROUNDS, updates=UPDATES)
@@ -144,7 +145,7 @@ guess.compare(
 )
 
 # %% [markdown]
-# Both policies met the same scenes, so they can be compared scene by scene. Only the scenes that
+# Both policies had the same episodes, so they can be compared one by one. Only the episodes that
 # one of them solves and the other does not say anything about which is better:
 
 # %%
@@ -160,9 +161,10 @@ print(f"exact p = {compared.mcnemar():.2g}")
 # Merged Only learned an actor for sums of three features, and nothing made it read every term of
 # the sum. In the saved run it came to rely on the camera on the hand, where *go towards the
 # orange spot* is easiest to learn: with that one alone it still works more often than not, and
-# without it it is lost. Which camera a policy leans on is chance and convenience; the sum hides
-# it, until the camera is gone. MAD's actor had to act on each of them. Look at the same instant
-# through both policies: how far do the actions of single cameras lie from that of all?
+# without it it fails. Which camera a policy depends on is decided by chance and by what is easy
+# to learn; the sum hides it, until the camera is missing. MAD's actor had to act on each of them.
+# Compare both policies at the same time step: how far are the actions of single cameras from that
+# of all?
 
 # %%
 subset_table(teaching.moment_at(mad.policy, step=2))
@@ -202,22 +204,22 @@ teaching.success_table(hammer)
 # ### An option: train MAD on hammer yourself
 #
 # Set `HAMMER = True` at the top, and the next cell trains MAD on hammer with the light recipe at
-# its own size, as `madviz train --task metaworld/hammer` does. Two cores with nothing else to do
-# need about a quarter of an hour for it, and a few minutes more to count its successes with and
-# without cameras; a busy laptop needs twice that. Every round says how many minutes are left. You
-# may stop it and run the cell again: it goes on where it was. It is off in the saved lesson, and
-# then the figure and the table show the shipped policies alone.
+# its own size, as `madviz train --task metaworld/hammer` does. Two idle cores need about a
+# quarter of an hour for it, and a few minutes more to count its successes with and without
+# cameras; a busy laptop needs twice that. Every round says how many minutes are left. You may
+# stop it and run the cell again: it is resumed. It is off in the saved lesson, and then the
+# figure and the table show the shipped policies alone.
 
 # %%
 own = teaching.train_light(HAMMER_TASK, "mad", HAMMER_SIZE) if HAMMER else None
 if own:
     tried = madviz.evaluate(own.folder, ["all", *streams], episodes=HAMMER_EPISODES)
     hammer = {"mad, trained here": teaching.counts(tried.rows), **hammer}
-    print(f"\nLook at it with: madviz explore --policy {own.folder}")
+    print(f"\nExplore it with: madviz explore --policy {own.folder}")
 teaching.success_bars("success on hammer (shipped: n = 100)", hammer)
 
 # %% [markdown]
-# Scene by scene against the shipped Merged Only, with one camera left:
+# Episode by episode against the shipped Merged Only, with one camera left:
 
 # %%
 teaching.paired_table(

@@ -36,11 +36,12 @@ now = teaching.moment_at(mad, seed=2000, step=20)
 # %% [markdown]
 # ## Two ways to lose a camera
 #
-# **Dropped**: everybody knows that the camera is gone, and its feature is left out of the sum.
+# **Dropped**: it is known that the camera is missing, and its feature is left out of the sum.
 #
 # **Occluded**: the camera still sends pictures, but bad ones: black, noise, the same picture for
-# ever (*freeze*), out of focus (*blur*), with something stuck to the lens (*patch*), with pictures
-# missing now and then (*dropout*), or all of them late (*delay*). Nobody tells the policy.
+# ever (*freeze*), out of focus (*blur*), with something stuck to the lens (*patch*), with
+# pictures missing now and then (*dropout*), or all of them late (*delay*). The policy gets no
+# other sign.
 
 # %%
 occlusion_sheet(now)
@@ -62,15 +63,15 @@ rows = [
     [camera, now.probe.norms[i], blacked.probe.norms[i]]
     for i, camera in enumerate(mad.spec.streams)
 ]
-table(["camera", "length of its feature", "when Third A sends black"], rows)
+table(["camera", "norm of its feature", "when Third A sends black"], rows)
 
 # %%
-guess.compare(f"a black Third A has a feature of length {blacked.probe.norms[1]:.1f}")
+guess.compare(f"a black Third A has a feature of norm {blacked.probe.norms[1]:.1f}")
 
 # %% [markdown]
 # Black is a picture like any other: the network answers with a feature, and that goes into the
-# sum as if it meant something. Nobody trained the policy on it. It can even be longer than the
-# feature of a real picture. How far does the action move, at this instant?
+# sum as if it meant something. The policy was not trained on it. Its norm can even be larger than
+# that of a real picture's feature. How far does the action move, at this time step?
 
 # %%
 intact = now.action()
@@ -81,14 +82,14 @@ for kind in ("black", "noise", "freeze", "blur"):
 table(["Third A is", "largest change of one action number"], rows)
 
 # %% [markdown]
-# A frozen picture looks harmless, and in the saved run it moves the action most: the policy gets
+# A frozen picture seems harmless, and in the saved run it moves the action most: the policy gets
 # the same picture three times, which says that nothing moves (lesson 1), while the hand does. How
 # far an action moves is not yet success or failure; that is counted below.
 #
 # ## Play
 #
-# This is the policy that never learned to do without. Find an occlusion of one camera that makes
-# it fail, while dropping the same camera does not; or the other way round.
+# This is the policy that never learned to do without cameras. Find an occlusion of one camera
+# that makes it fail, while dropping the same camera does not; or the other way round.
 
 # %%
 explorer = Explorer(merged_only, seed=2000)
@@ -108,8 +109,8 @@ few = {
 table(["Third A is", "success"], [[name, teaching.in_words(*one)] for name, one in few.items()])
 
 # %% [markdown]
-# Look at the intervals before you conclude anything: with four episodes they are so wide that
-# most of them overlap. *Dropped* and *black* are the same camera gone, and they need not be the
+# Read the intervals before you conclude anything: with four episodes they are so wide that most
+# of them overlap. *Dropped* and *black* are the same camera missing, and they need not be the
 # same to the policy.
 #
 # ## How many episodes are enough?
@@ -124,8 +125,8 @@ TryOut(interval_figure, successes=(0, 50, 1), n=(1, 50, 1))
 width_table(0.8, [5, 10, 20, 50, 100, 400])
 
 # %% [markdown]
-# Half the width costs four times the episodes. To tell 0.8 from 0.9 you need a few hundred of
-# each; to tell 1.00 from 0.00 you need five.
+# Half the width costs four times the episodes. To distinguish 0.8 from 0.9 you need a few hundred
+# of each; for 1.00 and 0.00 you need five.
 #
 # The cards of the bundled policies were measured on 100 episodes per set of cameras. These
 # numbers are shipped, nothing runs here:
@@ -138,15 +139,15 @@ teaching.success_bars("hammer, n = 100 for every bar (shipped)", shipped)
 teaching.success_table(shipped)
 
 # %% [markdown]
-# ## Compared scene by scene
+# ## Compared episode by episode
 #
-# Both policies met the same 100 scenes. A scene that both solve, or both fail, says nothing about
+# Both policies had the same 100 episodes. One that both solve, or both fail, says nothing about
 # which is better; the others are like tosses of a coin, and McNemar's test asks whether it is a
 # fair one.
 
 # %%
 guess_pair = Predict(
-    "Without Third A, merged-only has 0.79 and mad 1.00. Could that be luck?",
+    "Without Third A, merged-only has 0.79 and mad 1.00. Could that be chance?",
     ["Yes, 100 episodes are too few", "Hardly"],
 )
 guess_pair
@@ -163,13 +164,13 @@ table(
 # %%
 low, high = compared.interval()
 print(f"difference {compared.difference:+.2f}, 95% interval [{low:+.2f}, {high:+.2f}]")
-guess_pair.compare(f"exact p = {compared.mcnemar():.2g}, so hardly luck")
+guess_pair.compare(f"exact p = {compared.mcnemar():.2g}, so hardly chance")
 
 # %% [markdown]
 # ## Exercise
 #
-# Somebody shows you ten episodes: policy A solved 9, policy B solved 7 of *the same* scenes. Is A
-# better? Make the most favourable case for A (every scene that B solves A solves as well) and the
-# least favourable one with `madviz.evaluation.statistics.Paired`, and compare the p-values. How
-# many scenes would you ask for, if the rates stayed what they are? A solution is in
+# You are shown ten episodes: policy A solved 9, policy B solved 7 of *the same* ones. Is A
+# better? Make the most favourable case for A (every episode that B solves A solves as well) and
+# the least favourable one with `madviz.evaluation.statistics.Paired`, and compare the p-values.
+# How many episodes would you ask for, if the rates stayed what they are? A solution is in
 # `solutions/04_take_cameras_away.py`.

@@ -9,8 +9,8 @@
 # %% [markdown]
 # # 5. Colour, depth, or both
 #
-# **Question: is a camera that measures distance worth more than one that sees colour? And can one
-# policy live with either?**
+# **Question: is a camera that measures distance more useful than one that sees colour? And can
+# one policy work with either?**
 #
 # The policy of this lesson has three cameras in two modalities: six *streams*. It was trained to
 # work from all of them, from each alone, from each camera, and from each modality.
@@ -38,7 +38,7 @@ now = teaching.moment_at(policy, seed=2000, step=20)
 policy.spec.streams
 
 # %% [markdown]
-# ## The same instant twice
+# ## The same time step twice
 
 # %%
 camera_sheet(now)
@@ -64,8 +64,8 @@ feature_sheet(now, size=120)
 # %% [markdown]
 # ## 64 sets of streams
 #
-# Six streams can be combined in 64 ways, and all of them are read at every instant. Here are
-# those the policy was trained on:
+# Six streams can be combined in 64 ways, and the policy's action is computed for all of them at
+# every time step. Here are those the policy was trained on:
 
 # %%
 subset_table(now, every=False)

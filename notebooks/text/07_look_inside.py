@@ -11,9 +11,9 @@
 #
 # **Question: success says whether a policy works. How do you find out what it works *with*?**
 #
-# Four ways to look into one episode: the features, the pixels an action hangs on, the worth of
-# each camera, and a recording that you can wind forth and back. The policy is merged-only on
-# hammer, the one that falls apart when cameras go.
+# Four ways to look into one episode: the features, the pixels an action depends on, the Shapley
+# value of each camera, and a recording that you can play forth and back. The policy is
+# merged-only on hammer, the one that fails when cameras are missing.
 #
 # Time: 40 minutes. Lesson 4 comes before this one.
 
@@ -31,8 +31,8 @@ from madviz.teaching.inside import (
     report,
     saliency_shares,
     saliency_sheet,
-    success_worths,
-    worth_curves,
+    shapley_curves,
+    success_shapley,
 )
 from madviz.teaching.lessons import camera_sheet
 from madviz.teaching.show import source
@@ -48,8 +48,8 @@ print(len(episode), "moments, success at the last one:", episode[-1].success)
 # %% [markdown]
 # ## 1. Features
 #
-# How long is each camera's feature, over the episode? (The network sums them, so a long one
-# weighs more.)
+# How large is the norm of each camera's feature, over the episode? (The network sums them, so a
+# large one weighs more.)
 
 # %%
 norm_curves(episode)
@@ -58,14 +58,14 @@ norm_curves(episode)
 norm_curves(list(teaching.moments(mad, seed=2000)))
 
 # %% [markdown]
-# The first figure is merged-only, the second MAD on the same scene. Compare how the cameras share
+# The first figure is merged-only, the second MAD on the same seed. Compare how the cameras share
 # the sum.
 #
-# ## 2. Where does it look?
+# ## 2. Which pixels matter?
 #
 # *Saliency* is a derivative: how much does the action change if a pixel changes a little? Bright
 # is much. All cameras share one scale, so a camera that stays dark has little influence at this
-# instant.
+# time step.
 
 # %%
 guess = Predict(
@@ -93,46 +93,45 @@ saliency_sheet(teaching.moment_at(mad, seed=2000, step=20))
 
 # %% [markdown]
 # A warning: saliency says what a *small* change of a pixel does. A camera may matter as a whole
-# although no single pixel of it does, and the other way round. It is a hint where to look, not a
-# proof.
+# although no single pixel of it does, and the other way round. It is a hint, not a proof.
 #
-# ## 3. What is each camera worth?
+# ## 3. What does each camera add?
 #
-# Take one camera away, and perhaps nothing happens, because another one knows the same. So let
-# the cameras come in one by one, in every order, and note what each adds when it comes; the mean
-# over all orders is the camera's *Shapley value*. With three cameras there are six orders and
-# eight sets, and lesson 2 showed that all eight are read at every instant anyway.
+# Take one camera away, and perhaps nothing happens, because another one shows the same. So add
+# the cameras one by one, in every order, and note what each adds; the mean over all orders is the
+# camera's *Shapley value*. With three cameras there are six orders and eight sets, and lesson 2
+# showed that all eight are computed at every time step anyway.
 
 # %%
 source(action_worth)
 
 # %%
-worth_curves(episode)
+shapley_curves(episode)
 
 # %% [markdown]
 # The same can be asked about success. The eight sets were measured on 100 episodes each
 # (shipped):
 
 # %%
-guess_worth = Predict(
+guess_share = Predict(
     "MAD works with any camera. How is its success shared among the three?",
-    ["All to First person", "A third each", "Nothing to anybody, as each can be spared"],
+    ["All to First person", "A third each", "Nothing to any of them, as each can be spared"],
 )
-guess_worth
+guess_share
 
 # %%
 streams = mad.spec.streams
-worth, shown = success_worths(teaching.shipped(MAD), streams)
-guess_worth.compare(", ".join(f"{n} {w:.2f}" for n, w in zip(streams, worth.cameras, strict=True)))
+values, shown = success_shapley(teaching.shipped(MAD), streams)
+guess_share.compare(", ".join(f"{n} {w:.2f}" for n, w in zip(streams, values.cameras, strict=True)))
 
 # %%
 shown
 
 # %% [markdown]
-# And merged-only. This is this lesson's number with its interval: what First person is worth.
+# And merged-only. This is this lesson's number with its interval: First person's Shapley value.
 
 # %%
-worth, shown = success_worths(teaching.shipped(MERGED_ONLY), streams)
+values, shown = success_shapley(teaching.shipped(MERGED_ONLY), streams)
 shown
 
 # %%
@@ -141,13 +140,13 @@ print("without First person:", teaching.in_words(*teaching.shipped(MERGED_ONLY)[
 print(f"mean distance of its actions on first alone: {mean_gap(episode, 'first'):.2f}")
 
 # %% [markdown]
-# Look at the two lines together: First person alone is worth next to nothing, and yet it has the
+# Read the two lines together: First person alone has next to no success, and yet it has the
 # largest share. It is needed, but it is not enough; only the sum over all orders says so.
-# Saliency saw none of that: it was spread almost evenly.
+# Saliency shows none of that: it was spread almost evenly.
 #
 # ## 4. A recording
 #
-# Without First person from the start, merged-only never succeeded. Here it goes after 30
+# Without First person from the start, merged-only never succeeded. Here it is dropped after 30
 # decisions. The episode as a page in one file (pictures, curves, and the command that makes it
 # again):
 
@@ -156,11 +155,11 @@ folder = Path(tempfile.mkdtemp())
 report(MERGED_ONLY, folder, seed=2000, drop=["first@30"])
 
 # %% [markdown]
-# The same as a file for rerun's viewer, which can be wound forth and back. The printed command,
+# The same as a file for rerun's viewer, which can play it forth and back. The printed command,
 # given in `folder`, opens it in a window. With `VIEWER = True` at the top it also appears here,
 # served by this machine: it works without a network, but where there is one, its page asks its
-# makers for fonts, news and statistics, so it is off by default. Its data takes a way of its own,
-# which a Jupyter proxy does not know: if your browser is on another machine, download the file
+# makers for fonts, news and statistics, so it is off by default. Its data uses a port of its own,
+# which a Jupyter proxy does not pass on: if your browser is on another machine, download the file
 # and open it there.
 
 # %%
@@ -172,7 +171,7 @@ viewer
 # %% [markdown]
 # ## Play
 #
-# Find the instant at which losing First person stops turning success into failure: play the
+# Find the time step at which losing First person stops turning success into failure: play the
 # episode several times, and drop it earlier and later.
 
 # %%
@@ -182,7 +181,7 @@ explorer
 # %% [markdown]
 # ## Exercise
 #
-# Check by hand what `success_worths` says: write down merged-only's eight success rates, take the
-# six orders of the three cameras, note what First person adds in each, and take the mean. Then
-# find two cameras for which "success without this one" alone would have told the wrong story. A
+# Check by hand what `success_shapley` says: write down merged-only's eight success rates, take
+# the six orders of the three cameras, note what First person adds in each, and take the mean.
+# Then find two cameras for which "success without this one" alone would have misled you. A
 # solution is in `solutions/07_look_inside.py`.

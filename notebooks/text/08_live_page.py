@@ -9,10 +9,10 @@
 # %% [markdown]
 # # 8. The live page, in the notebook
 #
-# **Question: what do ten minutes with the live page tell you that the card of a policy does
+# **Question: what do ten minutes with the live page show you that the card of a policy does
 # not?**
 #
-# `madviz explore` serves a page for a browser. Here it comes into the notebook. If your browser
+# `madviz explore` serves a page for a browser. Here it is shown in the notebook. If your browser
 # and the notebook's kernel are on different machines (a class server, for example), the page is
 # passed on by the notebook's own server, and its address then ends in `/proxy/PORT/`. The slash
 # at the end matters.
@@ -60,8 +60,8 @@ pairs = ["third_a+third_b", "first+third_b", "first+third_a"]
 table(
     ["without", "success"],
     [
-        [gone, teaching.in_words(*shipped[subset])]
-        for gone, subset in zip(["First person", "Third A", "Third B"], pairs, strict=True)
+        [camera, teaching.in_words(*shipped[subset])]
+        for camera, subset in zip(["First person", "Third A", "Third B"], pairs, strict=True)
     ],
 )
 
