@@ -200,7 +200,7 @@ def test_shapley_values_for_success_add_up_to_it() -> None:
     worth, shown = success_shapley(counted, streams)
     assert worth.cameras == pytest.approx([0.3, 0.7])
     assert [row[1] for row in shown.rows] == ["+0.30", "+0.70", "+1.00"]
-    with pytest.raises(UserError, match="every set"):
+    with pytest.raises(UserError, match="every subset"):
         success_shapley({"all": (1, 2)}, streams)
 
 
