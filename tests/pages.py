@@ -49,9 +49,15 @@ class Recorded:
         return [one for one, has in zip(self.added, found, strict=True) if has == name][place]
 
     @property
+    def present(self) -> list[Any]:
+        """What was added and not removed again."""
+        return [handle for handle in self.added if not handle._impl.removed]
+
+    @property
     def html(self) -> str:
         """All text that is on it."""
-        return "\n".join(handle.content for handle in self.of("GuiHtmlHandle"))
+        texts = (one for one in self.present if type(one).__name__ == "GuiHtmlHandle")
+        return "\n".join(handle.content for handle in texts)
 
 
 def browser(server: viser.ViserServer, number: int = 1, **more: Any) -> Any:

@@ -112,7 +112,7 @@ def test_a_few_wrong_tries_a_second():
     assert not tries.too_many("here")
     for number in range(5000):
         tries.note(str(number))
-    assert len(tries._wrong) <= 1000
+    assert len(tries) <= 1000
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +32,7 @@ from madviz.session.commands import Pause, Reset, SetCamera, SetPolicy
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
+from tests.pages import Recorded, browser, use
 from tests.sessions import frame_with
 
 OFF = CameraState("off")
@@ -126,9 +125,10 @@ def test_a_policy_without_a_critic_has_no_worth_in_q() -> None:
 
 
 def test_the_panel_follows_another_policy(server: viser.ViserServer) -> None:
-    panel = ShapleyPanel(server.gui, frame_with(), Rates())
+    gui = Recorded(server.gui)
+    panel = ShapleyPanel(gui, frame_with(), Rates())
     apply(panel.update(frame_with(SetPolicy("toy-rgbd"))))
-    assert panel._table.content.count("Third B") >= 1
+    assert "Third B" in gui.html
     panel.remove()
 
 
@@ -138,45 +138,48 @@ def circles(html: str) -> list[tuple[str, str, str]]:
 
 def test_a_map_is_made_while_an_episode_runs_and_then_stays(server: viser.ViserServer) -> None:
     session, panels = session_with(speed=None), []
-    panel = ProjectionPanel(server.gui, shown(session))
+    gui = Recorded(server.gui)
+    panel = ProjectionPanel(gui, shown(session))
     for _ in range(DECISIONS + 3):
-        html = panel._drawing.content
-        panels.append("<svg" in html)
+        panels.append("<svg" in gui.html)
         session.tick(0.0)
         apply(panel.update(shown(session)))
     assert not any(panels[: DECISIONS - 2]) and panels[-1]
-    html = panel._drawing.content
-    assert len(circles(html)) == 4 and "polyline" in html
-    basis = panel._atlas.map("toy-mad0")
-    session.tick(0.0)
-    apply(panel.update(shown(session)))
-    assert panel._atlas.map("toy-mad0") is basis
+    before = gui.html
+    assert len(circles(before)) == 4 and "polyline" in before
+    frame = shown(session)
+    for _ in range(3):
+        session.tick(0.0)
+        apply(panel.update(shown(session)))
+    assert gui.html != before
+    apply(panel.update(replace(frame, story=shown(session).story)))
+    assert circles(gui.html) == circles(before), "the same step at the same place"
     panel.remove()
 
 
-def mapped(server: viser.ViserServer) -> tuple[ProjectionPanel, Session]:
-    """A panel that has its map, and the session it came from."""
-    session = session_with(speed=None)
-    panel = ProjectionPanel(server.gui, shown(session))
+def mapped(server: viser.ViserServer) -> tuple[ProjectionPanel, Session, Recorded]:
+    """A panel that has its map, the session it came from, and what is on the page."""
+    session, gui = session_with(speed=None), Recorded(server.gui)
+    panel = ProjectionPanel(gui, shown(session))
     for _ in range(DECISIONS + 2):
         session.tick(0.0)
         apply(panel.update(shown(session)))
-    return panel, session
+    return panel, session, gui
 
 
 def test_a_dropped_stream_is_hollow_and_the_merged_one_moves_to_the_rest(
     server: viser.ViserServer,
 ) -> None:
-    panel, session = mapped(server)
+    panel, session, gui = mapped(server)
     frame = shown(session)
-    points = np.array([circle[:2] for circle in circles(panel._drawing.content)], float)
+    points = np.array([circle[:2] for circle in circles(gui.html)], float)
     np.testing.assert_allclose(points[:3].mean(0), points[3], atol=1.6)
     session.send(Pause())
     session.send(SetCamera("first", OFF))
     session.tick(0.0)
     assert shown(session).step == frame.step
     apply(panel.update(shown(session)))
-    found = circles(panel._drawing.content)
+    found = circles(gui.html)
     assert [fill for *_, fill in found] == ["none", *CAMERA_COLOURS[1:3], "#FFFFFF"]
     points = np.array([circle[:2] for circle in found], float)
     np.testing.assert_allclose(points[1:3].mean(0), points[3], atol=1.6)
@@ -184,19 +187,20 @@ def test_a_dropped_stream_is_hollow_and_the_merged_one_moves_to_the_rest(
 
 
 def test_another_episode_begins_another_trail(server: viser.ViserServer) -> None:
-    panel, session = mapped(server)
+    panel, session, gui = mapped(server)
     session.send(Reset())
     session.tick(0.0)
     apply(panel.update(replace(shown(session), step=0)))
-    assert len(panel._trail) <= 2
+    assert "polyline" not in gui.html
     panel.remove()
 
 
 def test_without_features_of_their_own_cameras_have_no_map(server: viser.ViserServer) -> None:
     frame = frame_with()
     blank = replace(frame, probe=replace(frame.probe, features=0 * frame.probe.features))
-    panel = ProjectionPanel(server.gui, blank)
-    assert "No camera has a feature of its own" in panel._drawing.content
+    gui = Recorded(server.gui)
+    panel = ProjectionPanel(gui, blank)
+    assert "No camera has a feature of its own" in gui.html
     panel.remove()
 
 
@@ -228,8 +232,10 @@ def test_depth_glows_where_it_is_shown() -> None:
 def test_the_switch_asks_and_the_line_says_what_comes(server: viser.ViserServer) -> None:
     asked: list[object] = []
     frame = frame_with()
-    panel = SaliencyPanel(server.gui, asked.append, frame)
-    assert panel._choice is not None
+    gui = Recorded(server.gui)
+    panel = SaliencyPanel(gui, asked.append, frame)
+    use(gui.find("Saliency"), "for its Q")
+    assert asked == ["q"]
     assert "depends on" in saliency_words(frame, "")
     assert "never has one" in saliency_words(frame, "q")
     assert "its Q would change" in saliency_words(looking(frame), "q")
@@ -237,20 +243,9 @@ def test_the_switch_asks_and_the_line_says_what_comes(server: viser.ViserServer)
     stuck = frame_with(SetCamera("first", OFF), policy=AllOrNothing("toy-stack"))
     assert "cannot act" in saliency_words(stuck, "action")
     apply(panel.update(looking(frame)))
-    assert "SmoothGrad" in panel._line.content
+    assert "SmoothGrad" in gui.html
     panel.remove()
     SaliencyPanel(server.gui, None, frame).remove()
-
-
-class FakeClient:
-    """Enough of a browser's handle for arrows."""
-
-    def __init__(self, server: viser.ViserServer) -> None:
-        self.scene = server.scene
-        self.looked: list[Any] = []
-        self.camera = SimpleNamespace(
-            position=np.array([1.0, 2.0, 3.0]), on_update=self.looked.append
-        )
 
 
 def test_the_present_setting_is_yellow_thick_and_on_top() -> None:
@@ -295,28 +290,29 @@ def test_moving_a_point_towards_the_eye_leaves_it_where_it_is_seen() -> None:
 
 
 def test_arrows_change_four_times_a_second_and_hide_at_full_speed(server) -> None:
-    now, client = [0.0], FakeClient(server)
+    now, client = [0.0], browser(server)
     frame = frame_with()
-    panel = ArrowsPanel(client, frame, 1.0, lambda: now[0])  # type: ignore[arg-type]
+    panel = ArrowsPanel(client, frame, 1.0, lambda: now[0])
+    lines = client.scene.find("/arrows")
     assert len(panel.update(frame)) == 2
     now[0] = 0.2
     assert panel.update(frame) == []
     now[0] = 0.25
     assert len(panel.update(frame)) == 2
     apply(panel.update(replace(frame, speed=None)))
-    assert not panel._lines.visible and panel.update(replace(frame, speed=None)) == []
+    assert not lines.visible and panel.update(replace(frame, speed=None)) == []
     now[0] = 1.0
     apply(panel.update(replace(frame, phase="paused", speed=None)))
-    assert panel._lines.visible
+    assert lines.visible
     panel.remove()
 
 
 def test_arrows_follow_the_visitors_eye(server) -> None:
-    client, frame = FakeClient(server), frame_with()
-    panel = ArrowsPanel(client, frame, 1.0)  # type: ignore[arg-type]
+    client, frame = browser(server), frame_with()
+    panel = ArrowsPanel(client, frame, 1.0)
     client.camera.position = np.array([-3.0, 0.0, 1.0])
-    client.looked[0](client.camera)
+    client.followers[0](client.camera)
     expected = towards(arrows(frame, 1.0)[0], client.camera.position)
-    np.testing.assert_allclose(panel._lines.points, expected, atol=1e-6)
+    np.testing.assert_allclose(client.scene.find("/arrows").points, expected, atol=1e-6)
     panel.remove()
-    client.looked[0](client.camera)  # A page that is gone is not drawn on.
+    client.followers[0](client.camera)  # A page that was closed is not drawn on.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from base64 import b64decode
 from collections.abc import Iterator
 from dataclasses import replace
@@ -31,10 +32,11 @@ from madviz.drawing.viewpoint import focus
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.policies.checkpoint import load_policy
-from madviz.session.commands import Pause, SetCamera, SetPolicy
+from madviz.session.commands import Pause, SetCamera, SetPolicy, StepOnce
 from madviz.session.frame import Frame, Setting
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
+from tests.pages import Recorded, browser, use
 from tests.sessions import frame_with
 
 OFF = CameraState("off")
@@ -49,14 +51,15 @@ def server() -> Iterator[viser.ViserServer]:
 
 def test_camera_switches_send_commands_and_never_echo(server):
     sent: list[SetCamera] = []
-    panel = CamerasPanel(server.gui, sent.append, frame_with(), 622)
-    controls = panel._controls[1]
+    gui = Recorded(server.gui)
+    panel = CamerasPanel(gui, sent.append, frame_with(), 622)
     noisy = CameraState("rgb", Occlusion("noise", 0.3))
     apply(panel.update(frame_with(SetCamera("third_a", noisy))))
     assert sent == [], "showing a state must not set one"
-    assert controls.sliders["strength"].visible and controls.sliders["strength"].value == 0.3
-    assert not controls.sliders["x"].visible
-    controls._on_input(None, "off")  # type: ignore[arg-type]
+    strength = gui.find("strength", 1)
+    assert strength.visible and strength.value == 0.3
+    assert not gui.find("x", 1).visible
+    use(gui.find("Input", 1), "off")
     assert sent == [SetCamera("third_a", CameraState("off", Occlusion("noise", 0.3)))]
     panel.remove()
 
@@ -65,23 +68,25 @@ def test_an_old_frame_does_not_take_back_a_choice(server):
     """The callback that sends a command reads the widget after a frame may have come between."""
     sent: list = []
     choices = [PolicyChoice(name, name) for name in ("toy-mad", "toy-rgbd")]
-    panel = PolicyPanel(server.gui, sent.append, frame_with(), choices)
-    panel._picker.value = "toy-rgbd"
+    gui = Recorded(server.gui)
+    panel = PolicyPanel(gui, sent.append, frame_with(), choices)
+    picker = gui.find("Policy")
+    picker.value = "toy-rgbd"
     apply(panel.update(frame_with()))
-    assert panel._picker.value == "toy-rgbd"
+    assert picker.value == "toy-rgbd"
     apply(panel.update(frame_with(SetPolicy("nonsense"))))
-    assert panel._picker.value == "toy-mad", "it could not be loaded"
+    assert picker.value == "toy-mad", "it could not be loaded"
     panel.remove()
 
 
 def test_a_slider_being_dragged_is_not_pulled_back(server):
     sent: list[SetCamera] = []
-    panel = CamerasPanel(server.gui, sent.append, frame_with(), 622)
+    gui = Recorded(server.gui)
+    panel = CamerasPanel(gui, sent.append, frame_with(), 622)
     old = frame_with(SetCamera("first", CameraState("rgb", Occlusion("blur", 0.5))))
     apply(panel.update(old))
-    slider = panel._controls[0].sliders["strength"]
-    slider.value = 0.8
-    panel._controls[0]._on_fraction("strength", 0.8)
+    slider = gui.find("strength")
+    use(slider, 0.8)
     apply(panel.update(old))
     assert slider.value == 0.8
     apply(panel.update(frame_with(sent[-1])))
@@ -96,34 +101,43 @@ def test_a_dropped_stream_adds_nothing_to_the_curves():
 
 
 def test_features_follow_the_streams_of_another_policy(server):
-    panel = FeaturesPanel(server.gui, frame_with())
+    gui = Recorded(server.gui)
+    panel = FeaturesPanel(gui, frame_with())
     apply(panel.update(frame_with()))
     six = frame_with(SetPolicy("toy-rgbd"))
     apply(panel.update(six))
-    assert len(panel._plot.series) == 8
-    assert "Third B depth" in panel._table.content
+    assert len(gui.of("GuiUplotHandle")[-1].series) == 8
+    assert "Third B depth" in gui.html
     panel.remove()
 
 
-def test_an_instant_seen_twice_is_one_point(server):
-    panel = FeaturesPanel(server.gui, frame_with())
-    for frame in (frame_with(), frame_with(SetCamera("first", OFF))):
-        apply(panel.update(frame))
-    assert len(panel._history) == 1
-    assert panel._history[0][1] == 0
+def test_a_time_step_seen_twice_is_one_point(server):
+    gui = Recorded(server.gui)
+    session = Session(make_env, FakePolicy(), policies, speed=None)
+    panel = FeaturesPanel(gui, frame_with())
+    for command in (Pause(), SetCamera("first", OFF), StepOnce()):
+        session.send(command)
+        session.tick(0.0)
+        assert isinstance(session.latest, Frame)
+        apply(panel.update(session.latest))
+    decisions, first, *_ = gui.of("GuiUplotHandle")[0].data
+    assert len(decisions) == 2 and list(first) == [0, 0], "dropped before the second step"
     panel.remove()
 
 
 def test_curves_have_every_decision_though_they_are_drawn_less_often(server):
     session = Session(make_env, FakePolicy(), policies, speed=None)
     session.tick(0.0)
-    panel = FeaturesPanel(server.gui, frame_with())
+    gui = Recorded(server.gui)
+    panel = FeaturesPanel(gui, frame_with())
     for _ in range(40):  # An episode has 25 decisions, the next one begins with a frame of its own.
         assert isinstance(session.latest, Frame)
         panel.note(session.latest)
         session.tick(0.0)
-    assert set(np.diff([point[0] for point in panel._history])) == {1}
-    assert len(panel._history) == 40
+    assert isinstance(session.latest, Frame)
+    apply(panel.update(session.latest))
+    decisions = gui.of("GuiUplotHandle")[0].data[0]
+    assert len(decisions) == 41 and set(np.diff(decisions)) == {1}
     panel.remove()
 
 
@@ -172,10 +186,14 @@ def test_of_many_subsets_those_of_whole_cameras_are_shown_until_somebody_asks(se
     # Eight sets of cameras, six single streams, and the present setting, with half a camera.
     assert html.count("<tr") == 1 + 8 + 6 + 1
     assert "49 sets with half a camera are not shown" in html
-    panel = SubsetsPanel(server.gui, frame)
-    assert panel._everything.visible and panel._table.content == html
+    gui = Recorded(server.gui)
+    panel = SubsetsPanel(gui, frame)
+    switch = gui.find("Every row")
+    assert switch.visible and gui.html == html
+    use(switch, True)
+    assert gui.html.count("<tr") == 1 + 64
     apply(panel.update(frame_with()))
-    assert not panel._everything.visible, "eight rows need no switch"
+    assert not switch.visible, "eight rows need no switch"
     panel.remove()
 
 
@@ -254,11 +272,12 @@ def test_words_join_effect_and_success():
 
 def test_words_stay_until_something_else_happens(server):
     frame = frame_with(SetCamera("third_a", OFF))
-    panel = WordsPanel(server.gui, frame_with(), Rates())
-    assert "Take a camera away" in panel._line.content
+    gui = Recorded(server.gui)
+    panel = WordsPanel(gui, frame_with(), Rates())
+    assert "Take a camera away" in gui.html
     apply(panel.update(frame))
     apply(panel.update(frame_with()))
-    assert "Third A dropped" in panel._line.content
+    assert "Third A dropped" in gui.html
     panel.remove()
 
 
@@ -295,19 +314,20 @@ def test_verdicts_have_words_and_colours():
 def test_policy_panel_shows_without_sending(server):
     sent: list = []
     choices = [PolicyChoice("toy-mad", "MAD"), PolicyChoice("toy-rgbd", "RGB-D")]
-    panel = PolicyPanel(server.gui, sent.append, frame_with(), choices)
+    gui = Recorded(server.gui)
+    panel = PolicyPanel(gui, sent.append, frame_with(), choices)
     apply(panel.update(frame_with(SetPolicy("toy-rgbd"))))
-    assert panel._picker.value == "RGB-D" and sent == []
+    assert gui.find("Policy").value == "RGB-D" and sent == []
     panel.remove()
 
 
 def test_frusta_stand_where_the_cameras_are_and_dim_when_dropped(server):
     clicked: list[str] = []
-    client = FakeClient(server)
-    panel = ScenePanel(client, frame_with(), clicked.append)  # type: ignore[arg-type]
+    client = browser(server)
+    panel = ScenePanel(client, frame_with(), clicked.append)
     frame = frame_with(SetCamera("first", OFF))
     apply(panel.update(frame))
-    first, third = panel._frusta["first"], panel._frusta["third_a"]
+    first, third = (client.scene.find(f"/cameras/{name}") for name in ("first", "third_a"))
     np.testing.assert_allclose(first.position, frame.poses["first"].position, atol=1e-6)
     assert first.color != third.color
     assert first.image is not None and np.ptp(first.image.astype(int), axis=2).max() == 0
@@ -319,30 +339,30 @@ def test_at_full_speed_frusta_change_one_picture_at_a_time(server):
     session.tick(0.0)
     frame = session.latest
     assert isinstance(frame, Frame)
-    panel = ScenePanel(FakeClient(server), frame, None, lambda: now[0])  # type: ignore[arg-type]
+    panel = ScenePanel(browser(server), frame, None, lambda: now[0])
 
     def pictures() -> list[str]:
-        names = {id(handle): name for name, handle in panel._frusta.items()}
-        return [names[id(a.handle)] for a in panel.update(frame) if a.name == "image"]
+        return [a.handle.name for a in panel.update(frame) if a.name == "image"]
 
     drawn = []
     for second in range(0, 12, 2):
         now[0] = float(second)
         drawn += pictures()
         assert pictures() == []  # At the same instant there is nothing more to do.
-    assert sorted(drawn) == sorted(2 * list(panel._frusta))
+    assert sorted(drawn) == sorted(2 * [f"/cameras/{name}" for name in frame.poses])
     panel.remove()
 
 
 def test_a_screen_keeps_its_element_and_feeds_it(server):
     black = np.zeros((8, 12, 3), np.uint8)
-    screen = Screen(server.gui, black, "1:0", "a picture")
-    element = screen._image.content
-    change = screen.show(black + 255, "1:1")
-    apply([change])
-    assert screen._image.content == element and 'data-step="1:0"' in element
-    feed = screen._feed.content
-    assert f'data-screen="{screen._id}"' in feed and 'data-step="1:1"' in feed
+    gui = Recorded(server.gui)
+    screen = Screen(gui, black, "1:0", "a picture")
+    image, hidden = gui.added
+    element = image.content
+    apply([screen.show(black + 255, "1:1")])
+    assert image.content == element and 'data-step="1:0"' in element
+    feed, (name,) = hidden.content, re.findall(r'<img id="([^"]+)"', element)
+    assert f'data-screen="{name}"' in feed and 'data-step="1:1"' in feed
     jpeg = b64decode(feed.split("base64,")[1].split('"')[0])
     picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1)
     assert picture is not None and picture.min() > 250
@@ -357,30 +377,19 @@ def test_lines_of_sight_meet_on_the_table():
 
 
 def test_panels_leave_nothing(server):
-    def widgets() -> int:
-        return len(server.gui._container_handle_from_uuid["root"]._children)
-
-    before, frame, rates = widgets(), frame_with(), Rates()
+    gui, frame, rates = Recorded(server.gui), frame_with(), Rates()
     panels = [
-        CamerasPanel(server.gui, lambda command: None, frame, 622),
-        FeaturesPanel(server.gui, frame),
-        SubsetsPanel(server.gui, frame),
-        SuccessPanel(server.gui, frame, rates, None),
-        WordsPanel(server.gui, frame, rates),
-        PolicyPanel(server.gui, lambda command: None, frame, [PolicyChoice("toy-mad", "MAD")]),
+        CamerasPanel(gui, lambda command: None, frame, 622),
+        FeaturesPanel(gui, frame),
+        SubsetsPanel(gui, frame),
+        SuccessPanel(gui, frame, rates, None),
+        WordsPanel(gui, frame, rates),
+        PolicyPanel(gui, lambda command: None, frame, [PolicyChoice("toy-mad", "MAD")]),
     ]
-    assert widgets() > before
+    assert len(gui.present) > 30
     for panel in panels:
         panel.remove()
-    assert widgets() == before
-
-
-class FakeClient:
-    """Enough of a browser's handle for a panel: it draws on the server's own scene."""
-
-    def __init__(self, server: viser.ViserServer) -> None:
-        self.scene, self.gui, self.atomic = server.scene, server.gui, server.atomic
-        self.camera = type("Camera", (), {})()
+    assert not gui.present
 
 
 def test_an_ablation_of_cameras_that_are_off_is_no_other_setting():

@@ -13,6 +13,7 @@ from madviz.drawing.mosaic import GAP, HEADER, mosaic
 from madviz.errors import UserError
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Pause, SetCamera, SetPolicy
+from tests.pages import Recorded, use
 from tests.sessions import frame_with
 
 TILE = 202
@@ -93,20 +94,21 @@ def server():
 def test_the_panel_sends_what_was_drawn_and_nothing_else(server):
     sent = []
     frame = frame_with(Pause())
-    panel = CamerasPanel(server.gui, sent.append, frame, 620)
+    gui = Recorded(server.gui)
+    panel = CamerasPanel(gui, sent.append, frame, 620)
     apply(panel.update(frame))
-    panel._draw("1 2 0.5000 0.5000 0.2500 0.7500")
+    assert not use(gui.find("box"), "1 2 0.5000 0.5000 0.2500 0.7500")
     patch = Occlusion("patch", width=0.25, height=0.75)
     assert sent == [SetCamera("third_b", CameraState("rgb", patch))]
-    with pytest.raises(UserError):
-        panel._draw("2 7 0.5000 0.5000 0.2500 0.7500")
-    assert len(sent) == 1
+    ((_, said),) = use(gui.find("box"), "2 7 0.5000 0.5000 0.2500 0.7500")
+    assert said.startswith("expected a box") and len(sent) == 1
     panel.remove()
 
 
 def test_who_only_watches_cannot_draw(server):
-    panel = CamerasPanel(server.gui, None, frame_with(Pause()), 620)
-    assert panel._field is None and "data-draw" not in panel._screen._image.content
+    gui = Recorded(server.gui)
+    panel = CamerasPanel(gui, None, frame_with(Pause()), 620)
+    assert not gui.of("GuiTextHandle") and "data-draw" not in gui.html
     panel.remove()
 
 
@@ -115,13 +117,13 @@ def test_a_patch_has_a_slider_for_each_side_and_only_a_patch_has(server):
     frame = frame_with(
         Pause(), SetCamera("first", CameraState("rgb", Occlusion("patch", width=0.8)))
     )
-    panel = CamerasPanel(server.gui, sent.append, frame, 620)
+    gui, names = Recorded(server.gui), ("x", "y", "width", "height")
+    panel = CamerasPanel(gui, sent.append, frame, 620)
     apply(panel.update(frame))
-    first, second = (control.sliders for control in panel._controls[:2])
-    assert [first[side].value for side in ("width", "height")] == [0.8, 0.4]
-    assert all(first[name].visible and first[name].hint for name in ("x", "y", "width", "height"))
-    assert not any(slider.visible for slider in second.values())
-    panel._controls[0]._on_fraction("height", 0.1)
+    assert [gui.find(side).value for side in ("width", "height")] == [0.8, 0.4]
+    assert all(gui.find(name).visible and gui.find(name).hint for name in names)
+    assert not any(gui.find(name, 1).visible for name in names)
+    use(gui.find("height"), 0.1)
     patch = Occlusion("patch", width=0.8, height=0.1)
     assert sent == [SetCamera("first", CameraState("rgb", patch))]
     panel.remove()

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,6 +32,7 @@ from madviz.session.session import Session
 from madviz.session.session_reader import parse
 from madviz.types import CameraSpec
 from tests.fakes import FakePolicy, policies
+from tests.pages import Recorded, drag, use
 
 RIGHT = Displacement(right=0.3)
 DOWN = CameraSpec("down", "Down", 60, (0, 0, 2), (1, 0, 0, 0))
@@ -241,20 +240,22 @@ def test_the_panel_drags_is_not_pulled_back_and_puts_back():
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     live, sent = Live(), []
     frame = live.ask(Pause())
-    panel = MovePanel(server.gui, sent.append, frame)
-    panel._choose("third_a")
-    panel._drag("right", 0.1)
-    panel._drag("pan", 5)
+    gui = Recorded(server.gui)
+    panel = MovePanel(gui, sent.append, frame)
+    camera, right, pan = (gui.find(name) for name in ("Camera", "right", "pan"))
+    use(camera, "Third A")
+    use(right, 0.1)
+    use(pan, 5)
     assert sent[-1] == MoveCamera("third_a", Displacement(right=0.1, pan=5))
     apply(panel.update(live.ask(sent[0])))  # A frame that is behind: the hand is further already.
-    assert panel._move == Displacement(right=0.1, pan=5)
+    assert right.value == 0.1 and pan.value == 5
     apply(panel.update(live.ask(sent[1])))
-    assert panel._sliders["right"].value == 0.1 and panel._sliders["pan"].value == 5
-    panel._choose("third_b")
-    assert panel._sliders["right"].value == 0
+    assert right.value == 0.1 and pan.value == 5
+    use(camera, "Third B")
+    assert right.value == 0
     apply(panel.update(live.ask(MoveCamera("third_a", None))))
-    panel._choose("third_a")
-    assert panel._sliders["pan"].value == 0
+    use(camera, "Third A")
+    assert pan.value == 0
     panel.remove()
     server.stop()
 
@@ -332,40 +333,40 @@ def server():
 def test_arrows_stand_where_the_camera_does_unless_they_are_dragged(server):
     live, moved = Live(), []
     frame = live.ask(Pause())
-    gizmo = Gizmo(server.scene, frame, 1.0, lambda *said: moved.append(said))
+    scene = Recorded(server.scene)
+    gizmo = Gizmo(scene, frame, 1.0, lambda *said: moved.append(said))
+    handle = scene.find("/moved")
     apply(gizmo.update(frame))
-    assert not gizmo._handle.visible
+    assert not handle.visible
     gizmo.camera = "third_a"
     apply(gizmo.update(live.ask(ASIDE)))
-    assert gizmo._handle.visible
-    assert gizmo._handle.position == pytest.approx(live.now.poses["third_a"].position)
+    assert handle.visible
+    assert handle.position == pytest.approx(live.now.poses["third_a"].position)
     assert moved == []  # Our own assignments move nothing.
     place = live.now.poses["third_a"].position + [0, 0, 0.1]
-    gizmo._handle.position = place
-    event = SimpleNamespace(client=object(), phase="update", target=gizmo._handle)
-    asyncio.run(gizmo._hear(event))  # type: ignore[arg-type]
+    handle.position = place
+    drag(handle, "update")
     assert moved == [("third_a", Displacement(right=0.3, forward=-0.1))]
     apply(gizmo.update(live.now))
-    assert gizmo._handle.position == pytest.approx(place)  # In a hand: not pulled back.
-    event.phase = "end"
-    asyncio.run(gizmo._hear(event))  # type: ignore[arg-type]
+    assert handle.position == pytest.approx(place)  # In a hand: not pulled back.
+    drag(handle, "end")
     apply(gizmo.update(live.now))
-    assert gizmo._handle.position == pytest.approx(live.now.poses["third_a"].position)
+    assert handle.position == pytest.approx(live.now.poses["third_a"].position)
     gizmo.remove()
 
 
 def test_a_ring_turns_the_camera_and_on_release_stands_as_the_camera_does(server):
     live, moved = Live(), []
-    gizmo = Gizmo(server.scene, live.ask(Pause()), 1.0, lambda *said: moved.append(said))
+    scene = Recorded(server.scene)
+    gizmo = Gizmo(scene, live.ask(Pause()), 1.0, lambda *said: moved.append(said))
     gizmo.camera = "third_a"
     apply(gizmo.update(live.ask(ASIDE)))
-    pose, handle = live.now.poses["third_a"], gizmo._handle
+    pose, handle = live.now.poses["third_a"], scene.find("/moved")
     before = Rotation.from_quat(pose.wxyz, scalar_first=True)
 
     def hear(phase: str, axes: Rotation) -> None:
         handle.wxyz = axes.as_quat(scalar_first=True)
-        event = SimpleNamespace(client=object(), phase=phase, target=handle)
-        asyncio.run(gizmo._hear(event))  # type: ignore[arg-type]
+        drag(handle, phase)
 
     hear("start", before)
     for angle in (3, 8):
@@ -384,5 +385,4 @@ def test_a_ring_turns_the_camera_and_on_release_stands_as_the_camera_does(server
     apply(gizmo.update(live.ask(MoveCamera(*moved[-1]))))
     hear("update", upright)  # The next drag is an arrow's again.
     assert moved[-1] == ("third_a", replace(RIGHT, pan=8))
-    assert not gizmo._turning
     gizmo.remove()

@@ -27,6 +27,7 @@ from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.types import Body, CameraPose
 from tests.fakes import FakePolicy, policies
+from tests.pages import browser
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +47,9 @@ class Stage:
         self.camera = SimpleNamespace(
             image_width=800, image_height=800, position=np.zeros(3), look_at=np.zeros(3), fov=1.0
         )
-        client = SimpleNamespace(scene=server.scene, atomic=server.atomic, camera=self.camera)
-        self.panel = ScenePanel(client, self.frame, None, lambda: self.now)  # type: ignore[arg-type]
+        client = browser(server, camera=self.camera)
+        self.nodes = client.scene
+        self.panel = ScenePanel(client, self.frame, None, lambda: self.now)
 
     def after(self, *commands) -> Frame:
         """The frame after ``commands`` and another step, if it plays."""
@@ -73,7 +75,7 @@ def test_only_what_moved_is_sent_again(server):
     stage.after()
     stage.now = 2.0
     assert stage.moved() == ["/bodies/hand", "/cameras/first"]
-    hand = stage.panel._bodies._handles[1]
+    hand = stage.nodes.find("/bodies/hand")
     np.testing.assert_allclose(hand.position, stage.frame.body_poses[1, :3], atol=1e-6)
     stage.now = 3.0
     assert stage.moved() == []
@@ -111,13 +113,13 @@ def test_what_stands_still_is_shown_as_it_is_at_once(server):
 
 def test_another_episode_may_hold_other_bodies(server):
     stage = Stage(server)
-    old = list(stage.panel._bodies._handles)
+    old = [one.name for one in stage.nodes.present if one.name.startswith("/bodies/")]
     ball = Body("ball", (shapes.part(shapes.sphere(np.ones(3)), np.ones(3)),))
     pose = np.array([[1, 2, 3, 1, 0, 0, 0]], np.float32)
     stage.now = 1.0
     apply(stage.panel.update(replace(stage.frame, bodies=(ball,), body_poses=pose)))
-    (handle,) = stage.panel._bodies._handles
-    assert handle.name == "/bodies/ball" and handle not in old
+    (handle,) = (one for one in stage.nodes.present if one.name.startswith("/bodies/"))
+    assert handle.name == "/bodies/ball" and handle.name not in old
     np.testing.assert_allclose(handle.position, [1, 2, 3])
     stage.panel.remove()
 
@@ -126,7 +128,7 @@ def test_a_frustum_goes_where_its_camera_was_put(server):
     stage = Stage(server)
     elsewhere = CameraPose(np.array([1.0, 1.0, 1.0]), np.array([0.0, 1.0, 0.0, 0.0]), 20.0)
     frame = replace(stage.frame, poses={**stage.frame.poses, "third_b": elsewhere})
-    frustum = stage.panel._frusta["third_b"]
+    frustum = stage.nodes.find("/cameras/third_b")
     before = frustum.scale
     stage.now = 1.0
     apply(stage.panel.update(frame))

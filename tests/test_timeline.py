@@ -18,6 +18,7 @@ from madviz.session.session import Session
 from madviz.session.timeline import MOST_ROWS
 from madviz.types import TimeStep
 from tests.fakes import policies
+from tests.pages import Recorded, use
 
 OFF = CameraState("off")
 
@@ -69,27 +70,28 @@ def test_a_slider_shows_the_step_and_is_not_pulled_back_while_dragged(server) ->
     play, sent = Played(), []
     frame = play(5)
     now = [100.0]
-    panel = TimelinePanel(server.gui, sent.append, frame, lambda: now[0])
-    assert panel._slider is not None
-    handle = panel._slider.handle
-    panel._drag(2)
+    gui = Recorded(server.gui)
+    panel = TimelinePanel(gui, sent.append, frame, lambda: now[0])
+    handle = gui.find("Step")
+    use(handle, 2)
     assert sent == [Scrub(2)]
     apply(panel.update(play(1)))
-    assert handle.value == 5  # A frame that has not heard of the drag moves nothing.
-    apply(panel.update(play(Scrub(2))))
-    assert handle.value == 5  # Nor does one that has: a visitor may still be dragging.
+    assert handle.value == 2  # A frame that has not heard of the drag moves nothing.
+    apply(panel.update(play(Scrub(4))))
+    assert handle.value == 2  # Nor does one that has: a visitor may still be dragging.
     now[0] += AFTER_DRAG
     apply(panel.update(play(Scrub(2))))
     assert handle.value == 2
     apply(panel.update(play(Scrub(None))))
     assert handle.value == 6
     panel.remove()
-    assert not server.gui._gui_input_handle_from_uuid
+    assert not gui.present
 
 
 def test_watchers_see_the_drawing_without_controls(server) -> None:
-    panel = TimelinePanel(server.gui, None, Played()(2))
-    assert panel._slider is None
+    gui = Recorded(server.gui)
+    panel = TimelinePanel(gui, None, Played()(2))
+    assert not gui.of("GuiSliderHandle")
     panel.remove()
 
 

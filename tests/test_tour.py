@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from types import SimpleNamespace
 
 import pytest
 import viser
@@ -16,6 +15,7 @@ from madviz.session.commands import SetCamera, SetPolicy, SetSpeed, StepOnce
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy
+from tests.pages import browser
 
 PAIR = {
     "toy-mad-light": FakePolicy("toy-mad-light"),
@@ -50,8 +50,7 @@ class Table:
 def table() -> Iterator[Table]:
     table = Table()
     yield table
-    table.session.close()
-    table.session._stage.shut()
+    table.session.start().close()
 
 
 @pytest.fixture(scope="module")
@@ -59,15 +58,6 @@ def server() -> Iterator[viser.ViserServer]:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     yield server
     server.stop()
-
-
-def browser(server: viser.ViserServer) -> viser.ClientHandle:
-    """A client that nobody looks through."""
-    return SimpleNamespace(  # type: ignore[return-value]
-        gui=server.gui,
-        _websock_connection=SimpleNamespace(queue_message=lambda message: None),
-        add_notification=lambda *words, **more: pytest.fail(str(words)),
-    )
 
 
 def test_steps_that_make_no_sense_here_are_left_out(table: Table):
@@ -79,7 +69,8 @@ def test_steps_that_make_no_sense_here_are_left_out(table: Table):
 
 
 def test_every_step_does_what_it_says(table: Table, server: viser.ViserServer):
-    tour = Tour(browser(server), table.session.send, lambda: table.frame, CHOICES, [])
+    client = browser(server)
+    tour = Tour(client, table.session.send, lambda: table.frame, CHOICES, [])
     tour.begin()
     seen = [table.tick()]
     for _ in range(7):
@@ -94,6 +85,7 @@ def test_every_step_does_what_it_says(table: Table, server: viser.ViserServer):
     assert settings[4] == settings[5] == settings[6] == "first"
     assert [frame.policy.method for frame in seen] == ["mad"] * 5 + ["merged-only"] * 2 + ["mad"]
     assert seen[6].past and seen[6].phase == "paused"
+    assert not client.notes
     assert not seen[7].past and seen[7].phase == "playing" and seen[7].branch is None
 
 
@@ -129,13 +121,16 @@ def test_a_tour_in_a_hurry_brings_the_policy_back(table: Table, server: viser.Vi
 
 
 def test_a_watcher_is_offered_help_and_no_tour(table: Table, server: viser.ViserServer):
-    rows = [Tour(browser(server), send, lambda: table.frame, CHOICES, [])._handles[0]
-            for send in (None, table.session.send)]  # fmt: skip
-    assert [row.options for row in rows] == [("help, keys",), ("2-minute tour", "help, keys")]
+    offered = []
+    for send in (None, table.session.send):
+        client = browser(server)
+        Tour(client, send, lambda: table.frame, CHOICES, [])
+        offered.append(client.gui.find("New here?").options)
+    assert offered == [("help, keys",), ("2-minute tour", "help, keys")]
     table.session.send(StepOnce())
-    watched = Tour(browser(server), None, lambda: table.frame, CHOICES, [])
-    watched.begin()
-    assert watched._panel is None
+    client = browser(server)
+    Tour(client, None, lambda: table.frame, CHOICES, []).begin()
+    assert not client.gui.of("PanelHandle")
 
 
 def test_help_has_the_words_and_the_keys():

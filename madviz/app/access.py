@@ -116,6 +116,10 @@ class Tries:
         self._clock = clock
         self._wrong: OrderedDict[str, deque[float]] = OrderedDict()
 
+    def __len__(self) -> int:
+        """How many addresses are remembered."""
+        return len(self._wrong)
+
     def too_many(self, address: str) -> bool:
         """Whether ``address`` has to wait."""
         past = self._wrong.get(address, ())

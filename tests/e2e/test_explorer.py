@@ -85,7 +85,7 @@ def test_a_training_starts_shows_itself_and_stops(visitor: Visitor):
     visitor.until_text(".mv-training", "Stopped", patience=5 * PATIENCE)
 
 
-def test_what_cameras_are_worth_stands_in_a_table(visitor: Visitor):
+def test_shapley_values_of_all_cameras_stand_in_a_table(visitor: Visitor):
     open_tab(visitor, "Shapley")
     text = visitor.until_text(".mv-shapley", "none → all present")
     assert all(word in text for word in ("Q now", "First person", "Third A", "Third B"))
@@ -95,14 +95,14 @@ def test_what_cameras_are_worth_stands_in_a_table(visitor: Visitor):
     assert "First person · dropped" not in text
 
 
-def test_where_the_policy_looks_is_asked_and_answered(visitor: Visitor, app: App):
+def test_saliency_is_asked_for_and_answered(visitor: Visitor, app: App):
     open_tab(visitor, "Inside")
-    visitor.until_text(".mv-saliency", "Lays over every picture")
+    visitor.until_text(".mv-saliency", "Shows on every picture")
     paused_at(visitor, app, 3)
     visitor.press("for its action")
     visitor.until_text(".mv-saliency", "a policy not made with torch never has one")
     visitor.page.locator("[data-mv-grid=saliency] button").first.click()
-    visitor.until_text(".mv-saliency", "Lays over every picture")
+    visitor.until_text(".mv-saliency", "Shows on every picture")
 
 
 def test_a_scenario_runs_as_planned_and_ends(visitor: Visitor):
@@ -116,7 +116,7 @@ def test_a_scenario_runs_as_planned_and_ends(visitor: Visitor):
     visitor.page.get_by_text("No failures are planned").wait_for(timeout=PATIENCE)
 
 
-def test_a_session_is_kept_as_a_file_that_replays(visitor: Visitor, app: App, tmp_path):
+def test_a_session_is_saved_as_a_file_that_replays(visitor: Visitor, app: App, tmp_path):
     open_tab(visitor, "Save")
     paused_at(visitor, app, 4)
     with visitor.page.expect_download(timeout=PATIENCE) as download:
