@@ -62,7 +62,7 @@ def text(html: str) -> str:
     return re.sub(r"\s+", " ", re.sub("<[^>]*>", " ", html))
 
 
-def test_a_camera_has_a_row_with_what_it_is_worth_in_every_game() -> None:
+def test_a_camera_has_a_row_with_its_value_in_every_game() -> None:
     frame = frame_with()
     rates = Rates(lambda spec: {**MEASURED, "all": {"success": 1.0, "n": 100}})
     html = shapley_html(frame, rates)
@@ -75,7 +75,7 @@ def test_a_camera_has_a_row_with_what_it_is_worth_in_every_game() -> None:
     assert "-0.00" not in html
 
 
-def test_worths_of_the_page_sum_to_its_last_row() -> None:
+def test_values_on_the_page_sum_to_its_last_row() -> None:
     frame = frame_with()
     q, action = q_column(frame).worth, action_column(frame).worth
     assert q is not None and action is not None
@@ -92,7 +92,7 @@ def test_success_says_what_is_not_measured_yet() -> None:
     assert "First person + Third A" in column.words and "3 more" in column.words
 
 
-def test_with_a_camera_dropped_it_is_worth_nothing_and_half_the_sets_will_do() -> None:
+def test_a_dropped_camera_has_no_value_and_half_the_sets_will_do() -> None:
     frame = frame_with(SetCamera("third_b", OFF))
     known = ("first+third_a", "first", "third_a", "none")
     column = success_column(frame, Rates(lambda spec: {name: MEASURED[name] for name in known}))
@@ -107,7 +107,7 @@ def test_occlusions_are_no_part_of_the_measured_success() -> None:
     assert column.worth is not None and "clean pictures" in column.words
 
 
-def test_a_policy_that_cannot_do_without_cameras_has_no_worths_and_says_why() -> None:
+def test_a_policy_that_cannot_do_without_cameras_has_no_values_and_says_why() -> None:
     frame = frame_with(policy=AllOrNothing("toy-stack"))
     assert q_column(frame).worth is None and action_column(frame).worth is None
     words = text(shapley_html(frame, Rates()))
@@ -117,7 +117,7 @@ def test_a_policy_that_cannot_do_without_cameras_has_no_worths_and_says_why() ->
     assert broken.worth is None and "not finite" in broken.words
 
 
-def test_a_policy_without_a_critic_has_no_worth_in_q() -> None:
+def test_a_policy_without_a_critic_has_no_value_in_q() -> None:
     frame = frame_with()
     blind = replace(frame.probe.readout, q=np.full(8, np.nan, np.float32))
     column = q_column(replace(frame, probe=replace(frame.probe, readout=blind)))
@@ -212,7 +212,7 @@ def looking(frame: Frame, stream: str = "first") -> Frame:
     return watched
 
 
-def test_pixels_that_matter_glow_and_the_others_dim() -> None:
+def test_pixels_that_matter_are_bright_and_the_others_dim() -> None:
     frame = frame_with()
     before, after = (mosaic.mosaic(one, 168)[mosaic.HEADER :] for one in (frame, looking(frame)))
     first, others = np.s_[:, :168], np.s_[:, 174:]
@@ -222,7 +222,7 @@ def test_pixels_that_matter_glow_and_the_others_dim() -> None:
     assert after[:40, :168].mean() > 150 and not np.array_equal(before[first], after[first])
 
 
-def test_depth_glows_where_it_is_shown() -> None:
+def test_depth_is_bright_where_it_is_shown() -> None:
     frame = frame_with(SetPolicy("toy-rgbd"), SetCamera("first", CameraState("depth")))
     plain, lit = (mosaic.mosaic(f, 168) for f in (frame, looking(frame, "first.depth")))
     assert not np.array_equal(plain, lit)

@@ -348,7 +348,7 @@ def test_at_full_speed_frusta_change_one_picture_at_a_time(server):
     for second in range(0, 12, 2):
         now[0] = float(second)
         drawn += pictures()
-        assert pictures() == []  # At the same instant there is nothing more to do.
+        assert pictures() == []  # At the same time there is nothing more to do.
     assert sorted(drawn) == sorted(2 * [f"/cameras/{name}" for name in frame.poses])
     panel.remove()
 

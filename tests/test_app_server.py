@@ -1,4 +1,4 @@
-"""The server's own rules: ports, policies on offer, and seats, without a browser."""
+"""The server's own rules: ports, policies on offer, and places, without a browser."""
 
 from __future__ import annotations
 

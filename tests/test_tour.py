@@ -108,7 +108,7 @@ def test_whenever_it_is_left_all_is_as_before(table: Table, server: viser.ViserS
         tour.end()  # Twice does no harm.
 
 
-def test_a_tour_in_a_hurry_brings_the_policy_back(table: Table, server: viser.ViserServer):
+def test_a_tour_clicked_through_fast_brings_the_policy_back(table: Table, server: viser.ViserServer):
     sent: list = []
     still = table.frame  # The page's newest frame does not move meanwhile.
     tour = Tour(browser(server), sent.append, lambda: still, CHOICES, [])
