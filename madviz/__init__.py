@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from madviz.errors import UserError as UserError
     from madviz.evaluation.episodes import run_episode as run_episode
     from madviz.evaluation.evaluate import evaluate as evaluate
-    from madviz.policies.checkpoint import list_policies as list_policies
     from madviz.policies.checkpoint import load_policy as load_policy
     from madviz.policies.checkpoint import save_policy as save_policy
+    from madviz.policies.listing import list_policies as list_policies
 
 __version__ = "0.1.0"
 
@@ -34,7 +34,7 @@ _HOMES = {
     "allow_task": "madviz.envs.custom",
     "evaluate": "madviz.evaluation.evaluate",
     "explore": "madviz.app.server",
-    "list_policies": "madviz.policies.checkpoint",
+    "list_policies": "madviz.policies.listing",
     "load_policy": "madviz.policies.checkpoint",
     "make_env": "madviz.envs.registry",
     "run_episode": "madviz.evaluation.episodes",

@@ -278,9 +278,9 @@ def printing_to_stderr() -> Iterator[None]:
 
 def run_list(config: ListConfig) -> dict[str, Any]:
     """What ``madviz list --json`` writes."""
-    from madviz.policies.checkpoint import list_everything
+    from madviz.policies.listing import list_everything
 
-    return list_everything()
+    return dict(list_everything())
 
 
 def success_table(result: dict[str, Any]) -> str:

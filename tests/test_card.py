@@ -1,41 +1,34 @@
 """Cards say what the JSON files say, and nothing about other weights."""
 
-import json
-
+import msgspec
 import pytest
 
 from madviz.errors import UserError
 from madviz.policies.card import card_text, train_again, write_card
 from madviz.policies.checkpoint import describe, save_policy
-from tests.test_checkpoint import make_agent, make_config
+from madviz.policies.config import TrainingRecord
+from tests.test_checkpoint import make_agent, make_config, measure
 
 
 @pytest.fixture
 def folder(tmp_path):
-    config = make_config()
-    config["training"]["wall_time_s"] = 571.25
+    training = TrainingRecord(command="madviz train --task toy/reach", wall_time_s=571.25)
+    versions = {"torch": "2.15.0"}
+    config = make_config(training=msgspec.structs.replace(training, versions=versions))
     return save_policy(tmp_path / "toy-reach-mad-light", make_agent(), config)
 
 
-def measure(folder, **changes):
-    rows = {
-        "all": {"success": 0.96, "success_any": 1.0, "ci95": [0.8654, 0.989], "trained": True},
-        "none": {"success": 0.1, "success_any": 0.2, "ci95": [0.04, 0.21], "trained": False},
-    }
-    rows = {name: {**row, "n": 50} for name, row in rows.items()}
-    document = {
-        **{"schema": 1, "policy": "toy-reach-mad-light", "digest": describe(folder).spec.digest},
-        **{"definition": "at the last step: near", "render_profile": "fast", "seed": 5000},
-        **{"subsets": rows, "episodes": [{"seed": 5000}, {"seed": 5049}], **changes},
-    }
-    (folder / "evaluation.json").write_text(json.dumps(document))
+ROWS = {
+    "all": {"success": 0.96, "success_any": 1.0, "n": 50, "ci95": [0.8654, 0.989], "trained": True},
+    "none": {"success": 0.1, "success_any": 0.2, "n": 50, "ci95": [0.04, 0.21], "trained": False},
+}
 
 
 def test_a_card_says_what_was_measured_and_how(folder):
-    measure(folder)
+    measure(folder, ROWS)
     text = write_card(folder).read_text()
     assert "| all | 0.96 | 0.87 – 0.99 | 1.00 | 50 |  |" in text
-    assert "| none | 0.10 | 0.04 – 0.21 | 0.20 | 50 | off-training |" in text
+    assert "| none | 0.10 | 0.04 – 0.21 | 0.20 | 50 | not trained on this subset |" in text
     assert "at the last step: near. Seeds 5000 to 5049" in text
     assert "    madviz train --task toy/reach" in text
     assert "- wall time (s): 571.2" in text and "torch" in text
@@ -51,7 +44,7 @@ def test_a_card_without_an_evaluation_says_so(folder):
 
 
 def test_a_card_never_shows_numbers_of_other_weights(folder):
-    measure(folder)
+    measure(folder, ROWS)
     save_policy(folder, make_agent(1), make_config())
     with pytest.raises(UserError, match="expected an evaluation of these weights"):
         write_card(folder)
@@ -61,6 +54,9 @@ def test_a_card_never_shows_numbers_of_other_weights(folder):
 def test_broken_evaluations_are_named(folder):
     (folder / "evaluation.json").write_text("[")
     with pytest.raises(UserError, match="evaluation.json: expected a JSON file"):
+        card_text(folder)
+    measure(folder, {"all": {**ROWS["all"], "n": "many"}})
+    with pytest.raises(UserError, match="expected 'subsets.*' to be a whole number"):
         card_text(folder)
 
 

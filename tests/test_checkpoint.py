@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import torch
@@ -23,6 +24,9 @@ from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.policies import config as config_module
 from madviz.policies.checkpoint import describe, find_policy, load_policy, save_policy
+from madviz.policies.config import TrainingRecord
+from madviz.policies.listing import list_everything
+from madviz.types import PolicySpec
 from tests.evidence import write_policy
 
 NETWORKS = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8)
@@ -41,18 +45,18 @@ def make_agent(seed=0):
 
 
 def make_config(name="toy-reach-mad-light", **changes):
-    config = config_module.policy_config(
-        ToyReach().spec,
-        NETWORKS,
+    spec = PolicySpec(
         name=name,
+        task="toy/reach",
         method="mad",
         setting="three",
         recipe="light",
         streams=SETTINGS["three"].streams,
         trained_subsets=("all", "first", "third_a", "third_b"),
-        training={"command": "madviz train --task toy/reach", "updates": 3, "seeds": [0, 9]},
     )
-    return {**config, **changes}
+    training = TrainingRecord(command="madviz train --task toy/reach", updates=3, seeds="0 to 9")
+    config = config_module.policy_config(spec, ToyReach().spec, NETWORKS, training)
+    return msgspec.structs.replace(config, **changes)
 
 
 @pytest.fixture
@@ -60,6 +64,24 @@ def folder(tmp_path):
     return save_policy(
         tmp_path / "checkpoints" / "toy-reach-mad-light", make_agent(), make_config()
     )
+
+
+def measure(folder, rows, **changes):
+    """Gives ``folder`` an evaluation of its weights with these rows by subset."""
+    episode = {"subset": "all", "success": True, "success_any": True, "return": 1.0}
+    document = {
+        "schema": 1,
+        "policy": folder.name,
+        "digest": describe(folder).spec.digest,
+        "task": "toy/reach",
+        "definition": "at the last step: near",
+        "render_profile": "fast",
+        "occlusions": "",
+        "seed": 5000,
+        "subsets": rows,
+        "episodes": [{**episode, "seed": seed} for seed in (5000, 5049)],
+    }
+    (folder / "evaluation.json").write_text(json.dumps({**document, **changes}))
 
 
 def edit_config(folder, **changes):
@@ -117,7 +139,7 @@ def test_only_the_acting_part_is_kept_and_small(folder):
 
 
 def test_the_papers_networks_stay_below_10_megabytes(tmp_path):
-    config = make_config(networks={"state_dim": 24, "action_dim": 4})
+    config = make_config(networks=NetworkConfig())
     save_policy(tmp_path, Agent(NetworkConfig()), config)
     assert (tmp_path / "weights.safetensors").stat().st_size < 10e6
 
@@ -232,7 +254,7 @@ BROKEN_CONFIGS = {
     "a list": ("[]", "expected a policy's config"),
     "somebody else's": ('{"model_type": "llama"}', "expected a policy's config"),
     "the future": ('{"format": 2}', "expected format 1, found 2"),
-    "nothing else": ('{"format": 1}', "expected 'name' to be a text, found None"),
+    "nothing else": ('{"format": 1}', "expected 'name', found none"),
 }
 
 
@@ -253,6 +275,10 @@ WRONG_FIELDS = {
     "foreign subset": ({"trained_subsets": ["fourth"]}, "trained_subsets: unknown camera subset"),
     "wrong type": ({"horizon": "long"}, "'horizon' to be a whole number"),
     "unknown merge": ({"merge": "product"}, "unknown merge 'product'"),
+    "wrong pose": (
+        {"cameras": [{"name": "first", "label": "First", "fovy": 60, "position": [0, 0]}]},
+        r"expected 'cameras\[0\].position' to be a list of length 3",
+    ),
     "unknown network": ({"networks": {"layers": 3}}, "networks that cannot be built"),
     "negative network": ({"networks": {"hidden_dim": -1}}, "networks that cannot be built"),
     "giant network": ({"networks": {"hidden_dim": 10**7}}, "of shape"),
@@ -333,7 +359,7 @@ def test_a_failing_disk_leaves_the_old_policy(folder, monkeypatch):
 
 
 def test_another_environment_is_refused():
-    policy, env = config_module.policy_spec(make_config(), ""), ToyReach().spec
+    policy, env = make_config().spec(""), ToyReach().spec
     config_module.check_environment(policy, env)
     moved = replace(env.cameras[0], fovy=61)
     for other, message in (
@@ -354,11 +380,10 @@ def test_another_environment_is_refused():
 def test_list_shows_success_of_these_weights_only_and_what_is_broken(folder, monkeypatch):
     monkeypatch.setattr(checkpoint, "policy_roots", lambda: [folder.parent])
     row = {"success": 0.9, "success_any": 1.0, "n": 10, "ci95": [0.5, 1.0], "trained": True}
-    evaluation = {"digest": describe(folder).spec.digest, "subsets": {"all": row}}
-    (folder / "evaluation.json").write_text(json.dumps(evaluation))
+    measure(folder, {"all": row})
     (folder.parent / "broken").mkdir()
     (folder.parent / "broken" / "config.json").write_text("{")
-    listed = checkpoint.list_everything()
+    listed = list_everything()
     assert (
         listed["schema"] == 1 and "toy/reach" in listed["tasks"] and "three" in listed["settings"]
     )
@@ -369,13 +394,13 @@ def test_list_shows_success_of_these_weights_only_and_what_is_broken(folder, mon
     assert [b["name"] for b in listed["broken"]] == ["broken"]
     json.dumps(listed)
     save_policy(folder, make_agent(1), make_config())
-    assert checkpoint.list_everything()["policies"][0]["success"] == {}
+    assert list_everything()["policies"][0]["success"] == {}
 
 
 def test_list_says_which_rows_have_no_weights(folder, monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("MADVIZ_CHECKPOINTS", str(folder.parent))
     bare = write_policy(tmp_path / "results" / "tables", {"all": 0.9}, folder="bare", episodes=10)
-    listed = checkpoint.list_everything()
+    listed = list_everything()
     assert {row["name"]: row["weights"] for row in listed["policies"]}[folder.name] is True
     (row,) = [row for row in listed["without_weights"] if row["path"] == str(bare)]
     assert row["weights"] is False and row["success"]["all"]["n"] == 10
@@ -391,7 +416,7 @@ def test_list_says_which_rows_have_no_weights(folder, monkeypatch, tmp_path, cap
 
 def test_listing_needs_no_torch(folder):
     code = (
-        "import sys, madviz.policies.checkpoint as c; c.list_everything();"
+        "import sys, madviz.policies.listing as l; l.list_everything();"
         "assert 'torch' not in sys.modules"
     )
     env = {**os.environ, "MADVIZ_CHECKPOINTS": str(folder.parent)}

@@ -26,7 +26,7 @@ from madviz.evaluation.evaluate import (
 from madviz.evaluation.store import MEMORY, Store
 from madviz.observation.ablation import Ablation, Occlusion
 from madviz.policies import checkpoint
-from madviz.policies import config as config_module
+from madviz.policies.config import TrainingRecord, policy_config
 from madviz.types import PolicySpec
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy
 
@@ -40,17 +40,8 @@ def folder(tmp_path_factory):
     """A torch policy that nobody trained, in a folder."""
     torch.manual_seed(0)
     networks = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8)
-    config = config_module.policy_config(
-        ToyReach().spec,
-        networks,
-        name="toy",
-        method="mad",
-        setting="three",
-        recipe="light",
-        streams=STREAMS,
-        trained_subsets=("all", *STREAMS),
-        training={"command": "madviz train"},
-    )
+    spec = PolicySpec("toy", "toy/reach", "mad", "three", "light", STREAMS, ("all", *STREAMS))
+    config = policy_config(spec, ToyReach().spec, networks, TrainingRecord(command="madviz train"))
     return checkpoint.save_policy(tmp_path_factory.mktemp("toy"), Agent(networks), config)
 
 
@@ -340,9 +331,9 @@ def test_occlusions_are_written_as_camera_kind_and_details():
             parse_occlusions([wrong])
 
 
-def test_the_public_name_is_callable_before_and_after_the_module_is_imported():
+def test_the_public_name_is_callable_before_and_after_its_module_is_imported():
     code = "import madviz; from madviz.{} import *; madviz.evaluate('nope')"
-    for first in ("types", "evaluate"):
+    for first in ("types", "evaluation.evaluate"):
         found = subprocess.run(
             [sys.executable, "-c", code.format(first)], capture_output=True, text=True, timeout=60
         )

@@ -24,6 +24,7 @@ from madviz.observation.displacement import Displacement
 from madviz.policies import checkpoint
 from madviz.session.frame import setting_of
 from tests.fakes import FakePolicy
+from tests.test_checkpoint import make_config
 
 POLICY = "tests.fakes:FakePolicy"
 ALL, FIRST, NONE = (np.array(mask, bool) for mask in ((1, 1, 1), (1, 0, 0), (0, 0, 0)))
@@ -219,7 +220,7 @@ def test_nothing_starts_after_close(live):
 def test_results_of_policy_folders_are_kept_in_the_store(monkeypatch, tmp_path):
     monkeypatch.setattr(checkpoint, "is_folder", lambda policy: True)
     spec = FakePolicy().spec
-    config = {"definition": "at the last step: near"}
+    config = make_config(definition="at the last step: near")
     folder = checkpoint.PolicyFolder(tmp_path, config, spec)
     monkeypatch.setattr(checkpoint, "describe", lambda policy: folder)
     store = Store(MEMORY)

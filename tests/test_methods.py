@@ -28,6 +28,7 @@ from madviz.errors import UserError
 from madviz.evaluation.episodes import run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies import checkpoint
+from madviz.policies.listing import list_everything
 from madviz.subsets import every_mask, mask_of
 from madviz.training import light, paper, train
 from madviz.training.demonstrations import Driver, Episode, record_episode
@@ -213,7 +214,7 @@ def test_a_setting_that_is_too_small(method: str, streams: tuple[str, ...], mess
 
 
 def test_the_list_shows_what_methods_need_and_support() -> None:
-    methods = checkpoint.list_everything()["methods"]
+    methods = list_everything()["methods"]
     assert set(methods) == set(METHODS)
     assert methods["vib"]["supports"] == "all streams together, or one alone"
     assert "the camera first" in methods["vib"]["needs"]

@@ -32,7 +32,7 @@ def test_a_rate_that_is_not_that_of_its_episodes_is_refused(tmp_path: Path) -> N
         read_evidence(path)
     del document["episodes"]
     file.write_text(json.dumps(document))
-    with pytest.raises(UserError, match="expected what `madviz eval` writes"):
+    with pytest.raises(UserError, match="expected 'episodes', found none"):
         read_evidence(path)
 
 

@@ -26,6 +26,7 @@ from madviz.errors import UserError
 from madviz.evaluation.live import Evaluator, Tally
 from madviz.evaluation.store import Store
 from madviz.policies import checkpoint
+from madviz.policies.listing import list_policies
 from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session import Session
 from madviz.session.session_file import KeptEpisode
@@ -243,7 +244,7 @@ def shipped_rates(spec: PolicySpec) -> dict:
 
 def policy_choices(task: str | None) -> list[PolicyChoice]:
     """The policies a visitor can swap between, those of ``task`` only if it is given."""
-    listed, _ = checkpoint.list_policies()
+    listed, _ = list_policies()
     fitting = [one for one in listed if task in (None, one["task"])]
     return [
         PolicyChoice(

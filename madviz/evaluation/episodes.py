@@ -82,7 +82,7 @@ def occlusion_key(
 
 def claimed_definition(policy: str) -> str:
     """The definition of success in a policy folder's config: where to look for kept results."""
-    return checkpoint.describe(policy).config["definition"]
+    return checkpoint.describe(policy).config.definition
 
 
 def relevant(occlusions: dict[str, Occlusion], mask: Array, streams: tuple[str, ...]) -> Occlusions:

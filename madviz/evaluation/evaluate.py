@@ -11,14 +11,11 @@ handed in answers for episodes it has seen. With workers or without, the results
 from __future__ import annotations
 
 import os
-import sys
-import types
 from collections.abc import Iterable, Iterator
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
@@ -42,6 +39,7 @@ from madviz.evaluation.store import EpisodeResult, Store
 from madviz.observation.ablation import Occlusion, by_sides
 from madviz.policies import checkpoint
 from madviz.policies.card import write_card
+from madviz.policies.measured import EpisodeRow, EvaluationFile, SubsetRow
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json
 from madviz.types import Array, Policy, PolicySpec
@@ -73,9 +71,9 @@ class Evaluation:
     episodes: tuple[EpisodeResult, ...]
 
     @property
-    def rows(self) -> dict[str, dict[str, Any]]:
+    def rows(self) -> dict[str, SubsetRow]:
         """Per subset: rates at the last and at any step, count, Wilson interval, trained or not."""
-        table = {}
+        table: dict[str, SubsetRow] = {}
         for subset in dict.fromkeys(e.subset for e in self.episodes):
             mine = [e for e in self.episodes if e.subset == subset]
             successes = sum(e.success for e in mine)
@@ -92,23 +90,29 @@ class Evaluation:
         """Success by seed, for ``statistics.pair``."""
         return {e.seed: e.success for e in self.episodes if e.subset == subset}
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> EvaluationFile:
         """The document ``madviz eval --json`` writes."""
+        episodes: list[EpisodeRow] = [
+            {
+                "subset": e.subset,
+                "seed": e.seed,
+                "success": e.success,
+                "success_any": e.success_any,
+                "return": e.total_reward,
+            }
+            for e in self.episodes
+        ]
         return {
             "schema": 1,
-            **{"policy": self.spec.name, "digest": self.spec.digest, "task": self.spec.task},
+            "policy": self.spec.name,
+            "digest": self.spec.digest,
+            "task": self.spec.task,
             "definition": self.definition,
-            **{"render_profile": self.spec.render_profile, "occlusions": self.occlusions},
+            "render_profile": self.spec.render_profile,
+            "occlusions": self.occlusions,
             "seed": self.seed,
             "subsets": self.rows,
-            "episodes": [
-                {
-                    **{"subset": e.subset, "seed": e.seed},
-                    **{"success": e.success, "success_any": e.success_any},
-                    "return": e.total_reward,
-                }
-                for e in self.episodes
-            ],
+            "episodes": episodes,
         }
 
 
@@ -270,7 +274,7 @@ class EvalConfig:
     there before, and are not now, stay."""
 
 
-def run_eval(config: EvalConfig) -> dict[str, Any]:
+def run_eval(config: EvalConfig) -> EvaluationFile:
     """``madviz eval``: always computes; progress goes to standard error."""
     if config.card and (config.occlude or not checkpoint.is_folder(config.policy)):
         raise UserError(
@@ -293,11 +297,11 @@ def run_eval(config: EvalConfig) -> dict[str, Any]:
     return evaluation.to_json()
 
 
-def joined(known: dict[str, Any] | None, new: dict[str, Any]) -> dict[str, Any]:
+def joined(known: EvaluationFile | None, new: EvaluationFile) -> EvaluationFile:
     """``new`` and those subsets of ``known`` that it did not measure again, if both are of the same
     weights, definition and first seed; a card can so be filled in several goes."""
     same = ("digest", "definition", "seed")
-    if known is None or any(known.get(key) != new[key] for key in same):
+    if known is None or any(known[key] != new[key] for key in same):
         return new
     kept = {name: row for name, row in known["subsets"].items() if name not in new["subsets"]}
     episodes = [e for e in known["episodes"] if e["subset"] in kept]
@@ -323,14 +327,3 @@ def parse_occlusions(texts: Iterable[str]) -> dict[str, Occlusion]:
                 f"expected an occlusion like first=noise,strength=0.5, found {text!r}: {error}"
             ) from error
     return found
-
-
-class _CallableModule(types.ModuleType):
-    """``madviz.evaluate`` is this module as soon as anybody imports it, and a function before; so
-    that it can be called either way, the module can."""
-
-    def __call__(self, *args: Any, **kwargs: Any) -> Evaluation:
-        return evaluate(*args, **kwargs)
-
-
-sys.modules[__name__].__class__ = _CallableModule

@@ -11,15 +11,14 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from madviz.errors import UserError
 from madviz.policies import checkpoint
-from madviz.policies.config import check_config
+from madviz.policies.config import read_config
+from madviz.policies.measured import EvaluationFile, as_evaluation
 from madviz.subsets import mask_of
-from madviz.sweep.run import POLICY
 from madviz.system.files import read_json
 
 Outcomes = Mapping[int, bool]
@@ -56,7 +55,7 @@ class Evidence:
     def folder(self) -> str:
         """The folder's name; of a sweep's run, where every policy's folder is called the same, the
         run's."""
-        return self.path.parent.name if self.path.name == POLICY else self.path.name
+        return self.path.parent.name if self.path.name == checkpoint.IN_RUN else self.path.name
 
     def of(self, subset: str) -> Outcomes | None:
         """Outcomes of ``subset`` under whatever name: for a policy with one camera, that camera's
@@ -85,28 +84,29 @@ class Evidence:
 def read_evidence(folder: str | Path) -> Evidence:
     """Raises UserError for files that are missing, or contradict each other."""
     path = Path(folder)
-    config = check_config(read_json(path / checkpoint.CONFIG), path / checkpoint.CONFIG)
+    config, _ = read_config(path / checkpoint.CONFIG)
     file = path / checkpoint.EVALUATION
-    evaluation = read_json(file)
     if (path / checkpoint.WEIGHTS).is_file():
-        digest = checkpoint.describe(path).spec.digest
-        if evaluation.get("digest") != digest:
-            raise UserError(
-                f"{file}: expected an evaluation of these weights, found one of others; "
-                f"run `madviz eval --policy {path} --card`"
-            )
-    training = config["training"]
+        evaluation = checkpoint.own_evaluation(checkpoint.describe(path))
+    else:
+        evaluation = as_evaluation(read_json(file), file)
+    command = config.training.command or ""
     return Evidence(
-        path,
-        **{key: config[key] for key in ("name", "task", "method", "setting", "recipe", "merge")},
-        alpha=training.get("alpha"),
-        updates=training.get("updates"),
-        seed=_seed(training.get("command", "")),
-        streams=tuple(config["streams"]),
-        command=training.get("command", ""),
-        definition=config["definition"],
-        render_profile=config["render_profile"],
-        occlusions=evaluation.get("occlusions", ""),
+        path=path,
+        name=config.name,
+        task=config.task,
+        method=config.method,
+        setting=config.setting,
+        recipe=config.recipe,
+        merge=config.merge,
+        alpha=config.training.alpha,
+        updates=config.training.updates,
+        seed=_seed(command),
+        streams=config.streams,
+        command=command,
+        definition=config.definition,
+        render_profile=config.render_profile,
+        occlusions=evaluation["occlusions"],
         outcomes=_outcomes(file, evaluation),
     )
 
@@ -118,22 +118,22 @@ def find_evidence(*roots: str | Path) -> list[Evidence]:
     return [read_evidence(f) for f in folders if (f / checkpoint.EVALUATION).is_file()]
 
 
-def _outcomes(file: Path, evaluation: dict[str, Any]) -> dict[str, dict[int, bool]]:
-    try:
-        found: dict[str, dict[int, bool]] = {name: {} for name in evaluation["subsets"]}
-        for episode in evaluation["episodes"]:
-            found[episode["subset"]][int(episode["seed"])] = bool(episode["success"])
-        rows = {n: (r["n"], float(r["success"])) for n, r in evaluation["subsets"].items()}
-    except (KeyError, TypeError, ValueError) as error:
-        raise UserError(
-            f"{file}: expected what `madviz eval` writes, found something else ({error!r})"
-        ) from error
-    for name, (n, rate) in rows.items():
-        counted = sum(found[name].values()) / len(found[name]) if found[name] else None
-        if n != len(found[name]) or counted is None or abs(counted - rate) > 1e-9:
+def _outcomes(file: Path, evaluation: EvaluationFile) -> dict[str, dict[int, bool]]:
+    found: dict[str, dict[int, bool]] = {name: {} for name in evaluation["subsets"]}
+    for episode in evaluation["episodes"]:
+        if episode["subset"] not in found:
+            raise UserError(
+                f"{file}: expected episodes of {', '.join(found)}, found one of "
+                f"{episode['subset']!r}; evaluate again"
+            )
+        found[episode["subset"]][episode["seed"]] = episode["success"]
+    for name, row in evaluation["subsets"].items():
+        rate, n, outcomes = row["success"], row["n"], found[name]
+        counted = sum(outcomes.values()) / len(outcomes) if outcomes else None
+        if n != len(outcomes) or counted is None or abs(counted - rate) > 1e-9:
             raise UserError(
                 f"{file}: expected the rate of {name} to be that of its episodes, found {rate} "
-                f"(n={n}) and {counted} (n={len(found[name])}); evaluate again"
+                f"(n={n}) and {counted} (n={len(outcomes)}); evaluate again"
             )
     return found
 

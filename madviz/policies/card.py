@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Any
 
-from madviz.errors import UserError
+import msgspec
+
 from madviz.policies import checkpoint
-from madviz.system.files import read_json, write_bytes
+from madviz.policies.config import PolicyConfig, TrainingRecord
+from madviz.policies.measured import EvaluationFile, SubsetRow
+from madviz.system.files import write_bytes
 
 AGAIN = "runs"
 """Where the commands that make a policy again put it, as ``madviz train`` does by itself."""
@@ -30,34 +32,29 @@ def write_card(folder: str | Path) -> Path:
 def card_text(folder: str | Path) -> str:
     """What card.md of ``folder`` has to be."""
     found = checkpoint.describe(folder)
-    file = found.path / checkpoint.EVALUATION
-    evaluation = read_json(file) if file.is_file() else None
-    if evaluation is not None and evaluation.get("digest") != found.spec.digest:
-        raise UserError(
-            f"{file}: expected an evaluation of these weights, found one of others; "
-            f"run `madviz eval --policy {found.path} --card`"
-        )
+    measured = (found.path / checkpoint.EVALUATION).is_file()
+    evaluation = checkpoint.own_evaluation(found) if measured else None
     sections = [
         _head(found.config),
         _success(evaluation, found.spec.name),
         _inputs(found.config),
-        _training(found.config["training"], found.path.name),
+        _training(found.config.training, found.path.name),
         f"Digest of weights and config: `{found.spec.digest}`.",
         "Generated from `config.json` and `evaluation.json` by `madviz eval --card`; not edited.",
     ]
     return "\n\n".join(sections) + "\n"
 
 
-def _head(config: dict[str, Any]) -> str:
+def _head(config: PolicyConfig) -> str:
     return (
-        f"# {config['name']}\n\n"
-        f"Task `{config['task']}`, method `{config['method']}`, setting `{config['setting']}`, "
-        f"recipe `{config['recipe']}`.\n\n"
-        f"    madviz explore --policy {config['name']}"
+        f"# {config.name}\n\n"
+        f"Task `{config.task}`, method `{config.method}`, setting `{config.setting}`, "
+        f"recipe `{config.recipe}`.\n\n"
+        f"    madviz explore --policy {config.name}"
     )
 
 
-def _success(evaluation: dict[str, Any] | None, name: str) -> str:
+def _success(evaluation: EvaluationFile | None, name: str) -> str:
     if evaluation is None:
         return f"## Success\n\nNot measured yet: `madviz eval --policy {name} --card`."
     lines = [
@@ -68,46 +65,45 @@ def _success(evaluation: dict[str, Any] | None, name: str) -> str:
     ]
     lines += [success_row(subset, row) for subset, row in evaluation["subsets"].items()]
     last = max(episode["seed"] for episode in evaluation["episodes"])
-    return "\n".join(
-        [
-            *lines,
-            "",
-            f"A success, {evaluation['definition']}. Seeds {evaluation['seed']} to {last}, the "
-            f"same for every row; render profile `{evaluation['render_profile']}`. Intervals are "
-            "Wilson's. Off-training rows show what happens, not what was promised.",
-        ]
-    )
+    lines += [
+        "",
+        f"A success, {evaluation['definition']}. Seeds {evaluation['seed']} to {last}, the "
+        f"same for every row; render profile `{evaluation['render_profile']}`. Intervals are "
+        "Wilson's. Rows not trained on this subset show what happens there; the training did not "
+        "aim at it.",
+    ]
+    return "\n".join(lines)
 
 
-def success_row(subset: str, row: dict[str, Any]) -> str:
+def success_row(subset: str, row: SubsetRow) -> str:
     """One line of the table."""
     low, high = row["ci95"]
-    trained = "" if row["trained"] else "off-training"
+    trained = "" if row["trained"] else "not trained on this subset"
     cells = (subset, f"{row['success']:.2f}", f"{low:.2f} – {high:.2f}")
     return "| " + " | ".join([*cells, f"{row['success_any']:.2f}", str(row["n"]), trained]) + " |"
 
 
-def _inputs(config: dict[str, Any]) -> str:
-    networks = config["networks"]
+def _inputs(config: PolicyConfig) -> str:
+    networks = config.networks
     lines = [
         "## What it sees",
         "",
-        f"Streams: {', '.join(config['streams'])}. Trained to work from: "
-        f"{', '.join(config['trained_subsets'])}.",
+        f"Streams: {', '.join(config.streams)}. Trained to work from: "
+        f"{', '.join(config.trained_subsets)}.",
         "",
-        f"{config['image_size']} × {config['image_size']} pixels, {networks['frame_stack']} frames "
-        f"stacked; {networks['state_dim']} proprioceptive numbers in, {networks['action_dim']} "
-        f"action numbers out. {config['horizon']} decisions of {config['action_repeat']} simulator "
-        f"steps make an episode. Render profile `{config['render_profile']}`.",
+        f"{config.image_size} × {config.image_size} pixels, {networks.frame_stack} frames "
+        f"stacked; {networks.state_dim} proprioceptive numbers in, {networks.action_dim} "
+        f"action numbers out. {config.horizon} decisions of {config.action_repeat} simulator "
+        f"steps make an episode. Render profile `{config.render_profile}`.",
         "",
         "| camera | position, m | orientation wxyz (OpenGL) | field of view | rides on |",
         "|---|---|---|---|---|",
     ]
-    for camera in config["cameras"]:
-        position = ", ".join(f"{value:g}" for value in camera["position"])
-        wxyz = ", ".join(f"{value:.4g}" for value in camera["wxyz"])
-        ride = camera["body"] or "nothing"
-        lines.append(f"| {camera['name']} | {position} | {wxyz} | {camera['fovy']:g}° | {ride} |")
+    for camera in config.cameras:
+        position = ", ".join(f"{value:g}" for value in camera.position)
+        wxyz = ", ".join(f"{value:.4g}" for value in camera.wxyz)
+        mount = camera.body or "nothing"
+        lines.append(f"| {camera.name} | {position} | {wxyz} | {camera.fovy:g}° | {mount} |")
     return "\n".join(lines)
 
 
@@ -120,12 +116,12 @@ def train_again(command: str, name: str) -> str:
     return shlex.join([*words, "--out", f"{AGAIN}/{name}"])
 
 
-def _training(training: dict[str, Any], name: str) -> str:
+def _training(training: TrainingRecord, name: str) -> str:
     """Whatever the recipe wrote down; the command first, alone on its line, to be copied."""
     lines = ["## How it was trained", ""]
-    if "command" in training:
-        lines += [f"    {train_again(training['command'], name)}", ""]
-    for key, value in training.items():
+    if training.command is not None:
+        lines += [f"    {train_again(training.command, name)}", ""]
+    for key, value in msgspec.to_builtins(training).items():
         if key != "command":
             lines.append(f"- {_title(key)}: {_plain(value)}")
     return "\n".join(lines)
@@ -137,9 +133,9 @@ def _title(name: str) -> str:
     return " ".join(words[:-1]) + " (s)" if words[-1] == "s" else " ".join(words)
 
 
-def _plain(value: Any) -> str:
+def _plain(value: object) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{_title(key)} {_plain(item)}" for key, item in value.items())
     if isinstance(value, list):
-        return ", ".join(map(_plain, value))
+        return ", ".join(map(str, value))
     return f"{value:,.4g}" if isinstance(value, float) else str(value)

@@ -1,6 +1,6 @@
 """Policy folders: everything needed to act, in files a person can read or a card can be made from.
 
-    config.json          what it is: task, streams, networks, how it was trained   (manifest.py)
+    config.json          what it is: task, streams, networks, how it was trained   (config.py)
     weights.safetensors  encoder, actor and critic, half precision                 (this file)
     evaluation.json      what ``madviz eval --card`` measured                      (evaluate.py)
     curve.csv            success and losses while it was trained                   (train.py)
@@ -18,24 +18,30 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from madviz.agent.merges.table import MERGES
 from madviz.envs.custom import allow_task
 from madviz.errors import UserError, perhaps
-from madviz.policies.config import FORMAT, check_config, policy_spec
+from madviz.policies.config import PolicyConfig, check_config, digest, read_config
+from madviz.policies.measured import EvaluationFile, as_evaluation
 from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.plugins import made_by
 from madviz.types import Policy, PolicySpec
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from madviz.agent.agent import Agent
 
 CONFIG, WEIGHTS, EVALUATION = "config.json", "weights.safetensors", "evaluation.json"
 CARD = "card.md"
+IN_RUN = "policy"
+"""What the policy's folder is called inside the folder of a sweep's run."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +49,7 @@ class PolicyFolder:
     """A policy that was found and whose config was checked; its weights are not loaded."""
 
     path: Path
-    config: dict[str, Any]
+    config: PolicyConfig
     spec: PolicySpec
 
 
@@ -51,7 +57,7 @@ class PolicyFolder:
 
 
 def save_policy(
-    folder: str | Path, agent: Agent, config: dict[str, Any], *, half: bool = True
+    folder: str | Path, agent: Agent, config: PolicyConfig, *, half: bool = True
 ) -> Path:
     """Writes config and weights of ``agent``, each file whole or not at all; returns the folder.
 
@@ -60,11 +66,11 @@ def save_policy(
     from safetensors.torch import save
 
     folder = Path(folder)
-    check_config({"format": FORMAT, **config}, folder / CONFIG)
+    document = check_config(config, folder / CONFIG)
     tensors = {}
     for name, tensor in agent.acting_state().items():
-        kept = tensor.detach().cpu()
-        tensors[name] = (kept.half() if half else kept.float()).contiguous()
+        tensor = tensor.detach().cpu()
+        tensors[name] = (tensor.half() if half else tensor.float()).contiguous()
         if not tensors[name].isfinite().all():
             raise UserError(
                 f"expected finite weights, found NaN or infinity in {name}; the training diverged: "
@@ -72,7 +78,7 @@ def save_policy(
             )
     folder.mkdir(parents=True, exist_ok=True)
     write_bytes(folder / WEIGHTS, save(tensors))
-    write_json(folder / CONFIG, {"format": FORMAT, **config})
+    write_json(folder / CONFIG, document)
     return folder
 
 
@@ -129,10 +135,10 @@ def find_policy(policy: str | Path) -> Path:
 def describe(policy: str | Path) -> PolicyFolder:
     """Finds and checks a policy without loading its weights (or torch)."""
     path = find_policy(policy)
-    config = check_config(read_json(path / CONFIG), path / CONFIG)
+    config, text = read_config(path / CONFIG)
     stat = _existing(path / WEIGHTS).stat()
     weights = _sha256(path / WEIGHTS, stat.st_mtime_ns, stat.st_size)
-    return PolicyFolder(path, config, policy_spec(config, weights))
+    return PolicyFolder(path, config, config.spec(digest(weights, text)))
 
 
 def is_folder(policy: str | Path) -> bool:
@@ -148,39 +154,30 @@ def load_policy(policy: str | Path) -> Policy:
     if not is_folder(policy):
         return _from_factory(str(policy))
     path = find_policy(policy)
-    config = check_config(read_json(path / CONFIG), path / CONFIG)
+    config, text = read_config(path / CONFIG)
     weights = _existing(path / WEIGHTS).read_bytes()
 
     from madviz.agent.agent import TorchPolicy
-    from madviz.agent.merges.table import MERGES
 
-    if config["merge"] not in MERGES:
-        raise UserError(
-            f"{path / CONFIG}: unknown merge {config['merge']!r}; known: {list(MERGES)}"
-        )
+    if config.merge not in MERGES:
+        raise UserError(f"{path / CONFIG}: unknown merge {config.merge!r}; known: {list(MERGES)}")
     agent = _agent(path, config, weights)
-    spec = policy_spec(config, hashlib.sha256(weights).hexdigest())
-    return TorchPolicy(spec, agent, config["reward_scale"])
+    spec = config.spec(digest(hashlib.sha256(weights).hexdigest(), text))
+    return TorchPolicy(spec, agent, config.reward_scale)
 
 
-def _agent(path: Path, config: dict[str, Any], weights: bytes) -> Agent:
+def _agent(path: Path, config: PolicyConfig, weights: bytes) -> Agent:
     import torch
     from safetensors import SafetensorError
     from safetensors.torch import load
 
     from madviz.agent.agent import Agent
-    from madviz.agent.networks import NetworkConfig
 
     try:
-        listed: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in config["networks"].items()
-        }
-        network = NetworkConfig(**listed)
         # Without memory at first: shapes are known before anything is initialised or allocated.
         with torch.device("meta"):
-            agent = Agent(network, merge=config["merge"], streams=tuple(config["streams"]))
-    except (TypeError, ValueError, RuntimeError) as error:
+            agent = Agent(config.networks, merge=config.merge, streams=config.streams)
+    except (ValueError, RuntimeError) as error:
         raise UserError(f"{path / CONFIG}: networks that cannot be built: {error}") from error
     try:
         tensors = load(weights)
@@ -197,7 +194,9 @@ def _agent(path: Path, config: dict[str, Any], weights: bytes) -> Agent:
     return agent
 
 
-def _check_tensors(where: Path, found: dict[str, Any], expected: dict[str, Any]) -> None:
+def _check_tensors(
+    where: Path, found: Mapping[str, Tensor], expected: Mapping[str, Tensor]
+) -> None:
     missing, extra = sorted(expected.keys() - found.keys()), sorted(found.keys() - expected.keys())
     if missing or extra:
         raise UserError(
@@ -229,87 +228,26 @@ def _from_factory(policy: str) -> Policy:
     return made
 
 
-def shipped_evaluation(policy: str | Path) -> dict[str, Any] | None:
+def shipped_evaluation(policy: str | Path) -> EvaluationFile | None:
     """evaluation.json of a policy folder; None if there is none or it measured other weights."""
     folder = describe(policy)
-    if not (folder.path / EVALUATION).is_file():
+    file = folder.path / EVALUATION
+    document = read_json(file) if file.is_file() else None
+    if not isinstance(document, dict) or document.get("digest") != folder.spec.digest:
         return None
-    evaluation = read_json(folder.path / EVALUATION)
-    return evaluation if evaluation.get("digest") == folder.spec.digest else None
+    return as_evaluation(document, file)
 
 
-def list_policies() -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
-    """Every policy that can be found, with its shipped success; and those that are broken, why."""
-    policies, broken = [], []
-    for name, path in policy_folders().items():
-        try:
-            policies.append(_listed(name, path))
-        except UserError as error:
-            broken.append({"name": name, "path": str(path), "error": str(error)})
-    return policies, broken
-
-
-def list_measured() -> list[dict[str, Any]]:
-    """Rows as in ``list_policies`` for policies without weights, as they were measured."""
-    rows = []
-    for name, path in measured_folders().items():
-        config = check_config(read_json(path / CONFIG), path / CONFIG)
-        file = path / EVALUATION
-        evaluation = read_json(file) if file.is_file() else {}
-        digest, subsets = evaluation.get("digest", ""), evaluation.get("subsets", {})
-        rows.append(_row(name, path, config, digest, subsets) | {"weights": False})
-    return rows
-
-
-def _listed(name: str, path: Path) -> dict[str, Any]:
-    folder = describe(path)
-    subsets = (shipped_evaluation(path) or {}).get("subsets", {})
-    return _row(name, path, folder.config, folder.spec.digest, subsets) | {"weights": True}
-
-
-def _row(
-    name: str, path: Path, config: dict[str, Any], digest: str, subsets: dict[str, Any]
-) -> dict[str, Any]:
-    return {
-        **{"name": name, "path": str(path)},
-        **{k: config[k] for k in ("task", "method", "setting", "recipe", "definition")},
-        **{"merge": config["merge"], "camera": config.get("camera", "")},
-        "trained_subsets": list(config["trained_subsets"]),
-        "digest": digest,
-        "success": {
-            subset: {key: row[key] for key in ("success", "n", "ci95")}
-            for subset, row in subsets.items()
-        },
-    }
-
-
-def list_everything() -> dict[str, Any]:
-    """What ``madviz list --json`` prints: tasks, settings, methods, merges, policies.
-
-    A method ``supports`` what its own merge does; ``merges`` lists all of them. Policies that can
-    act are under ``policies``; those of which only figures are here, under ``without_weights``.
-    """
-    from madviz.agent.merges.table import MERGES
-    from madviz.agent.methods import METHODS
-    from madviz.envs.registry import SETTINGS, known_tasks
-
-    policies, broken = list_policies()
-    methods = {
-        name: {
-            **{"recipes": list(method.recipes), "needs": list(method.needs.words)},
-            **{"summary": method.summary, "merge": method.merge},
-            "supports": MERGES[method.merge].support.words,
-        }
-        for name, method in METHODS.items()
-    }
-    return {
-        "schema": 1,
-        **{"tasks": list(known_tasks()), "settings": list(SETTINGS), "methods": methods},
-        "merges": {name: {"supports": merge.support.words} for name, merge in MERGES.items()},
-        "policies": policies,
-        "without_weights": list_measured(),
-        "broken": broken,
-    }
+def own_evaluation(folder: PolicyFolder) -> EvaluationFile:
+    """evaluation.json of a policy folder. Raises UserError if it measured other weights."""
+    file = folder.path / EVALUATION
+    evaluation = as_evaluation(read_json(file), file)
+    if evaluation["digest"] != folder.spec.digest:
+        raise UserError(
+            f"{file}: expected an evaluation of these weights, found one of others; "
+            f"run `madviz eval --policy {folder.path} --card`"
+        )
+    return evaluation
 
 
 def _existing(path: Path) -> Path:

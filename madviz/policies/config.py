@@ -21,33 +21,108 @@ import json
 import os
 import platform
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from madviz.errors import UserError
+import msgspec
+
+from madviz.agent.sizes import NetworkConfig
+from madviz.errors import UserError, unknown
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.subsets import camera_of, cameras_of, mask_of
+from madviz.system.files import read_json
+from madviz.system.typed import typed
 from madviz.types import CameraSpec, EnvSpec, PolicySpec
 
-if TYPE_CHECKING:
-    from madviz.agent.networks import NetworkConfig
-
 FORMAT = 1
+FIX = "restore the file or retrain"
 
-FIELDS: dict[str, type | tuple[type, ...]] = {
-    **dict.fromkeys(("name", "task", "method", "setting", "recipe"), str),
-    **dict.fromkeys(("definition", "render_profile", "merge"), str),
-    **dict.fromkeys(("streams", "trained_subsets", "cameras"), list),
-    **dict.fromkeys(("image_size", "horizon", "action_repeat"), int),
-    **dict.fromkeys(("networks", "training"), dict),
-    "reward_scale": (int, float),
-}
-"""What config.json must hold besides ``format``; other keys are kept and ignored."""
+Document = dict[str, object]
+"""A JSON object as it stands in a file."""
 
-REPAIRS: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {}
+REPAIRS: dict[int, Callable[[Document], Document]] = {}
 """Old format -> the named function that turns such a config into the next format's."""
+
+
+class TrainingRecord(msgspec.Struct, kw_only=True, frozen=True, omit_defaults=True):
+    """How a policy came about, for its card and for whoever trains it again. A recipe fills in what
+    it has; None is left out of the file."""
+
+    how: str | None = None
+    command: str | None = None
+    """That trains it again."""
+    expert_demonstrations: int | None = None
+    labelled_episodes: int | None = None
+    steps: int | None = None
+    environment_steps: int | None = None
+    episodes: int | None = None
+    updates: int | None = None
+    """Gradient steps."""
+    critic_updates: int | None = None
+    batch_size: int | None = None
+    alpha: float | None = None
+    """Weight of the merged feature in the loss."""
+    seeds: str | list[int] | None = None
+    wall_time_s: int | float | None = None
+    finished: bool | None = None
+    """Whether the training reached its end."""
+    hardware: str | None = None
+    versions: dict[str, str] | None = None
+
+
+class PolicyConfig(msgspec.Struct, kw_only=True, frozen=True, omit_defaults=True):
+    """config.json; its fields are in the file's order. Other keys of a file count for the digest
+    and are else ignored."""
+
+    format: int
+    name: str
+    task: str
+    method: str
+    setting: str
+    recipe: str
+    definition: str
+    """What counts as a success."""
+    streams: tuple[str, ...]
+    trained_subsets: tuple[str, ...]
+    cameras: tuple[CameraSpec, ...]
+    """As they stood in training."""
+    image_size: int
+    horizon: int
+    """Decisions in an episode."""
+    action_repeat: int
+    """Simulator steps for a decision."""
+    render_profile: str
+    merge: str
+    reward_scale: float
+    camera: str = ""
+    """The one that was picked from the setting, where a method takes only one."""
+    networks: NetworkConfig
+    training: TrainingRecord
+
+    def spec(self, digest: str) -> PolicySpec:
+        """What pages and evaluators read."""
+        return PolicySpec(
+            name=self.name,
+            task=self.task,
+            method=self.method,
+            setting=self.setting,
+            recipe=self.recipe,
+            streams=self.streams,
+            trained_subsets=self.trained_subsets,
+            frame_stack=self.networks.frame_stack,
+            render_profile=self.render_profile,
+            cameras=self.cameras,
+            digest=digest,
+            state_dim=self.networks.state_dim,
+            action_dim=self.networks.action_dim,
+            horizon=self.horizon,
+        )
+
+    def document(self) -> Document:
+        """What config.json holds."""
+        return msgspec.to_builtins(self)
 
 
 def definition_of(env: EnvSpec) -> str:
@@ -56,138 +131,120 @@ def definition_of(env: EnvSpec) -> str:
 
 
 def policy_config(
+    spec: PolicySpec,
     env: EnvSpec,
     networks: NetworkConfig,
+    training: TrainingRecord,
     *,
-    name: str,
-    method: str,
-    setting: str,
-    recipe: str,
-    streams: tuple[str, ...],
-    trained_subsets: tuple[str, ...],
-    training: dict[str, Any],
     merge: str = "sum",
     camera: str = "",
     reward_scale: float = 1.0,
-) -> dict[str, Any]:
-    """The config of a policy trained on ``env``; ``training`` is free, and goes on the card.
-    ``camera`` is the one that was picked from the setting, where a method takes only one.
-
-    Say there at least: command (how to train it again), steps, updates, seeds, wall_time_s.
-    Hardware and package versions are added.
+) -> PolicyConfig:
+    """The config of the policy ``spec`` that was trained on ``env``. Of ``training`` say at least:
+    command, updates, seeds, wall_time_s. Hardware and package versions are added.
     """
-    cameras = cameras_of(streams)
-    config = {
-        "format": FORMAT,
-        **{"name": name, "task": env.task, "method": method, "setting": setting, "recipe": recipe},
-        "definition": definition_of(env),
-        "streams": streams,
-        "trained_subsets": trained_subsets,
-        "cameras": [asdict(env.camera(camera)) for camera in cameras],
-        "image_size": IMAGE_SIZE,
-        **{"horizon": env.horizon, "action_repeat": env.action_repeat},
-        "render_profile": env.render_profile,
-        **{"merge": merge, "reward_scale": reward_scale},
-        **({"camera": camera} if camera else {}),
-        "networks": asdict(networks),
-        "training": {**training, "hardware": _hardware(), "versions": _versions()},
-    }
-    return json.loads(json.dumps(config))
-
-
-def policy_spec(config: dict[str, Any], weights_sha256: str) -> PolicySpec:
-    """What pages and evaluators read, with the digest of weights and config."""
-    return PolicySpec(
-        **{key: config[key] for key in ("name", "task", "method", "setting", "recipe")},
-        streams=tuple(config["streams"]),
-        trained_subsets=tuple(config["trained_subsets"]),
-        frame_stack=config["networks"].get("frame_stack", 3),
-        render_profile=config["render_profile"],
-        cameras=tuple(_camera(camera) for camera in config["cameras"]),
-        digest=hashlib.sha256((weights_sha256 + canonical(config)).encode()).hexdigest(),
-        state_dim=config["networks"].get("state_dim", 0),
-        action_dim=config["networks"].get("action_dim", 0),
-        horizon=config["horizon"],
+    return PolicyConfig(
+        format=FORMAT,
+        name=spec.name,
+        task=env.task,
+        method=spec.method,
+        setting=spec.setting,
+        recipe=spec.recipe,
+        definition=definition_of(env),
+        streams=spec.streams,
+        trained_subsets=spec.trained_subsets,
+        cameras=tuple(env.camera(name) for name in cameras_of(spec.streams)),
+        image_size=IMAGE_SIZE,
+        horizon=env.horizon,
+        action_repeat=env.action_repeat,
+        render_profile=env.render_profile,
+        merge=merge,
+        reward_scale=reward_scale,
+        camera=camera,
+        networks=networks,
+        training=msgspec.structs.replace(training, hardware=_hardware(), versions=_versions()),
     )
 
 
-def _camera(described: dict[str, Any]) -> CameraSpec:
-    """A camera as JSON wrote it, lists for tuples."""
-    fields: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in described.items()
-    }
-    try:
-        return CameraSpec(**fields)
-    except TypeError as error:
-        raise UserError(f"expected a camera, found {described!r:.60}; restore the file") from error
+def read_config(file: Path) -> tuple[PolicyConfig, str]:
+    """config.json in today's format, and its canonical text, which ``digest`` takes. Raises
+    UserError saying what is wrong with it."""
+    document = _in_todays_format(read_json(file), file)
+    return _checked(document, file), canonical(document)
 
 
-def check_config(config: Any, where: Path) -> dict[str, Any]:
-    """The config in today's format. Raises UserError saying what is wrong with it."""
-    if not isinstance(config, dict) or not isinstance(config.get("format"), int):
+def check_config(config: PolicyConfig, where: Path) -> Document:
+    """What config.json holds. Raises UserError for a config that could not be read again."""
+    document = config.document()
+    _checked(document, where)
+    return document
+
+
+def digest(weights_sha256: str, text: str) -> str:
+    """Names a policy: changes with its weights and with any value of its config."""
+    return hashlib.sha256((weights_sha256 + text).encode()).hexdigest()
+
+
+def canonical(document: Document) -> str:
+    """One text for one config: keys sorted, no spaces. Raises ValueError for NaN."""
+    return json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _in_todays_format(document: Any, where: Path) -> Document:
+    if not isinstance(document, dict) or not isinstance(document.get("format"), int):
         raise UserError(f"{where}: expected a policy's config with a format number; found none")
-    while config["format"] in REPAIRS:
-        config = REPAIRS[config["format"]](config)
-    if config["format"] != FORMAT:
+    while document["format"] in REPAIRS:
+        document = REPAIRS[document["format"]](document)
+    if document["format"] != FORMAT:
         raise UserError(
-            f"{where}: expected format {FORMAT}, found {config['format']}; "
+            f"{where}: expected format {FORMAT}, found {document['format']}; "
             "use the version of madviz that wrote it, or retrain"
         )
-    for field, kind in FIELDS.items():
-        if not isinstance(config.get(field), kind):
+    return document
+
+
+def _checked(document: Document, where: Path) -> PolicyConfig:
+    config = typed(document, PolicyConfig, where, FIX)
+    sizes = [field.name for field in fields(NetworkConfig)]
+    for name in typed(document["networks"], dict[str, object], where, FIX):
+        if name not in sizes:
             raise UserError(
-                f"{where}: expected {field!r} to be {_kind_name(kind)}, "
-                f"found {config.get(field)!r:.60}; restore the file or retrain"
+                f"{where}: networks that cannot be built: {unknown('size', name, sizes)}"
             )
-    _check_streams(config, where)
-    return config
-
-
-def _kind_name(kind: type | tuple[type, ...]) -> str:
-    names = {str: "a text", list: "a list", dict: "an object", int: "a whole number"}
-    return names[kind] if isinstance(kind, type) else "a number"
-
-
-def _check_streams(config: dict[str, Any], where: Path) -> None:
-    streams = tuple(config["streams"])
-    cameras = {camera.get("name") for camera in config["cameras"] if isinstance(camera, dict)}
-    if not streams or not all(isinstance(s, str) and camera_of(s) in cameras for s in streams):
+    cameras = {camera.name for camera in config.cameras}
+    if not config.streams or not all(camera_of(s) in cameras for s in config.streams):
         raise UserError(
-            f"{where}: expected streams of the cameras {sorted(map(str, cameras))}, "
-            f"found {list(streams)}; restore the file or retrain"
+            f"{where}: expected streams of the cameras {sorted(cameras)}, "
+            f"found {list(config.streams)}; {FIX}"
         )
     try:
-        for subset in config["trained_subsets"]:
-            mask_of(str(subset), streams)
+        for subset in config.trained_subsets:
+            mask_of(subset, config.streams)
     except UserError as error:
         raise UserError(f"{where}: trained_subsets: {error}") from error
+    return config
 
 
 def check_environment(policy: PolicySpec, env: EnvSpec) -> None:
     """Raises UserError where ``env`` is not what ``policy`` was trained on, as far as it says."""
-    cameras = {f"camera {camera.name}": camera for camera in policy.cameras}
-    expected = {
-        **{"task": policy.task, "render profile": policy.render_profile},
-        **{"state numbers": policy.state_dim, "action numbers": policy.action_dim},
-        "decisions": policy.horizon,
-        **{key: _pose(camera) for key, camera in cameras.items()},
-    }
-    found = {
-        **{"task": env.task, "render profile": env.render_profile},
-        **{"state numbers": env.state_dim, "action numbers": env.action_dim},
-        "decisions": env.horizon,
-        **{key: _pose(env.camera(camera.name)) for key, camera in cameras.items()},
-    }
-    for fact, value in expected.items():
-        if value and found[fact] != value:
+    facts: list[tuple[str, object, object]] = [
+        ("task", policy.task, env.task),
+        ("render profile", policy.render_profile, env.render_profile),
+        ("state numbers", policy.state_dim, env.state_dim),
+        ("action numbers", policy.action_dim, env.action_dim),
+        ("decisions", policy.horizon, env.horizon),
+    ]
+    for camera in policy.cameras:
+        facts.append((f"camera {camera.name}", _pose(camera), _pose(env.camera(camera.name))))
+    for fact, expected, found in facts:
+        if expected and found != expected:
             raise UserError(
-                f"{policy.name} was trained with {fact} = {value}, this environment has "
-                f"{found[fact]}; use the version of madviz that trained it, or retrain"
+                f"{policy.name} was trained with {fact} = {expected}, this environment has "
+                f"{found}; use the version of madviz that trained it, or retrain"
             )
 
 
-def _pose(camera: CameraSpec) -> dict[str, Any]:
+def _pose(camera: CameraSpec) -> Document:
     """All of a camera that changes what a policy sees: not what the page calls it."""
     return {k: v for k, v in json.loads(canonical(asdict(camera))).items() if k != "label"}
 
@@ -206,9 +263,4 @@ def _versions() -> dict[str, str]:
     packages = ("madviz", "numpy", "torch", "mujoco", "metaworld", "opencv-python")
     installed = {d.metadata["Name"] for d in metadata.distributions()}
     found = {name: metadata.version(name) for name in packages if name in installed}
-    return {"python": platform.python_version(), **found}
-
-
-def canonical(config: dict[str, Any]) -> str:
-    """One text for one config: keys sorted, no spaces. Raises ValueError for NaN."""
-    return json.dumps(config, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return {"python": platform.python_version()} | found

@@ -33,11 +33,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from madviz.errors import UserError
-from madviz.policies.checkpoint import CONFIG, EVALUATION
+from madviz.policies.checkpoint import CONFIG, EVALUATION, IN_RUN
 from madviz.system.files import read_json, write_json
 
 RESULT, WORDS, LOG, CLAIM = "result.json", "run.json", "log.txt", "claim"
-POLICY = "policy"
 State = Literal["finished", "failed", "busy", "stopped"]
 POLL_SECONDS = 0.1
 
@@ -144,7 +143,7 @@ def claimed(folder: Path) -> Iterator[int | None]:
 def _work(run: Run, folder: Path, commands: _Commands, workers: int | None) -> None:
     check_same(folder, run)
     write_json(folder / WORDS, run.words())
-    policy = folder / POLICY
+    policy = folder / IN_RUN
     if not trained(policy):
         resume = ["--resume"] if (policy / "resume" / "run.json").is_file() else []
         commands.run("train", *run.train, "--out", str(policy), *resume)
@@ -166,7 +165,7 @@ def trained(policy: Path) -> bool:
 
 def expected_seconds(folder: Path) -> float | None:
     """What the run's training says it will take in all; None before it says so."""
-    file = folder / POLICY / "curve.csv"
+    file = folder / IN_RUN / "curve.csv"
     try:
         *_, last = csv.DictReader(file.read_text().splitlines())
         return float(last["seconds"]) + float(last["seconds_left"])

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from madviz.evaluation.episodes import Stopped
 from madviz.policies.checkpoint import save_policy
-from madviz.policies.config import policy_config
+from madviz.policies.config import TrainingRecord, policy_config
 from madviz.training.curve import draw_curve
 from madviz.training.run_folder import interruptible
 
@@ -120,26 +120,24 @@ def _save(run: PaperRun, config: TrainConfig, command: str) -> None:
     """Resume state, then the policy in its shipped form."""
     run.folder.save_state(run.state())
     agent = run.acting_agent()
-    training = {
-        "how": f"reinforcement learning from scratch, {run.SCHEDULE}",
-        "command": command,
-        **{"steps": run.step, "environment_steps": run.env_steps, "episodes": run.episodes},
-        **{"updates": run.updates, "batch_size": run.config.batch_size},
-        "alpha": run.config.alpha,
-        "seeds": f"network and data {config.seed}, episodes below {run.SEEDS}",
-        "wall_time_s": round(run.seconds),
-        "finished": run.finished,
-    }
+    training = TrainingRecord(
+        how=f"reinforcement learning from scratch, {run.SCHEDULE}",
+        command=command,
+        steps=run.step,
+        environment_steps=run.env_steps,
+        episodes=run.episodes,
+        updates=run.updates,
+        batch_size=run.config.batch_size,
+        alpha=run.config.alpha,
+        seeds=f"network and data {config.seed}, episodes below {run.SEEDS}",
+        wall_time_s=round(run.seconds),
+        finished=run.finished,
+    )
     described = policy_config(
+        run.spec,
         run.env.spec,
         agent.config,
-        name=run.spec.name,
-        method=run.spec.method,
-        setting=run.spec.setting,
-        recipe=run.spec.recipe,
-        streams=run.spec.streams,
-        trained_subsets=run.spec.trained_subsets,
-        training=training,
+        training,
         merge=agent.merge_name,
         camera=config.chosen_camera(),
     )

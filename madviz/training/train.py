@@ -28,7 +28,7 @@ from madviz.envs.custom import allow_task
 from madviz.envs.registry import choose, make_env
 from madviz.errors import UserError, unknown
 from madviz.policies.checkpoint import save_policy
-from madviz.policies.config import policy_config
+from madviz.policies.config import TrainingRecord, policy_config
 from madviz.subsets import camera_of
 from madviz.system.processes import keep_large_blocks
 from madviz.training.light import LightConfig, LightRun, Recorder, train_light
@@ -229,31 +229,26 @@ def _save(
     if updates:
         chosen = method(config.method)
         fit_critic(run.average, run.data, chosen, config.light.alpha, updates, config.seed)
-    training = {
-        "how": "imitation of a scripted expert that labels the student's own states; "
+    training = TrainingRecord(
+        how="imitation of a scripted expert that labels the student's own states; "
         "not reinforcement learning from scratch",
-        "command": command(config),
-        "expert_demonstrations": config.light.demonstrations,
-        "labelled_episodes": run.data.episodes,
-        "environment_steps": len(run.data) * facts.action_repeat,
-        "updates": run.updates,
-        "critic_updates": updates,
-        "batch_size": config.light.batch_size,
-        "alpha": config.light.alpha,
-        "seeds": f"network and data {config.seed}, episodes below 1000",
-        "wall_time_s": round(run.seconds + time.monotonic() - began),
-        "finished": final,
-    }
+        command=command(config),
+        expert_demonstrations=config.light.demonstrations,
+        labelled_episodes=run.data.episodes,
+        environment_steps=len(run.data) * facts.action_repeat,
+        updates=run.updates,
+        critic_updates=updates,
+        batch_size=config.light.batch_size,
+        alpha=config.light.alpha,
+        seeds=f"network and data {config.seed}, episodes below 1000",
+        wall_time_s=round(run.seconds + time.monotonic() - began),
+        finished=final,
+    )
     described = policy_config(
+        run.spec,
         facts,
         run.agent.config,
-        name=config.policy_name(),
-        method=config.method,
-        setting=config.setting,
-        recipe=config.recipe,
-        streams=run.spec.streams,
-        trained_subsets=run.spec.trained_subsets,
-        training=training,
+        training,
         merge=run.agent.merge_name,
         camera=config.chosen_camera(),
         reward_scale=REWARD_SCALE,

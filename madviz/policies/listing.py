@@ -1,0 +1,161 @@
+"""``madviz list``: tasks, settings, methods, merges, and every policy that can be found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TypedDict
+
+from madviz.agent.merges.table import MERGES
+from madviz.agent.methods import METHODS
+from madviz.envs.registry import SETTINGS, known_tasks
+from madviz.errors import UserError
+from madviz.policies import checkpoint
+from madviz.policies.config import PolicyConfig, read_config
+from madviz.policies.measured import SubsetRow, as_evaluation
+from madviz.system.files import read_json
+
+
+class RateRow(TypedDict):
+    """Success on one subset."""
+
+    success: float
+    n: int
+    ci95: list[float]
+
+
+class PolicyRow(TypedDict):
+    """One policy of the list."""
+
+    name: str
+    path: str
+    task: str
+    method: str
+    setting: str
+    recipe: str
+    definition: str
+    merge: str
+    camera: str
+    trained_subsets: list[str]
+    digest: str
+    success: dict[str, RateRow]
+    """By subset; empty where it was not evaluated."""
+    weights: bool
+    """Whether it can act; else only what was measured is here."""
+
+
+class BrokenRow(TypedDict):
+    """A folder that holds no policy that could be read."""
+
+    name: str
+    path: str
+    error: str
+
+
+class MethodRow(TypedDict):
+    """One training method."""
+
+    recipes: list[str]
+    needs: list[str]
+    summary: str
+    merge: str
+    supports: str
+
+
+class MergeRow(TypedDict):
+    """One way to make a feature of the present streams."""
+
+    supports: str
+
+
+class Everything(TypedDict):
+    """What ``madviz list --json`` prints."""
+
+    schema: int
+    tasks: list[str]
+    settings: list[str]
+    methods: dict[str, MethodRow]
+    merges: dict[str, MergeRow]
+    policies: list[PolicyRow]
+    """Those that can act."""
+    without_weights: list[PolicyRow]
+    """Those of which only what was measured is here."""
+    broken: list[BrokenRow]
+
+
+def list_policies() -> tuple[list[PolicyRow], list[BrokenRow]]:
+    """Every policy that can act, with its shipped success; and those that are broken, why."""
+    policies: list[PolicyRow] = []
+    broken: list[BrokenRow] = []
+    for name, path in checkpoint.policy_folders().items():
+        try:
+            folder = checkpoint.describe(path)
+            shipped = checkpoint.shipped_evaluation(path)
+            subsets = shipped["subsets"] if shipped else {}
+            policies.append(_row(name, path, folder.config, folder.spec.digest, subsets, True))
+        except UserError as error:
+            broken.append({"name": name, "path": str(path), "error": str(error)})
+    return policies, broken
+
+
+def list_measured() -> list[PolicyRow]:
+    """Policies without weights, as they were measured."""
+    rows = []
+    for name, path in checkpoint.measured_folders().items():
+        config, _ = read_config(path / checkpoint.CONFIG)
+        file = path / checkpoint.EVALUATION
+        measured = as_evaluation(read_json(file), file)
+        rows.append(_row(name, path, config, measured["digest"], measured["subsets"], False))
+    return rows
+
+
+def list_everything() -> Everything:
+    """What ``madviz list --json`` prints; a method ``supports`` what its own merge does."""
+    policies, broken = list_policies()
+    methods: dict[str, MethodRow] = {}
+    for name, method in METHODS.items():
+        methods[name] = {
+            "recipes": list(method.recipes),
+            "needs": list(method.needs.words),
+            "summary": method.summary,
+            "merge": method.merge,
+            "supports": MERGES[method.merge].support.words,
+        }
+    return {
+        "schema": 1,
+        "tasks": list(known_tasks()),
+        "settings": list(SETTINGS),
+        "methods": methods,
+        "merges": {name: {"supports": merge.support.words} for name, merge in MERGES.items()},
+        "policies": policies,
+        "without_weights": list_measured(),
+        "broken": broken,
+    }
+
+
+def _row(
+    name: str,
+    path: Path,
+    config: PolicyConfig,
+    digest: str,
+    subsets: Mapping[str, SubsetRow],
+    weights: bool,
+) -> PolicyRow:
+    success: dict[str, RateRow] = {}
+    for subset, row in subsets.items():
+        success[subset] = {"success": row["success"], "n": row["n"], "ci95": row["ci95"]}
+    return {
+        "name": name,
+        "path": str(path),
+        "task": config.task,
+        "method": config.method,
+        "setting": config.setting,
+        "recipe": config.recipe,
+        "definition": config.definition,
+        "merge": config.merge,
+        "camera": config.camera,
+        "trained_subsets": list(config.trained_subsets),
+        "digest": digest,
+        "success": success,
+        "weights": weights,
+    }
