@@ -49,7 +49,7 @@ class CameraSpec:
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Where a camera really is at this instant, for drawing its frustum."""
+    """Where a camera really is now, for drawing its frustum."""
 
     position: Array
     """(3,) metres, world frame."""
@@ -100,7 +100,7 @@ class TimeStep:
 
 @dataclass(frozen=True)
 class View:
-    """What one camera sees at one instant."""
+    """What one camera sees now."""
 
     rgb: Array
     """(H, W, 3) uint8, upright, not mirrored."""
@@ -137,7 +137,9 @@ class Environment(Protocol):
 
     spec: EnvSpec
 
-    def reset(self, seed: int) -> TimeStep: ...
+    def reset(self, seed: int) -> TimeStep:
+        """Begins the episode of ``seed``."""
+        ...
 
     def step(self, action: Array) -> TimeStep:
         """One decision. ``action`` is (A,) in [-1, 1]. Raises UserError if it is not finite."""
@@ -147,7 +149,9 @@ class Environment(Protocol):
         """Draws one camera now; ``size`` in pixels overrides the camera's own."""
         ...
 
-    def pose(self, camera: str) -> CameraPose: ...
+    def pose(self, camera: str) -> CameraPose:
+        """Where one camera is now. Raises UserError for an unknown one."""
+        ...
 
     def move_camera(self, camera: str, to: CameraSpec | None) -> None:
         """From now on, over resets too, ``camera`` stands, looks and zooms as ``to`` says (its
@@ -172,12 +176,14 @@ class Environment(Protocol):
         """(A,) what the scripted expert would do now. It may look at the simulator's true state."""
         ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Frees what the simulator and the renderer hold."""
+        ...
 
 
 @dataclass(frozen=True)
 class Encoded:
-    """What a policy makes of one instant, before anybody decides which streams count."""
+    """The features of all streams at one time step, before a subset is chosen."""
 
     features: Array
     """(V, Z) float32, one row per stream."""
@@ -196,7 +202,7 @@ class Readout:
     action: Array
     """(N, A) float32 in [-1, 1], the deterministic action."""
     q: Array
-    """(N,) float32, min of the twin critics for that action; NaN where a policy has no critic."""
+    """(N,) float32, min of the two critics for that action; NaN where a policy has no critic."""
 
 
 @dataclass(frozen=True)
@@ -211,7 +217,7 @@ class PolicySpec:
     streams: tuple[str, ...]
     """Names in the order of axis V."""
     trained_subsets: tuple[str, ...]
-    """Subsets it was trained to work from; everything else is off-training."""
+    """Subsets it was trained to work from; it was not trained on any other."""
     frame_stack: int = 3
     render_profile: str = "fast"
     cameras: tuple[CameraSpec, ...] = ()

@@ -17,8 +17,9 @@ from madviz.doctor import check_vulkan
 from madviz.envs import decimation
 from madviz.envs.maniskill import meshes, vulkan
 from madviz.envs.maniskill.environment import ManiSkill, cameras_of
-from madviz.envs.maniskill.tasks import MANISKILL_SUCCESS, position
+from madviz.envs.maniskill.tasks import position
 from madviz.envs.registry import MANISKILL_TASKS, SETTINGS, make_env, setting_cameras
+from madviz.envs.tasks import MANISKILL_SUCCESS
 from madviz.errors import UserError
 from madviz.types import Array
 
@@ -62,7 +63,7 @@ def test_pictures_are_the_stock_ones_where_poses_say(push: ManiSkill) -> None:
 
 def test_the_cube_is_where_the_poses_put_it(push: ManiSkill) -> None:
     push.reset(0)
-    cube = position(push._simulation.obj)
+    cube = position(push.simulation.obj)
     for camera in push.spec.cameras:
         view, (row, column) = push.view(camera.name), pixel(push, camera.name, cube)
         red, green, blue = view.rgb[row, column].astype(int)
@@ -82,9 +83,9 @@ def test_the_wrist_camera_goes_where_the_hand_goes(push: ManiSkill) -> None:
 
 def test_the_state_is_joints_speeds_and_what_the_task_adds(push: ManiSkill) -> None:
     state = push.reset(2).state
-    cube = position(push._simulation.obj)
+    cube = position(push.simulation.obj)
     assert state.shape == (28,) and np.allclose(state[7:9], 0.04) and not state[9:18].any()
-    assert np.allclose(state[18:21], position(push._simulation.agent.tcp), atol=1e-5)
+    assert np.allclose(state[18:21], position(push.simulation.agent.tcp), atol=1e-5)
     assert np.allclose(state[25:27], cube[:2] + [0.2, 0], atol=1e-5)
 
 
@@ -92,7 +93,7 @@ def test_the_scene_has_the_cube_where_it_is_and_no_ground(push: ManiSkill) -> No
     push.reset(2)
     names = [body.name.rsplit("-", 1)[0] for body in push.bodies()]
     cube = names.index("scene-0_cube")
-    assert np.allclose(push.body_poses()[cube, :3], position(push._simulation.obj), atol=1e-5)
+    assert np.allclose(push.body_poses()[cube, :3], position(push.simulation.obj), atol=1e-5)
     (box,) = push.bodies()[cube].parts
     assert np.allclose(np.abs(box.vertices).max(0), 0.02, atol=1e-6) and box.colour[2] > 100
     assert "scene-0_ground" not in names and "scene-0_table-workspace" in names
@@ -105,7 +106,7 @@ def test_the_goal_that_cameras_do_not_see_is_in_the_scene() -> None:
     env = ManiSkill("pick-cube")
     env.reset(1)
     (row,) = [i for i, body in enumerate(env.bodies()) if "goal_site" in body.name]
-    goal = position(env._simulation.goal_site)
+    goal = position(env.simulation.goal_site)
     assert np.allclose(env.body_poses()[row, :3], goal, atol=1e-5)
     assert env.bodies()[row].parts[0].colour.tolist() == [0, 255, 0]
     env.close()
@@ -114,7 +115,7 @@ def test_the_goal_that_cameras_do_not_see_is_in_the_scene() -> None:
 def test_poke_cubes_goal_is_the_peg() -> None:
     env = ManiSkill("poke-cube")
     state = env.reset(3).state
-    assert np.allclose(state[25:], position(env._simulation.peg), atol=1e-5)
+    assert np.allclose(state[25:], position(env.simulation.peg), atol=1e-5)
     assert env.spec.cameras[1] != cameras_of("push-cube")[1]
 
 

@@ -69,7 +69,7 @@ def test_decimation_leaves_the_model_as_it_was() -> None:
 
     from madviz.envs.mujoco.meshes import TRIANGLES, lighter_meshes
 
-    model: mujoco.MjModel = MetaWorld("push")._simulation.model
+    model: mujoco.MjModel = MetaWorld("push").simulation.model
     before = model.mesh_vert.copy(), model.mesh_facenum.copy()
     with lighter_meshes(model):
         untextured = model.mesh_texcoordadr < 0
@@ -111,8 +111,8 @@ def test_the_papers_four_numbers_are_the_hand_and_gripper_of_now() -> None:
     env = MetaWorld("push")
     env.reset(0)
     state = env.step(np.array([1, 0, 0, 1])).state[list(env.spec.paper_state)]
-    assert np.allclose(state[:3], env._simulation.data.body("hand").xpos, atol=0.02)
-    assert np.allclose(state, env._observation[:4], atol=1e-6)
+    assert np.allclose(state[:3], env.simulation.data.body("hand").xpos, atol=0.02)
+    assert np.allclose(state, env.observation[:4], atol=1e-6)
 
 
 def success_at_the_end(task: str, seed: int) -> bool:
@@ -149,12 +149,12 @@ def test_a_hand_comes_to_rest_where_the_scripts_think_it_will() -> None:
     env.reset(0)
     for _ in range(8):
         env.step(np.array([1, 0, 0, -1]))
-    scene = Scene(env._observation)
+    scene = Scene(env.observation)
     expected = scene.hand + RUN_ON * scene.velocity
     for _ in range(10):
         env.step(np.array([0, 0, 0, -1]))
-    assert np.linalg.norm(scene.hand - env._observation[:3]) > 0.02
-    assert np.allclose(env._observation[:3], expected, atol=0.006)
+    assert np.linalg.norm(scene.hand - env.observation[:3]) > 0.02
+    assert np.allclose(env.observation[:3], expected, atol=0.006)
 
 
 def test_a_hand_that_still_closes_does_not_lift() -> None:

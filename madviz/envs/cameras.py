@@ -122,6 +122,19 @@ def look_at(
     return (w, x, y, z)
 
 
+def standing_camera(
+    name: str,
+    label: str,
+    fovy: float,
+    position: tuple[float, float, float],
+    target: tuple[float, float, float],
+    depth_range: tuple[float, float],
+) -> CameraSpec:
+    """A camera at ``position`` that looks at ``target``, both in metres; ``fovy`` in degrees."""
+    turn = look_at(position, target)
+    return CameraSpec(name, label, fovy, position, turn, depth_range=depth_range)
+
+
 def read_cameras(path: str | Path) -> tuple[CameraSpec, ...]:
     """The cameras of a TOML file. Raises UserError, in one line, for anything amiss with it."""
     try:

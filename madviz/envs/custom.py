@@ -1,6 +1,6 @@
 """Tasks of your own: ``--task module:factory``, which returns a ``madviz.types.Environment``.
 
-The problem: a task's name also stands in files (a policy's config, a kept session, a sweep) and
+The problem: a task's name also stands in files (a policy's config, a saved session, a sweep) and
 comes from pages. Who imports the module that a file names runs the code of whoever wrote the file.
 
 The idea: a task of your own is known only where you have named it yourself, as ``--task`` of
@@ -25,19 +25,6 @@ from madviz.types import CameraSpec, Environment, EnvSpec
 VARIABLE = "MADVIZ_TASKS"
 _SPECS: dict[str, EnvSpec] = {}
 """Of each factory that was called in this process, what its last environment said of itself."""
-PARTS = (
-    "spec",
-    "reset",
-    "step",
-    "view",
-    "pose",
-    "move_camera",
-    "bodies",
-    "body_poses",
-    "hand",
-    "expert",
-    "close",
-)
 
 
 def is_own(task: str) -> bool:
@@ -96,7 +83,7 @@ def make_own(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) ->
 
 def _made(task: str) -> Environment:
     """A new environment of the factory; ``_SPECS`` has its spec."""
-    made = made_by(task, "an environment (madviz.types.Environment)", PARTS)
+    made = made_by(task, Environment)
     if not isinstance(made.spec, EnvSpec):
         raise UserError(
             f"{task}: expected a spec of the kind madviz.types.EnvSpec, found a "

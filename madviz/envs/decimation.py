@@ -35,7 +35,7 @@ def simplify(
 
 def decimate(vertices: Array, triangles: Array, wanted: int = TRIANGLES) -> tuple[Array, Array]:
     """About ``wanted`` triangles of the same shape. Files repeat a vertex for every triangle
-    that has it, which would keep edges from collapsing, so equal ones are welded first; in a huge
+    that has it, which would stop edges from collapsing, so equal ones are welded first; in a huge
     mesh, those that nearly are."""
     if len(triangles) > 50 * TRIANGLES:
         small, faces = snap(vertices, triangles, 256)
@@ -65,5 +65,5 @@ def snap(vertices: Array, triangles: Array, cells: int) -> tuple[Array, Array]:
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
     low, middle, high = np.sort(faces, axis=1).astype(np.int64).T
-    _, kept = np.unique((low * len(first) + middle) * len(first) + high, return_index=True)
-    return vertices[first], faces[np.sort(kept)].astype(np.int32)
+    _, distinct = np.unique((low * len(first) + middle) * len(first) + high, return_index=True)
+    return vertices[first], faces[np.sort(distinct)].astype(np.int32)

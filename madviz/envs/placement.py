@@ -1,7 +1,7 @@
-"""Where an environment's cameras stand now: as its spec says, but for those somebody has moved.
+"""Where an environment's cameras are now: as its spec says, but for those somebody has moved.
 
-What is moved is where a policy gets its pictures from, never what the policy was trained with, so
-the spec stays as it is and remembers the way back.
+The spec does not change when a camera moves: it says where the policy was trained, and where to put
+the camera back.
 """
 
 from __future__ import annotations

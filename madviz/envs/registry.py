@@ -23,32 +23,14 @@ from typing import Any, Literal, Protocol, get_args
 
 from madviz.envs import custom
 from madviz.envs.cameras import read_cameras
+from madviz.envs.tasks import MANISKILL_SUCCESS, METAWORLD_SUCCESS
 from madviz.errors import UserError, unknown
 from madviz.system.plugins import load
 from madviz.types import CameraSpec, Environment, EnvSpec, Modality
 
 RenderProfile = Literal["fast", "full"]
 
-METAWORLD_TASKS = (
-    "basketball",
-    "hammer",
-    "peg-insert-side",
-    "soccer",
-    "sweep-into",
-    "assembly",
-    "hand-insert",
-    "pick-out-of-hole",
-    "pick-place",
-    "push",
-    "shelf-place",
-    "disassemble",
-    "stick-pull",
-    "stick-push",
-    "pick-place-wall",
-)
-"""The paper's 15 tasks: five medium, five hard, five very hard."""
-
-MANISKILL_TASKS = ("push-cube", "pull-cube", "pick-cube", "place-sphere", "poke-cube")
+METAWORLD_TASKS, MANISKILL_TASKS = tuple(METAWORLD_SUCCESS), tuple(MANISKILL_SUCCESS)
 
 
 class SuiteEnvironment(Protocol):
@@ -61,7 +43,9 @@ class SuiteEnvironment(Protocol):
         self, task: str, render_profile: str, cameras: tuple[CameraSpec, ...]
     ) -> Environment: ...
 
-    def own_cameras(self, task: str) -> tuple[CameraSpec, ...]: ...
+    def own_cameras(self, task: str) -> tuple[CameraSpec, ...]:
+        """Those that ``task`` has where nobody gives others."""
+        ...
 
 
 @dataclass(frozen=True)

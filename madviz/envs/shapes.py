@@ -12,6 +12,7 @@ Everything is in the frame of its body, in metres, triangles counter-clockwise s
 from __future__ import annotations
 
 import numpy as np
+import trimesh.creation
 from scipy.spatial.transform import Rotation
 
 from madviz.envs.decimation import ENOUGH, decimate
@@ -48,46 +49,37 @@ def part(
 
 def box(half: Array) -> Shape:
     """``half`` (3,) half the edges."""
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = [t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))]
-    return corners * np.asarray(half, float), np.array(triangles)
+    solid = trimesh.creation.box(2 * np.asarray(half, float))
+    return solid.vertices, solid.faces
 
 
 def cylinder(radius: float, half: float) -> Shape:
     """Along z from ``-half`` to ``half``, closed."""
-    return _turned(np.array([[0, -half], [radius, -half], [radius, half], [0, half]]))
+    return _revolved(np.array([[0, -1], [1, -1], [1, 1], [0, 1]]), (radius, radius, half))
 
 
 def sphere(radii: Array) -> Shape:
     """An ellipsoid with the half axes ``radii`` (3,)."""
-    angles = np.linspace(-np.pi / 2, np.pi / 2, AROUND // 2 + 1)
-    vertices, triangles = _turned(np.c_[np.cos(angles), np.sin(angles)])
-    return vertices * np.asarray(radii, float), triangles
+    return _revolved(_arc(-np.pi / 2, np.pi / 2, AROUND // 2), radii)
 
 
 def capsule(radius: float, half: float) -> Shape:
     """Along z; ``half`` is half the length of its straight piece."""
-    below, above = np.linspace(-np.pi / 2, 0, 7), np.linspace(0, np.pi / 2, 7)
-    outline = [radius * np.c_[np.cos(a), np.sin(a)] + [0, s * half] for a, s in
-               ((below, -1), (above, 1))]  # fmt: skip
-    return _turned(np.concatenate(outline))
+    straight = np.array([0, half / radius])
+    below = _arc(-np.pi / 2, 0, AROUND // 4) - straight
+    above = _arc(0, np.pi / 2, AROUND // 4) + straight
+    return _revolved(np.concatenate([below, above]), (radius, radius, radius))
 
 
-def _turned(outline: Array) -> Shape:
+def _arc(start: float, end: float, steps: int) -> Array:
+    """(steps + 1, 2) points of the unit circle between two angles."""
+    angles = np.linspace(start, end, steps + 1)
+    return np.c_[np.cos(angles), np.sin(angles)]
+
+
+def _revolved(outline: Array, size: Array | tuple[float, float, float]) -> Shape:
     """The solid that ``outline`` (n, 2), radius and height from its lower to its upper pole,
-    sweeps when it is turned about z."""
-    angles = np.arange(AROUND) * 2 * np.pi / AROUND
-    ring = np.c_[np.cos(angles), np.sin(angles)]
-    middle = outline[1:-1]
-    rings = [np.c_[r * ring, np.full(AROUND, z)] for r, z in middle]
-    poles = np.array([[0, 0, outline[0, 1]], [0, 0, outline[-1, 1]]])
-    here = np.arange(AROUND)
-    following = (here + 1) % AROUND
-    last, below, above = (len(middle) - 1) * AROUND, len(middle) * AROUND, len(middle) * AROUND + 1
-    faces = [np.c_[np.full(AROUND, below), following, here]]
-    for start in range(0, last, AROUND):
-        a, b = start + here, start + following
-        faces += [np.c_[a, b, b + AROUND], np.c_[a, b + AROUND, a + AROUND]]
-    faces.append(np.c_[last + here, last + following, np.full(AROUND, above)])
-    return np.concatenate([*rings, poles]), np.concatenate(faces)
+    sweeps when it is turned about z, times ``size`` (3,). Scaled at the end, as trimesh takes a
+    triangle below 1e-8 for none."""
+    solid = trimesh.creation.revolve(outline, sections=AROUND)
+    return solid.vertices * np.asarray(size, float), solid.faces

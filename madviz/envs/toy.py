@@ -13,11 +13,11 @@ perspective instead, by following the ray of every pixel to the flat tops of tab
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs import shapes
 from madviz.envs.checks import check_action, resized_cameras
 from madviz.envs.placement import Placements
 from madviz.errors import unknown
@@ -117,10 +117,10 @@ class ToyReach:
         self._placements.move(self.spec, camera, to)
 
     def bodies(self) -> tuple[Body, ...]:
-        return _BODIES
+        return _bodies()
 
     def body_poses(self) -> Array:
-        poses = np.tile(np.array([0, 0, 0, 1, 0, 0, 0], np.float32), (len(_BODIES), 1))
+        poses = np.tile(np.array([0, 0, 0, 1, 0, 0, 0], np.float32), (len(_bodies()), 1))
         poses[0, :2], poses[1, :2] = self._target, self._hand
         return poses
 
@@ -185,24 +185,26 @@ def _paint_table(rgb: Array, x: Array, y: Array) -> None:
     rgb[(np.abs(x) > 1.05) | (np.abs(y) > 1.05)] = _NOTHING
 
 
-def _standing(radius: float, low: float, high: float, colour: tuple[int, int, int]) -> Part:
-    """A cylinder from ``low`` to ``high`` metres."""
-    half = (high - low) / 2
-    return shapes.part(shapes.cylinder(radius, half), np.array(colour) / 255, (0, 0, low + half))
+@cache
+def _bodies() -> tuple[Body, ...]:
+    """Target, hand and the table in quarters, two of them a little darker: seen from the side they
+    give it depth."""
+    from madviz.envs import shapes  # Its library takes 0.3 s to load, and few ask for bodies.
 
+    def disc(size: tuple[float, float], low: float, colour: tuple[int, int, int]) -> Part:
+        (radius, high), half = size, (size[1] - low) / 2
+        middle = (0.0, 0.0, (low + high) / 2)
+        return shapes.part(shapes.cylinder(radius, half), np.array(colour) / 255, middle)
 
-def _quarter(x: int, y: int) -> Body:
-    """A quarter of the table, two of them a little darker: seen from aside they give it depth."""
-    colour = np.array(_TABLE) - (12 if x == y else 0)
-    half = np.array([0.525, 0.525, 0.03])
-    return Body(
-        f"table{x:+d}{y:+d}",
-        (shapes.part(shapes.box(half), colour / 255, (0.525 * x, 0.525 * y, -0.03)),),
+    def quarter(x: int, y: int) -> Body:
+        colour = (np.array(_TABLE) - (12 if x == y else 0)) / 255
+        block = shapes.box(np.array([0.525, 0.525, 0.03]))
+        return Body(
+            f"table{x:+d}{y:+d}", (shapes.part(block, colour, (0.525 * x, 0.525 * y, -0.03)),)
+        )
+
+    return (
+        Body("target", (disc(_TARGET_SIZE, 0.0, _TARGET),)),
+        Body("hand", (disc(_HAND_SIZE, _HAND_SIZE[1] - 0.04, _HAND),)),
+        *(quarter(x, y) for x in (-1, 1) for y in (-1, 1)),
     )
-
-
-_BODIES = (
-    Body("target", (_standing(_TARGET_SIZE[0], 0.0, _TARGET_SIZE[1], _TARGET),)),
-    Body("hand", (_standing(_HAND_SIZE[0], _HAND_SIZE[1] - 0.04, _HAND_SIZE[1], _HAND),)),
-    *(_quarter(x, y) for x in (-1, 1) for y in (-1, 1)),
-)

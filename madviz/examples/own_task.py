@@ -17,7 +17,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from madviz.envs.cameras import look_at
+from madviz.envs.cameras import standing_camera
 from madviz.envs.checks import check_action
 from madviz.envs.mujoco.world import MuJoCoWorld
 from madviz.types import Array, CameraSpec, EnvSpec, TimeStep
@@ -43,15 +43,11 @@ LOW, HIGH = np.array([-0.4, -0.4, 0.05]), np.array([0.4, 0.4, 0.4])
 """Corners of the box, in metres, that hand and ball stay in."""
 
 
-def _standing(name: str, label: str, position: tuple[float, float, float]) -> CameraSpec:
-    turn = look_at(position, (0.0, 0.0, 0.15))
-    return CameraSpec(name, label, 60, position, turn, depth_range=(0.3, 2.0))
-
-
+MIDDLE, DEPTHS = (0.0, 0.0, 0.15), (0.3, 2.0)
 CAMERAS = (
     CameraSpec("first", "First person", 90, (0, 0, 0.12), (1, 0, 0, 0), "hand", (0.0, 0.5)),
-    _standing("third_a", "Third A", (0.9, -0.5, 0.6)),
-    _standing("third_b", "Third B", (-0.7, -0.8, 0.7)),
+    standing_camera("third_a", "Third A", 60, (0.9, -0.5, 0.6), MIDDLE, DEPTHS),
+    standing_camera("third_b", "Third B", 60, (-0.7, -0.8, 0.7), MIDDLE, DEPTHS),
 )
 """Named as everywhere, so that every setting of three cameras fits; other names are as good."""
 

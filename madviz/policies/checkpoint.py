@@ -218,7 +218,7 @@ def _check_tensors(
 
 
 def _from_factory(policy: str) -> Policy:
-    made = made_by(policy, "a policy (madviz.types.Policy)", ("spec", "encode", "read", "supports"))
+    made = made_by(policy, Policy)
     if not isinstance(made.spec, PolicySpec):
         raise UserError(
             f"{policy}: expected a spec of the kind madviz.types.PolicySpec, found a "

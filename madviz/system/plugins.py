@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -18,9 +18,9 @@ def load(reference: str) -> Any:
     return getattr(importlib.import_module(module), name)
 
 
-def made_by(reference: str, kind: str, parts: Sequence[str]) -> Any:
+def made_by(reference: str, protocol: type) -> Any:
     """What ``module:factory`` returns. Raises UserError where it cannot be imported, and where the
-    result lacks one of ``parts``; ``kind`` says in words what it should be."""
+    result lacks an attribute or a method that ``protocol`` has."""
     try:
         with _importable_from_here():
             made = load(reference)()
@@ -28,11 +28,12 @@ def made_by(reference: str, kind: str, parts: Sequence[str]) -> Any:
         raise UserError(
             f"{reference}: expected module:factory that can be imported from here, found: {error}"
         ) from error
-    lacking = [part for part in parts if not hasattr(made, part)]
+    parts = [*protocol.__annotations__, *vars(protocol)]
+    lacking = [part for part in parts if part[0] != "_" and not hasattr(made, part)]
     if lacking:
         raise UserError(
-            f"{reference}: expected {kind}, found a {type(made).__name__} without "
-            f"{', '.join(lacking)}; return an object that has them"
+            f"{reference}: expected a {protocol.__name__} ({protocol.__module__}), found a "
+            f"{type(made).__name__} without {', '.join(lacking)}; return an object that has them"
         )
     return made
 

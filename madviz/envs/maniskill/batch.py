@@ -96,7 +96,7 @@ class ManiSkillBatch:
         facts = {"madviz_cameras": self.cameras, "madviz_light": light}
         kind: Any = type("Batch", (_OurCameras, stock_task(task)), facts)
         logging.getLogger("mani_skill ").setLevel(logging.ERROR)
-        self._simulation = kind(
+        self.simulation = kind(
             num_envs=copies,
             robot_uids="panda_wristcam",
             obs_mode="rgb+depth",
@@ -106,27 +106,29 @@ class ManiSkillBatch:
             render_backend="gpu" if device == "cuda" else "cpu",
         )
 
-    def reset(self, seeds: list[int]) -> Steps:
-        """A new episode in every copy; ``seeds`` (L,)."""
-        # Anew where that is cheap: PhysX remembers contacts, see ``tasks.py``.
-        self._simulation.reset(seed=seeds, options={"reconfigure": self._device == "cpu"})
+    def reset(self, seeds: list[int], rebuild: bool | None = None) -> Steps:
+        """A new episode in every copy; ``seeds`` (L,). ``rebuild`` builds the physics anew, which
+        PhysX needs to forget contacts (see ``tasks.py``): by default on a CPU, where it is cheap.
+        """
+        anew = self._device == "cpu" if rebuild is None else rebuild
+        self.simulation.reset(seed=seeds, options={"reconfigure": anew})
         self._step = 0
-        info = self._simulation.evaluate()
-        return self._told(info, torch.zeros(len(seeds)))
+        info = self.simulation.evaluate()
+        return self._steps(info, torch.zeros(len(seeds)))
 
     def step(self, actions: Array) -> Steps:
         """``actions`` (L, A), clipped to -1 to 1. Raises UserError for others."""
         for action in actions:
             check_action(action, 4)
         chosen = torch.from_numpy(np.clip(actions, -1, 1).astype(np.float32)).to(self._device)
-        _, reward, _, _, info = self._simulation.step(chosen)
+        _, reward, _, _, info = self.simulation.step(chosen)
         self._step += 1
-        return self._told(info, reward)
+        return self._steps(info, reward)
 
     def draw(self) -> dict[str, list[View]]:
         """By camera, every copy's view as it stands now."""
         # Hides what policies must not see, updates the renderer and waits for it.
-        seen = self._simulation._get_obs_sensor_data()
+        seen = self.simulation._get_obs_sensor_data()
         views = {}
         for name, textures in seen.items():
             colour = textures["rgb"].cpu().numpy()
@@ -137,10 +139,10 @@ class ManiSkillBatch:
         return views
 
     def close(self) -> None:
-        self._simulation.close()
+        self.simulation.close()
 
-    def _told(self, info: dict[str, Any], reward: Any) -> Steps:
-        state = states(self._task, self._simulation, info)
+    def _steps(self, info: dict[str, Any], reward: Any) -> Steps:
+        state = states(self._task, self.simulation, info)
         success = info["success"].cpu().numpy()
         return Steps(state, reward.cpu().numpy(), success, self._step >= HORIZON)
 

@@ -66,7 +66,7 @@ def _parts(shape: Any, layer: int) -> list[Part]:
 
 
 def _scale(shape: Any, layer: int) -> Array:
-    """(3,) what its vertices are to be multiplied by: a box, a ball and a cylinder are kept as
+    """(3,) what its vertices are to be multiplied by: SAPIEN has boxes, balls and cylinders as
     unit shapes."""
     kind = type(shape).__name__
     if kind == "RenderShapeBox":

@@ -19,12 +19,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs.cameras import look_at
+from madviz.envs.cameras import look_at, standing_camera
 from madviz.envs.checks import check_action
 from madviz.envs.maniskill.experts import ManiSkillExpert
-from madviz.envs.maniskill.tasks import MANISKILL_SUCCESS, STATE_DIM, build, position, states
+from madviz.envs.maniskill.tasks import STATE_DIM, build, position, states
 from madviz.envs.maniskill.vulkan import renderer
 from madviz.envs.placement import Placements, drawn_cameras
+from madviz.envs.tasks import MANISKILL_SUCCESS
 from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, TimeStep, View
 
 HORIZON = 50
@@ -39,22 +40,8 @@ CAMERAS = (
         body="camera_link",
         depth_range=(0.0, 0.5),
     ),
-    CameraSpec(
-        "third_a",
-        "Third A",
-        fovy=57.29578,
-        position=(0.6, 0.7, 0.6),
-        wxyz=look_at((0.6, 0.7, 0.6), (0.0, 0.0, 0.35)),
-        depth_range=(0.4, 1.8),
-    ),
-    CameraSpec(
-        "third_b",
-        "Third B",
-        fovy=45,
-        position=(0.0, -0.9, 0.6),
-        wxyz=look_at((0.0, -0.9, 0.6), (0.0, 0.0, 0.15)),
-        depth_range=(0.5, 1.6),
-    ),
+    standing_camera("third_a", "Third A", 57.29578, (0.6, 0.7, 0.6), (0.0, 0.0, 0.35), (0.4, 1.8)),
+    standing_camera("third_b", "Third B", 45, (0.0, -0.9, 0.6), (0.0, 0.0, 0.15), (0.5, 1.6)),
 )
 """The paper's cameras. One on a body has position and orientation in that body's frame."""
 
@@ -63,22 +50,8 @@ _POKE_A = replace(_THIRD_A, wxyz=look_at((0.6, 0.7, 0.6), (0.2, 0.2, 0.35)))
 
 SETTING_CAMERAS: dict[str, tuple[CameraSpec, ...]] = {
     "five": (
-        CameraSpec(
-            "third_c",
-            "Third C",
-            fovy=50,
-            position=(0.1, 0.95, 0.55),
-            wxyz=look_at((0.1, 0.95, 0.55), (0.0, 0.0, 0.1)),
-            depth_range=(0.5, 1.7),
-        ),
-        CameraSpec(
-            "top",
-            "Top",
-            fovy=50,
-            position=(0.45, 0.0, 1.1),
-            wxyz=look_at((0.45, 0.0, 1.1), (0.0, 0.0, 0.05)),
-            depth_range=(0.6, 1.4),
-        ),
+        standing_camera("third_c", "Third C", 50, (0.1, 0.95, 0.55), (0.0, 0.0, 0.1), (0.5, 1.7)),
+        standing_camera("top", "Top", 50, (0.45, 0.0, 1.1), (0.0, 0.0, 0.05), (0.6, 1.4)),
     ),
     "turned-away": (
         replace(_FIRST, wxyz=look_at((0, 0, 0), (-0.87, 0.0, 0.5))),
@@ -97,7 +70,10 @@ def cameras_of(task: str) -> tuple[CameraSpec, ...]:
 
 
 class ManiSkill:
-    """One task; see the module. Not thread-safe, and bound to the thread that makes it."""
+    """One task; see the module. Not thread-safe, and bound to the thread that makes it.
+
+    ``simulation`` is ManiSkill's own environment, physics only.
+    """
 
     setting_cameras = SETTING_CAMERAS
     own_cameras = staticmethod(cameras_of)
@@ -118,23 +94,23 @@ class ManiSkill:
             success=MANISKILL_SUCCESS[task],
         )
         self._task, self._expert = task, ManiSkillExpert(task)
-        self._simulation = build(task)
-        self._placements = Placements(list(self._simulation.agent.robot.links_map))
+        self.simulation = build(task)
+        self._placements = Placements(list(self.simulation.agent.robot.links_map))
         for camera in self.spec.cameras:
             self._placements.check(camera)
         self._step, self._stale = 0, True
         self._copy: Any = None  # Made on the first view: many uses never draw.
 
     def reset(self, seed: int) -> TimeStep:
-        self._simulation.reset(seed=seed, options={"reconfigure": True})
+        self.simulation.reset(seed=seed, options={"reconfigure": True})
         self._step, self._stale = 0, True
-        info = self._simulation.evaluate()
+        info = self.simulation.evaluate()
         return TimeStep(self._state(info), 0.0, bool(info["success"][0]), last=False)
 
     def step(self, action: Array) -> TimeStep:
         check_action(action, self.spec.action_dim)
         clipped = np.clip(np.asarray(action, np.float32), -1, 1)
-        _, reward, _, _, info = self._simulation.step(clipped)
+        _, reward, _, _, info = self.simulation.step(clipped)
         self._step, self._stale = self._step + 1, True
         success, last = bool(info["success"][0]), self._step >= HORIZON
         return TimeStep(self._state(info), float(reward[0]), success, last)
@@ -162,10 +138,10 @@ class ManiSkill:
         return self._drawn().bodies.poses()
 
     def hand(self) -> Array:
-        return position(self._simulation.agent.tcp).astype(np.float32)
+        return position(self.simulation.agent.tcp).astype(np.float32)
 
     def expert(self) -> Array:
-        return self._expert.action(self._simulation)
+        return self._expert.action(self.simulation)
 
     def close(self) -> None:
         if self._copy is not None:
@@ -179,7 +155,7 @@ class ManiSkill:
 
             self._copy = DrawnCopy(self._task, self.spec.render_profile)
         if self._stale:
-            self._copy.follow(self._simulation)
+            self._copy.follow(self.simulation)
             self._stale = False
         return self._copy
 
@@ -189,9 +165,9 @@ class ManiSkill:
         rotation = Rotation.from_quat(spec.wxyz, scalar_first=True)
         if spec.body is None:
             return place, rotation
-        body = self._simulation.agent.robot.links_map[spec.body].pose.sp
+        body = self.simulation.agent.robot.links_map[spec.body].pose.sp
         turned = Rotation.from_quat(body.q, scalar_first=True)
         return turned.apply(place) + body.p, turned * rotation
 
     def _state(self, info: dict[str, Any]) -> Array:
-        return states(self._task, self._simulation, info)[0]
+        return states(self._task, self.simulation, info)[0]

@@ -5,7 +5,7 @@ is open (1) or closed (-1). Each expert looks at the true positions of now and n
 phase it is in follows from where things are. So it can also label the states of a student, which is
 what the light recipe asks of it, and it recovers from being pushed off its path.
 
-The controller moves the tool point about half of what it is told in one decision, and its inverse
+The controller moves the tool point about half of what an action asks for, and its inverse
 kinematics fails for large steps near the arm's reach (x = 0.17 m with the hand pointing down): far
 targets are approached in small steps. The gripper cannot be turned; its fingers open along x.
 
@@ -68,7 +68,7 @@ class ManiSkillExpert:
 
 def _towards(error: Array, gripper: float, limit: float = 1.0, gain: float = 1.3) -> Array:
     """The action that closes ``error`` (3,), metres; its longest component is at most ``limit``,
-    and its direction is kept."""
+    and its direction stays."""
     motion = gain * error / STEP
     return np.append(motion * min(1.0, limit / max(np.abs(motion).max(), 1e-9)), gripper)
 

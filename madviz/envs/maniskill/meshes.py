@@ -7,7 +7,7 @@ triangles that meet at less than ``CREASE`` degrees, so round things stay round 
 A mesh with a texture is touched only if it is flat and convex with texture coordinates linear in
 position, as the ground's are; then two triangles draw the same. Collision meshes are never touched.
 
-Decimating takes a few seconds at first, so results are kept in the user's cache folder under a
+Decimating takes a few seconds at first, so results are cached in the user's cache folder under a
 digest of the mesh and the settings. Three views of 84 pixels then take an eighth of the time.
 """
 
@@ -79,8 +79,8 @@ def lighter(mesh: Mesh, textured: bool) -> Mesh:
     digest.update(mesh[1].tobytes())
     path = cache_folder() / f"{digest.hexdigest()[:32]}.npz"
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            return kept["vertices"], kept["triangles"], kept["normals"], kept["uvs"]
+        with np.load(path, allow_pickle=False) as cached:
+            return cached["vertices"], cached["triangles"], cached["normals"], cached["uvs"]
     except (OSError, ValueError, KeyError):
         made = shade(*decimate(mesh[0], mesh[1]))
     try:

@@ -7,7 +7,7 @@ the CPU. They are built directly and not through gymnasium's registry: the paper
 An episode shall depend on its seed alone, but PhysX keeps contacts from before a reset: of ten
 PlaceSphere episodes in one simulation, three ended elsewhere than in a fresh one. Every reset
 therefore builds the physics anew, which takes 0.1 to 0.2 s. That would take seconds if no renderer
-were alive (materials would set up Vulkan each time), so ``renderer`` is called first and kept.
+were alive (materials would set up Vulkan each time), so ``renderer`` is called first and stays.
 
 The state is joint positions (9), joint speeds (9) and what the task adds, 28 or 29 numbers:
 
@@ -16,7 +16,7 @@ The state is joint positions (9), joint speeds (9) and what the task adds, 28 or
     poke-cube                 tool point's pose 7, *the peg's present position* 3
 
 The last one is called goal in the paper's code and in ManiSkill, but it is privileged: it tells a
-policy where the peg is, whatever its cameras show. It is kept, to be comparable. PushCube's target
+policy where the peg is, whatever its cameras show. It stays, to be comparable. PushCube's target
 is where the cube started plus 0.2 m, and PullCube's minus 0.2 m, so they tell that as well.
 """
 
@@ -28,15 +28,6 @@ from typing import Any
 import numpy as np
 
 from madviz.types import Array
-
-MANISKILL_SUCCESS = {
-    "push-cube": "the cube's middle is within 0.1 m of the target's and the cube is on the table",
-    "pull-cube": "the cube's middle is within 0.1 m of the target's, seen from above",
-    "pick-cube": "the cube is within 0.025 m of the goal and no joint is faster than 0.2 rad/s",
-    "place-sphere": "the sphere rests in the bin, at most 5 mm from its middle, and is let go",
-    "poke-cube": "the cube is within 0.05 m of the target and no joint is faster than 0.2 rad/s",
-}
-"""Each task's condition in the pinned version, in words for cards and pages."""
 
 STATE_DIM = {"pick-cube": 29, "place-sphere": 29}
 """Of the tasks that also say whether the object is grasped; the others have 28."""
@@ -96,8 +87,8 @@ def states(task: str, simulation: Any, info: dict[str, Any]) -> Array:
         grasped = info["is_grasped" if task == "pick-cube" else "is_obj_grasped"]
         numbers.append(grasped.float()[:, None])
     numbers.append(simulation.agent.tcp.pose.raw_pose)
-    told = {"pick-cube": "goal_site", "place-sphere": "bin", "poke-cube": "peg"}
-    numbers.append(getattr(simulation, told.get(task, "goal_region")).pose.p)
+    shown = {"pick-cube": "goal_site", "place-sphere": "bin", "poke-cube": "peg"}
+    numbers.append(getattr(simulation, shown.get(task, "goal_region")).pose.p)
     return np.concatenate([each.cpu().numpy().astype(np.float32) for each in numbers], axis=1)
 
 

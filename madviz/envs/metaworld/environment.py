@@ -4,8 +4,8 @@ steps.
 Pictures are upright and *not* mirrored. (The paper's own are mirrored left to right, an artefact of
 its frame buffer; a page that shows pictures beside the 3D scene must not be.) ``third_a`` and
 ``third_b`` are the paper's moved corner cameras, whose model orientation is upside down and is
-therefore rolled by half a turn; ``first`` hangs at a constant world offset from the hand and keeps
-its orientation in the world.
+therefore rolled by half a turn; ``first`` stays at a constant world offset from the hand, and its
+orientation in the world does not change.
 
 The state is eight numbers (hand x y z in metres and gripper opening, now and one simulator step
 ago) for each of three decisions: 24, as in the paper's code. It holds neither object nor goal. The
@@ -22,12 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from madviz.envs.cameras import look_at
+from madviz.envs.cameras import look_at, standing_camera
 from madviz.envs.checks import check_action
-from madviz.envs.metaworld.experts import METAWORLD_SUCCESS, MetaWorldExpert
+from madviz.envs.metaworld.experts import MetaWorldExpert
 from madviz.envs.mujoco.gl import check_gl
 from madviz.envs.mujoco.world import MuJoCoWorld
 from madviz.envs.placement import drawn_cameras
+from madviz.envs.tasks import METAWORLD_SUCCESS
 from madviz.types import Array, CameraSpec, EnvSpec, TimeStep
 
 ACTION_REPEAT = 2
@@ -65,22 +66,8 @@ CAMERAS = (
 _FIRST, _, _THIRD_B = CAMERAS
 SETTING_CAMERAS: dict[str, tuple[CameraSpec, ...]] = {
     "five": (
-        CameraSpec(
-            "third_c",
-            "Third C",
-            fovy=60,
-            position=(-0.75, 0.8, 0.65),
-            wxyz=look_at((-0.75, 0.8, 0.65), (0.0, 0.68, 0.1)),
-            depth_range=(0.5, 1.7),
-        ),
-        CameraSpec(
-            "top",
-            "Top",
-            fovy=50,
-            position=(0.0, 0.8, 1.3),
-            wxyz=look_at((0.0, 0.8, 1.3), (0.0, 0.68, 0.0)),
-            depth_range=(0.6, 1.4),
-        ),
+        standing_camera("third_c", "Third C", 60, (-0.75, 0.8, 0.65), (0.0, 0.68, 0.1), (0.5, 1.7)),
+        standing_camera("top", "Top", 50, (0.0, 0.8, 1.3), (0.0, 0.68, 0.0), (0.6, 1.4)),
     ),
     "turned-away": (
         replace(_FIRST, wxyz=look_at((0, 0, 0), (1.0, 0.0, 0.45))),
@@ -95,7 +82,11 @@ but for the thermos of the stick tasks, which stands on First's way."""
 
 
 class MetaWorld(MuJoCoWorld):
-    """One task; see the module. Not thread-safe, and bound to the thread that makes it."""
+    """One task; see the module. Not thread-safe, and bound to the thread that makes it.
+
+    ``simulation`` is Meta-World's own environment, and ``observation`` (39,) what it observes:
+    hand, objects and goal, now and one simulator step ago.
+    """
 
     setting_cameras = SETTING_CAMERAS
 
@@ -119,19 +110,19 @@ class MetaWorld(MuJoCoWorld):
             render_profile=render_profile,
             success=METAWORLD_SUCCESS[task],
         )
-        self._simulation = _simulation(task)
-        super().__init__(spec, self._simulation.model, self._simulation.data)
+        self.simulation = _simulation(task)
+        super().__init__(spec, self.simulation.model, self.simulation.data)
         self._expert = MetaWorldExpert(task)
-        self._observation = np.zeros(39)
+        self.observation = np.zeros(39)
         self._states: list[Array] = []
         self._step, self._success = 0, False
 
     def reset(self, seed: int) -> TimeStep:
-        simulation = self._simulation
+        simulation = self.simulation
         simulation.seed(seed)
         simulation.reset()
         # The first real step makes the frame-difference half of the observation valid.
-        self._observation, _, _, _, info = simulation.step(np.zeros(4, np.float32))
+        self.observation, _, _, _, info = simulation.step(np.zeros(4, np.float32))
         self._step, self._success = 0, bool(info["success"])
         self._states = [self._frame_state()] * 3
         self.moved()
@@ -142,7 +133,7 @@ class MetaWorld(MuJoCoWorld):
         clipped = np.clip(np.asarray(action, np.float32), -1, 1)
         reward, info = 0.0, {}
         for _ in range(ACTION_REPEAT):
-            self._observation, gained, _, _, info = self._simulation.step(clipped)
+            self.observation, gained, _, _, info = self.simulation.step(clipped)
             reward += float(gained)
         self._step, self._success = self._step + 1, bool(info["success"])
         self._states = [*self._states[1:], self._frame_state()]
@@ -150,13 +141,13 @@ class MetaWorld(MuJoCoWorld):
         return TimeStep(self._state(), reward, self._success, self._step >= HORIZON)
 
     def hand(self) -> Array:
-        return np.asarray(self._simulation.tcp_center, np.float32)
+        return np.asarray(self.simulation.tcp_center, np.float32)
 
     def expert(self) -> Array:
-        return self._expert.action(self._observation, self._success)
+        return self._expert.action(self.observation, self._success)
 
     def _frame_state(self) -> Array:
-        return np.concatenate([self._observation[:4], self._observation[18:22]]).astype(np.float32)
+        return np.concatenate([self.observation[:4], self.observation[18:22]]).astype(np.float32)
 
     def _state(self) -> Array:
         return np.concatenate(self._states)

@@ -15,25 +15,6 @@ import numpy as np
 from madviz.envs.metaworld.scripts import SCRIPTS, Scene
 from madviz.types import Array
 
-METAWORLD_SUCCESS = {
-    "basketball": "the ball is within 0.08 m of the hoop's goal",
-    "hammer": "the nail is driven in by more than 0.09 m",
-    "peg-insert-side": "the peg's head is within 0.07 m of the end of the hole",
-    "soccer": "the ball is within 0.07 m of the goal",
-    "sweep-into": "the cube is within 0.05 m of the goal in the hole",
-    "assembly": "the wrench's ring is aligned with the peg and hooked over it",
-    "hand-insert": "the cube is within 0.05 m of the goal in the hole",
-    "pick-out-of-hole": "the puck is within 0.07 m of the goal",
-    "pick-place": "the puck is within 0.07 m of the goal",
-    "push": "the puck is within 0.05 m of the goal",
-    "shelf-place": "the cube is within 0.07 m of the goal on the shelf",
-    "disassemble": "the wrench is lifted above the peg",
-    "stick-pull": "the thermos handle is within 0.12 m of the goal and the stick is through it",
-    "stick-push": "the thermos is within 0.12 m of the goal and the stick is held",
-    "pick-place-wall": "the puck is within 0.07 m of the goal behind the wall",
-}
-"""Each task's condition in the pinned version, in words for cards and pages."""
-
 
 class MetaWorldExpert:
     """The scripted policy of one task: ours where there is one, otherwise Meta-World's."""

@@ -24,7 +24,7 @@ import numpy as np
 from madviz.types import Array
 
 RUN_ON = 3.4
-"""Steps of its present velocity that the hand goes on for when it is told nothing more."""
+"""Steps of its present velocity that the hand goes on for when no more actions come."""
 STEP = 0.02
 """Metres that the hand's target moves in one decision at full action (two steps of 0.01)."""
 OPEN = 0.93
@@ -154,7 +154,7 @@ def sweep_into(scene: Scene) -> Array:
 
 def stick_pull(scene: Scene) -> Array:
     """Threads the stick through the thermos handle and drags it, the stick at the handle's height
-    throughout: lowered, it slips out. The thermos slides with next to no friction (a free one kept
+    throughout: lowered, it slips out. The thermos slides with next to no friction (a free one had
     92 % of its speed over 12 decisions); what stops it is the stick that rubs in its handle. So the
     stick follows to where it will come to rest, some 14 steps of its velocity ahead and 8 aside,
     and neither pushes further nor loses the handle. What was pulled too far cannot be brought back:
