@@ -20,14 +20,12 @@ from dataclasses import dataclass
 from importlib import import_module
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from madviz import __version__
 from madviz.errors import UserError, unknown
 from madviz.evaluation.statistics import in_words
 from madviz.system.files import pretty, write_json, written_to
-
-Config = TypeVar("Config")
 
 
 @dataclass(frozen=True)
@@ -202,7 +200,7 @@ def run(words: Sequence[str], group: str = "") -> int:
         return run(rest, first)
     name = f"{group} {first}".strip()
     command = COMMANDS[name]
-    config = parse(named(command.config), name, rest, command.positional)
+    config = parse(name, rest)
     in_words = named(command.words) if command.words else None
     return 0 if command.ok(deliver(config, named(command.work), in_words)) else 1
 
@@ -230,14 +228,20 @@ def usage(group: str = "") -> str:
     return "\n".join(lines if group else [*lines, "", "  --version   prints the version"])
 
 
-def parse(
-    config: type[Config], command: str, words: Sequence[str], positional: bool = False
-) -> Config:
-    """The dataclass ``config`` filled from the command line; leaves with code 2 if that fails."""
+def parse(name: str, words: Sequence[str]) -> Any:
+    """The configuration of the command ``name``, filled from ``words``; leaves with code 2 if they
+    do not fit."""
     import tyro
 
-    markers = (tyro.conf.PositionalRequiredArgs,) if positional else ()
-    return tyro.cli(config, prog=f"madviz {command}", args=list(words), config=markers)
+    command = COMMANDS[name]
+    markers = (tyro.conf.PositionalRequiredArgs,) if command.positional else ()
+    return tyro.cli(
+        named(command.config),
+        prog=f"madviz {name}",
+        description=command.summary,
+        args=list(words),
+        config=markers,
+    )
 
 
 def deliver(

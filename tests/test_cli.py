@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import os
 import subprocess
 import sys
+import textwrap
 from dataclasses import is_dataclass, replace
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pytest
 
@@ -53,7 +57,28 @@ def test_every_command_explains_its_options(
 ) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main([*command.split(), "--help"])
-    assert ended.value.code == 0 and f"usage: madviz {command}" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert ended.value.code == 0 and f"usage: madviz {command}" in told
+    assert cli.COMMANDS[command].summary[:40] in told
+
+
+def without_words(config: type) -> list[str]:
+    """Options that no docstring follows, also those of nested groups."""
+    found = []
+    kinds = {name: kind for name, kind in get_type_hints(config).items() if is_dataclass(kind)}
+    for parent in filter(is_dataclass, config.__mro__):
+        (tree,) = ast.parse(textwrap.dedent(inspect.getsource(parent))).body
+        assert isinstance(tree, ast.ClassDef)
+        for field, words in pairwise([*tree.body, ast.Pass()]):
+            name = ast.unparse(field.target) if isinstance(field, ast.AnnAssign) else ""
+            if name and name not in kinds and not isinstance(words, ast.Expr):
+                found.append(f"{parent.__name__}.{name}")
+    return found + [name for group in kinds.values() for name in without_words(group)]
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_every_option_has_a_line_of_help(command: str) -> None:
+    assert without_words(cli.named(cli.COMMANDS[command].config)) == []
 
 
 def test_no_command_at_all_is_a_mistake() -> None:

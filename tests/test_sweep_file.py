@@ -42,8 +42,6 @@ def test_a_file_expands_to_runs_whose_names_say_what_varies(tmp_path: Path) -> N
 def test_the_words_of_a_run_are_words_that_the_command_line_knows(
     command: str, tmp_path: Path
 ) -> None:
-    from madviz.evaluation.evaluate import EvalConfig
-    from madviz.training.train import TrainConfig
 
     file = tmp_path / "one.toml"
     file.write_text(
@@ -52,10 +50,10 @@ def test_the_words_of_a_run_are_words_that_the_command_line_knows(
     )
     run = read_plan(file).runs[0]
     if command == "train":
-        found = cli.parse(TrainConfig, command, run.train)
+        found = cli.parse("train", run.train)
         assert (found.seed, found.light.rounds, found.paper.buffer_on_disk) == (4, 2, True)
     else:
-        asked = cli.parse(EvalConfig, command, ["--policy", "p", *run.evaluate, "--card"])
+        asked = cli.parse("eval", ["--policy", "p", *run.evaluate, "--card"])
         assert asked.subsets == ("all", "none") and asked.card
 
 

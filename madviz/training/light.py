@@ -77,6 +77,7 @@ class LightConfig:
     expert_share: float = 0.5
     """Probability that the expert drives a step in the first round; decays by ``share_decay``."""
     share_decay: float = 0.8
+    """Factor on ``expert_share`` from round to round."""
     noise_share: float = 0.2
     """Probability that an action is replaced by a random one while recording."""
     noise_decay: float = 1.0
