@@ -31,7 +31,7 @@ from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session import Session
 from madviz.session.session_file import KeptEpisode
 from madviz.session.session_reader import read_kept
-from madviz.system.processes import share_memory_between_threads
+from madviz.system.processes import limit_heaps
 from madviz.types import CameraSpec, Environment, Policy, PolicySpec
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"
@@ -157,7 +157,7 @@ def explore(config: ExploreConfig | None = None) -> None:
 
 def open_app(config: ExploreConfig) -> App:
     """The page as configured, running."""
-    share_memory_between_threads()
+    limit_heaps()
     # Python threads take turns of 5 ms by default; a visitor's click crosses four of them.
     sys.setswitchinterval(0.001)
     allow_task(config.task)

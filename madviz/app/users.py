@@ -6,7 +6,8 @@ simulation of their own. In presenter mode there is one simulation, which nobody
 nobody looks. Watchers have a limit, too: who comes after that waits until somebody leaves.
 
 A simulation that ends leaves 7 MB of pictures and messages in cycles of objects, and the allocator
-holds on to what it once had: without ``give_back``, 70 visits in three minutes cost 30 MB for good.
+holds on to what it once had: without ``release_memory``, 70 visits in three minutes cost 30 MB for
+good.
 
 Everything personal lives in ``client.gui`` and ``client.scene``; viser's server-wide widgets would
 be shared by all.
@@ -26,7 +27,7 @@ from madviz.app.layout import Shared
 from madviz.app.page import Page, waiting_html
 from madviz.app.viser_patches import patch_rendering
 from madviz.session.session import Session
-from madviz.system.processes import give_back
+from madviz.system.processes import release_memory
 
 log = logging.getLogger(__name__)
 
@@ -195,7 +196,7 @@ class Users:
     def _tidy(self) -> None:
         with self._lock:
             self._tidying = None
-        give_back()
+        release_memory()
 
     def close(self) -> None:
         """Frees everything."""

@@ -48,7 +48,7 @@ from madviz.session.commands import (
 from madviz.session.frame import Failure, Frame, Phase
 from madviz.session.session_file import KeptEpisode, KeptSession
 from madviz.session.stage import EnvFactory, Stage
-from madviz.system.processes import yield_to_others
+from madviz.system.processes import lower_thread_priority
 from madviz.types import Policy
 
 log = logging.getLogger(__name__)
@@ -133,7 +133,7 @@ class Session:
     def run(self) -> None:
         """Ticks when a step is due or a command arrives, until ``close``. At full speed it would
         take a core for itself, so those who carry its frames to the visitor go first."""
-        yield_to_others(NICENESS)
+        lower_thread_priority(NICENESS)
         try:
             while not self._closing.is_set():
                 due = self.tick(time.monotonic())

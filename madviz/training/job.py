@@ -31,7 +31,7 @@ from madviz.agent.methods import method
 from madviz.envs.registry import check_task
 from madviz.errors import UserError, unknown
 from madviz.system.files import write_json
-from madviz.system.processes import let_all_others_go_first
+from madviz.system.processes import lowest_priority
 
 State = Literal["idle", "running", "stopping", "stopped", "failed", "done"]
 
@@ -207,7 +207,7 @@ class TrainingJob:
                 start_new_session=True,
             )
         # From here and not between fork and exec, where a process with threads may hang.
-        let_all_others_go_first(self._child.pid)
+        lowest_priority(self._child.pid)
 
     def _state(self) -> State:
         code = self._child.poll() if self._child is not None else None

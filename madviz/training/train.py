@@ -30,7 +30,7 @@ from madviz.errors import UserError, unknown
 from madviz.policies.checkpoint import save_policy
 from madviz.policies.config import TrainingRecord, policy_config
 from madviz.subsets import camera_of
-from madviz.system.processes import keep_large_blocks
+from madviz.system.processes import reuse_large_blocks
 from madviz.training.light import LightConfig, LightRun, Recorder, train_light
 from madviz.training.light_critic import REWARD_SCALE, fit_critic
 from madviz.training.paper import PaperConfig, train_paper
@@ -168,7 +168,7 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
     if config.recipe == "paper-vectorised":
         config.vectorised.prepare(config.task)
     make_env(config.task, config.render_profile, config.drawn()).close()
-    keep_large_blocks()
+    reuse_large_blocks()
     everything = os.cpu_count() or 1
     threads = {"light": 1, "paper": everything}.get(config.recipe)
     torch.set_num_threads(
