@@ -80,14 +80,14 @@ COMMANDS: dict[str, Command] = {
         words="madviz.cli:catalogue",
     ),
     "doctor": Command(
-        "Tells what is missing on this machine and the line that mends it; times a frame.",
+        "Says what is missing on this machine and the command that mends it; times a frame.",
         config="madviz.doctor:DoctorConfig",
         work="madviz.doctor:examine",
         words="madviz.doctor:in_words",
         ok=itemgetter("ok"),
     ),
     "sweep": Command(
-        "Trains and evaluates every combination in a small file; goes on after a kill.",
+        "Trains and evaluates every combination in a small file; resumes after a kill.",
         config="madviz.sweep.sweep:SweepConfig",
         work="madviz.sweep.sweep:run_sweep",
         words="madviz.sweep.sweep:sweep_table",

@@ -1,6 +1,6 @@
-"""What this machine has, how fast it draws, and the line that mends what is missing.
+"""What this machine has, how fast it draws, and the command that mends what is missing.
 
-Nothing here may fail because something is missing: that is the very case it is for. OpenGL back
+Nothing here may fail because something is missing: that is the case it is for. OpenGL back
 ends are therefore tried in processes of their own (a broken driver can take its process along, and
 MuJoCo keeps the back end it was imported with), and packages are looked up without importing them.
 """
@@ -53,7 +53,7 @@ PROVIDERS = {
 
 @dataclass(frozen=True)
 class DoctorConfig:
-    """Tells what is missing here and the line that mends it."""
+    """Says what is missing here and the command that mends it."""
 
     json: str | None = None
     """Write the report to this file; ``-`` is standard output, and then nothing else goes there."""
@@ -63,7 +63,7 @@ class DoctorConfig:
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked for."""
+    """One thing that was checked."""
 
     name: str
     found: str

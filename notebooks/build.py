@@ -1,4 +1,4 @@
-"""Makes NAME.ipynb from text/NAME.py: runs every cell and keeps the outputs.
+"""Makes NAME.ipynb from text/NAME.py: runs every cell and saves the outputs.
 
     python notebooks/build.py            all of them, some minutes
     python notebooks/build.py 02 04      those that begin so
@@ -26,7 +26,7 @@ from nbclient import NotebookClient
 
 HERE = Path(__file__).resolve().parent
 MINUTES = 20
-"""A cell that takes longer is stuck; a busy machine is slow."""
+"""A cell that takes longer hangs; a busy machine is slow."""
 
 
 def names(words: list[str]) -> list[str]:
@@ -46,8 +46,8 @@ def from_text(name: str) -> nbformat.NotebookNode:
 
 
 def run(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
-    """Executes it in the folder of the notebooks, as JupyterLab does, with this tree's package. An
-    empty folder for temporary files: lessons keep their trainings there and do not repeat them."""
+    """Executes it in the folder of the notebooks, as JupyterLab does, with this tree's package. The
+    folder for temporary files is empty: lessons save trainings there and do not repeat them."""
     paths = os.pathsep.join(filter(None, [str(HERE.parent), os.environ.get("PYTHONPATH", "")]))
     client = NotebookClient(
         notebook, timeout=60 * MINUTES, resources={"metadata": {"path": str(HERE)}}
@@ -60,18 +60,18 @@ def tidy(notebook: nbformat.NotebookNode) -> None:
     """Leaves out what differs between two builds for no reason, and joins printed lines."""
     for cell in notebook.cells:
         cell.metadata.clear()
-        kept, printed = [], {}
+        outputs, printed = [], {}
         for output in cell.get("outputs", []):
             if output.output_type != "stream":
-                kept.append(output)
+                outputs.append(output)
             elif output.name == "stdout":
                 if "stdout" in printed:
                     printed["stdout"].text += output.text
                 else:
                     printed["stdout"] = output
-                    kept.append(output)
+                    outputs.append(output)
         if "outputs" in cell:
-            cell.outputs = kept
+            cell.outputs = outputs
     notebook.metadata.pop("language_info", None)
 
 

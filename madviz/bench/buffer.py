@@ -37,7 +37,7 @@ class BenchBufferConfig:
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
     task: str = "metaworld/hammer"
-    """Whose frames are stored; half of the episodes the expert's, half random."""
+    """The task whose frames are stored; half of the episodes the expert's, half random."""
     decisions: int = 1_200
     """Recorded, in whole episodes; more than the 1,024 time steps of a pack."""
     batch_size: int = 256
@@ -118,7 +118,7 @@ def _record(env: Environment, decisions: int) -> Iterator[RecordedStep]:
 
 
 def _add(buffer: ReplayBuffer, recorded: list[RecordedStep]) -> float:
-    """Adds all of it; seconds for each instant."""
+    """Adds all of it; seconds for each time step."""
     began = time.perf_counter()
     for each in recorded:
         if each.action is None:

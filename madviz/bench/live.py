@@ -1,12 +1,12 @@
-"""The page under a stop-watch: server, simulator, policy and a real browser on the same cores.
+"""Times the page: server, simulator, policy and a real browser on the same cores.
 
 Everything is timed inside the browser, by its own clock: an *update* is a simulator step that was
 not seen before and whose picture has been decoded, a *toggle* runs from the click on a button to
 the moment when the picture shows that camera dropped (its tile has lost all colour) and the text of
 the action has changed. The server is a process of its own, as a user would start it, at full speed.
 
-Watchers are timed at the server's wire, by visitors without browsers (``bench/visitor.py``): real
-watchers sit at machines of their own, and four browsers on two cores would time each other.
+What watchers get is timed by visitors without browsers (``bench/visitor.py``): real watchers use
+machines of their own, and four browsers on two cores would time each other.
 
     updates_per_s, toggle_ms_p50, toggle_ms_p95, toggle_ms   one browser, scene and curves on
     readout_ms                                               action and Q of every subset
@@ -156,10 +156,10 @@ def await_that(happened: Callable[[], object], patience: float) -> bool:
 
 def measure(config: LiveConfig, workers: int) -> dict[str, Any]:
     """One server, one browser: counts updates, then switches cameras off and on."""
-    look = "" if config.scene else "/?fixedDpr=0.05"
+    options = "" if config.scene else "/?fixedDpr=0.05"
     with (
         served(config.policy, workers) as url,
-        opened(url + look, config.chromium) as page,
+        opened(url + options, config.chromium) as page,
     ):
         page.evaluate(STOPWATCH.read_text())
         page.wait_for_timeout(3000)

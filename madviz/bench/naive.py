@@ -1,9 +1,9 @@
-"""MAD's update as one would first write it down from the paper: the yardstick of ``bench``.
+"""MAD's update as one would first write it down from the paper: the reference of ``bench``.
 
 One view after the other goes through a contiguous float32 CNN, after a shift by ``grid_sample``;
 the merged and every singular feature go through actor and critic one by one, and each loss is added
 to the sum as the paper writes it. Nothing in it is slow on purpose (no gradient is computed that
-nobody reads, targets need no graph), and it passes the same test of formulas as the fast learner.
+is not used, targets need no graph), and it passes the same test of formulas as the fast learner.
 """
 
 from __future__ import annotations

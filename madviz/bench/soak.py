@@ -1,4 +1,4 @@
-"""``madviz soak``: visitors come, touch everything and go, for an hour; nothing may stay behind.
+"""``madviz soak``: visitors come, touch controls and go, for an hour; the server must not grow.
 
 A server in a process of its own, visitors without browsers (``bench/visitor.py``), rounds of 20 s.
 In a round visitors come and go and touch controls at random, by a seed; one more of them may come
@@ -45,7 +45,7 @@ SETTLING = 20.0
 
 @dataclass(frozen=True)
 class SoakConfig:
-    """Lets visitors come and go for long, and tells whether anything is left behind."""
+    """Lets visitors come and go, and says whether the server has grown."""
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
@@ -235,6 +235,6 @@ def soak_words(result: dict[str, Any]) -> str:
         f"{result['processes']['after_warm_up']} -> {result['processes']['end']}",
         f"lines in the log: {len(result['errors'])}",
         *result["errors"][:10],
-        "nothing is left behind" if result["ok"] else "SOMETHING IS LEFT BEHIND, see above",
+        "the server has not grown" if result["ok"] else "THE SERVER HAS GROWN, see above",
     ]
     return "\n".join(lines)

@@ -7,8 +7,8 @@ the wrong one, but the notebook's own server can pass requests on (jupyter-serve
     proxy    /user/ada/proxy/41234/            through the notebook's server, from anywhere
 
 The page asks for its parts relative to its own address, so the slash at the end matters: without
-it, ``/proxy/41234`` would look for them in ``/proxy/``. Which server a kernel belongs to is read
-from the environment (JupyterHub), or from the note that the kernel's parent leaves about itself.
+it, they would be asked for in ``/proxy/``. Which server a kernel belongs to is read from the
+environment (JupyterHub), or from the file that the kernel's parent writes about itself.
 """
 
 from __future__ import annotations
@@ -64,10 +64,10 @@ class LivePage:
 class Viewer:
     """Rerun's viewer on a recording, served from this machine.
 
-    It works without a network. Where there is one, its page asks its makers for fonts, news and
-    statistics by itself, so a lesson shows it only on request. Its data comes through a second port
-    that no proxy passes on, so browser and kernel must share a machine; otherwise copy the file and
-    open it there with ``rerun FILE``.
+    It works without a network. Where there is one, its page by itself contacts its makers for
+    fonts, announcements and statistics, so a lesson shows it only on request. Its data comes
+    through a second port that no proxy passes on, so browser and kernel must share a machine;
+    otherwise copy the file and open it there with ``rerun FILE``.
     """
 
     def __init__(self, file: Path, height: int = 620) -> None:
@@ -83,7 +83,7 @@ class Viewer:
         self._wait_for(page)
 
     def _wait_for(self, port: int) -> None:
-        """A frame that is loaded before the server listens stays empty for good."""
+        """A frame that is loaded before the server listens stays empty."""
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline and self._server.poll() is None:
             with socket.socket() as probe:
@@ -119,7 +119,7 @@ def rerun_program() -> str:
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports of this machine that nobody listens on now."""
+    """Ports of this machine that are free now."""
     with ExitStack() as stack:
         probes = [stack.enter_context(socket.socket()) for _ in range(count)]
         for probe in probes:
@@ -172,7 +172,7 @@ def address(port: int, where: Where = "auto") -> str:
 
 
 def base_url() -> str | None:
-    """The path under which this kernel's notebook server lives; None where there is none, or no
+    """The path under which this kernel's notebook server is found; None where there is none, or no
     proxy in it."""
     if importlib.util.find_spec("jupyter_server_proxy") is None:
         return None
@@ -182,8 +182,8 @@ def base_url() -> str | None:
     try:
         from ipykernel.connect import get_connection_file
 
-        # A server leaves a note about itself beside the connection files of its kernels.
-        note = Path(get_connection_file()).with_name(f"jpserver-{os.getppid()}.json")
-        return str(json.loads(note.read_text())["base_url"])
+        # A server writes a file about itself beside the connection files of its kernels.
+        file = Path(get_connection_file()).with_name(f"jpserver-{os.getppid()}.json")
+        return str(json.loads(file.read_text())["base_url"])
     except (ImportError, RuntimeError, OSError, ValueError, KeyError):
         return None

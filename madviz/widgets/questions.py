@@ -1,4 +1,4 @@
-"""What a lesson asks of its reader: to move a slider and look, and to predict before measuring."""
+"""Questions to the reader of a lesson: a slider to move, a prediction before the measurement."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def control_for(choice: Any) -> Any:
 
 
 class Predict(Shown):
-    """A question to answer before the next cell is run; nobody is told a grade."""
+    """A question to answer before the next cell is run; there is no grade."""
 
     def __init__(self, question: str, options: Sequence[str]) -> None:
         self._options = tuple(options)
