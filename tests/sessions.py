@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.frame import Frame
@@ -50,3 +53,13 @@ def frame_with(*commands, policy: FakePolicy | None = None) -> Frame:
     session.tick(0.0)
     assert isinstance(session.latest, Frame)
     return session.latest
+
+
+def with_world(frame: Frame, **fields: Any) -> Frame:
+    """``frame`` with other values in its world."""
+    return replace(frame, world=replace(frame.world, **fields))
+
+
+def with_pace(frame: Frame, **fields: Any) -> Frame:
+    """``frame`` with other values in its pace."""
+    return replace(frame, pace=replace(frame.pace, **fields))

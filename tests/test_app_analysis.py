@@ -33,7 +33,7 @@ from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import Recorded, browser, use
-from tests.sessions import frame_with
+from tests.sessions import frame_with, with_pace, with_world
 
 OFF = CameraState("off")
 STREAMS = FakePolicy().spec.streams
@@ -79,7 +79,7 @@ def test_values_on_the_page_sum_to_its_last_row() -> None:
     frame = frame_with()
     q, action = q_column(frame).worth, action_column(frame).worth
     assert q is not None and action is not None
-    readout = frame.probe.readout
+    readout = frame.world.probe.readout
     assert q.cameras.sum() == pytest.approx(float(readout.q[0] - readout.q[-1]), abs=1e-4)
     distance = float(np.linalg.norm(readout.action[0] - readout.action[-1]))
     assert action.cameras.sum() == pytest.approx(distance, abs=1e-5)
@@ -119,8 +119,8 @@ def test_a_policy_that_cannot_do_without_cameras_has_no_values_and_says_why() ->
 
 def test_a_policy_without_a_critic_has_no_value_in_q() -> None:
     frame = frame_with()
-    blind = replace(frame.probe.readout, q=np.full(8, np.nan, np.float32))
-    column = q_column(replace(frame, probe=replace(frame.probe, readout=blind)))
+    blind = replace(frame.world.probe.readout, q=np.full(8, np.nan, np.float32))
+    column = q_column(with_world(frame, probe=replace(frame.world.probe, readout=blind)))
     assert column.worth is None and "no forecast" in column.words
 
 
@@ -177,7 +177,7 @@ def test_a_dropped_stream_is_hollow_and_the_merged_one_moves_to_the_rest(
     session.send(Pause())
     session.send(SetCamera("first", OFF))
     session.tick(0.0)
-    assert shown(session).step == frame.step
+    assert shown(session).world.step == frame.world.step
     apply(panel.update(shown(session)))
     found = circles(gui.html)
     assert [fill for *_, fill in found] == ["none", *CAMERA_COLOURS[1:3], "#FFFFFF"]
@@ -190,14 +190,16 @@ def test_another_episode_begins_another_trail(server: viser.ViserServer) -> None
     panel, session, gui = mapped(server)
     session.send(Reset())
     session.tick(0.0)
-    apply(panel.update(replace(shown(session), step=0)))
+    apply(panel.update(with_world(shown(session), step=0)))
     assert "polyline" not in gui.html
     panel.remove()
 
 
 def test_without_features_of_their_own_cameras_have_no_map(server: viser.ViserServer) -> None:
     frame = frame_with()
-    blank = replace(frame, probe=replace(frame.probe, features=0 * frame.probe.features))
+    blank = with_world(
+        frame, probe=replace(frame.world.probe, features=0 * frame.world.probe.features)
+    )
     gui = Recorded(server.gui)
     panel = ProjectionPanel(gui, blank)
     assert "No camera has a feature of its own" in gui.html
@@ -239,7 +241,7 @@ def test_the_switch_asks_and_the_line_says_what_comes(server: viser.ViserServer)
     assert "depends on" in saliency_words(frame, "")
     assert "never has one" in saliency_words(frame, "q")
     assert "its Q would change" in saliency_words(looking(frame), "q")
-    assert "full speed" in saliency_words(replace(frame, speed=None), "q")
+    assert "full speed" in saliency_words(with_pace(frame, speed=None), "q")
     stuck = frame_with(SetCamera("first", OFF), policy=AllOrNothing("toy-stack"))
     assert "cannot act" in saliency_words(stuck, "action")
     apply(panel.update(looking(frame)))
@@ -255,7 +257,7 @@ def test_the_present_setting_is_yellow_thick_and_on_top() -> None:
     assert yellow.sum() == 15 and yellow[-15:].all()
     assert colours[-1, 0, 0] == 255 and colours[-1, 0, 2] < rgb(NOTE)[2]
     start, tip = points[-15]
-    np.testing.assert_allclose(start, frame.hand, atol=1e-5)
+    np.testing.assert_allclose(start, frame.world.hand, atol=1e-5)
     np.testing.assert_allclose((tip - start)[:2], 0.3 * frame.action, atol=1e-5)
     assert (tip - start)[2] == 0, "the toy has two numbers"
 
@@ -276,8 +278,8 @@ def test_sets_that_cannot_act_have_no_arrow() -> None:
     points, _ = arrows(frame_with(policy=AllOrNothing("toy-stack")), 1.0)
     assert len(points) == 15
     broken = frame_with(policy=NanPolicy("toy-nan"))
-    bad = replace(broken.probe.readout, action=np.full((8, 2), np.nan, np.float32))
-    nothing, none = arrows(replace(broken, probe=replace(broken.probe, readout=bad)), 1.0)
+    bad = replace(broken.world.probe.readout, action=np.full((8, 2), np.nan, np.float32))
+    nothing, none = arrows(with_world(broken, probe=replace(broken.world.probe, readout=bad)), 1.0)
     assert nothing.shape == none.shape == (0, 2, 3)
 
 
@@ -299,10 +301,10 @@ def test_arrows_change_four_times_a_second_and_hide_at_full_speed(server) -> Non
     assert panel.update(frame) == []
     now[0] = 0.25
     assert len(panel.update(frame)) == 2
-    apply(panel.update(replace(frame, speed=None)))
-    assert not lines.visible and panel.update(replace(frame, speed=None)) == []
+    apply(panel.update(with_pace(frame, speed=None)))
+    assert not lines.visible and panel.update(with_pace(frame, speed=None)) == []
     now[0] = 1.0
-    apply(panel.update(replace(frame, phase="paused", speed=None)))
+    apply(panel.update(with_pace(frame, phase="paused", speed=None)))
     assert lines.visible
     panel.remove()
 

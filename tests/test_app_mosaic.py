@@ -25,7 +25,7 @@ def test_a_tile_enlarges_what_arrives_pixel_by_pixel():
     frame = frame_with()
     picture = mosaic(frame, 3 * 84)
     assert picture.shape == (HEADER + 252, 3 * 252 + 2 * GAP, 3)
-    np.testing.assert_array_equal(picture[HEADER::3, :252:3], frame.arrived["first"])
+    np.testing.assert_array_equal(picture[HEADER::3, :252:3], frame.world.arrived["first"])
 
 
 def test_dropped_black_and_intact_tiles_differ():

@@ -37,7 +37,7 @@ from madviz.session.frame import Frame, Setting
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import Recorded, browser, use
-from tests.sessions import frame_with
+from tests.sessions import frame_with, with_pace, with_world
 
 OFF = CameraState("off")
 
@@ -149,7 +149,7 @@ def test_features_table_names_every_stream_and_the_sum():
 
 def test_features_table_says_what_share_of_the_sum_a_stream_is():
     frame = frame_with(SetCamera("third_a", OFF))
-    shares = [f"{100 * share:.0f} %" for share in frame.probe.shares(frame.row)]
+    shares = [f"{100 * share:.0f} %" for share in frame.world.probe.shares(frame.row)]
     html = features_html(frame)
     assert shares[1] == "0 %"
     assert all(f">{share}</td>" in html for share in [*shares, "100 %"])
@@ -157,14 +157,14 @@ def test_features_table_says_what_share_of_the_sum_a_stream_is():
 
 def test_features_table_claims_no_sum_where_there_is_none():
     frame = frame_with()
-    squared = replace(frame.probe.readout, merged=frame.probe.readout.merged**2)
-    probe = replace(frame.probe, readout=squared)
+    squared = replace(frame.world.probe.readout, merged=frame.world.probe.readout.merged**2)
+    probe = replace(frame.world.probe, readout=squared)
     for method, merged in (("mad", "merged"), ("concat", "merged: side by side"), ("x", "merged")):
-        other = replace(frame, probe=probe, policy=replace(frame.policy, method=method))
+        other = with_world(frame, probe=probe, policy=replace(frame.world.policy, method=method))
         html = features_html(other)
         assert f"{merged}</td>" in html and "sum" not in html and "100 %</td>" not in html
-    blank = replace(frame.probe, features=0 * frame.probe.features)
-    html = features_html(replace(frame, probe=blank))
+    blank = replace(frame.world.probe, features=0 * frame.world.probe.features)
+    html = features_html(with_world(frame, probe=blank))
     assert html.count("<tr") == 2 and "No camera has a feature of its own" in html
 
 
@@ -199,7 +199,7 @@ def test_of_many_subsets_those_of_whole_cameras_are_shown_until_somebody_asks(se
 
 def test_subsets_say_how_far_their_actions_are_apart():
     frame = frame_with(SetCamera("third_a", OFF))
-    action = frame.probe.readout.action
+    action = frame.world.probe.readout.action
     to_now, to_all = distances(frame, 3)
     assert to_now == pytest.approx(float(np.linalg.norm(action[3] - frame.action)))
     assert to_all == pytest.approx(float(np.linalg.norm(action[3] - action[0])))
@@ -222,8 +222,8 @@ def test_labels_and_squares():
 
 def test_a_machine_that_cannot_keep_up_says_so():
     playing = {"phase": "playing", "speed": 10.0}
-    kept = status_html(replace(frame_with(), rate=9.6, **playing))
-    behind = status_html(replace(frame_with(), rate=4.2, **playing))
+    kept = status_html(with_pace(frame_with(), rate=9.6, **playing))
+    behind = status_html(with_pace(frame_with(), rate=4.2, **playing))
     assert ">9.6/s<" in kept and ">4.2 of 10/s<" in behind
 
 
@@ -236,9 +236,9 @@ def test_a_policy_without_a_critic_has_no_value():
 def test_success_bars_tell_shipped_from_measured(server):
     rates = Rates(lambda spec: {"all": {"success": 0.94, "n": 100}})
     frame = frame_with(SetCamera("third_a", OFF))
-    assert rates.best(frame.policy, Setting("all")) == Rate(94, 100)
-    rates.add(frame.policy, frame.setting, {2000: True, 2001: False})
-    rates.add(frame.policy, frame.setting, {2001: False})
+    assert rates.best(frame.world.policy, Setting("all")) == Rate(94, 100)
+    rates.add(frame.world.policy, frame.setting, {2000: True, 2001: False})
+    rates.add(frame.world.policy, frame.setting, {2001: False})
     html = bars_html(frame, rates)
     assert "shipped 0.94 [0.88, 0.97], n=100; nothing measured here" in html
     assert "nothing shipped; measured here 0.50 [0.09, 0.91], n=2" in html
@@ -261,13 +261,13 @@ def test_rates_tell_their_listeners_only_news():
 def test_words_join_effect_and_success():
     frame = frame_with(SetCamera("third_a", OFF))
     rates = Rates(lambda spec: {"all": {"success": 0.94, "n": 100}})
-    assert frame.change is not None
-    line = sentence(frame.change, frame, rates)
+    assert frame.world.change is not None
+    line = sentence(frame.world.change, frame, rates)
     assert line.startswith("Third A dropped: action changed by ")
     assert line.endswith("; success so far 0.94 → not measured yet")
     outcomes = {seed: seed % 16 > 2 for seed in range(16)}
-    rates.add(frame.policy, frame.setting, outcomes)
-    assert sentence(frame.change, frame, rates).endswith("0.94 → 0.81 (n=16)")
+    rates.add(frame.world.policy, frame.setting, outcomes)
+    assert sentence(frame.world.change, frame, rates).endswith("0.94 → 0.81 (n=16)")
 
 
 def test_words_stay_until_something_else_happens(server):
@@ -328,7 +328,7 @@ def test_frusta_stand_where_the_cameras_are_and_dim_when_dropped(server):
     frame = frame_with(SetCamera("first", OFF))
     apply(panel.update(frame))
     first, third = (client.scene.find(f"/cameras/{name}") for name in ("first", "third_a"))
-    np.testing.assert_allclose(first.position, frame.poses["first"].position, atol=1e-6)
+    np.testing.assert_allclose(first.position, frame.world.poses["first"].position, atol=1e-6)
     assert first.color != third.color
     assert first.image is not None and np.ptp(first.image.astype(int), axis=2).max() == 0
     panel.remove()
@@ -349,7 +349,7 @@ def test_at_full_speed_frusta_change_one_picture_at_a_time(server):
         now[0] = float(second)
         drawn += pictures()
         assert pictures() == []  # At the same time there is nothing more to do.
-    assert sorted(drawn) == sorted(2 * [f"/cameras/{name}" for name in frame.poses])
+    assert sorted(drawn) == sorted(2 * [f"/cameras/{name}" for name in frame.world.poses])
     panel.remove()
 
 
@@ -371,7 +371,7 @@ def test_a_screen_keeps_its_element_and_feeds_it(server):
 
 def test_lines_of_sight_meet_on_the_table():
     frame = frame_with()
-    hand = frame.poses["first"].position[:2]
+    hand = frame.world.poses["first"].position[:2]
     middle = focus(frame)[:2]
     assert np.abs(middle).max() <= max(1.0, float(np.abs(hand).max()))
 

@@ -223,8 +223,8 @@ def test_a_panel_that_cannot_be_built_is_tried_once_and_said(monkeypatch):
         client = lobby.come(1)
         made[0].send(SetSpeed(None))
         await_that(lambda: bool(tries))
-        frames = getattr(made[0].latest, "number", 0)
-        await_that(lambda: getattr(made[0].latest, "number", 0) >= frames + 15)
+        frames = newest(made[0]).pace.number
+        await_that(lambda: newest(made[0]).pace.number >= frames + 15)
         assert len(tries) == 1
         assert "no such widget" in client.gui.html
 
@@ -234,7 +234,7 @@ def test_a_training_is_followed_while_the_episode_stands_still(monkeypatch):
     real = TrainingPanel.update
 
     def update(panel: TrainingPanel, frame: Frame):
-        looks.append(frame.number)
+        looks.append(frame.pace.number)
         return real(panel, frame)
 
     monkeypatch.setattr(TrainingPanel, "update", update)
@@ -272,6 +272,12 @@ def test_tables_make_way_for_somebody_who_has_touched_a_camera():
     refresh.again()
     refresh.update(frame, 11.0, lambda: False)
     assert (picture.updates, table.updates) == (2, 2)
+
+
+def newest(session: Session) -> Frame:
+    await_that(lambda: isinstance(session.latest, Frame))
+    assert isinstance(session.latest, Frame)
+    return session.latest
 
 
 def await_that(happened, patience: float = 20.0) -> None:

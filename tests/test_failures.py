@@ -41,7 +41,7 @@ def run(one: Session, ticks: int) -> list[Frame]:
     frames = []
     for _ in range(ticks):
         one.tick(0.0)
-        assert isinstance(one.latest, Frame) and not one.latest.error
+        assert isinstance(one.latest, Frame) and not one.latest.pace.error
         frames.append(one.latest)
     return frames
 
@@ -122,12 +122,14 @@ def test_cameras_that_come_back_do_so_before_others_fail() -> None:
 def test_a_session_obeys_at_the_step_itself() -> None:
     one = session()
     one.send(schedule("third_a@4-7", "first=noise:0.5@0-2"))
-    frames = {frame.step: frame for frame in run(one, 10)}
+    frames = {frame.world.step: frame for frame in run(one, 10)}
     assert [s for s, frame in frames.items() if frame.camera("third_a").input == "off"] == [4, 5, 6]
     assert frames[1].camera("first") == CameraState("rgb", Occlusion("noise", 0.5))
     assert frames[2].camera("first") == CameraState("rgb")
-    assert not np.array_equal(frames[1].arrived["first"], frames[1].views["first"].rgb)
-    np.testing.assert_array_equal(frames[2].arrived["first"], frames[2].views["first"].rgb)
+    assert not np.array_equal(frames[1].world.arrived["first"], frames[1].world.views["first"].rgb)
+    np.testing.assert_array_equal(
+        frames[2].world.arrived["first"], frames[2].world.views["first"].rgb
+    )
     assert frames[4].schedule == parse_schedule(["third_a@4-7", "first=noise:0.5@0-2"], CAMERAS)
 
 
@@ -136,7 +138,7 @@ def test_a_reset_begins_it_anew_with_all_its_cameras_intact() -> None:
     one.send(schedule("third_a@4"))
     run(one, 6)
     one.send(Reset())
-    frames = {frame.step: frame for frame in run(one, 8)}
+    frames = {frame.world.step: frame for frame in run(one, 8)}
     off = [step for step, frame in frames.items() if frame.camera("third_a").input == "off"]
     assert min(frames) <= 1 and off == [step for step in frames if step >= 4]
 
@@ -170,7 +172,7 @@ def test_an_unknown_camera_is_refused_and_the_old_schedule_stays() -> None:
     one.send(SetSchedule((Event(3, "fourth", dropped=True),)))
     one.tick(0.0)
     assert isinstance(one.latest, Frame)
-    assert one.latest.error.startswith("unknown camera 'fourth'")
+    assert one.latest.pace.error.startswith("unknown camera 'fourth'")
     assert one.latest.schedule == parse_schedule(["third_a@20"], CAMERAS)
 
 
@@ -180,7 +182,7 @@ def test_a_fork_before_a_failure_meets_it_again() -> None:
     run(one, 8)
     for command in (Pause(), Scrub(3), SetCamera("first", CameraState("off")), Play()):
         one.send(command)
-    frames = {frame.step: frame for frame in run(one, 5)}
+    frames = {frame.world.step: frame for frame in run(one, 5)}
     assert frames[4].camera("third_a").input == "rgb"
     assert frames[5].camera("third_a").input == "off"
 
@@ -222,7 +224,7 @@ def test_the_panel_starts_a_scenario_and_says_what_comes_next() -> None:
         assert "No failures" in panel.update(one.latest)[0].value
         panel._choice.value = "lens covered"
         panel.run()
-        frames = {frame.step: frame for frame in run(one, 10)}
+        frames = {frame.world.step: frame for frame in run(one, 10)}
         assert frames[4].camera("first").occlusion.kind == "none"
         assert frames[5].camera("first").occlusion.kind == "black"
         assert "First person is occluded" in failures_html(frames[4])

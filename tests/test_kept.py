@@ -147,7 +147,10 @@ def test_a_session_follows_a_kept_episode_then_is_the_visitors() -> None:
     session = Session(make_env, first, policies, speed=None, script=original)
     session.tick(0.0)
     assert session.tick(9.0) is None and isinstance(session.latest, Frame)
-    assert (session.latest.step, session.latest.phase) == (0, "paused")  # Nobody watches yet.
+    assert (session.latest.world.step, session.latest.pace.phase) == (
+        0,
+        "paused",
+    )  # Nobody watches yet.
     session.send(Play())
     for tick in range(original.steps + 1):
         session.tick(float(tick))

@@ -62,7 +62,7 @@ class Live(Session):
     @property
     def now(self) -> Frame:
         assert isinstance(self.latest, Frame)
-        assert not self.latest.error, self.latest.error
+        assert not self.latest.pace.error, self.latest.pace.error
         return self.latest
 
 
@@ -129,38 +129,40 @@ def test_a_move_is_seen_at_once_and_put_back_also_while_paused():
     live.steps(2)
     before = live.ask(Pause())
     frame = live.ask(ASIDE)
-    assert frame.step == before.step and frame.number > before.number
-    assert not np.array_equal(frame.arrived["third_a"], before.arrived["third_a"])
-    assert np.array_equal(frame.arrived["first"], before.arrived["first"])
+    assert frame.world.step == before.world.step and frame.pace.number > before.pace.number
+    assert not np.array_equal(frame.world.arrived["third_a"], before.world.arrived["third_a"])
+    assert np.array_equal(frame.world.arrived["first"], before.world.arrived["first"])
     assert not np.array_equal(frame.action, before.action)
-    shift = frame.poses["third_a"].position - before.poses["third_a"].position
+    shift = frame.world.poses["third_a"].position - before.world.poses["third_a"].position
     assert np.linalg.norm(shift) == pytest.approx(0.3)
     assert frame.setting.occlusions == "third_a:moved,right=0.3"
-    assert frame.change is not None
-    assert words(frame.change, frame.env).startswith("Third A moved: 0.30 m to the right: action")
+    assert frame.world.change is not None
+    assert words(frame.world.change, frame.world.env).startswith(
+        "Third A moved: 0.30 m to the right: action"
+    )
     back = live.ask(MoveCamera("third_a", None))
-    assert np.array_equal(back.arrived["third_a"], before.arrived["third_a"])
+    assert np.array_equal(back.world.arrived["third_a"], before.world.arrived["third_a"])
     assert np.array_equal(back.action, before.action)
-    assert back.change is not None and back.change.moved == "is back in its place"
+    assert back.world.change is not None and back.world.change.moved == "is back in its place"
 
 
 def test_a_moved_camera_stays_moved_over_steps_occlusions_and_resets():
     live = Live()
     live.ask(ASIDE, SetCamera("third_a", CameraState("rgb", Occlusion("patch"))))
     frame = live.steps(3)
-    assert frame.ablation.moves == {"third_a": ASIDE.move}
+    assert frame.world.ablation.moves == {"third_a": ASIDE.move}
     again = live.ask(Reset())
-    assert again.step == 0 and again.setting.occlusions.endswith("third_a:moved,right=0.3")
+    assert again.world.step == 0 and again.setting.occlusions.endswith("third_a:moved,right=0.3")
 
 
 def test_only_whole_episodes_under_one_place_count_for_it():
     live = Live()
     live.steps(3)
     live.ask(ASIDE)
-    first = live.steps(22).outcomes[-1]
+    first = live.steps(22).world.outcomes[-1]
     assert first.setting is None and first.cameras["third_a"] == "moved"
     live.ask(Reset())
-    second = live.steps(26).outcomes[-1]
+    second = live.steps(26).world.outcomes[-1]
     assert second.setting is not None and "third_a:moved" in second.setting.occlusions
 
 
@@ -171,16 +173,20 @@ def test_going_back_puts_cameras_where_they_were_then():
     live.ask(ASIDE)
     live.steps(4)
     then = live.ask(Scrub(3))
-    assert then.ablation.moves == {}
+    assert then.world.ablation.moves == {}
     forked = live.ask(Fork())
-    assert forked.step == 3 and forked.ablation.moves == {}
+    assert forked.world.step == 3 and forked.world.ablation.moves == {}
     again = live.steps(1)
-    assert again.step == 4 and np.array_equal(
-        again.views["third_a"].rgb, plain.views["third_a"].rgb
+    assert again.world.step == 4 and np.array_equal(
+        again.world.views["third_a"].rgb, plain.world.views["third_a"].rgb
     )
     assert np.array_equal(again.action, plain.action)
     moved = live.ask(Pause(), Scrub(2), ASIDE)  # Touching the past forks.
-    assert (moved.step, moved.past, moved.ablation.moves) == (2, False, {"third_a": ASIDE.move})
+    assert (moved.world.step, moved.past, moved.world.ablation.moves) == (
+        2,
+        False,
+        {"third_a": ASIDE.move},
+    )
 
 
 def test_a_moved_camera_is_kept_and_lives_again_to_the_bit():
@@ -217,23 +223,23 @@ def test_a_twin_begins_with_moved_cameras_and_another_policy_keeps_them():
     live = Live()
     frame = live.ask(ASIDE, SetTwin("toy-other", Ablation(moves={"third_a": RIGHT})))
     assert frame.twin is not None
-    assert np.array_equal(frame.twin.views["third_a"].rgb, frame.views["third_a"].rgb)
-    assert live.ask(SetPolicy("toy-rgbd")).ablation.moves == {"third_a": ASIDE.move}
+    assert np.array_equal(frame.twin.world.views["third_a"].rgb, frame.world.views["third_a"].rgb)
+    assert live.ask(SetPolicy("toy-rgbd")).world.ablation.moves == {"third_a": ASIDE.move}
 
 
 def test_of_many_moves_only_the_last_is_drawn():
     live = Live()
-    number = live.ask(Pause()).number
+    number = live.ask(Pause()).pace.number
     frame = live.ask(*(MoveCamera("first", Displacement(right=i / 100)) for i in range(1, 30)))
-    assert frame.number == number + 1
-    assert frame.ablation.moves["first"].right == pytest.approx(0.29)
+    assert frame.pace.number == number + 1
+    assert frame.world.ablation.moves["first"].right == pytest.approx(0.29)
 
 
 def test_an_unknown_camera_says_which_are_known():
     live = Live()
     live.send(MoveCamera("third_z", Displacement(right=0.1)))
     live.tick(0.0)
-    assert isinstance(live.latest, Frame) and "third_b" in live.latest.error
+    assert isinstance(live.latest, Frame) and "third_b" in live.latest.pace.error
 
 
 def test_the_panel_drags_is_not_pulled_back_and_puts_back():
@@ -276,7 +282,7 @@ def test_dragging_counts_along_the_axes_that_the_sliders_have(camera):
     live = Live()
     aside = Displacement(right=0.1, pan=30, tilt=-20, zoom=1.2)
     frame = live.ask(Pause(), MoveCamera(camera, aside))
-    pose, spec = frame.poses[camera], frame.env.camera(camera)
+    pose, spec = frame.world.poses[camera], frame.world.env.camera(camera)
     trained = Rotation.from_quat(spec.wxyz, scalar_first=True)
     axes = trained_axes(pose, aside)
     assert axes.as_matrix() == pytest.approx(trained.as_matrix(), abs=1e-9)
@@ -293,7 +299,7 @@ def test_dragging_counts_along_the_axes_that_the_sliders_have(camera):
 def test_turning_pans_and_tilts_and_leaves_the_picture_upright(camera):
     live = Live()
     aside = Displacement(right=0.1, pan=30, tilt=-20, zoom=1.2)
-    pose = live.ask(Pause(), MoveCamera(camera, aside)).poses[camera]
+    pose = live.ask(Pause(), MoveCamera(camera, aside)).world.poses[camera]
 
     def after(turn: Rotation, about_trained: bool = False) -> Displacement:
         now = Rotation.from_quat(pose.wxyz, scalar_first=True)
@@ -316,8 +322,8 @@ def test_where_a_camera_will_be_is_where_it_comes_to_be():
     live = Live()
     before = Displacement(right=0.1, pan=30, tilt=-20)
     after = Displacement(up=0.2, forward=-0.1, right=0.3, pan=-7, tilt=11)
-    pose = live.ask(Pause(), MoveCamera("third_a", before)).poses["third_a"]
-    there = live.ask(MoveCamera("third_a", after)).poses["third_a"]
+    pose = live.ask(Pause(), MoveCamera("third_a", before)).world.poses["third_a"]
+    there = live.ask(MoveCamera("third_a", after)).world.poses["third_a"]
     will = moved_on(pose, before, after)
     assert will.position == pytest.approx(there.position, abs=1e-6)
     assert abs(will.wxyz @ there.wxyz) == pytest.approx(1, abs=1e-9)
@@ -341,9 +347,9 @@ def test_arrows_stand_where_the_camera_does_unless_they_are_dragged(server):
     gizmo.camera = "third_a"
     apply(gizmo.update(live.ask(ASIDE)))
     assert handle.visible
-    assert handle.position == pytest.approx(live.now.poses["third_a"].position)
+    assert handle.position == pytest.approx(live.now.world.poses["third_a"].position)
     assert moved == []  # Our own assignments move nothing.
-    place = live.now.poses["third_a"].position + [0, 0, 0.1]
+    place = live.now.world.poses["third_a"].position + [0, 0, 0.1]
     handle.position = place
     drag(handle, "update")
     assert moved == [("third_a", Displacement(right=0.3, forward=-0.1))]
@@ -351,7 +357,7 @@ def test_arrows_stand_where_the_camera_does_unless_they_are_dragged(server):
     assert handle.position == pytest.approx(place)  # In a hand: not pulled back.
     drag(handle, "end")
     apply(gizmo.update(live.now))
-    assert handle.position == pytest.approx(live.now.poses["third_a"].position)
+    assert handle.position == pytest.approx(live.now.world.poses["third_a"].position)
     gizmo.remove()
 
 
@@ -361,7 +367,7 @@ def test_a_ring_turns_the_camera_and_on_release_stands_as_the_camera_does(server
     gizmo = Gizmo(scene, live.ask(Pause()), 1.0, lambda *said: moved.append(said))
     gizmo.camera = "third_a"
     apply(gizmo.update(live.ask(ASIDE)))
-    pose, handle = live.now.poses["third_a"], scene.find("/moved")
+    pose, handle = live.now.world.poses["third_a"], scene.find("/moved")
     before = Rotation.from_quat(pose.wxyz, scalar_first=True)
 
     def hear(phase: str, axes: Rotation) -> None:

@@ -56,10 +56,10 @@ def written(path: Path, steps: int | None = None, setting: str = "toy-mad") -> l
 
 def test_frames_are_one_for_every_step_after_what_came_by_itself() -> None:
     episode = lived(12)
-    assert [frame.step for frame in episode] == list(range(13))
-    off = [frame.step for frame in episode if frame.camera("third_a").input == "off"]
+    assert [frame.world.step for frame in episode] == list(range(13))
+    off = [frame.world.step for frame in episode if frame.camera("third_a").input == "off"]
     assert off == [3, 4, 5, 6, 7]
-    assert [frame.step for frame in lived(None)] == list(range(26))
+    assert [frame.world.step for frame in lived(None)] == list(range(26))
 
 
 def test_a_policy_that_breaks_is_one_line() -> None:
@@ -120,19 +120,21 @@ def test_a_rerun_file_holds_every_step(tmp_path: Path) -> None:
     for name in ("features/norm", "features/cosine", "value/q", "reward", "success", "action"):
         assert sorted(read[f"/{name}"]) == list(range(26)), name
     for frame in episode:
-        assert read["/mask"][frame.step] == frame.mask.astype(float).tolist()
-        np.testing.assert_allclose(read["/value/q"][frame.step], [frame.q])
-        np.testing.assert_allclose(read["/features/norm"][frame.step][:3], frame.probe.norms)
-        np.testing.assert_allclose(read["/action"][frame.step], frame.action)
+        assert read["/mask"][frame.world.step] == frame.mask.astype(float).tolist()
+        np.testing.assert_allclose(read["/value/q"][frame.world.step], [frame.q])
+        np.testing.assert_allclose(
+            read["/features/norm"][frame.world.step][:3], frame.world.probe.norms
+        )
+        np.testing.assert_allclose(read["/action"][frame.world.step], frame.action)
     for camera in CAMERAS:
         assert len(read[f"/world/cameras/{camera}"]) == 26
     decoded = decode(read["/world/cameras/first/picture"][0])
-    assert np.abs(decoded - episode[0].arrived["first"]).mean() < 6
+    assert np.abs(decoded - episode[0].world.arrived["first"]).mean() < 6
     assert decode(read["/world/cameras/first/picture"][6]).max() < 8
     for camera in CAMERAS:  # A frustum of another size shows one giant pixel.
         entity = f"/world/cameras/{camera}"
         assert first_of(path, entity, ":resolution")[0] == [84, 84]
-        half = np.tan(np.radians(episode[0].poses[camera].fovy) / 2)
+        half = np.tan(np.radians(episode[0].world.poses[camera].fovy) / 2)
         focal = first_of(path, entity, ":image_from_camera")[0][0]
         assert focal == pytest.approx(42 / half, rel=1e-5)
     assert "/about" in read
@@ -216,7 +218,7 @@ def test_a_report_needs_nothing_else(tmp_path: Path) -> None:
     assert not re.search(r"url\(|@import", text)
     assert "madviz record <script>alert(1)</script>" in page.text
     last = episode[-1]
-    assert ("SUCCESS" if last.success else "FAIL") in page.text
+    assert ("SUCCESS" if last.world.success else "FAIL") in page.text
     for words in (
         "third_a@3-8, first=black@5",
         "seed",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
-from dataclasses import replace
 from io import BytesIO
 from types import SimpleNamespace
 
@@ -28,6 +27,7 @@ from madviz.session.session import Session
 from madviz.types import Body, CameraPose
 from tests.fakes import FakePolicy, policies
 from tests.pages import browser
+from tests.sessions import with_world
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_only_what_moved_is_sent_again(server):
     stage.now = 2.0
     assert stage.moved() == ["/bodies/hand", "/cameras/first"]
     hand = stage.nodes.find("/bodies/hand")
-    np.testing.assert_allclose(hand.position, stage.frame.body_poses[1, :3], atol=1e-6)
+    np.testing.assert_allclose(hand.position, stage.frame.world.body_poses[1, :3], atol=1e-6)
     stage.now = 3.0
     assert stage.moved() == []
     stage.panel.remove()
@@ -102,7 +102,7 @@ def test_what_stands_still_is_shown_as_it_is_at_once(server):
     stage.after()
     assert stage.moved()
     stage.after(Pause(), StepOnce())
-    assert stage.frame.phase == "paused"
+    assert stage.frame.pace.phase == "paused"
     changes = stage.panel.update(stage.frame)
     assert "/bodies/hand" in [c.handle.name for c in changes if c.name == "position"]
     assert sum(change.name == "image" for change in changes) == 3
@@ -117,7 +117,7 @@ def test_another_episode_may_hold_other_bodies(server):
     ball = Body("ball", (shapes.part(shapes.sphere(np.ones(3)), np.ones(3)),))
     pose = np.array([[1, 2, 3, 1, 0, 0, 0]], np.float32)
     stage.now = 1.0
-    apply(stage.panel.update(replace(stage.frame, bodies=(ball,), body_poses=pose)))
+    apply(stage.panel.update(with_world(stage.frame, bodies=(ball,), body_poses=pose)))
     (handle,) = (one for one in stage.nodes.present if one.name.startswith("/bodies/"))
     assert handle.name == "/bodies/ball" and handle.name not in old
     np.testing.assert_allclose(handle.position, [1, 2, 3])
@@ -127,7 +127,7 @@ def test_another_episode_may_hold_other_bodies(server):
 def test_a_frustum_goes_where_its_camera_was_put(server):
     stage = Stage(server)
     elsewhere = CameraPose(np.array([1.0, 1.0, 1.0]), np.array([0.0, 1.0, 0.0, 0.0]), 20.0)
-    frame = replace(stage.frame, poses={**stage.frame.poses, "third_b": elsewhere})
+    frame = with_world(stage.frame, poses={**stage.frame.world.poses, "third_b": elsewhere})
     frustum = stage.nodes.find("/cameras/third_b")
     before = frustum.scale
     stage.now = 1.0
@@ -142,7 +142,9 @@ def test_occluded_pictures_have_a_striped_frame_and_dropped_ones_are_dim(server)
     plain = picture(stage.frame, "first")
     stage.after(Pause(), SetCamera("first", CameraState("rgb", Occlusion("freeze"))))
     frozen = picture(stage.frame, "first")
-    np.testing.assert_array_equal(frozen[7:-7, 7:-7], stage.frame.arrived["first"][7:-7, 7:-7])
+    np.testing.assert_array_equal(
+        frozen[7:-7, 7:-7], stage.frame.world.arrived["first"][7:-7, 7:-7]
+    )
     assert np.ptp(frozen[0, :, 0].astype(int)) > 150 and np.ptp(plain[0, :, 0].astype(int)) < 150
     stage.after(SetCamera("first", CameraState("off", Occlusion("freeze"))))
     dropped = picture(stage.frame, "first").astype(int)
@@ -241,8 +243,8 @@ def test_the_first_place_has_cameras_apart_and_pictures_the_right_way_round():
     FittedView(camera, *first_view(frame))
     ahead = camera.look_at - camera.position
     for name in ("third_a", "third_b"):
-        _, x, y, z = frame.poses[name].wxyz
-        w = frame.poses[name].wxyz[0]
+        _, x, y, z = frame.world.poses[name].wxyz
+        w = frame.world.poses[name].wxyz[0]
         looks = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
         assert looks @ ahead > 0.2 * np.linalg.norm(ahead), name
     env.close()

@@ -23,108 +23,114 @@ from madviz.session.session import FIRST_SEED, HOLD
 from tests.sessions import BLACK, OFF, Recorder
 
 
-def test_first_tick_starts_an_episode(session):
+def test_first_tick_starts_an_episode(session: Recorder):
     frame = session.frames[-1]
-    assert (frame.seed, frame.step, frame.episode, frame.phase) == (FIRST_SEED, 0, 1, "playing")
-    assert set(frame.views) == {"first", "third_a", "third_b"}
-    assert frame.probe.masks.shape == (8, 3)
+    assert (frame.world.seed, frame.world.step, frame.world.episode, frame.pace.phase) == (
+        FIRST_SEED,
+        0,
+        1,
+        "playing",
+    )
+    assert set(frame.world.views) == {"first", "third_a", "third_b"}
+    assert frame.world.probe.masks.shape == (8, 3)
     assert frame.setting.subset == "all"
 
 
-def test_steps_come_at_the_asked_pace(session):
+def test_steps_come_at_the_asked_pace(session: Recorder):
     assert session.at(0.05) == pytest.approx(0.1)
-    assert session.frames[-1].step == 0
+    assert session.frames[-1].world.step == 0
     assert session.at(0.1) == pytest.approx(0.2)
-    assert session.frames[-1].step == 1
+    assert session.frames[-1].world.step == 1
 
 
-def test_achieved_rate_is_measured(session):
+def test_achieved_rate_is_measured(session: Recorder):
     session.ask(SetSpeed(8.0))  # Eighths of a second are exact in binary.
     for eighth in range(10):
         session.at(eighth / 8)
-    assert session.frames[-1].rate == pytest.approx(8)
+    assert session.frames[-1].pace.rate == pytest.approx(8)
     assert not session.frames[-1].behind
 
 
-def test_a_slow_machine_is_called_behind_and_its_debt_is_forgiven(session):
+def test_a_slow_machine_is_called_behind_and_its_debt_is_forgiven(session: Recorder):
     for quarter in range(1, 10):
         due = session.at(quarter / 4)
-    assert session.frames[-1].rate == pytest.approx(4)
+    assert session.frames[-1].pace.rate == pytest.approx(4)
     assert session.frames[-1].behind
     assert due == pytest.approx(9 / 4)
-    assert session.frames[-1].step == 9
+    assert session.frames[-1].world.step == 9
 
 
-def test_an_ended_episode_holds_then_the_next_seed_starts(session):
+def test_an_ended_episode_holds_then_the_next_seed_starts(session: Recorder):
     frame = session.steps(25)
-    assert (frame.phase, frame.step, frame.ended) == ("ended", 25, True)
+    assert (frame.pace.phase, frame.world.step, frame.ended) == ("ended", 25, True)
     assert session.at(session.time + HOLD / 2) == pytest.approx(session.time + HOLD / 2)
-    assert session.frames[-1].step == 25
+    assert session.frames[-1].world.step == 25
     session.at(session.time + HOLD)
-    assert (session.frames[-1].seed, session.frames[-1].step) == (FIRST_SEED + 1, 0)
-    outcome = session.frames[-1].outcomes[0]
+    assert (session.frames[-1].world.seed, session.frames[-1].world.step) == (FIRST_SEED + 1, 0)
+    outcome = session.frames[-1].world.outcomes[0]
     assert outcome.seed == FIRST_SEED
     assert outcome.setting is not None and outcome.setting.subset == "all"
     assert set(outcome.cameras.values()) == {""}
 
 
-def test_without_auto_next_an_ended_episode_stays_until_asked(session):
+def test_without_auto_next_an_ended_episode_stays_until_asked(session: Recorder):
     session.ask(SetAutoNext(False))
     session.steps(25)
     assert session.at(1000.0) is None
-    assert session.frames[-1].phase == "ended"
-    assert session.ask(Reset()).seed == FIRST_SEED
-    assert session.frames[-1].phase == "playing"
+    assert session.frames[-1].pace.phase == "ended"
+    assert session.ask(Reset()).world.seed == FIRST_SEED
+    assert session.frames[-1].pace.phase == "playing"
     session.steps(25)
-    assert session.ask(Play()).seed == FIRST_SEED + 1
+    assert session.ask(Play()).world.seed == FIRST_SEED + 1
 
 
-def test_pause_step_and_seed(session):
-    assert session.ask(Pause()).phase == "paused"
+def test_pause_step_and_seed(session: Recorder):
+    assert session.ask(Pause()).pace.phase == "paused"
     assert session.at(9.0) is None
-    assert session.ask(StepOnce()).step == 1
-    assert session.frames[-1].phase == "paused"
-    assert session.ask(SetSeed(7)).seed == 7
-    assert session.ask(Play()).phase == "playing"
-    assert session.ask(Reset(next_seed=True)).seed == 8
+    assert session.ask(StepOnce()).world.step == 1
+    assert session.frames[-1].pace.phase == "paused"
+    assert session.ask(SetSeed(7)).world.seed == 7
+    assert session.ask(Play()).pace.phase == "playing"
+    assert session.ask(Reset(next_seed=True)).world.seed == 8
 
 
-def test_pause_holds_an_ended_episode(session):
+def test_pause_holds_an_ended_episode(session: Recorder):
     session.steps(25)
-    assert session.ask(Pause()).phase == "paused"
+    assert session.ask(Pause()).pace.phase == "paused"
     assert session.at(session.time + 10 * HOLD) is None
     assert session.frames[-1].ended
-    assert session.ask(Play()).seed == FIRST_SEED + 1
-    assert session.frames[-1].phase == "playing"
+    assert session.ask(Play()).world.seed == FIRST_SEED + 1
+    assert session.frames[-1].pace.phase == "playing"
 
 
-def test_a_dropped_camera_leaves_the_sum_at_once(session):
+def test_a_dropped_camera_leaves_the_sum_at_once(session: Recorder):
     session.steps(3)
     before = session.frames[-1]
     after = session.ask(SetCamera("third_a", OFF))
-    assert after.step == before.step and after.number > before.number
+    assert after.world.step == before.world.step and after.pace.number > before.pace.number
     assert after.setting.subset == "first+third_b"
-    kept = after.probe.features[[0, 2]].sum(0)
-    np.testing.assert_allclose(after.probe.readout.merged[after.row], kept, rtol=1e-5)
-    np.testing.assert_array_equal(after.arrived["third_a"], before.arrived["third_a"])
-    change = after.change
+    kept = after.world.probe.features[[0, 2]].sum(0)
+    np.testing.assert_allclose(after.world.probe.readout.merged[after.row], kept, rtol=1e-5)
+    np.testing.assert_array_equal(after.world.arrived["third_a"], before.world.arrived["third_a"])
+    change = after.world.change
     assert change is not None
     assert change.action_change == pytest.approx(
         float(np.linalg.norm(after.action - before.action))
     )
-    assert words(change, after.env).startswith("Third A dropped: action changed by ")
+    assert words(change, after.world.env).startswith("Third A dropped: action changed by ")
     session.steps(1)
     assert not session.frames[-1].mask[1]
 
 
-def test_black_is_not_dropped(session):
+def test_black_is_not_dropped(session: Recorder):
     dropped = session.ask(SetCamera("third_a", OFF))
     session.ask(SetCamera("third_a", CameraState("rgb")))
     black = session.ask(SetCamera("third_a", BLACK))
     assert black.setting.subset == "all" and "third_a:black" in black.setting.occlusions
-    assert (black.arrived["third_a"] == 0).all()
-    assert dropped.arrived["third_a"].any()
-    assert "sends black" in words(black.change, black.env)
+    assert (black.world.arrived["third_a"] == 0).all()
+    assert dropped.world.arrived["third_a"].any()
+    assert black.world.change is not None
+    assert "sends black" in words(black.world.change, black.world.env)
 
 
 def test_camera_commands_are_served_between_renders():
@@ -142,11 +148,11 @@ def test_camera_commands_are_served_between_renders():
     session.at(0.0)
     session.at(0.1)
     preview, arrived = session.frames[-2:]
-    assert (preview.step, preview.setting.subset) == (0, "third_a+third_b")
-    assert (arrived.step, arrived.setting.subset) == (1, "third_a+third_b")
-    assert arrived.phase == "playing"
+    assert (preview.world.step, preview.setting.subset) == (0, "third_a+third_b")
+    assert (arrived.world.step, arrived.setting.subset) == (1, "third_a+third_b")
+    assert arrived.pace.phase == "playing"
     session.at(0.11)
-    assert session.frames[-1].phase == "paused"
+    assert session.frames[-1].pace.phase == "paused"
 
 
 def test_a_preview_leaves_no_trace_in_what_the_policy_gets():
@@ -169,7 +175,7 @@ def test_a_preview_leaves_no_trace_in_what_the_policy_gets():
     late.ask(SetCamera("first", BLACK))
     for _ in range(4):
         left, right = early.steps(1), late.steps(1)
-        np.testing.assert_array_equal(left.probe.features, right.probe.features)
+        np.testing.assert_array_equal(left.world.probe.features, right.world.probe.features)
         np.testing.assert_array_equal(left.action, right.action)
 
 
@@ -187,28 +193,28 @@ def test_same_seed_and_commands_give_the_same_episode():
 
     for left, right in zip(episode(), episode(), strict=True):
         np.testing.assert_array_equal(left.action, right.action)
-        np.testing.assert_array_equal(left.arrived["third_b"], right.arrived["third_b"])
+        np.testing.assert_array_equal(left.world.arrived["third_b"], right.world.arrived["third_b"])
 
 
-def test_outcomes_remember_what_was_wrong(session):
+def test_outcomes_remember_what_was_wrong(session: Recorder):
     session.ask(SetSpeed(None), SetCamera("first", OFF))
     session.steps(3)
     session.ask(SetCamera("first", CameraState("rgb")), SetCamera("third_b", BLACK))
     session.steps(30)
-    outcome = session.frames[-1].outcomes[0]
+    outcome = session.frames[-1].world.outcomes[0]
     assert outcome.cameras == {"first": "off", "third_a": "", "third_b": "occluded"}
     assert outcome.setting is None
 
 
-def test_nan_action_pauses_with_a_traceback_and_reset_recovers(session):
+def test_nan_action_pauses_with_a_traceback_and_reset_recovers(session: Recorder):
     session.ask(SetPolicy("toy-nan"))
     session.ask(SetCamera("first", OFF), SetCamera("third_a", OFF))
-    assert not session.frames[-1].error
+    assert not session.frames[-1].pace.error
     broken = session.steps(1)
-    assert broken.phase == "paused"
-    assert "finite action" in broken.error and "Traceback" in broken.error
+    assert broken.pace.phase == "paused"
+    assert "finite action" in broken.pace.error and "Traceback" in broken.pace.error
     assert session.at(session.time + 5) is None
     session.ask(SetCamera("first", CameraState("rgb")))
     well = session.ask(Reset())
-    assert (well.error, well.phase, well.step) == ("", "playing", 0)
-    assert session.steps(2).step == 2
+    assert (well.pace.error, well.pace.phase, well.world.step) == ("", "playing", 0)
+    assert session.steps(2).world.step == 2

@@ -34,35 +34,35 @@ def test_a_policy_that_needs_every_stream_says_so():
     session.at(0.0)
     session.ask(SetCamera("first", OFF))
     assert np.isnan(session.frames[-1].action).all()
-    assert "cannot act on 'third_a+third_b'" in session.steps(1).error
+    assert "cannot act on 'third_a+third_b'" in session.steps(1).pace.error
     session.ask(SetCamera("first", CameraState("rgb")), Play())
-    assert session.steps(1).error == ""
+    assert session.steps(1).pace.error == ""
 
 
-def test_policies_swap_in_mid_episode_and_camera_settings_stay(session):
+def test_policies_swap_in_mid_episode_and_camera_settings_stay(session: Recorder):
     session.ask(SetCamera("third_a", OFF))
     before = session.steps(5)
     after = session.ask(SetPolicy("toy-other"))
-    assert (after.policy.name, after.step) == ("toy-other", before.step)
+    assert (after.world.policy.name, after.world.step) == ("toy-other", before.world.step)
     assert after.setting.subset == "first+third_b"
-    np.testing.assert_array_equal(after.arrived["first"], before.arrived["first"])
+    np.testing.assert_array_equal(after.world.arrived["first"], before.world.arrived["first"])
     six = session.ask(SetPolicy("toy-rgbd"))
-    assert six.probe.masks.shape == (64, 6)
+    assert six.world.probe.masks.shape == (64, 6)
     assert six.setting.subset == "first+third_b"
-    assert session.steps(2).step == before.step + 2
+    assert session.steps(2).world.step == before.world.step + 2
 
 
-def test_an_unknown_policy_leaves_the_old_one(session):
+def test_an_unknown_policy_leaves_the_old_one(session: Recorder):
     frame = session.ask(SetPolicy("nonsense"))
-    assert frame.policy.name == "toy-mad" and "nonsense" in frame.error
-    assert session.ask(Play()).error == ""
+    assert frame.world.policy.name == "toy-mad" and "nonsense" in frame.pace.error
+    assert session.ask(Play()).pace.error == ""
 
 
 def test_a_policy_may_come_by_its_name():
     session = Recorder("toy-other")
     assert session.latest is None
     session.at(0.0)
-    assert session.frames[-1].policy.name == "toy-other"
+    assert session.frames[-1].world.policy.name == "toy-other"
 
 
 def test_a_name_that_nobody_knows_is_said_and_another_policy_helps():
@@ -70,7 +70,7 @@ def test_a_name_that_nobody_knows_is_said_and_another_policy_helps():
     session.at(0.0)
     assert isinstance(session.latest, Failure) and "unknown policy" in session.latest.error
     session.ask(SetPolicy("toy-other"))
-    assert session.frames[-1].policy.name == "toy-other"
+    assert session.frames[-1].world.policy.name == "toy-other"
 
 
 def test_a_policy_of_another_world_is_refused_and_the_old_one_stays():
@@ -84,8 +84,8 @@ def test_a_policy_of_another_world_is_refused_and_the_old_one_stays():
     session._stage._load = odd
     for command in (SetPolicy("toy-other"), SetTwin("toy-other")):
         frame = session.ask(command)
-        assert "state numbers = 24, this environment has 6" in frame.error
-        assert frame.policy.name == "toy-mad" and frame.twin is None
+        assert "state numbers = 24, this environment has 6" in frame.pace.error
+        assert frame.world.policy.name == "toy-mad" and frame.twin is None
 
 
 def test_a_swapped_policy_gets_the_past_it_would_have_had():
@@ -103,7 +103,7 @@ def test_a_swapped_policy_gets_the_past_it_would_have_had():
             simulation.step(lambda: None)
     after = swapped.ask(SetPolicy("toy-rgbd"))
     expected = fresh.ask(Pause())
-    np.testing.assert_array_equal(after.probe.features, expected.probe.features)
+    np.testing.assert_array_equal(after.world.probe.features, expected.world.probe.features)
 
 
 def test_a_simulator_that_cannot_start_is_reported_and_can_be_retried():
@@ -119,13 +119,13 @@ def test_a_simulator_that_cannot_start_is_reported_and_can_be_retried():
     assert session.at(0.0) is None
     assert isinstance(session.latest, Failure) and "no OpenGL here" in session.latest.error
     assert session.at(1.0) is None and len(attempts) == 1
-    assert session.ask(Play()).step == 0
+    assert session.ask(Play()).world.step == 0
 
 
-def test_unknown_camera_is_an_error_the_page_survives(session):
+def test_unknown_camera_is_an_error_the_page_survives(session: Recorder):
     frame = session.ask(SetCamera("fourth", OFF))
-    assert "unknown camera 'fourth'" in frame.error
-    assert session.ask(Play()).error == ""
+    assert "unknown camera 'fourth'" in frame.pace.error
+    assert session.ask(Play()).pace.error == ""
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, 1e9, float("nan")])

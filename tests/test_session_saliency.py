@@ -91,7 +91,7 @@ def test_at_once_while_it_stands_and_after_the_toggle_itself(clocked: Clocked) -
     clocked.look()
     clocked.tick(0.0, Pause())
     clocked.tick(0.0, SetCamera("first", CameraState("off")))
-    toggled, looked = [frame for frame in clocked.frames if frame.change is not None]
+    toggled, looked = [frame for frame in clocked.frames if frame.world.change is not None]
     assert not toggled.mask[0] and looked.saliency is not None
     assert np.ptp(looked.saliency["first"]) == 0 < np.ptp(looked.saliency["third_a"])
 
@@ -106,7 +106,7 @@ def test_never_at_full_speed(clocked: Clocked) -> None:
 def test_another_episode_begins_with_a_map_of_its_own(clocked: Clocked) -> None:
     before = clocked.look().saliency
     clocked.tick(0.1, Reset(next_seed=True))
-    started, looked = [frame for frame in clocked.frames if frame.episode == 2]
+    started, looked = [frame for frame in clocked.frames if frame.world.episode == 2]
     assert started.saliency is None and looked.saliency is not before
     assert looked.saliency is not None
 
@@ -114,7 +114,7 @@ def test_another_episode_begins_with_a_map_of_its_own(clocked: Clocked) -> None:
 def test_a_policy_without_torch_has_none_and_nothing_breaks(clocked: Clocked) -> None:
     clocked.look()
     frame = clocked.tick(1.0, SetPolicy("toy-mad"))
-    assert frame.saliency is None and not frame.error
+    assert frame.saliency is None and not frame.pace.error
     assert clocked.tick(1.0).saliency is None
 
 

@@ -98,12 +98,14 @@ def test_watchers_see_the_drawing_without_controls(server) -> None:
 def test_many_streams_keep_rounded_merged_features_and_exact_actions() -> None:
     play = Played("toy-rgbd")
     before = play(4)
-    assert len(before.probe.masks) > MOST_ROWS
+    assert len(before.world.probe.masks) > MOST_ROWS
     then = play(2, Scrub(4))
-    assert then.probe.readout.merged.dtype == np.float16
+    assert then.world.probe.readout.merged.dtype == np.float16
     np.testing.assert_array_equal(then.action, before.action)
     np.testing.assert_allclose(
-        then.probe.merged_norm(then.row), before.probe.merged_norm(before.row), rtol=1e-3
+        then.world.probe.merged_norm(then.row),
+        before.world.probe.merged_norm(before.row),
+        rtol=1e-3,
     )
 
 
@@ -123,13 +125,13 @@ def test_a_simulator_that_does_not_repeat_itself_is_found_out() -> None:
             return self._env.reset(seed + 100 * self._resets)
 
     frame = Played(factory=Drifting)(4, Scrub(1), Fork())
-    assert frame.error.startswith("expected toy/reach to repeat seed")
-    assert frame.phase == "paused"
+    assert frame.pace.error.startswith("expected toy/reach to repeat seed")
+    assert frame.pace.phase == "paused"
 
 
 def test_policies_may_be_swapped_in_the_past() -> None:
     play = Played()
     play(6)
     frame = play(Scrub(3), SetPolicy("toy-other"))
-    assert (frame.step, frame.policy.name) == (3, "toy-other")
-    assert frame.branch is not None and frame.branch.frame.policy.name == "toy-mad"
+    assert (frame.world.step, frame.world.policy.name) == (3, "toy-other")
+    assert frame.branch is not None and frame.branch.frame.world.policy.name == "toy-mad"

@@ -36,7 +36,7 @@ class Table:
         self.now += 1.0
         self.session.tick(self.now)
         latest = self.session.latest
-        assert isinstance(latest, Frame) and not latest.error
+        assert isinstance(latest, Frame) and not latest.pace.error
         return latest
 
     @property
@@ -83,10 +83,12 @@ def test_every_step_does_what_it_says(table: Table, server: viser.ViserServer):
     assert settings[1] == "first+third_b"
     assert settings[3].startswith("all · third_b:black")
     assert settings[4] == settings[5] == settings[6] == "first"
-    assert [frame.policy.method for frame in seen] == ["mad"] * 5 + ["merged-only"] * 2 + ["mad"]
-    assert seen[6].past and seen[6].phase == "paused"
+    assert [frame.world.policy.method for frame in seen] == ["mad"] * 5 + ["merged-only"] * 2 + [
+        "mad"
+    ]
+    assert seen[6].past and seen[6].pace.phase == "paused"
     assert not client.notes
-    assert not seen[7].past and seen[7].phase == "playing" and seen[7].branch is None
+    assert not seen[7].past and seen[7].pace.phase == "playing" and seen[7].branch is None
 
 
 def test_whenever_it_is_left_all_is_as_before(table: Table, server: viser.ViserServer):
@@ -103,12 +105,14 @@ def test_whenever_it_is_left_all_is_as_before(table: Table, server: viser.ViserS
         tour.end()
         frame = table.tick()
         assert frame.camera("third_a") == before and frame.camera("first").input == "rgb"
-        assert frame.policy.name == "toy-mad-light" and frame.speed == 20.0
-        assert frame.phase == "playing" and not frame.past
+        assert frame.world.policy.name == "toy-mad-light" and frame.pace.speed == 20.0
+        assert frame.pace.phase == "playing" and not frame.past
         tour.end()  # Twice does no harm.
 
 
-def test_a_tour_clicked_through_fast_brings_the_policy_back(table: Table, server: viser.ViserServer):
+def test_a_tour_clicked_through_fast_brings_the_policy_back(
+    table: Table, server: viser.ViserServer
+):
     sent: list = []
     still = table.frame  # The page's newest frame does not move meanwhile.
     tour = Tour(browser(server), sent.append, lambda: still, CHOICES, [])

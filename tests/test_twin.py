@@ -21,17 +21,17 @@ FIRST_OFF = Ablation({"first": OFF})
 def test_both_sides_play_the_same_seed_step_by_step() -> None:
     play = Played()
     frame = play(3, SetTwin("toy-mad"))
-    assert frame.twin is not None and (frame.step, frame.twin.step) == (0, 0)
+    assert frame.twin is not None and (frame.world.step, frame.twin.world.step) == (0, 0)
     for _ in range(5):
         frame = play(1)
-        assert frame.twin is not None and frame.twin.step == frame.step
+        assert frame.twin is not None and frame.twin.world.step == frame.world.step
         np.testing.assert_array_equal(frame.twin.action, frame.action)
     frame = play(20)
     assert frame.ended and len(frame.pairs) == 1
     assert frame.pairs[0].first.success == frame.pairs[0].second.success
     play(2)  # The page holds an ended episode for two seconds.
     frame = play(1)
-    assert frame.twin is not None and frame.seed == frame.twin.seed
+    assert frame.twin is not None and frame.world.seed == frame.twin.world.seed
 
 
 def test_what_happens_to_a_does_not_happen_to_b() -> None:
@@ -39,7 +39,10 @@ def test_what_happens_to_a_does_not_happen_to_b() -> None:
     frame = play(SetTwin("toy-other", FIRST_OFF), 2, SetCamera("third_a", OFF), 1)
     assert frame.twin is not None
     assert frame.setting.subset == "first+third_b"
-    assert (frame.twin.policy.name, frame.twin.setting.subset) == ("toy-other", "third_a+third_b")
+    assert (frame.twin.world.policy.name, frame.twin.setting.subset) == (
+        "toy-other",
+        "third_a+third_b",
+    )
     assert not np.array_equal(frame.twin.action, frame.action)
 
 
@@ -65,7 +68,7 @@ def test_a_policy_of_another_task_has_nothing_to_compare(monkeypatch) -> None:
     stranger = FakePolicy("stranger", task="metaworld/hammer")
     monkeypatch.setattr(play.session._stage, "_load", lambda name: stranger)
     frame = play(SetTwin("stranger"))
-    assert frame.error.startswith("expected a policy for toy/reach") and frame.twin is None
+    assert frame.pace.error.startswith("expected a policy for toy/reach") and frame.twin is None
 
 
 def test_the_tally_counts_each_seed_once_and_one_comparison_only() -> None:

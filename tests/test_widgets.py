@@ -55,10 +55,10 @@ def switch(explorer: Explorer, camera: str):
 
 
 def test_it_waits_at_the_start_and_steps_when_told(explorer: Explorer) -> None:
-    assert (explorer.frame.step, explorer.frame.phase) == (0, "paused")
+    assert (explorer.frame.world.step, explorer.frame.pace.phase) == (0, "paused")
     assert explorer._play.description == "Play"
     explorer.step(3)
-    assert explorer.frame.step == 3
+    assert explorer.frame.world.step == 3
     until(lambda: "decision 3 of 25" in explorer._words.value)
 
 
@@ -80,7 +80,7 @@ def test_a_click_takes_a_camera_away_in_the_same_picture(explorer: Explorer) -> 
 def test_an_occlusion_is_no_drop(explorer: Explorer) -> None:
     switch(explorer, "third_b")[1].value = "black"
     until(lambda: "sends black" in explorer._words.value)
-    assert explorer.frame.mask.all() and explorer.frame.arrived["third_b"].max() == 0
+    assert explorer.frame.mask.all() and explorer.frame.world.arrived["third_b"].max() == 0
 
 
 def test_cells_can_do_what_clicks_do(explorer: Explorer) -> None:

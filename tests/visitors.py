@@ -19,6 +19,7 @@ from madviz.session.commands import (
     SetPolicy,
     SetSchedule,
 )
+from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.session.session_file import KeptPolicy, KeptSession
 from madviz.types import CameraSpec, Policy, View
@@ -91,7 +92,7 @@ def lived(seed: int, steps: int) -> KeptSession:
 
     for tick in range(steps):
         world[-1].meanwhile = meanwhile
-        step = getattr(session.latest, "step", 0)
+        step = session.latest.world.step if isinstance(session.latest, Frame) else 0
         for _ in range(int(rng.integers(3))):
             session.send(random_command(rng, step))
         session.send(Play())

@@ -29,7 +29,7 @@ class Keys:
         """``send`` is None for a visitor who only watches, and has none."""
         self._newest = newest
         self._send: Callable[[Command], None] = send or (lambda command: None)
-        self._cameras, self._watches = frame.env.cameras, send is None
+        self._cameras, self._watches = frame.world.env.cameras, send is None
 
     @property
     def table(self) -> list[tuple[str, str, Callable[[], None]]]:
@@ -64,11 +64,11 @@ class Keys:
         frame = self._newest()
         if isinstance(frame, Frame):
             state = frame.camera(camera)
-            back = untouched(frame.policy).input
+            back = untouched(frame.world.policy).input
             switch = back if state.input == "off" else "off"
             self._send(SetCamera(camera, CameraState(switch, state.occlusion)))
 
     def _play_or_pause(self) -> None:
         frame = self._newest()
-        playing = isinstance(frame, Frame) and frame.phase == "playing"
+        playing = isinstance(frame, Frame) and frame.pace.phase == "playing"
         self._send(Pause() if playing else Play())

@@ -69,7 +69,7 @@ class Page:
         """Takes a frame, from any thread; an older one that was not shown yet is left out. If it is
         the first one since its visitor touched a camera, it is on its way before this returns."""
         self._newest = frame
-        change = frame.change if isinstance(frame, Frame) else None
+        change = frame.world.change if isinstance(frame, Frame) else None
         fresh = change is not None and change is not self._expected and not self._readonly
         self._expected = change
         if fresh and self._panels is not None:
@@ -154,7 +154,7 @@ class Page:
         if isinstance(frame, Failure):
             self._waiting.content = waiting_html("The simulator could not start.", frame.error)
             return None
-        wanted = (frame.env.task, frame.env.cameras)
+        wanted = (frame.world.env.task, frame.world.env.cameras)
         if wanted != self._wanted:  # Once: what cannot be built now cannot at the next frame.
             self._wanted = wanted
             self._build(frame)

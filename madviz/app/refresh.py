@@ -35,7 +35,7 @@ class TimedPanel:
     def interval(self, frame: Frame) -> float:
         """Seconds between two updates. At full speed, what is not watched all the time waits twice
         as long: the machine is wanted for the simulator and the pictures."""
-        return self.period * (2 if frame.speed is None and self.period > FASTEST else 1)
+        return self.period * (2 if frame.pace.speed is None and self.period > FASTEST else 1)
 
     def due(self, frame: Frame) -> float:
         """When it is brought up to date next."""
@@ -57,13 +57,13 @@ class Refresh:
     def update(self, frame: Frame, now: float, interrupted: Callable[[], bool]) -> list[Assign]:
         """What has to change on the page at ``now``, in seconds. Ends early where ``interrupted``
         says that somebody waits for a newer frame."""
-        touched = (frame.change, frame.policy, frame.phase, frame.error)
+        touched = (frame.world.change, frame.world.policy, frame.pace.phase, frame.pace.error)
         urgent, self._touched = touched != self._touched, touched
-        waiting = [timed for timed in self.panels if timed.number != frame.number]
+        waiting = [timed for timed in self.panels if timed.number != frame.pace.number]
         if urgent:
             for timed in self.panels:
                 soon = now + AFTER - timed.interval(frame)
-                timed.updated = soon if frame.speed is not None else max(timed.updated, soon)
+                timed.updated = soon if frame.pace.speed is not None else max(timed.updated, soon)
         changes = []
         for timed in waiting:
             if not (urgent and timed.period <= FASTEST) and now < timed.due(frame):
@@ -72,10 +72,12 @@ class Refresh:
                 break
             changes += timed.panel.update(frame)
             settled = not getattr(timed.panel, "unsettled", False)
-            timed.updated, timed.number = now, frame.number if settled else 0
+            timed.updated, timed.number = now, frame.pace.number if settled else 0
         return changes
 
     def wait(self, frame: Frame, now: float) -> float | None:
         """In how many seconds a panel that does not show ``frame`` yet is due; None: all do."""
-        later = [timed.due(frame) - now for timed in self.panels if timed.number != frame.number]
+        later = [
+            timed.due(frame) - now for timed in self.panels if timed.number != frame.pace.number
+        ]
         return max(SHORTEST_WAIT, min(later)) if later else None

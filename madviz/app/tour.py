@@ -68,14 +68,14 @@ def steps(frame: Frame, choices: Sequence[PolicyChoice]) -> list[Step]:
 
 
 def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
-    cameras = frame.env.cameras
+    cameras = frame.world.env.cameras
     label = [camera.label for camera in cameras]
     middle, last = len(cameras) // 2, len(cameras) - 1
     yield Step(
         "What you see",
-        f"A robot works at a task; it is done when: {frame.env.success}. The pictures on the left "
-        "are all that the robot's policy gets. Nothing here is a recording: it decides anew at "
-        "every step, now, on this machine.",
+        f"A robot works at a task; it is done when: {frame.world.env.success}. The pictures on the "
+        "left are all that the robot's policy gets. Nothing here is a recording: it decides anew "
+        "at every step, now, on this machine.",
         (*whole(frame), SetSpeed(10.0), Reset(), Play()),
     )
     yield Step(
@@ -106,7 +106,7 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
                 *(_camera(frame, index, "off") for index in range(1, len(cameras))),
             ),
         )
-    other = never_alone(frame.policy, choices)
+    other = never_alone(frame.world.policy, choices)
     if other is not None:
         yield Step(
             "Another policy",
@@ -130,8 +130,8 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
 
 def whole(frame: Frame) -> tuple[Command, ...]:
     """Commands for all cameras as nobody has touched them, and the policy of ``frame``."""
-    cameras = (_camera(frame, index) for index in range(len(frame.env.cameras)))
-    return (SetPolicy(frame.policy.name), *cameras)
+    cameras = (_camera(frame, index) for index in range(len(frame.world.env.cameras)))
+    return (SetPolicy(frame.world.policy.name), *cameras)
 
 
 def never_alone(policy: PolicySpec, choices: Sequence[PolicyChoice]) -> str | None:
@@ -144,8 +144,8 @@ def never_alone(policy: PolicySpec, choices: Sequence[PolicyChoice]) -> str | No
 def _camera(
     frame: Frame, index: int, switch: CameraInput | None = None, kind: OcclusionKind = "none"
 ) -> SetCamera:
-    state = CameraState(switch or untouched(frame.policy).input, Occlusion(kind))
-    return SetCamera(frame.env.cameras[index].name, state)
+    state = CameraState(switch or untouched(frame.world.policy).input, Occlusion(kind))
+    return SetCamera(frame.world.env.cameras[index].name, state)
 
 
 class Tour:
@@ -187,7 +187,7 @@ class Tour:
         frame = self._newest()
         if isinstance(frame, Frame) and self._send is not None and self._panel is None:
             self._start, self._steps, self._at = frame, steps(frame, self._choices), 0
-            self._acting = frame.policy.name
+            self._acting = frame.world.policy.name
             self._open()
             self._show()
 
@@ -230,7 +230,7 @@ class Tour:
             self._next.visible = False
         frame = self._newest()
         if step.back and isinstance(frame, Frame):
-            self._do((Scrub(max(0, frame.step - step.back)),))
+            self._do((Scrub(max(0, frame.world.step - step.back)),))
         self._do(step.commands)
 
     def _do(self, commands: Sequence[Command]) -> None:
@@ -267,8 +267,8 @@ class Tour:
 
 def restored(frame: Frame) -> tuple[Command, ...]:
     """Commands for cameras, policy and speed as in ``frame``."""
-    cameras = (SetCamera(c.name, frame.camera(c.name)) for c in frame.env.cameras)
-    return (SetPolicy(frame.policy.name), *cameras, SetSpeed(frame.speed))
+    cameras = (SetCamera(c.name, frame.camera(c.name)) for c in frame.world.env.cameras)
+    return (SetPolicy(frame.world.policy.name), *cameras, SetSpeed(frame.pace.speed))
 
 
 def step_html(step: Step, number: int, count: int) -> str:

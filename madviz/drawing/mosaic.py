@@ -31,7 +31,7 @@ GLOW = 0.85
 
 def mosaic(frame: Frame, tile: int) -> Array:
     """(HEADER + tile, V tiles, 3) uint8: all cameras side by side, ``tile`` pixels wide each."""
-    cameras = frame.env.cameras
+    cameras = frame.world.env.cameras
     width = len(cameras) * tile + (len(cameras) - 1) * GAP
     canvas = np.empty((HEADER + tile, width, 3), np.uint8)
     canvas[:] = _GROUND
@@ -77,7 +77,7 @@ def _tile(frame: Frame, camera: CameraSpec, tile: int) -> Array:
     if shown == "depth":
         return _depth_picture(frame, camera, tile, tile)
     if state.input == "off":
-        grey = _enlarge(frame.views[camera.name].rgb, tile).mean(axis=2, keepdims=True)
+        grey = _enlarge(frame.world.views[camera.name].rgb, tile).mean(axis=2, keepdims=True)
         return (0.3 * grey).astype(np.uint8).repeat(3, axis=2)
     return _colour_picture(frame, camera, tile)
 
@@ -85,8 +85,8 @@ def _tile(frame: Frame, camera: CameraSpec, tile: int) -> Array:
 def _stream_picture(frame: Frame, camera: str, modality: str) -> Array | None:
     """What arrived of ``camera`` in ``modality``; None where the policy has no such stream."""
     for name in (f"{camera}.{modality}", camera if modality == "rgb" else ""):
-        if name in frame.arrived:
-            return frame.arrived[name]
+        if name in frame.world.arrived:
+            return frame.world.arrived[name]
     return None
 
 
@@ -106,7 +106,7 @@ def glow(picture: Array, frame: Frame, camera: str, modality: str) -> Array:
 def _colour_picture(frame: Frame, camera: CameraSpec, tile: int) -> Array:
     arrived = _stream_picture(frame, camera.name, "rgb")
     if arrived is None:
-        arrived = frame.views[camera.name].rgb
+        arrived = frame.world.views[camera.name].rgb
     return glow(_enlarge(arrived, tile), frame, camera.name, "rgb")
 
 
@@ -114,7 +114,7 @@ def _depth_picture(frame: Frame, camera: CameraSpec, tile: int, height: int) -> 
     """(height, tile, 3): the middle rows of the depth picture above a scale in metres."""
     arrived = _stream_picture(frame, camera.name, "depth")
     if arrived is None:
-        arrived = depth_code(frame.views[camera.name].depth, camera.depth_range)
+        arrived = depth_code(frame.world.views[camera.name].depth, camera.depth_range)
     picture = heat(_enlarge(arrived[..., 0], tile) / 255.0)
     picture = glow(picture, frame, camera.name, "depth")
     rows = height - SCALE

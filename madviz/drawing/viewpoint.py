@@ -85,26 +85,26 @@ def first_view(frame: Frame) -> tuple[Array, Array]:
     hand and whatever is on the table."""
     size = extent(frame)
     pictures, points = [], []
-    for name, pose in frame.poses.items():
-        half = (WIDTH_ON_BODY if frame.env.camera(name).body else WIDTH) * size / 2
+    for name, pose in frame.world.poses.items():
+        half = (WIDTH_ON_BODY if frame.world.env.camera(name).body else WIDTH) * size / 2
         ahead = half / np.tan(np.radians(pose.fovy) / 2)
         corners = np.array([[x * half, y * half, ahead] for x in (-1, 1) for y in (-1, 1)])
         seen = _to_world(np.vstack([np.zeros(3), corners]), np.r_[pose.position, pose.wxyz])
         pictures.append(seen[1:].mean(0))
         points.append(seen)
     points.append(
-        frame.hand + 0.2 * size * np.array([[1, 1, 0], [-1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+        frame.world.hand + 0.2 * size * np.array([[1, 1, 0], [-1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     )
-    for body, pose in zip(frame.bodies, frame.body_poses, strict=True):
+    for body, pose in zip(frame.world.bodies, frame.world.body_poses, strict=True):
         here = _to_world(np.concatenate([part.vertices for part in body.parts]), pose)
         ends = np.c_[here.min(0), here.max(0)]
         if np.ptp(ends[:2], axis=1).max() < size and ends[2, 1] >= 0:  # No table, nothing under it.
             ends[2, 0] = max(ends[2, 0], 0.0)
             points.append(np.array(np.meshgrid(*ends)).reshape(3, -1).T)
     seen, places = np.concatenate(points), np.array(pictures)
-    facing = places - np.array([frame.poses[name].position for name in frame.poses])
+    facing = places - np.array([frame.world.poses[name].position for name in frame.world.poses])
     facing /= np.linalg.norm(facing, axis=1, keepdims=True)
-    return seen, best_direction(seen, places, facing, frame.hand)
+    return seen, best_direction(seen, places, facing, frame.world.hand)
 
 
 def _to_world(points: Array, pose: Array) -> Array:
@@ -115,14 +115,16 @@ def _to_world(points: Array, pose: Array) -> Array:
 def extent(frame: Frame) -> float:
     """Metres: the largest distance of a camera from what they all look at, at least 0.5."""
     centre = focus(frame)
-    distances = [float(np.linalg.norm(pose.position - centre)) for pose in frame.poses.values()]
+    distances = [
+        float(np.linalg.norm(pose.position - centre)) for pose in frame.world.poses.values()
+    ]
     return max(0.5, max(distances))
 
 
 def focus(frame: Frame) -> Array:
     """(3,) the point nearest to all lines of sight, by least squares."""
     left, right = np.zeros((3, 3)), np.zeros(3)
-    for pose in frame.poses.values():
+    for pose in frame.world.poses.values():
         w, x, y, z = pose.wxyz
         axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
         across = np.eye(3) - np.outer(axis, axis)

@@ -24,20 +24,20 @@ class Facts:
 def headline(frame: Frame, facts: Facts) -> str:
     """Policy, task, seed and failures in one line."""
     failing = f" · fails: {', '.join(facts.failures)}" if facts.failures else ""
-    return f"{frame.policy.name} · {frame.env.task} · seed {frame.seed}{failing}"
+    return f"{frame.world.policy.name} · {frame.world.env.task} · seed {frame.world.seed}{failing}"
 
 
 def condition_words(frame: Frame) -> str:
     """Which streams count and which cameras fail how: ``first+third_b, First person is frozen``."""
     parts = [frame.setting.subset]
-    for name, occlusion in sorted(frame.ablation.occlusions().items()):
+    for name, occlusion in sorted(frame.world.ablation.occlusions().items()):
         if frame.camera(name).input != "off":
-            parts.append(f"{frame.env.camera(name).label} {occlusion_words(occlusion)}")
+            parts.append(f"{frame.world.env.camera(name).label} {occlusion_words(occlusion)}")
     return ", ".join(parts)
 
 
 def verdict(frame: Frame) -> str:
     """How the episode stands, in a word or two."""
     if not frame.ended:
-        return "goal met" if frame.success else "goal not met"
-    return "SUCCESS" if frame.success else "FAIL"
+        return "goal met" if frame.world.success else "goal not met"
+    return "SUCCESS" if frame.world.success else "FAIL"

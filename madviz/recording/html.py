@@ -53,18 +53,18 @@ class HtmlWriter:
     def add(self, frame: Frame) -> None:
         before = self._frames[-1] if self._frames else None
         if before is not None and _changed(before, frame):
-            self._marks[frame.step] = condition_words(frame)
-        every = max(frame.env.horizon // PICTURES, 1)
-        marked = frame.step in self._marks and len(self._marks) <= MOST_MARKED
-        if marked or frame.step % every == 0 or frame.ended:
-            self._pictures[frame.step] = jpeg_url(mosaic(frame, TILE))
-        probe, row = frame.probe, frame.row
+            self._marks[frame.world.step] = condition_words(frame)
+        every = max(frame.world.env.horizon // PICTURES, 1)
+        marked = frame.world.step in self._marks and len(self._marks) <= MOST_MARKED
+        if marked or frame.world.step % every == 0 or frame.ended:
+            self._pictures[frame.world.step] = jpeg_url(mosaic(frame, TILE))
+        probe, row = frame.world.probe, frame.row
         self._note("norms", probe.norms)
         self._note("merged", np.array([probe.merged_norm(row)]))
         self._note("cosines", probe.cosines(row))
         self._note("action", frame.action)
         self._note("q", np.array([frame.q]))
-        self._note("reward", np.array([frame.reward]))
+        self._note("reward", np.array([frame.world.reward]))
         self._frames = [self._frames[0] if self._frames else frame, frame][-2:]
 
     def close(self) -> None:
@@ -76,7 +76,7 @@ class HtmlWriter:
 
     def _html(self) -> str:
         last = self._frames[-1]
-        title = f"{last.policy.name}, seed {last.seed}"
+        title = f"{last.world.policy.name}, seed {last.world.seed}"
         policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
         body = [
             f"<h1>{escape(title)}</h1>",
@@ -109,15 +109,15 @@ class HtmlWriter:
         return f'<div class="strip">{"".join(figures)}</div>'
 
     def _curves(self, last: Frame) -> str:
-        streams, own = last.policy.streams, colours_on_white(last.env.cameras)
+        streams, own = last.world.policy.streams, colours_on_white(last.world.env.cameras)
         colours = {stream: own[camera_of(stream)] for stream in streams}
         colours |= {"merged": MERGED_ON_WHITE, "Q": "#0b6e99", "reward": "#5c8a3a"}
-        hands = [f"a{index}" for index in range(last.env.action_dim)]
+        hands = [f"a{index}" for index in range(last.world.env.action_dim)]
         colours |= {
             hand: ("#0b6e99", "#d9730d", "#5c8a3a", "#ad1a72", "#777")[i % 5]
             for i, hand in enumerate(hands)
         }
-        end = last.step
+        end = last.world.step
         panels = [
             ("Q of the next action", self._series("q", ["Q"])),
             (
@@ -142,31 +142,33 @@ class HtmlWriter:
 
 
 def _changed(before: Frame, now: Frame) -> bool:
-    return (before.setting, before.policy.name) != (now.setting, now.policy.name)
+    return (before.setting, before.world.policy.name) != (now.setting, now.world.policy.name)
 
 
 def _outcome(last: Frame) -> str:
-    word = ("SUCCESS" if last.success else "FAIL") if last.ended else "UNFINISHED"
+    word = ("SUCCESS" if last.world.success else "FAIL") if last.ended else "UNFINISHED"
     style = {"SUCCESS": "good", "FAIL": "bad"}.get(word, "open")
-    ever = "" if last.success else ", though it was met before" if last.success_any else ""
-    met = "met" if last.success else "not met"
+    ever = (
+        "" if last.world.success else ", though it was met before" if last.world.success_any else ""
+    )
+    met = "met" if last.world.success else "not met"
     return (
         f'<p><span class="outcome {style}">{word}</span> '
-        f"after {last.step} of {last.env.horizon} decisions: the goal is {met}{ever}. "
-        f"Sum of rewards {last.total_reward:.2f}.</p>"
+        f"after {last.world.step} of {last.world.env.horizon} decisions: the goal is {met}{ever}. "
+        f"Sum of rewards {last.world.total_reward:.2f}.</p>"
     )
 
 
 def _facts(last: Frame, facts: Facts) -> str:
-    spec = last.policy
+    spec = last.world.policy
     rows = {
         "policy": f"{spec.name} (method {spec.method}, setting {spec.setting}, recipe "
         f"{spec.recipe})",
         "digest": spec.digest or "none",
         "trained to work from": ", ".join(spec.trained_subsets),
-        "task": f"{last.env.task}: {last.env.success}",
-        "seed": str(last.seed),
-        "cameras": ", ".join(camera.label for camera in last.env.cameras),
+        "task": f"{last.world.env.task}: {last.world.env.success}",
+        "seed": str(last.world.seed),
+        "cameras": ", ".join(camera.label for camera in last.world.env.cameras),
         "failures": ", ".join(facts.failures) or "none",
         "drawn with": f"the {spec.render_profile} render profile",
     }

@@ -148,14 +148,14 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         "schema": 1,
         "out": str(config.out),
         "bytes": size,
-        "policy": last.policy.name,
-        "task": last.env.task,
-        "seed": last.seed,
-        "steps": last.step,
+        "policy": last.world.policy.name,
+        "task": last.world.env.task,
+        "seed": last.world.seed,
+        "steps": last.world.step,
         "failures": failures,
-        "success": last.success,
-        "success_any": last.success_any,
-        "return": last.total_reward,
+        "success": last.world.success,
+        "success_any": last.world.success_any,
+        "return": last.world.total_reward,
         "same": session.keep().episodes[-1].sha256 == script.sha256 if script else None,
     }
 
@@ -232,15 +232,16 @@ def frames(session: Session, steps: int | None) -> Iterator[Frame]:
     come: list[Frame | Failure] = []
     session.subscribe(come.append)
     newest: Frame | None = None
-    while newest is None or not (newest.ended or newest.step == steps):
+    while newest is None or not (newest.ended or newest.world.step == steps):
         session.tick(0.0)
         while come:
             frame = come.pop(0)
-            if frame.error or isinstance(frame, Failure):
-                raise UserError(f"the episode stopped: {frame.error.strip().splitlines()[0]}")
-            if newest is not None and frame.step > newest.step:
+            error = frame.error if isinstance(frame, Failure) else frame.pace.error
+            if error or isinstance(frame, Failure):
+                raise UserError(f"the episode stopped: {error.strip().splitlines()[0]}")
+            if newest is not None and frame.world.step > newest.world.step:
                 yield newest
-                if newest.step == steps:
+                if newest.world.step == steps:
                     return
             newest = frame
     yield newest

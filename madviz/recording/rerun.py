@@ -50,19 +50,19 @@ class RerunWriter:
     def add(self, frame: Frame) -> None:
         if not self._begun:
             self._begin(frame)
-        self._stream.set_time("step", sequence=frame.step)
-        for camera in frame.env.cameras:
+        self._stream.set_time("step", sequence=frame.world.step)
+        for camera in frame.world.env.cameras:
             self._camera(frame, camera.name)
-        for stream, picture in frame.arrived.items():
+        for stream, picture in frame.world.arrived.items():
             if modality_of(stream) == "depth":
                 self._picture(f"depth/{camera_of(stream)}", picture)
-        for index, (*position, w, x, y, z) in enumerate(frame.body_poses.tolist()):
+        for index, (*position, w, x, y, z) in enumerate(frame.world.body_poses.tolist()):
             place = rr.Transform3D(
                 translation=position, quaternion=rr.Quaternion(xyzw=[x, y, z, w])
             )
             self._stream.log(f"world/bodies/{index}", place)
         self._curves(frame)
-        self._stream.log("log", rr.TextLog(f"step {frame.step}: {verdict(frame)}"))
+        self._stream.log("log", rr.TextLog(f"step {frame.world.step}: {verdict(frame)}"))
 
     def close(self) -> None:
         self._stream.flush()
@@ -77,17 +77,17 @@ class RerunWriter:
         stream.send_recording_name(headline(frame, self._facts))
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.log("about", rr.TextDocument(about(frame, self._facts)), static=True)
-        colours = camera_colours(frame.env.cameras)
-        streams = [rgb(colours[camera_of(name)]) for name in frame.policy.streams]
-        names = list(frame.policy.streams)
+        colours = camera_colours(frame.world.env.cameras)
+        streams = [rgb(colours[camera_of(name)]) for name in frame.world.policy.streams]
+        names = list(frame.world.policy.streams)
         self._series("features/norm", [*names, "merged"], [*streams, NEUTRAL])
         self._series("features/cosine", names, streams)
         self._series("mask", names, streams)
-        hands = [f"action {index}" for index in range(frame.env.action_dim)]
+        hands = [f"action {index}" for index in range(frame.world.env.action_dim)]
         self._series("action", hands, [OTHERS[i % len(OTHERS)] for i in range(len(hands))])
         for index, name in enumerate(("value/q", "reward", "success")):
             self._series(name, [name], [OTHERS[index]])
-        for index, body in enumerate(frame.bodies):
+        for index, body in enumerate(frame.world.bodies):
             for number, part in enumerate(body.parts):
                 mesh = rr.Mesh3D(
                     vertex_positions=part.vertices,
@@ -102,9 +102,9 @@ class RerunWriter:
 
     def _camera(self, frame: Frame, name: str) -> None:
         """Its pose and opening, and what arrives of it; dark where it is dropped."""
-        pose, off = frame.poses[name], frame.camera(name).input == "off"
+        pose, off = frame.world.poses[name], frame.camera(name).input == "off"
         w, x, y, z = (float(number) for number in pose.wxyz)
-        size = frame.views[name].rgb.shape[0]
+        size = frame.world.views[name].rgb.shape[0]
         path = f"world/cameras/{name}"
         self._stream.log(
             path,
@@ -114,12 +114,14 @@ class RerunWriter:
                 width=size,
                 height=size,
                 image_plane_distance=0.25,
-                color=(110, 112, 116) if off else rgb(camera_colours(frame.env.cameras)[name]),
+                color=(110, 112, 116)
+                if off
+                else rgb(camera_colours(frame.world.env.cameras)[name]),
             ),
         )
-        picture = frame.views[name].rgb
+        picture = frame.world.views[name].rgb
         for stream in (f"{name}.rgb", name):
-            picture = frame.arrived.get(stream, picture)
+            picture = frame.world.arrived.get(stream, picture)
         self._picture(f"{path}/picture", (picture // 4) if off else picture)
 
     def _picture(self, path: str, picture: Array) -> None:
@@ -127,15 +129,15 @@ class RerunWriter:
         self._stream.log(path, image)
 
     def _curves(self, frame: Frame) -> None:
-        probe, row = frame.probe, frame.row
+        probe, row = frame.world.probe, frame.row
         values = {
             "features/norm": [*probe.norms, probe.merged_norm(row)],
             "features/cosine": probe.cosines(row),
             "mask": frame.mask.astype(float),
             "action": frame.action,
             "value/q": [frame.q],
-            "reward": [frame.reward],
-            "success": [float(frame.success)],
+            "reward": [frame.world.reward],
+            "success": [float(frame.world.success)],
         }
         for path, numbers in values.items():
             self._stream.log(path, rr.Scalars(np.asarray(numbers, float)))
@@ -145,7 +147,7 @@ def layout(frame: Frame) -> rrb.Blueprint:
     """Where it happens, what the cameras send, and what the policy makes of it."""
     pictures = [
         rrb.Spatial2DView(origin=f"world/cameras/{camera.name}", name=camera.label)
-        for camera in frame.env.cameras
+        for camera in frame.world.env.cameras
     ]
     paths = ("features/norm", "features/cosine", "value/q", "action", "mask", "success")
     curves = [rrb.TimeSeriesView(origin=path, name=path) for path in paths]
@@ -183,8 +185,8 @@ def about(frame: Frame, facts: Facts) -> str:
     failing = ", ".join(facts.failures) or "none"
     return "\n\n".join(
         [
-            f"{frame.policy.name} on {frame.env.task}, seed {frame.seed}.",
-            f"Success: {frame.env.success}, at the last step.",
+            f"{frame.world.policy.name} on {frame.world.env.task}, seed {frame.world.seed}.",
+            f"Success: {frame.world.env.success}, at the last step.",
             f"Cameras that fail: {failing}.",
             f"Made with: {facts.command}",
         ]

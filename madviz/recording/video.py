@@ -49,7 +49,7 @@ class VideoWriter:
                 ffmpeg_log_level="error",
             )
         if self._setting not in (None, frame.setting):
-            self._marks.append(frame.step)
+            self._marks.append(frame.world.step)
         self._setting = frame.setting
         self._q.append(frame.q)
         self._last = self._picture(frame)
@@ -67,7 +67,7 @@ class VideoWriter:
         """(H, W, 3) uint8 with even sides: films have no odd ones."""
         tiles = mosaic(frame, self._facts.tile)
         caption = _caption(frame, self._facts, tiles.shape[1])
-        curve = _curve(self._q, self._marks, frame.env.horizon, tiles.shape[1])
+        curve = _curve(self._q, self._marks, frame.world.env.horizon, tiles.shape[1])
         whole = np.concatenate([tiles, caption, curve])
         height, width = whole.shape[:2]
         return np.pad(whole, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
@@ -78,8 +78,14 @@ def _caption(frame: Frame, facts: Facts, width: int) -> Array:
     image = Image.new("RGB", (width, CAPTION), _GROUND)
     draw = ImageDraw.Draw(image)
     _text(draw, headline(frame, facts), 6, 6, width - 12, MUTED)
-    colour = (GOOD if frame.success else BAD) if frame.ended else NOTE if frame.success else INK
-    stand = f"step {frame.step}/{frame.env.horizon}  cameras: {condition_words(frame)}"
+    colour = (
+        (GOOD if frame.world.success else BAD)
+        if frame.ended
+        else NOTE
+        if frame.world.success
+        else INK
+    )
+    stand = f"step {frame.world.step}/{frame.world.env.horizon}  cameras: {condition_words(frame)}"
     _text(draw, stand, 6, 28, width - 130, INK)
     draw.text((width - 6, 28), verdict(frame), fill=colour, font=_font(15), anchor="ra")
     return np.asarray(image)

@@ -122,18 +122,15 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Frame:
-    """One instant of one session, complete."""
+class World:
+    """One time step of a simulation: policy, environment and what they make of each other."""
 
-    number: int
-    """Grows with every frame of a session."""
     env: EnvSpec
     policy: PolicySpec
     episode: int
     seed: int
     step: int
     """Decisions taken in this episode."""
-    phase: Phase
     ablation: Ablation
     views: dict[str, View]
     """What each camera really sees."""
@@ -152,16 +149,34 @@ class Frame:
     success: bool
     """The task's condition at this very step."""
     success_any: bool
-    speed: float | None
-    rate: float
-    """Decisions per second achieved; NaN until there are enough to tell."""
-    auto_next: bool
     change: Change | None
     """The last thing done to a camera in this episode."""
     outcomes: tuple[Outcome, ...]
     """The last live episodes, oldest first."""
+
+
+@dataclass(frozen=True)
+class SessionPace:
+    """Whether and how fast a session runs."""
+
+    number: int
+    """Grows with every frame of a session."""
+    phase: Phase
+    speed: float | None
+    """Decisions per second asked for; None: as fast as it goes."""
+    rate: float
+    """Decisions per second achieved; NaN until there are enough to tell."""
+    auto_next: bool
     error: str = ""
     """Traceback or one line; the session has paused because of it."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One time step of one session, complete."""
+
+    world: World
+    pace: SessionPace
     story: tuple[Moment, ...] = ()
     """By step, all of this episode so far, also where an earlier step of it is shown."""
     branch: Branch | None = None
@@ -178,46 +193,46 @@ class Frame:
     @property
     def mask(self) -> Array:
         """(V,) bool: the streams that are present."""
-        return self.ablation.mask(self.policy.streams)
+        return self.world.ablation.mask(self.world.policy.streams)
 
     @property
     def row(self) -> int:
         """The row of the current subset in ``probe``."""
-        return self.probe.row(self.mask)
+        return self.world.probe.row(self.mask)
 
     @property
     def action(self) -> Array:
         """(A,) what the policy does next."""
-        return self.probe.readout.action[self.row]
+        return self.world.probe.readout.action[self.row]
 
     @property
     def q(self) -> float:
-        return float(self.probe.readout.q[self.row])
+        return float(self.world.probe.readout.q[self.row])
 
     @property
     def setting(self) -> Setting:
-        return setting_of(self.ablation, self.policy.streams)
+        return setting_of(self.world.ablation, self.world.policy.streams)
 
     @property
     def ended(self) -> bool:
-        return self.step >= self.env.horizon
+        return self.world.step >= self.world.env.horizon
 
     @property
     def past(self) -> bool:
         """Whether this is an earlier step of the episode, shown again."""
-        return self.step < len(self.story) - 1
+        return self.world.step < len(self.story) - 1
 
     @property
     def behind(self) -> bool:
         """Whether the machine cannot keep the speed that was asked for."""
-        return self.speed is not None and bool(self.rate < 0.9 * self.speed)
+        return self.pace.speed is not None and bool(self.pace.rate < 0.9 * self.pace.speed)
 
     def camera(self, name: str) -> CameraState:
         """The state of a camera as a visitor would say it: a policy that knows one modality has
         cameras in that modality, not in ``both``, unless somebody asked for both."""
-        if name in self.ablation.cameras:
-            return self.ablation.camera(name)
-        return untouched(self.policy)
+        if name in self.world.ablation.cameras:
+            return self.world.ablation.camera(name)
+        return untouched(self.world.policy)
 
 
 def untouched(policy: PolicySpec) -> CameraState:

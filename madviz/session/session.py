@@ -45,7 +45,7 @@ from madviz.session.commands import (
     SetTwin,
     StepOnce,
 )
-from madviz.session.frame import Failure, Frame, Phase
+from madviz.session.frame import Failure, Frame, Phase, SessionPace
 from madviz.session.session_file import KeptEpisode, KeptSession
 from madviz.session.stage import EnvFactory, Stage
 from madviz.system.processes import lower_thread_priority
@@ -349,8 +349,7 @@ class Session:
 
     def _emit(self, keep: bool = True) -> None:
         self._number += 1
-        frame = self._stage.frame(
-            keep,
+        pace = SessionPace(
             number=self._number,
             phase=self._phase,
             speed=self._speed,
@@ -358,6 +357,7 @@ class Session:
             auto_next=self._auto_next,
             error=self._error,
         )
+        frame = self._stage.frame(keep, pace)
         self._tell(frame or Failure(self._error))
 
     def _tell(self, news: Frame | Failure) -> None:

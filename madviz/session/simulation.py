@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
 from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera
-from madviz.session.frame import Change, Outcome, Setting, setting_of, untouched
+from madviz.session.frame import Change, Outcome, Setting, World, setting_of, untouched
 from madviz.session.journal import Journal, Mark
 from madviz.subsets import every_mask
 from madviz.types import Array, Body, CameraPose, Environment, Policy, TimeStep, View
@@ -111,10 +110,10 @@ class Simulation:
     def setting(self) -> Setting:
         return setting_of(self.ablation, self.policy.spec.streams)
 
-    def facts(self) -> dict[str, Any]:
-        """What a ``Frame`` of this instant says of the simulation."""
+    def world(self) -> World:
+        """What a ``Frame`` of this time step says of the simulation."""
         now = self.now
-        return dict(
+        return World(
             env=self.env.spec,
             policy=self.policy.spec,
             episode=self.episode,

@@ -14,8 +14,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
 
 from madviz.analysis.saliency import LiveSaliency
 from madviz.envs.registry import sees
@@ -26,7 +24,7 @@ from madviz.observation.schedule import Schedule
 from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera, SetPolicy
 from madviz.session.comparison import MOST_PAIRS, Twin
-from madviz.session.frame import Frame, Pair
+from madviz.session.frame import Frame, Pair, SessionPace
 from madviz.session.journal import Journal
 from madviz.session.plan import Plan
 from madviz.session.session_file import KeptEpisode
@@ -199,16 +197,21 @@ class Stage:
         for command in self._plan.reschedule(events, self.simulation):
             self._live.set_camera(command)
 
-    def frame(self, keep: bool, **pace: Any) -> Frame | None:
-        """All of it at this instant, with what the session says of its pace; None where nothing is
-        to be seen. ``keep``: not for a preview, which is no step one could go back to."""
+    def frame(self, keep: bool, pace: SessionPace) -> Frame | None:
+        """All of it at this time step, with what the session says of its pace; None where nothing
+        is to be seen. ``keep``: not for a preview, which is no step one could go back to."""
         live = self.simulation
         if live is None or not hasattr(live, "probe"):
             return None
-        beside = self._twin and Frame(**self._twin.simulation.facts(), **pace)
-        frame = Frame(**live.facts(), **pace, schedule=self._plan.schedule)
-        frame = replace(frame, saliency=self.saliency.maps)
-        frame = self._timeline.live(replace(frame, twin=beside, pairs=tuple(self._pairs)))
+        frame = Frame(
+            live.world(),
+            pace,
+            twin=Frame(self._twin.simulation.world(), pace) if self._twin else None,
+            pairs=tuple(self._pairs),
+            schedule=self._plan.schedule,
+            saliency=self.saliency.maps,
+        )
+        frame = self._timeline.live(frame)
         if keep:
             self._timeline.keep(frame, live.save())
         return frame if self._timeline.shown is None else self._timeline.again(frame)

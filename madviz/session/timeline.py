@@ -38,13 +38,15 @@ class Timeline:
 
     def keep(self, frame: Frame, saved: Saved) -> None:
         """Remembers the newest step; a step that comes again replaces itself and all after it."""
-        kept = replace(frame, probe=_thin(frame.probe), twin=None, saliency=None)
-        self._past[frame.step :] = [(kept, saved)]
+        world = replace(frame.world, probe=_thin(frame.world.probe))
+        kept = replace(frame, world=world, twin=None, saliency=None)
+        self._past[world.step :] = [(kept, saved)]
 
     def live(self, frame: Frame) -> Frame:
         """``frame``, the newest one, with the story up to it."""
-        now = Moment(frame.q, frame.reward, frame.success, frame.setting, frame.policy.name)
-        self._story[frame.step :] = [now]
+        world = frame.world
+        now = Moment(frame.q, world.reward, world.success, frame.setting, world.policy.name)
+        self._story[world.step :] = [now]
         return self._told(frame)
 
     def show(self, step: int | None) -> None:
@@ -56,8 +58,8 @@ class Timeline:
         """The step that is shown, with the number, pace and outcomes of the live frame."""
         assert self.shown is not None
         kept = self._past[self.shown][0]
-        names = ("number", "phase", "speed", "rate", "auto_next", "outcomes", "error")
-        return self._told(replace(kept, **{name: getattr(like, name) for name in names}))
+        world = replace(kept.world, outcomes=like.world.outcomes)
+        return self._told(replace(kept, world=world, pace=like.pace))
 
     def fork(self) -> Saved:
         """Makes the step that is shown the newest one; what came after becomes the branch."""
@@ -73,7 +75,7 @@ class Timeline:
         branch = None
         if self._branch is not None:
             at, frames, story = self._branch
-            branch = Branch(at, story, frames[min(frame.step, len(frames) - 1)])
+            branch = Branch(at, story, frames[min(frame.world.step, len(frames) - 1)])
         return replace(frame, story=tuple(self._story), branch=branch)
 
 

@@ -97,7 +97,7 @@ class Explorer(Shown):
         self._words, self._table = ipywidgets.HTML(), ipywidgets.HTML()
         self._play = ipywidgets.Button(button_style="info", layout={"width": "90px"})
         self._play.on_click(lambda _: self._toggle())
-        self._rows = {c.name: self._camera_row(first, c) for c in first.env.cameras}
+        self._rows = {c.name: self._camera_row(first, c) for c in first.world.env.cameras}
         self._bar = self._buttons()
         super().__init__([self._bar, self._picture, *self._rows.values(), self._words])
         self.children = (*self.children, self._table)
@@ -123,18 +123,19 @@ class Explorer(Shown):
         self, camera: str, input: CameraInput = "rgb", occlusion: OcclusionKind = "none"
     ) -> None:
         """The same as a click: another switch or occlusion for ``camera``."""
-        self.frame.env.camera(camera)
+        self.frame.world.env.camera(camera)
         state = CameraState(input, Occlusion(occlusion))
         self._obeyed(SetCamera(camera, state), lambda frame: frame.camera(camera) == state)
 
     def step(self, count: int = 1) -> None:
         """Takes decisions, then pauses."""
         for _ in range(count):
-            before = (self.frame.episode, self.frame.step)
+            before = (self.frame.world.episode, self.frame.world.step)
             self._obeyed(
                 StepOnce(),
                 lambda frame, before=before: (
-                    (frame.episode, frame.step) != before and frame.phase != "playing"
+                    (frame.world.episode, frame.world.step) != before
+                    and frame.pace.phase != "playing"
                 ),
             )
 
@@ -168,7 +169,7 @@ class Explorer(Shown):
         self._picture.value = jpeg(mosaic(frame, self._tile))
         self._words.value = words_html(frame)
         self._table.value = table_html(frame)
-        self._play.description = "Play" if frame.phase == "paused" else "Pause"
+        self._play.description = "Play" if frame.pace.phase == "paused" else "Pause"
         self.painted += 1
 
     def _run(self) -> None:
@@ -192,7 +193,7 @@ class Explorer(Shown):
             latest = self.session.latest
             if isinstance(latest, Failure):
                 break
-            if latest is not None and (playing or latest.phase == "paused"):
+            if latest is not None and (playing or latest.pace.phase == "paused"):
                 break
             self._ready.wait(0.05)
             self._ready.clear()
@@ -202,13 +203,13 @@ class Explorer(Shown):
         """Sends a command and waits for a frame that shows it, or an error."""
         self.session.send(command)
         deadline = time.monotonic() + PATIENCE
-        while not (done(self.frame) or self.frame.error) and time.monotonic() < deadline:
+        while not (done(self.frame) or self.frame.pace.error) and time.monotonic() < deadline:
             time.sleep(0.005)
 
     # Controls.
 
     def _toggle(self) -> None:
-        self.session.send(Play() if self.frame.phase == "paused" else Pause())
+        self.session.send(Play() if self.frame.pace.phase == "paused" else Pause())
 
     def _buttons(self) -> ipywidgets.HBox:
         box: list[ipywidgets.Widget] = [self._play]
@@ -225,7 +226,7 @@ class Explorer(Shown):
         return ipywidgets.HBox([*box, speed])
 
     def _camera_row(self, frame: Frame, camera: CameraSpec) -> ipywidgets.HBox:
-        known = {modality_of(stream) for stream in frame.policy.streams}
+        known = {modality_of(stream) for stream in frame.world.policy.streams}
         unknown = {"rgb", "depth", "both"} - known if len(known) < 2 else set()
         inputs = {label: value for label, value in INPUTS.items() if value not in unknown}
         switch: Any = ipywidgets.ToggleButtons(

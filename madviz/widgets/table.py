@@ -16,18 +16,19 @@ ROWS = 12
 
 def words_html(frame: Frame) -> str:
     """Where the episode stands, and what came of the last click."""
-    fate = "success" if frame.success else "not yet" if not frame.ended else "failed"
+    world = frame.world
+    fate = "success" if world.success else "not yet" if not frame.ended else "failed"
     lines = [
-        f"seed {frame.seed}, decision {frame.step} of {frame.env.horizon}: <b>{fate}</b>",
-        escape(words(frame.change, frame.env)) if frame.change else "",
-        escape(frame.error.splitlines()[0]) if frame.error else "",
+        f"seed {world.seed}, decision {world.step} of {world.env.horizon}: <b>{fate}</b>",
+        escape(words(world.change, world.env)) if world.change else "",
+        escape(frame.pace.error.splitlines()[0]) if frame.pace.error else "",
     ]
     return "<br>".join(line for line in lines if line)
 
 
 def table_html(frame: Frame) -> str:
     """The present subset, the trained ones and others: action, how far it is from now's, Q."""
-    probe, streams = frame.probe, frame.policy.streams
+    probe, streams = frame.world.probe, frame.world.policy.streams
     head = "".join(f"<th>{w}</th>" for w in ("cameras", "", "action", "differs by", "Q"))
     rows = [
         _subset_row(frame, row, name_of(probe.masks[row], streams)) for row in shown_rows(frame)
@@ -37,17 +38,17 @@ def table_html(frame: Frame) -> str:
 
 def shown_rows(frame: Frame) -> list[int]:
     """At most ROWS rows of the probe: the present subset, then the trained ones, then the rest."""
-    trained = set(frame.policy.trained_subsets)
-    names = [name_of(mask, frame.policy.streams) for mask in frame.probe.masks]
+    trained = set(frame.world.policy.trained_subsets)
+    names = [name_of(mask, frame.world.policy.streams) for mask in frame.world.probe.masks]
     order = sorted(range(len(names)), key=lambda r: (r != frame.row, names[r] not in trained, r))
     return order[:ROWS]
 
 
 def _subset_row(frame: Frame, row: int, name: str) -> str:
-    readout, note = frame.probe.readout, []
+    readout, note = frame.world.probe.readout, []
     if row == frame.row:
         note.append("now")
-    if name not in frame.policy.trained_subsets:
+    if name not in frame.world.policy.trained_subsets:
         note.append("off-training")
     action: Array = readout.action[row]
     if not np.isfinite(action).all():

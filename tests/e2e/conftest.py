@@ -183,7 +183,7 @@ def visitor(long_visit: Visitor, app: App) -> Visitor:
     assert isinstance(latest, Frame)
     for command in (SetPolicy("toy-mad"), SetSpeed(10.0), Reset(), Play()):
         session.send(command)
-    for camera in latest.env.cameras:
+    for camera in latest.world.env.cameras:
         session.send(SetCamera(camera.name, CameraState("rgb")))
     long_visit.until("status.setting === 'all' && status.phase === 'playing'")
     return long_visit

@@ -144,7 +144,7 @@ def arrows(paused: Visitor, app: App) -> Iterator[Place]:
     (client,) = app.server.get_clients().values()
     session = app.users.session_of(client.client_id)
     assert session is not None and isinstance(session.latest, Frame)
-    pose = session.latest.poses["third_a"]
+    pose = session.latest.world.poses["third_a"]
     # Of the scene as it was when the page was opened, hence not known from this frame.
     size = client.scene._handle_from_transform_controls_name["/moved"].scale
     axes, eye = Rotation.from_quat(pose.wxyz, scalar_first=True), client.camera

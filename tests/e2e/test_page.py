@@ -209,7 +209,9 @@ def test_a_click_on_a_frustum_drops_its_camera(visitor: Visitor, app: App):
     visitor.press("pause")
     visitor.until("status.phase === 'paused'")
     visitor.page.wait_for_timeout(1500)  # It rides on the hand; until it is drawn, it is elsewhere.
-    x, y = on_screen(client, session.latest.poses["first"], depth=0.147)  # The picture's middle.
+    x, y = on_screen(
+        client, session.latest.world.poses["first"], depth=0.147
+    )  # The picture's middle.
     visitor.page.mouse.move(x - 2, y)
     visitor.page.mouse.click(x, y, delay=60)
     visitor.until("status.setting === 'third_a+third_b'")

@@ -131,7 +131,7 @@ class CamerasPanel:
         width: int,
     ) -> None:
         """``width`` in pixels of the picture; tiles share it."""
-        count = len(frame.env.cameras)
+        count = len(frame.world.env.cameras)
         self._tile = (width - (count - 1) * GAP) // count
         self._style = gui.add_html("")
         picture = mosaic(frame, self._tile)
@@ -141,7 +141,7 @@ class CamerasPanel:
         step, alt = step_of(frame), "what every camera sends"
         self._screen = Screen(gui, picture, step, alt, drawable)
         if send is not None:
-            self._build(gui, send, frame.env.cameras)
+            self._build(gui, send, frame.world.env.cameras)
         if self._field is not None:
             on_value(self._field, lambda _, text: self._draw(text))
         self._grid = gui.add_html(self._layout(count))
@@ -194,21 +194,21 @@ class CamerasPanel:
 
 def step_of(frame: Frame) -> str:
     """Which time step a picture shows; the status line says it too."""
-    return f"{frame.episode}:{frame.step}"
+    return f"{frame.world.episode}:{frame.world.step}"
 
 
 def unused_note(frame: Frame) -> str:
     """Says so where a visitor shows the policy something it does not take."""
-    known = {modality_of(stream) for stream in frame.policy.streams}
+    known = {modality_of(stream) for stream in frame.world.policy.streams}
     asked = set()
-    for camera in frame.env.cameras:
+    for camera in frame.world.env.cameras:
         switch = frame.camera(camera.name).input
         asked |= {"rgb", "depth"} if switch == "both" else {switch} - {"off"}
     missing = asked - known
     if not missing:
         return ""
     word = {"rgb": "colour", "depth": "depth"}[missing.pop()]
-    takes = {"rgb": "colour", "depth": "depth"}[untouched(frame.policy).input]
+    takes = {"rgb": "colour", "depth": "depth"}[untouched(frame.world.policy).input]
     return (
         f'<div class="mv dim">This policy takes {takes} only: {word} is shown, but does not reach '
         "it. A camera that gives only that counts as dropped.</div>"

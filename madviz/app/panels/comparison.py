@@ -57,14 +57,14 @@ class ComparisonPanel:
         picker = gui.add_dropdown(
             "B",
             list(self._names),
-            initial_value=labels.get(self._frame.policy.name, next(iter(self._names))),
+            initial_value=labels.get(self._frame.world.policy.name, next(iter(self._names))),
             hint=HINTS["policy"],
         )
         start = gui.add_button("start B", hint=HINTS["start"])
         stop = gui.add_button("end B", hint=HINTS["stop"])
 
         def begin() -> None:
-            send(SetTwin(self._names[picker.value], self._frame.ablation))
+            send(SetTwin(self._names[picker.value], self._frame.world.ablation))
 
         for button, work in ((start, begin), (stop, lambda: send(SetTwin(None)))):
             on_press(button, work)
@@ -91,13 +91,13 @@ def comparison_html(frame: Frame) -> str:
     )
     tiles = [
         cv2.resize(picture(frame.twin, camera.name), (TILE, TILE), interpolation=cv2.INTER_NEAREST)
-        for camera in frame.twin.env.cameras
+        for camera in frame.twin.world.env.cameras
     ]
     strip = np.concatenate(tiles, axis=1)
     return (
         f'<div class="mv mv-comparison"><table>{head}{rows}</table>'
         '<div style="display:flex;gap:12px;margin-top:6px;align-items:center">'
-        f'<div><div class="dim">B, step {frame.twin.step}</div><img width="{strip.shape[1]}" '
+        f'<div><div class="dim">B, step {frame.twin.world.step}</div><img width="{strip.shape[1]}" '
         f'height="{TILE}" src="{jpeg_url(strip)}" alt="the cameras of B"></div>'
         f"<div>{_tally(frame)}</div></div></div>"
     )
@@ -106,9 +106,9 @@ def comparison_html(frame: Frame) -> str:
 def _side(name: str, frame: Frame) -> str:
     word, colour = verdict(frame)
     return (
-        f"<tr><td><b>{name}</b></td><td>{escape(frame.policy.name)}</td>"
+        f"<tr><td><b>{name}</b></td><td>{escape(frame.world.policy.name)}</td>"
         f"<td>{escape(_gets(frame))}</td>"
-        f'<td class="num">{frame.q:.0f}</td><td class="num">{frame.total_reward:.0f}</td>'
+        f'<td class="num">{frame.q:.0f}</td><td class="num">{frame.world.total_reward:.0f}</td>'
         f'<td><b style="color:{colour}">{word}</b></td></tr>'
     )
 
@@ -121,7 +121,7 @@ def _gets(frame: Frame) -> str:
 def _tally(frame: Frame) -> str:
     """Pairs of the two sides as they stand now, and what they say."""
     assert frame.twin is not None
-    sides = tuple((side.policy.name, str(side.setting)) for side in (frame, frame.twin))
+    sides = tuple((side.world.policy.name, str(side.setting)) for side in (frame, frame.twin))
     counted = tally(frame.pairs, sides)  # type: ignore[arg-type]
     if counted.n == 0:
         return (

@@ -30,7 +30,7 @@ class FailuresPanel:
         self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
     ) -> None:
         """``send`` None: read-only."""
-        self._send, self._env = send, frame.env
+        self._send, self._env = send, frame.world.env
         self._handles: list = []
         if send is not None:
             self._add_controls(gui)
@@ -81,12 +81,14 @@ def failures_html(frame: Frame) -> str:
     """What was chosen, and what of it comes next."""
     if not frame.schedule:
         return '<div class="mv dim">No failures are planned: cameras do what you say.</div>'
-    name = next((o for o in SCENARIOS if o.schedule(frame.env) == frame.schedule), None)
-    coming = [event for event in frame.schedule if event.step > frame.step]
+    name = next((o for o in SCENARIOS if o.schedule(frame.world.env) == frame.schedule), None)
+    coming = [event for event in frame.schedule if event.step > frame.world.step]
     head = f"<b>{escape(name.name)}.</b> {escape(name.words)}" if name else "<b>My own.</b>"
     if coming:
         first = coming[0]
-        label = next((c.label for c in frame.env.cameras if c.name == first.camera), first.camera)
+        label = next(
+            (c.label for c in frame.world.env.cameras if c.name == first.camera), first.camera
+        )
         deed = "works again" if first.works else "drops out" if first.dropped else "is occluded"
         after = f"Next, at step {first.step}: {escape(label)} {deed}."
     else:

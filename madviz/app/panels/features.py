@@ -47,8 +47,8 @@ def small_axes(width: int) -> tuple[uplot.Axis, uplot.Axis]:
 
 def stream_label(frame: Frame, stream: str) -> str:
     """``Third A``, or ``Third A depth`` where a policy has both."""
-    label = frame.env.camera(camera_of(stream)).label
-    several = len({modality_of(name) for name in frame.policy.streams}) > 1
+    label = frame.world.env.camera(camera_of(stream)).label
+    several = len({modality_of(name) for name in frame.world.policy.streams}) > 1
     return f"{label} {MODALITY_WORDS[modality_of(stream)]}" if several else label
 
 
@@ -67,7 +67,7 @@ class FeaturesPanel:
         self._table = gui.add_html(features_html(frame))
 
     def update(self, frame: Frame) -> list[Assign]:
-        if frame.policy.streams != self._streams:
+        if frame.world.policy.streams != self._streams:
             self._rebuild(frame)
         self.note(frame)
         changes = [Assign(self._table, "content", features_html(frame))]
@@ -77,16 +77,16 @@ class FeaturesPanel:
 
     def note(self, frame: Frame) -> None:
         """Takes a point for the curves, which are drawn less often than decisions are taken."""
-        if frame.policy.streams != self._streams:
+        if frame.world.policy.streams != self._streams:
             return
         episode, step = self._last
-        if (frame.episode, frame.step) == (episode, step) and self._history:
+        if (frame.world.episode, frame.world.step) == (episode, step) and self._history:
             self._history.pop()  # The same time step, perhaps under another setting.
-        elif frame.episode == episode:
-            self._time += max(1, frame.step - step)
+        elif frame.world.episode == episode:
+            self._time += max(1, frame.world.step - step)
         else:
-            self._time += 1 + frame.step
-        self._last = (frame.episode, frame.step)
+            self._time += 1 + frame.world.step
+        self._last = (frame.world.episode, frame.world.step)
         self._history.append((self._time, *curve_point(frame)))
 
     def remove(self) -> None:
@@ -97,7 +97,7 @@ class FeaturesPanel:
         if self._streams:
             self._plot.remove()
         self._history.clear()
-        self._streams = frame.policy.streams
+        self._streams = frame.world.policy.streams
         count = len(self._streams) + 2
         with self._holder:
             self._plot = self._gui.add_uplot(
@@ -113,9 +113,9 @@ class FeaturesPanel:
 
 def curve_series(frame: Frame) -> tuple[uplot.Series, ...]:
     """One line per stream in its camera's colour, depth dashed, the merged feature in white."""
-    colours = camera_colours(frame.env.cameras)
+    colours = camera_colours(frame.world.env.cameras)
     series: list[uplot.Series] = [uplot.Series(label="decision")]
-    for stream in frame.policy.streams:
+    for stream in frame.world.policy.streams:
         line = uplot.Series(
             label=stream_label(frame, stream),
             stroke=colours[camera_of(stream)],
@@ -131,33 +131,33 @@ def curve_series(frame: Frame) -> tuple[uplot.Series, ...]:
 
 def curve_point(frame: Frame) -> list[float]:
     """What every stream adds to the sum now, and the sum: a dropped stream adds nothing."""
-    norms = np.where(frame.mask, frame.probe.norms, 0.0)
-    return [*map(float, norms), frame.probe.merged_norm(frame.row)]
+    norms = np.where(frame.mask, frame.world.probe.norms, 0.0)
+    return [*map(float, norms), frame.world.probe.merged_norm(frame.row)]
 
 
 def merged_words(frame: Frame) -> str:
     """``merged: their sum``, or however else this policy does it."""
-    kind = frame.probe.merged_kind()
+    kind = frame.world.probe.merged_kind()
     if kind == "sum":
         return "merged: their sum"
     if kind == "mean":
         return "their mean (not merged)"
-    method = METHODS.get(frame.policy.method)
+    method = METHODS.get(frame.world.policy.method)
     how = MERGES[method.merge].cell_words if method else ""
     return f"merged: {how}" if how else "merged"
 
 
 def features_html(frame: Frame) -> str:
     """A row per stream and one for what they are merged to."""
-    probe, row, mask = frame.probe, frame.row, frame.mask
-    colours = camera_colours(frame.env.cameras)
+    probe, row, mask = frame.world.probe, frame.row, frame.mask
+    colours = camera_colours(frame.world.env.cameras)
     merged = probe.merged(row)
     terms = [_bins(feature) for feature in probe.features]
     top = max(float(np.max(np.concatenate([*terms, _bins(np.nan_to_num(merged))]))), 1e-9)
     cosines, shares = probe.cosines(row), 100 * probe.shares(row)
     alone = probe.merged_kind() == "no views"
     rows = []
-    for index, stream in enumerate(() if alone else frame.policy.streams):
+    for index, stream in enumerate(() if alone else frame.world.policy.streams):
         numbers = (
             f"{probe.norms[index]:.1f}",
             f"{cosines[index]:.2f}" if np.isfinite(cosines[index]) else "–",

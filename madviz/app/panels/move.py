@@ -57,9 +57,9 @@ class MovePanel:
         self._gizmo: Gizmo | None = None
         if scene is not None and send is not None:
             self._gizmo = Gizmo(scene, frame, extent(frame), self._ask)
-        self._names = [camera.name for camera in frame.env.cameras]
+        self._names = [camera.name for camera in frame.world.env.cameras]
         self._camera = self._names[0]
-        self._moves = dict(frame.ablation.moves)
+        self._moves = dict(frame.world.ablation.moves)
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
         self._shown: dict[str, SyncedInput] = {}
         self._wanted: dict[str, float] = {}
@@ -73,7 +73,7 @@ class MovePanel:
         self._handles += [self._style, self._words]
 
     def _add_controls(self, gui: viser.GuiApi, frame: Frame) -> None:
-        labels = {camera.name: camera.label for camera in frame.env.cameras}
+        labels = {camera.name: camera.label for camera in frame.world.env.cameras}
         self._choice = Choice(gui, "Camera", labels, lambda _, c: self._choose(c), HINTS["camera"])
         back = gui.add_button("back", hint=HINTS["back"])
         home = gui.add_button("all back", hint=HINTS["all"])
@@ -138,11 +138,11 @@ class MovePanel:
         changes += self._gizmo.update(frame) if self._gizmo is not None else []
         if self._choice is None:
             return changes
-        now = frame.ablation.moves.get(self._camera, Displacement())
+        now = frame.world.ablation.moves.get(self._camera, Displacement())
         confirmed = all(getattr(now, field) == value for field, value in self._wanted.items())
         if confirmed:
             self._wanted.clear()
-            self._moves = dict(frame.ablation.moves)
+            self._moves = dict(frame.world.ablation.moves)
             changes += self._show_sliders()
         return [*changes, self._marks()]
 
@@ -164,17 +164,17 @@ class MovePanel:
 
 def move_html(frame: Frame) -> str:
     """Where cameras are, and what becomes of the success rates."""
-    if not frame.ablation.moves:
+    if not frame.world.ablation.moves:
         return (
             '<div class="mv mv-moved"><span class="dim">Every camera stands where the policy was '
             "trained. Move one: picture, action and Q change at once.</span></div>"
         )
-    colours = camera_colours(frame.env.cameras)
+    colours, moves = camera_colours(frame.world.env.cameras), frame.world.ablation.moves
     rows = "".join(
         f'<div><span class="dot" style="background:{colours[camera.name]}"></span>'
-        f"<b>{escape(camera.label)}</b> {escape(frame.ablation.moves[camera.name].words())}</div>"
-        for camera in frame.env.cameras
-        if camera.name in frame.ablation.moves
+        f"<b>{escape(camera.label)}</b> {escape(moves[camera.name].words())}</div>"
+        for camera in frame.world.env.cameras
+        if camera.name in moves
     )
     return (
         f'<div class="mv mv-moved" style="border-left:3px solid {NOTE};margin:0 10px;'
@@ -187,10 +187,10 @@ def move_html(frame: Frame) -> str:
 def sweep(frame: Frame) -> str:
     """The command that measures success on the way to where the first moved camera stands, along
     the first of its axes that it went; the others it leaves as they were."""
-    camera = next(c.name for c in frame.env.cameras if c.name in frame.ablation.moves)
-    moved, plain = frame.ablation.moves[camera], Displacement()
+    camera = next(c.name for c in frame.world.env.cameras if c.name in frame.world.ablation.moves)
+    moved, plain = frame.world.ablation.moves[camera], Displacement()
     way = next(name for name in RANGES if getattr(moved, name) != getattr(plain, name))
     return (
-        f"madviz displace --policy {frame.policy.name} --camera {camera} --along {way} "
+        f"madviz displace --policy {frame.world.policy.name} --camera {camera} --along {way} "
         f"--most {getattr(moved, way):g}"
     )

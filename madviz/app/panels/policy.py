@@ -66,10 +66,13 @@ class PolicyPanel:
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
     ) -> None:
         labels = list(self._names)
-        current = self._labels.get(frame.policy.name, frame.policy.name)
+        current = self._labels.get(frame.world.policy.name, frame.world.policy.name)
         if current not in labels:
             labels = [current, *labels]
-            self._names[current], self._labels[frame.policy.name] = frame.policy.name, current
+            self._names[current], self._labels[frame.world.policy.name] = (
+                frame.world.policy.name,
+                current,
+            )
         self._picker = gui.add_dropdown(
             "Policy", labels, initial_value=current, hint="Swap the policy in mid-episode."
         )
@@ -84,7 +87,7 @@ class PolicyPanel:
             "Decisions per second that are asked for; max is as fast as it goes.",
         )
         self._seed = gui.add_number(
-            "Seed", frame.seed, min=0, max=2**31 - 1, step=1, hint="Which episode to start."
+            "Seed", frame.world.seed, min=0, max=2**31 - 1, step=1, hint="Which episode to start."
         )
         self._go = gui.add_button("go", hint="Start the episode of this seed.")
         self._go.on_click(lambda event: self._on_go(event.client))
@@ -126,14 +129,14 @@ class PolicyPanel:
         changes = [Assign(self._status, "content", status_html(frame))]
         if self._run is None or self._speed is None:
             return changes
-        speed = next((name for name, rate in SPEEDS.items() if rate == frame.speed), "")
-        marks = self._run.style("pause" if frame.phase == "paused" else "play")
+        speed = next((name for name, rate in SPEEDS.items() if rate == frame.pace.speed), "")
+        marks = self._run.style("pause" if frame.pace.phase == "paused" else "play")
         marks += self._speed.style(speed)
         changes.append(Assign(self._style, "content", f"<style>{marks}</style>"))
-        changes += self._shown_auto.show(frame.auto_next)
-        label = self._labels.get(frame.policy.name, frame.policy.name)
+        changes += self._shown_auto.show(frame.pace.auto_next)
+        label = self._labels.get(frame.world.policy.name, frame.world.policy.name)
         # After an error the policy may be another than the one that was picked.
-        return changes + self._shown_policy.show(label, force=bool(frame.error))
+        return changes + self._shown_policy.show(label, force=bool(frame.pace.error))
 
     def remove(self) -> None:
         remove_all(self._handles)
@@ -148,26 +151,26 @@ def policy_words(spec: PolicySpec) -> str:
 
 def verdict(frame: Frame) -> tuple[str, str]:
     """The state of the episode in a word, and the colour of its tag."""
-    if frame.error:
+    if frame.pace.error:
         return "STOPPED", NOTE
     if frame.past:
         return "LOOKING BACK", NOTE
     if frame.ended:
-        return ("SUCCESS", GOOD) if frame.success else ("FAIL", BAD)
-    return ("PAUSED", MUTED) if frame.phase == "paused" else ("RUNNING", "#dfe3e8")
+        return ("SUCCESS", GOOD) if frame.world.success else ("FAIL", BAD)
+    return ("PAUSED", MUTED) if frame.pace.phase == "paused" else ("RUNNING", "#dfe3e8")
 
 
 def status_html(frame: Frame) -> str:
     """The episode at a glance. The attributes are there for those who measure the page."""
     data = {
-        **{"episode": frame.episode, "step": frame.step, "phase": frame.phase},
+        **{"episode": frame.world.episode, "step": frame.world.step, "phase": frame.pace.phase},
         "setting": escape(str(frame.setting)),
     }
     attributes = " ".join(f'data-{name}="{value}"' for name, value in data.items())
-    seed = f'<span class="plain num" style="float:right">seed {frame.seed}</span>'
+    seed = f'<span class="plain num" style="float:right">seed {frame.world.seed}</span>'
     return (
         f'<div class="mv mv-status" {attributes}>'
-        f'<div class="dim" style="font-size:12px">{escape(policy_words(frame.policy))}</div>'
+        f'<div class="dim" style="font-size:12px">{escape(policy_words(frame.world.policy))}</div>'
         f"{_progress(frame)}{_goal(frame)}<h4>{seed}Action and its value Q</h4>"
         '<div class="mv-action" style="display:flex;gap:8px;align-items:center">'
         f'<div style="flex:1">{_action(frame)}</div>'
@@ -183,22 +186,24 @@ def _value(q: float) -> str:
 def _progress(frame: Frame) -> str:
     """The verdict, how far the episode is, the pace, and a bar."""
     word, colour = verdict(frame)
-    done = 100 * frame.step / frame.env.horizon
+    done = 100 * frame.world.step / frame.world.env.horizon
     big = f"background:{colour};font-size:15px;padding:1px 9px"
     bar = f"height:4px;width:{done:.0f}%;background:{colour}"
     return (
         '<div style="margin-top:6px;display:flex;gap:8px;align-items:center;white-space:nowrap">'
         f'<span class="tag mv-verdict" style="{big}">{word}</span>'
-        f'<span class="num">step <b>{frame.step}</b>/{frame.env.horizon}</span>'
+        f'<span class="num">step <b>{frame.world.step}</b>/{frame.world.env.horizon}</span>'
         f'<span class="num" style="margin-left:auto">{_pace(frame)}</span></div>'
         f'<div style="height:4px;background:{FAINT};margin:5px 0"><div style="{bar}"></div></div>'
     )
 
 
 def _goal(frame: Frame) -> str:
-    met = "✔ Goal met now" if frame.success else "✘ Goal not met now"
-    ever = "" if frame.success else ", but it was" if frame.success_any else ", nor before"
-    goal = escape(frame.env.success)
+    met = "✔ Goal met now" if frame.world.success else "✘ Goal not met now"
+    ever = (
+        "" if frame.world.success else ", but it was" if frame.world.success_any else ", nor before"
+    )
+    goal = escape(frame.world.env.success)
     return (
         '<div style="overflow:hidden;text-overflow:ellipsis;white-space:nowrap" '
         f'title="{goal}">{met}{ever} <span class="dim">({goal})</span></div>'
@@ -212,18 +217,19 @@ def _action(frame: Frame) -> str:
 
 
 def _pace(frame: Frame) -> str:
-    if frame.phase != "playing" or not np.isfinite(frame.rate):
+    rate = frame.pace.rate
+    if frame.pace.phase != "playing" or not np.isfinite(rate):
         return ""
     if not frame.behind:
-        return f"{frame.rate:.1f}/s"
+        return f"{rate:.1f}/s"
     title = "Steps a second; this machine cannot do more now."
-    return f'<b style="color:{NOTE}" title="{title}">{frame.rate:.1f} of {frame.speed:g}/s</b>'
+    return f'<b style="color:{NOTE}" title="{title}">{rate:.1f} of {frame.pace.speed:g}/s</b>'
 
 
 def _error(frame: Frame) -> str:
-    if not frame.error:
+    if not frame.pace.error:
         return ""
-    first, _, rest = frame.error.partition("\n")
+    first, _, rest = frame.pace.error.partition("\n")
     return (
         f'<div class="mv-error" style="border-left:3px solid {NOTE};padding-left:8px">'
         f"<b>Paused: {escape(first)}</b><pre>{escape(rest.strip())}</pre>"

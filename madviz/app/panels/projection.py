@@ -59,9 +59,9 @@ class ProjectionPanel:
         remove_all([self._drawing])
 
     def _html(self, frame: Frame) -> str:
-        if frame.probe.merged_kind() == "no views":
+        if frame.world.probe.merged_kind() == "no views":
             return f'<div class="mv mv-map">{NO_VIEWS}</div>'
-        key = key_of(frame.policy)
+        key = key_of(frame.world.policy)
         trail = self._note(frame, key)
         basis = self._atlas.map(key)
         if basis is None:
@@ -72,13 +72,13 @@ class ProjectionPanel:
         """The trail that leads to this time step, which is added to it, and to the map while that
         is being made. A step that is computed again replaces the trail from there on; one that is
         only shown again changes nothing."""
-        if self._of != (key, frame.episode):
-            self._of, self._trail = (key, frame.episode), []
-        if self._seen != (frame.episode, frame.step) and not frame.past:
-            self._atlas.collect(key, frame.probe.features)
-            self._seen = (frame.episode, frame.step)
-        before = [place for place in self._trail if place.step < frame.step]
-        trail = [*before, Place(frame.step, _points(frame))][-TRAIL:]
+        if self._of != (key, frame.world.episode):
+            self._of, self._trail = (key, frame.world.episode), []
+        if self._seen != (frame.world.episode, frame.world.step) and not frame.past:
+            self._atlas.collect(key, frame.world.probe.features)
+            self._seen = (frame.world.episode, frame.world.step)
+        before = [place for place in self._trail if place.step < frame.world.step]
+        trail = [*before, Place(frame.world.step, _points(frame))][-TRAIL:]
         self._trail = self._trail if frame.past else trail
         return trail
 
@@ -86,11 +86,11 @@ class ProjectionPanel:
 def _points(frame: Frame) -> Array:
     """(V + 1, Z): the streams' features and the merged one, brought to the norm of one stream: a
     mean has it, and so has MVD's, which is put together from two halves."""
-    probe, row = frame.probe, frame.row
+    probe, row = frame.world.probe, frame.row
     merged = probe.merged(row)
     if merged.shape != probe.features.shape[1:] or not frame.mask.any():
         merged = np.full(probe.features.shape[1], np.nan, np.float32)
-    elif probe.merged_kind() != "mean" and frame.policy.method != "mvd":
+    elif probe.merged_kind() != "mean" and frame.world.policy.method != "mvd":
         merged = merged / frame.mask.sum()
     return np.concatenate([probe.features, merged[None]])
 
@@ -111,9 +111,9 @@ def map_html(frame: Frame, basis: Basis, trail: list[Place], height: int) -> str
     """The drawing and a line that says how to read it."""
     points = np.stack([basis.project(place.features) for place in trail])
     points = _on_paper(points, basis, height)
-    colours = camera_colours(frame.env.cameras)
+    colours = camera_colours(frame.world.env.cameras)
     shapes, names = "", ""
-    for index, stream in enumerate(frame.policy.streams):
+    for index, stream in enumerate(frame.world.policy.streams):
         colour, depth = colours[camera_of(stream)], modality_of(stream) == "depth"
         shapes += _way(points[:, index], colour, depth)
         shapes += _dot(points[-1, index], colour, bool(frame.mask[index]), 5)

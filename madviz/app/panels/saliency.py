@@ -66,9 +66,9 @@ def saliency_words(frame: Frame, asked: str) -> str:
             f"Bright: if this pixel changed a little, {what} would change most (SmoothGrad, twice "
             "a second). All pictures share one scale: a dark one hardly counts."
         )
-    if frame.speed is None and frame.phase == "playing":
+    if frame.pace.speed is None and frame.pace.phase == "playing":
         return "Not at full speed: choose a slower one, or pause."
-    if not frame.probe.supported[frame.row]:
+    if not frame.world.probe.supported[frame.row]:
         return "This policy cannot act on these cameras, so there is nothing to explain."
     return (
         "Nothing yet. The first time takes some seconds; a policy not made with torch never "

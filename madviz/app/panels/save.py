@@ -60,8 +60,8 @@ def file_name(kept: KeptSession) -> str:
 
 def save_html(frame: Frame) -> str:
     """What the file is good for."""
-    task = escape(frame.env.task.split("/")[-1])
-    name = f"{task}-seed{frame.seed}.json"
+    task = escape(frame.world.env.task.split("/")[-1])
+    name = f"{task}-seed{frame.world.seed}.json"
     rows = {
         f"madviz replay {name}": "the same again, and whether it is so to the bit",
         f"madviz explore --replay {name}": "on the page, from the first step on",

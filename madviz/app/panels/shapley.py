@@ -74,7 +74,7 @@ class ShapleyPanel:
 def shapley_html(frame: Frame, rates: Rates) -> str:
     """A row per camera with a signed bar for each game, and what they share in the last row."""
     columns = [q_column(frame), action_column(frame), success_column(frame, rates)]
-    cameras = cameras_of(frame.policy.streams)
+    cameras = cameras_of(frame.world.policy.streams)
     heads = "".join(f'<td style="width:27%">{column.title}</td>' for column in columns)
     rows = "".join(_row(frame, camera, i, columns) for i, camera in enumerate(cameras))
     totals = "".join(f'<td class="num" style="text-align:center">{c.total}</td>' for c in columns)
@@ -89,7 +89,7 @@ def shapley_html(frame: Frame, rates: Rates) -> str:
 
 def q_column(frame: Frame) -> Column:
     """Shares in the critic's forecast."""
-    worth = q_worth(frame.probe, frame.policy.streams, frame.mask)
+    worth = q_worth(frame.world.probe, frame.world.policy.streams, frame.mask)
     words = (
         "<b>Q</b> is the policy's own forecast of the reward still to come; of sets it was "
         "not trained on, it may be far from the truth."
@@ -103,7 +103,7 @@ def q_column(frame: Frame) -> Column:
 
 def action_column(frame: Frame) -> Column:
     """Shares in the way from the action without cameras to the present one."""
-    worth = action_worth(frame.probe, frame.policy.streams, frame.mask)
+    worth = action_worth(frame.world.probe, frame.world.policy.streams, frame.mask)
     if not np.isfinite(worth.cameras).all():
         return Column("action now", None, 2, "–", f"<b>Action</b>: {_undefined(frame)}")
     words = (
@@ -116,9 +116,9 @@ def action_column(frame: Frame) -> Column:
 
 def success_column(frame: Frame, rates: Rates) -> Column:
     """Shares in the success measured with each set of cameras, without occlusions."""
-    streams, title = frame.policy.streams, "success, measured"
+    streams, title = frame.world.policy.streams, "success, measured"
     names = set_names(streams, frame.mask)
-    found = {name: rates.best(frame.policy, Setting(name)) for name in dict.fromkeys(names)}
+    found = {name: rates.best(frame.world.policy, Setting(name)) for name in dict.fromkeys(names)}
     worth = success_worth({name: rate.mean for name, rate in found.items()}, streams, frame.mask)
     if worth is None:
         return Column(title, None, 2, "–", _missing(frame, [n for n in found if not found[n].n]))
@@ -136,7 +136,7 @@ def success_column(frame: Frame, rates: Rates) -> Column:
 
 def _undefined(frame: Frame) -> str:
     """Why a game cannot be played: which sets of cameras the policy cannot act on."""
-    streams, probe = frame.policy.streams, frame.probe
+    streams, probe = frame.world.policy.streams, frame.world.probe
     names = dict.fromkeys(set_names(streams, frame.mask))
     cannot = [name for name in names if not probe.supported[probe.row(mask_of(name, streams))]]
     if not cannot:
@@ -159,10 +159,10 @@ def _missing(frame: Frame, names: list[str]) -> str:
 
 
 def _row(frame: Frame, camera: str, index: int, columns: list[Column]) -> str:
-    colour = camera_colours(frame.env.cameras)[camera]
-    streams = [camera_of(stream) == camera for stream in frame.policy.streams]
+    colour = camera_colours(frame.world.env.cameras)[camera]
+    streams = [camera_of(stream) == camera for stream in frame.world.policy.streams]
     present = bool((frame.mask & np.array(streams)).any())
-    label = escape(frame.env.camera(camera).label) + ("" if present else " · dropped")
+    label = escape(frame.world.env.camera(camera).label) + ("" if present else " · dropped")
     cells = "".join(f"<td>{_cell(column, index, colour)}</td>" for column in columns)
     style = "" if present else ' style="opacity:0.45"'
     return (

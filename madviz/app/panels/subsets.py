@@ -32,7 +32,7 @@ class SubsetsPanel:
         self._everything = gui.add_checkbox(
             "Every row", False, hint="Also sets in which a camera gives half of what it could."
         )
-        self._everything.visible = len(frame.probe.masks) > FEW
+        self._everything.visible = len(frame.world.probe.masks) > FEW
         self._table = gui.add_html(subsets_html(frame, everything=False))
         on_value(self._everything, lambda *_: apply(self.update(self._frame)))
 
@@ -41,7 +41,7 @@ class SubsetsPanel:
         html = subsets_html(frame, bool(self._everything.value))
         return [
             Assign(self._table, "content", html),
-            Assign(self._everything, "visible", len(frame.probe.masks) > FEW),
+            Assign(self._everything, "visible", len(frame.world.probe.masks) > FEW),
         ]
 
     def remove(self) -> None:
@@ -50,17 +50,17 @@ class SubsetsPanel:
 
 def is_trained(frame: Frame, mask: np.ndarray) -> bool:
     """Whether the card says that the policy was trained to work from the streams of ``mask``."""
-    streams = frame.policy.streams
+    streams = frame.world.policy.streams
     return any(
-        np.array_equal(mask_of(name, streams), mask) for name in frame.policy.trained_subsets
+        np.array_equal(mask_of(name, streams), mask) for name in frame.world.policy.trained_subsets
     )
 
 
 def subsets_html(frame: Frame, everything: bool = True) -> str:
     """The current subset first, then the trained ones, then the rest; of more than ``FEW`` only the
     first two kinds and the sets of whole cameras, unless ``everything`` is asked for."""
-    masks, streams, here = frame.probe.masks, frame.policy.streams, frame.row
-    trained = {mask_of(name, streams).tobytes() for name in frame.policy.trained_subsets}
+    masks, streams, here = frame.world.probe.masks, frame.world.policy.streams, frame.row
+    trained = {mask_of(name, streams).tobytes() for name in frame.world.policy.trained_subsets}
     rows = range(len(masks))
     if not everything and len(masks) > FEW:
         whole = {mask.tobytes() for mask in camera_masks(streams)} | trained
@@ -85,14 +85,14 @@ _HEAD = (
 def distances(frame: Frame, row: int) -> tuple[float, float]:
     """Euclidean, in action units: from the action of ``row`` to the present setting's, and to that
     of all streams. NaN where one of them cannot be had."""
-    action = frame.probe.readout.action
+    action = frame.world.probe.readout.action
     to_now, to_all = (np.linalg.norm(action[row] - action[other]) for other in (frame.row, 0))
     return float(to_now), float(to_all)
 
 
 def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
-    readout, mask = frame.probe.readout, frame.probe.masks[row]
-    label = escape(subset_label(frame, name_of(mask, frame.policy.streams)))
+    readout, mask = frame.world.probe.readout, frame.world.probe.masks[row]
+    label = escape(subset_label(frame, name_of(mask, frame.world.policy.streams)))
     now = f'<span class="tag" style="background:{NOTE}">now</span> ' if here else ""
     dagger = "" if trained else '<span class="dim" title="not trained on this subset">† </span>'
     if np.isfinite(readout.action[row]).all():
@@ -115,9 +115,9 @@ def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
 def presence(frame: Frame, mask: np.ndarray) -> str:
     """A square per camera in its colour, filled where it is present; with two modalities the left
     half is colour and the right half depth."""
-    colours = camera_colours(frame.env.cameras)
+    colours = camera_colours(frame.world.env.cameras)
     on: dict[str, list[bool]] = {}
-    for stream, present in zip(frame.policy.streams, mask, strict=True):
+    for stream, present in zip(frame.world.policy.streams, mask, strict=True):
         on.setdefault(camera_of(stream), []).append(bool(present))
     squares = ""
     for camera, halves in on.items():
@@ -137,7 +137,7 @@ def subset_label(frame: Frame, subset: str) -> str:
         return special[subset]
     parts = []
     for stream in subset.split("+"):
-        label = frame.env.camera(camera_of(stream)).label
+        label = frame.world.env.camera(camera_of(stream)).label
         several = "." in stream
         parts.append(f"{label} {MODALITY_WORDS[modality_of(stream)]}" if several else label)
     return " + ".join(parts)

@@ -72,7 +72,9 @@ class SuccessPanel:
             self._keep(frame)
             self._want(frame)
         setting = frame.setting
-        moved = self._curve.add(frame.policy, setting, self._rates.live(frame.policy, setting))
+        moved = self._curve.add(
+            frame.world.policy, setting, self._rates.live(frame.world.policy, setting)
+        )
         changes = [
             Assign(self._bars, "content", bars_html(frame, self._rates)),
             Assign(self._strip, "content", strip_html(frame)),
@@ -88,11 +90,11 @@ class SuccessPanel:
 
     def _want(self, frame: Frame) -> None:
         """Has the setting of this moment measured, if it is not the one that already is."""
-        wanted = (frame.policy, frame.setting)
+        wanted = (frame.world.policy, frame.setting)
         measuring = self._switch is not None and self._switch.value
-        if measuring and wanted != self._wanted and frame.probe.supported[frame.row]:
+        if measuring and wanted != self._wanted and frame.world.probe.supported[frame.row]:
             self._wanted = wanted
-            self._rates.want(self._visitor, frame.policy, frame.mask, frame.ablation)
+            self._rates.want(self._visitor, frame.world.policy, frame.mask, frame.world.ablation)
 
     def _set_measuring(self, on: bool) -> None:
         self._wanted = None
@@ -101,11 +103,13 @@ class SuccessPanel:
 
     def _keep(self, frame: Frame) -> None:
         """Episodes seen on this page under one setting from start to end are measurements, too."""
-        fresh = [one for one in frame.outcomes if one not in self._known]
-        self._known = frame.outcomes
+        fresh = [one for one in frame.world.outcomes if one not in self._known]
+        self._known = frame.world.outcomes
         for outcome in fresh:
-            if outcome.setting is not None and outcome.policy == frame.policy:
-                self._rates.add(frame.policy, outcome.setting, {outcome.seed: outcome.success})
+            if outcome.setting is not None and outcome.policy == frame.world.policy:
+                self._rates.add(
+                    frame.world.policy, outcome.setting, {outcome.seed: outcome.success}
+                )
 
 
 class Curve:
@@ -149,7 +153,7 @@ def rate_point(rate: Rate) -> tuple[float, float, float]:
 def bar_rows(frame: Frame, rates: Rates) -> list[Setting]:
     """The settings that get a bar: all, the trained and the shipped ones, each stream alone, no
     camera; and the present one."""
-    spec = frame.policy
+    spec = frame.world.policy
     trained = [
         name_of(mask_of(subset, spec.streams), spec.streams) for subset in spec.trained_subsets
     ]
@@ -162,7 +166,7 @@ def bar_rows(frame: Frame, rates: Rates) -> list[Setting]:
 
 def bars_html(frame: Frame, rates: Rates) -> str:
     """One bar per setting: rate, interval and count, shipped above, measured here below."""
-    spec = frame.policy
+    spec = frame.world.policy
     rows = []
     settings = bar_rows(frame, rates)
     for setting in settings:
@@ -182,7 +186,7 @@ def bars_html(frame: Frame, rates: Rates) -> str:
 
 
 def _bar_row(frame: Frame, setting: Setting, shipped: Rate, live: Rate, height: int) -> str:
-    mask = mask_of(setting.subset, frame.policy.streams)
+    mask = mask_of(setting.subset, frame.world.policy.streams)
     label = subset_label(frame, setting.subset)
     short = label if len(label) <= LABEL else setting.subset
     if setting.occlusions:
@@ -236,10 +240,10 @@ def _interval(rate: Rate, colour: str, top: int) -> str:
 
 def strip_html(frame: Frame) -> str:
     """The last live outcomes, newest on the right, with the cameras that were missing in each."""
-    if not frame.outcomes:
+    if not frame.world.outcomes:
         body = '<span class="dim">the first episode is still running</span>'
     else:
-        body = "".join(_outcome(frame, outcome) for outcome in frame.outcomes)
+        body = "".join(_outcome(frame, outcome) for outcome in frame.world.outcomes)
     return (
         '<div class="mv"><h4>Last episodes <span class="plain">● dropped, ○ occluded</span></h4>'
         f'<div style="display:flex;gap:3px;min-height:38px">{body}</div>'
@@ -248,7 +252,7 @@ def strip_html(frame: Frame) -> str:
 
 
 def _outcome(frame: Frame, outcome: Outcome) -> str:
-    colours = camera_colours(frame.env.cameras)
+    colours = camera_colours(frame.world.env.cameras)
     dots = ""
     for camera, wrong in outcome.cameras.items():
         fill = colours[camera] if wrong == "off" else "transparent"
@@ -285,15 +289,15 @@ class WordsPanel:
         self._line = gui.add_html(self._html(frame))
 
     def update(self, frame: Frame) -> list[Assign]:
-        if frame.change is not None:
-            self._last = (frame.change, frame.policy)
+        if frame.world.change is not None:
+            self._last = (frame.world.change, frame.world.policy)
         return [Assign(self._line, "content", self._html(frame))]
 
     def remove(self) -> None:
         self._line.remove()
 
     def _html(self, frame: Frame) -> str:
-        if self._last is None or self._last[1] != frame.policy:
+        if self._last is None or self._last[1] != frame.world.policy:
             said = f'<span class="dim">{self.HINT}</span>'
         else:
             said = escape(sentence(self._last[0], frame, self._rates))
@@ -306,11 +310,11 @@ class WordsPanel:
 def sentence(change: Change, frame: Frame, rates: Rates) -> str:
     """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8; success so far 0.94 → 0.81
     (n=16)``."""
-    line = words(change, frame.env)
+    line = words(change, frame.world.env)
     if change.setting_before == change.setting_after:
         return line
-    before = rates.best(frame.policy, change.setting_before)
-    after = rates.best(frame.policy, change.setting_after)
+    before = rates.best(frame.world.policy, change.setting_before)
+    after = rates.best(frame.world.policy, change.setting_after)
     if not after.n:
         tail = f"success so far {before.mean:.2f} → not measured yet" if before.n else ""
     else:

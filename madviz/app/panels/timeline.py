@@ -47,7 +47,7 @@ class TimelinePanel:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._send, self._clock = send, clock
-        self._horizon = frame.env.horizon
+        self._horizon = frame.world.env.horizon
         self._handles: list = []
         self._slider: SyncedInput | None = None
         self._dragged, self._crossed = -AFTER_DRAG, False
@@ -61,7 +61,7 @@ class TimelinePanel:
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
     ) -> None:
         slider = gui.add_slider(
-            "Step", 0, self._horizon, 1, frame.step, marks=(), hint=HINTS["step"]
+            "Step", 0, self._horizon, 1, frame.world.step, marks=(), hint=HINTS["step"]
         )
         on_value(slider, lambda _, value: self._drag(int(value)))
         fork = gui.add_button("fork here", hint=HINTS["fork"])
@@ -90,12 +90,12 @@ class TimelinePanel:
         if self._clock() - self._dragged < AFTER_DRAG:
             return changes
         if not self._crossed:
-            return [*changes, *self._slider.show(frame.step)]
+            return [*changes, *self._slider.show(frame.world.step)]
         # A value of ours may have crossed the visitor's on its way, and viser sends none that it
         # believes to be there: another one between makes sure.
         self._crossed = False
-        changes += self._slider.show(frame.step - 1 if frame.step else 1, force=True)
-        return [*changes, *self._slider.show(frame.step, force=True)]
+        changes += self._slider.show(frame.world.step - 1 if frame.world.step else 1, force=True)
+        return [*changes, *self._slider.show(frame.world.step, force=True)]
 
     def remove(self) -> None:
         remove_all(self._handles)
@@ -108,7 +108,7 @@ def timeline_html(frame: Frame) -> str:
         ("Q", [moment.q for moment in frame.story], _branch(frame, "q")),
     ]
     drawn = "".join(
-        _lane(label, index, live, first, frame.env.horizon)
+        _lane(label, index, live, first, frame.world.env.horizon)
         for index, (label, live, first) in enumerate(lanes)
     )
     height = TOP + len(lanes) * (LANE + 8) + 18
@@ -170,7 +170,7 @@ def _lane(
 
 def _marks(frame: Frame, height: int) -> str:
     """Changes as dashed lines, the fork as a yellow one, goal met as a blue floor, the cursor."""
-    horizon, parts = frame.env.horizon, []
+    horizon, parts = frame.world.env.horizon, []
     for step, text in marks(frame.story):
         x = _x(step, horizon)
         parts.append(
@@ -187,7 +187,7 @@ def _marks(frame: Frame, height: int) -> str:
                 f'<rect x="{_x(step - 0.5, horizon):.1f}" y="{height - 18}" height="3" '
                 f'width="{_x(1, horizon) - _x(0, horizon):.2f}" fill="{GOOD}"/>'
             )
-    x = _x(frame.step, horizon)
+    x = _x(frame.world.step, horizon)
     parts.append(
         f'<line x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{height - 14}" stroke="#fff" '
         f'stroke-width="{2.5 if frame.past else 1}" stroke-opacity="0.7"/>'
@@ -196,7 +196,7 @@ def _marks(frame: Frame, height: int) -> str:
 
 
 def _axis(frame: Frame, height: int) -> str:
-    horizon = frame.env.horizon
+    horizon = frame.world.env.horizon
     return "".join(
         f'<text x="{_x(step, horizon):.1f}" y="{height - 3}" '
         f'text-anchor="{"end" if step == horizon else "middle"}">{step}</text>'
@@ -213,7 +213,7 @@ def _words(frame: Frame) -> str:
     if frame.past:
         newest = len(frame.story) - 1
         return (
-            f'<b style="color:{NOTE}">Looking back: step {frame.step} of {newest}.</b> '
+            f'<b style="color:{NOTE}">Looking back: step {frame.world.step} of {newest}.</b> '
             "Switch a camera here, or fork, and another run begins. Play goes on from the "
             "newest step."
         )
@@ -229,15 +229,15 @@ def _first(frame: Frame) -> str:
     """The original run's cameras at the same step, and how the two compare."""
     if frame.branch is None or frame.past:
         return ""
-    other, story, horizon = frame.branch.frame, frame.branch.story, frame.env.horizon
+    other, story, horizon = frame.branch.frame, frame.branch.story, frame.world.env.horizon
     tiles = [
         cv2.resize(picture(other, camera.name), (TILE, TILE), interpolation=cv2.INTER_NEAREST)
-        for camera in other.env.cameras
+        for camera in other.world.env.cameras
     ]
     strip = np.concatenate(tiles, axis=1)
     rows = [
-        ("original run", str(other.setting), other.total_reward, _outcome(story, horizon)),
-        ("now", str(frame.setting), frame.total_reward, _outcome(frame.story, horizon)),
+        ("original run", str(other.setting), other.world.total_reward, _outcome(story, horizon)),
+        ("now", str(frame.setting), frame.world.total_reward, _outcome(frame.story, horizon)),
     ]
     table = "".join(
         f"<tr><td><b>{who}</b></td><td>{escape(_short(what))}</td>"
@@ -247,7 +247,7 @@ def _first(frame: Frame) -> str:
     head = '<tr class="dim"><td></td><td>policy gets</td><td class="num">reward</td><td></td></tr>'
     return (
         '<div style="display:flex;gap:10px;margin-top:4px;align-items:center">'
-        f'<div><div class="dim">the original run, step {other.step}</div>'
+        f'<div><div class="dim">the original run, step {other.world.step}</div>'
         f'<img width="{strip.shape[1]}" height="{TILE}" src="{jpeg_url(strip)}" '
         f'alt="the original run"></div><table style="width:auto">{head}{table}</table></div>'
     )

@@ -77,7 +77,7 @@ class TrainingPanel:
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
     ) -> None:
         task = gui.add_dropdown(
-            "Task", known_tasks(), initial_value=frame.env.task, hint=HINTS["task"]
+            "Task", known_tasks(), initial_value=frame.world.env.task, hint=HINTS["task"]
         )
         method = gui.add_dropdown(
             "Method", tuple(METHODS), initial_value="mad", hint=HINTS["method"]

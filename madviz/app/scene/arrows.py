@@ -66,11 +66,11 @@ class ArrowsPanel:
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
-        hidden = frame.speed is None and frame.phase == "playing"
+        hidden = frame.pace.speed is None and frame.pace.phase == "playing"
         if hidden:
             return [Assign(self._lines, "visible", False)] if self._lines.visible else []
         now = self._clock()
-        if now - self._drawn < PERIOD and frame.phase == "playing":
+        if now - self._drawn < PERIOD and frame.pace.phase == "playing":
             return []
         self._drawn = now
         points, colours = arrows(frame, self._size)
@@ -106,13 +106,13 @@ def arrows(frame: Frame, size: float) -> tuple[Array, Array]:
     """(N, 2, 3) float32 points and (N, 2, 3) uint8 colours: the present setting last, on top."""
     points, colours = [], []
     for row, colour, trained in _drawn_rows(frame):
-        action = frame.probe.readout.action[row]
+        action = frame.world.probe.readout.action[row]
         if not np.isfinite(action).all():
             continue
         way = np.zeros(3)
         way[: min(3, len(action))] = action[:3]
         way *= REACH * size
-        lines = _arrow(np.asarray(frame.hand, float), way)
+        lines = _arrow(np.asarray(frame.world.hand, float), way)
         if row == frame.row:
             lines = _thick(lines, way, SIDE * size)
         elif not trained:
@@ -133,9 +133,9 @@ def _linear(colour: tuple[int, ...]) -> Array:
 def _drawn_rows(frame: Frame) -> list[tuple[int, tuple[int, ...], bool]]:
     """Row, colour, trained: every set of whole cameras, those with a colour of their own after the
     others, and last the present setting. With half cameras, six streams would have 64 arrows."""
-    streams, probe, here = frame.policy.streams, frame.probe, frame.row
-    own = camera_colours(frame.env.cameras)
-    trained = {probe.row(mask_of(name, streams)) for name in frame.policy.trained_subsets}
+    streams, probe, here = frame.world.policy.streams, frame.world.probe, frame.row
+    own = camera_colours(frame.world.env.cameras)
+    trained = {probe.row(mask_of(name, streams)) for name in frame.world.policy.trained_subsets}
     rows = []
     for mask in camera_masks(streams):
         row = probe.row(mask)

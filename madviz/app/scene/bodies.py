@@ -45,16 +45,16 @@ class Bodies:
 
     def update(self, frame: Frame) -> list[Assign]:
         """What has to change for the bodies to stand where ``frame`` has them."""
-        if frame.bodies is not self._shown:
+        if frame.world.bodies is not self._shown:
             self.remove()
             self._show(frame)
-        away = np.abs(frame.body_poses - self._poses)
+        away = np.abs(frame.world.body_poses - self._poses)
         moved = (away[:, :3].max(1) > STILL) | (away[:, 3:].max(1) > UNTURNED)
         changes = []
         for row in np.flatnonzero(moved):
-            handle, pose = self._handles[row], frame.body_poses[row].astype(float)
+            handle, pose = self._handles[row], frame.world.body_poses[row].astype(float)
             changes += [Assign(handle, "position", pose[:3]), Assign(handle, "wxyz", pose[3:])]
-        self._poses[moved] = frame.body_poses[moved]
+        self._poses[moved] = frame.world.body_poses[moved]
         return changes
 
     def remove(self) -> None:
@@ -64,8 +64,10 @@ class Bodies:
         self._handles, self._shown = [], ()
 
     def _show(self, frame: Frame) -> None:
-        self._shown, self._poses = frame.bodies, frame.body_poses.copy()
-        for body, pose in zip(frame.bodies, frame.body_poses.astype(float), strict=True):
+        self._shown, self._poses = frame.world.bodies, frame.world.body_poses.copy()
+        for body, pose in zip(
+            frame.world.bodies, frame.world.body_poses.astype(float), strict=True
+        ):
             self._handles.append(
                 self._client.scene.add_glb(
                     f"/bodies/{body.name}",

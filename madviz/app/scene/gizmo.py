@@ -54,15 +54,15 @@ class Gizmo:
         self._handle.on_update(self._hear)
 
     async def _hear(self, event: viser.TransformControlsEvent) -> None:
-        if event.client is not None and self.camera in self._frame.poses:
+        if event.client is not None and self.camera in self._frame.world.poses:
             self._dragging = event.phase != "end"
             guarded(event.client, lambda: self._follow(event.target))
             self._turning = self._turning and self._dragging
 
     def _follow(self, target: viser.TransformControlsHandle) -> None:
         """Asks for what the arrows say; once they are let go, they stand where the camera will."""
-        pose = self._frame.poses[self.camera]
-        move = self._frame.ablation.moves.get(self.camera, Displacement())
+        pose = self._frame.world.poses[self.camera]
+        move = self._frame.world.ablation.moves.get(self.camera, Displacement())
         wxyz = np.asarray(target.wxyz, float)
         self._turning = self._turning or self._is_turned(wxyz)
         if self._turning:
@@ -83,11 +83,11 @@ class Gizmo:
     def update(self, frame: Frame) -> list[Assign]:
         """Shows the arrows where the camera is, unless somebody drags them."""
         self._frame = frame
-        if self.camera not in frame.poses:
+        if self.camera not in frame.world.poses:
             return [Assign(self._handle, "visible", False)]
         changes = [Assign(self._handle, "visible", True)]
         if not self._dragging:
-            changes += self._stand(frame.poses[self.camera])
+            changes += self._stand(frame.world.poses[self.camera])
         return changes
 
     def _stand(self, pose: CameraPose) -> list[Assign]:

@@ -50,34 +50,34 @@ class ScenePanel:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._clock = clock
-        self._change, self._touched = frame.change, -AFTER_TOUCH
+        self._change, self._touched = frame.world.change, -AFTER_TOUCH
         self._drawn, self._moved = -PERIOD_AT_FULL_SPEED, -MOVE_AT_FULL_SPEED
-        self._states = {name: frame.camera(name) for name in frame.poses}
-        self._next, self._still = 0, frame.number
+        self._states = {name: frame.camera(name) for name in frame.world.poses}
+        self._next, self._still = 0, frame.pace.number
         """Whose turn it is at full speed, and the last frame of which all pictures are shown."""
         self._frusta: dict[str, viser.CameraFrustumHandle] = {}
-        self._placed = dict(frame.poses)
+        self._placed = dict(frame.world.poses)
         self._nodes: list = []
-        self._colours = colours = camera_colours(frame.env.cameras)
+        self._colours = colours = camera_colours(frame.world.env.cameras)
         self._size = extent(frame)
         with client.atomic():
             self._light(client)
             self._bodies = Bodies(client, frame)
-            for camera in frame.env.cameras:
+            for camera in frame.world.env.cameras:
                 self._add(client, frame, camera.name, colours[camera.name], on_click)
         self._view = FittedView(client.camera, *first_view(frame))
 
     def update(self, frame: Frame) -> list[Assign]:
-        now, hurried = self._clock(), frame.speed is None and frame.phase == "playing"
-        if frame.change is not self._change:
-            self._change, self._touched = frame.change, now
+        now, hurried = self._clock(), frame.pace.speed is None and frame.pace.phase == "playing"
+        if frame.world.change is not self._change:
+            self._change, self._touched = frame.world.change, now
         if hurried and now - self._touched < AFTER_TOUCH:
             return []
         changes = self._view.update()
         for name, handle in self._frusta.items():
             off = frame.camera(name).input == "off"
             changes.append(Assign(handle, "color", OFF if off else rgb(self._colours[name])))
-        if frame.phase != "playing" or now - self._moved >= (
+        if frame.pace.phase != "playing" or now - self._moved >= (
             MOVE_AT_FULL_SPEED if hurried else MOVE
         ):
             self._moved = now
@@ -95,7 +95,7 @@ class ScenePanel:
         """Frusta to where their cameras are, if those went far enough to be seen."""
         changes = []
         for name, handle in self._frusta.items():
-            pose, before = frame.poses[name], self._placed[name]
+            pose, before = frame.world.poses[name], self._placed[name]
             if not _same(pose, before):
                 self._placed[name] = pose
                 changes += [
@@ -111,9 +111,9 @@ class ScenePanel:
 
     def _turn(self, frame: Frame, now: float, hurried: bool) -> list[str]:
         """The cameras whose picture is brought up to date with this frame."""
-        states = {name: frame.camera(name) for name in self._frusta if name in frame.poses}
+        states = {name: frame.camera(name) for name in self._frusta if name in frame.world.poses}
         stale = [name for name in states if states[name] != self._states.get(name)]
-        still = frame.phase != "playing" and frame.number != self._still
+        still = frame.pace.phase != "playing" and frame.pace.number != self._still
         waited = now - self._drawn >= (PERIOD_AT_FULL_SPEED if hurried else PERIOD)
         if not (waited or still or (stale and not hurried)):
             return []
@@ -123,7 +123,7 @@ class ScenePanel:
             stale = stale[:1] or [list(states)[self._next]]
         elif not stale or still:
             stale = list(states)
-            self._still = frame.number
+            self._still = frame.pace.number
         self._states.update({name: states[name] for name in stale})
         return stale
 
@@ -141,8 +141,8 @@ class ScenePanel:
 
     def _scale(self, frame: Frame, name: str) -> float:
         """viser's size of a frustum: the cube root of its volume."""
-        half = np.tan(np.radians(frame.poses[name].fovy) / 2)
-        ridden = frame.env.camera(name).body is not None
+        half = np.tan(np.radians(frame.world.poses[name].fovy) / 2)
+        ridden = frame.world.env.camera(name).body is not None
         width = (WIDTH_ON_BODY if ridden else WIDTH) * self._size
         return float(np.cbrt(half * half / 3) * width / (2 * half))
 
@@ -154,7 +154,7 @@ class ScenePanel:
         colour: str,
         on_click: Callable[[str], None] | None,
     ) -> None:
-        pose = frame.poses[name]
+        pose = frame.world.poses[name]
         frustum = client.scene.add_camera_frustum(
             f"/cameras/{name}",
             fov=float(np.radians(pose.fovy)),
@@ -174,7 +174,7 @@ class ScenePanel:
             frustum.on_click(lambda _: on_click(name))
         label = client.scene.add_label(
             f"/cameras/{name}/label",
-            frame.env.camera(name).label,
+            frame.world.env.camera(name).label,
             font_screen_scale=0.8,
             anchor="bottom-center",
         )
@@ -185,12 +185,12 @@ class ScenePanel:
 def picture(frame: Frame, camera: str) -> Array:
     """(H, W, 3) uint8: what arrives of the camera's colour, in a striped frame if it is occluded;
     dim and grey where it is dropped."""
-    raw, state = frame.views[camera].rgb, frame.camera(camera)
+    raw, state = frame.world.views[camera].rgb, frame.camera(camera)
     if state.input == "off":
         return (0.25 * raw.mean(axis=2, keepdims=True)).astype(np.uint8).repeat(3, axis=2)
     seen = raw
     for name in (camera, f"{camera}.rgb"):
-        seen = frame.arrived.get(name, seen)
+        seen = frame.world.arrived.get(name, seen)
     return seen if state.occlusion.kind == "none" else striped(seen)
 
 
