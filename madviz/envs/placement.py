@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from madviz.errors import UserError, unknown
-from madviz.types import CameraSpec, EnvSpec
+from madviz.types import Array, CameraPose, CameraSpec, EnvSpec
 
 
 def drawn_cameras(
@@ -24,6 +25,12 @@ def drawn_cameras(
     if named.keys() <= {camera.name for camera in own}:
         return tuple(named.get(camera.name, camera) for camera in own)
     return given
+
+
+def camera_pose(position: Array, rotation: Rotation, fovy: float) -> CameraPose:
+    """Of a camera at ``position`` (3,) metres, whose ``rotation`` has OpenGL axes."""
+    turned = rotation * Rotation.from_euler("x", np.pi)  # OpenCV's: half a turn about x.
+    return CameraPose(position, turned.as_quat(scalar_first=True), fovy)
 
 
 class Placements:

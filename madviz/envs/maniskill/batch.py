@@ -22,7 +22,6 @@ measured.
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -33,7 +32,7 @@ from madviz.envs.checks import check_action
 from madviz.envs.maniskill.environment import HORIZON, cameras_of
 from madviz.envs.maniskill.meshes import lighten
 from madviz.envs.maniskill.render import FAR, sensor
-from madviz.envs.maniskill.tasks import states, stock_task
+from madviz.envs.maniskill.tasks import build, states
 from madviz.envs.maniskill.vulkan import renderer
 from madviz.envs.placement import drawn_cameras
 from madviz.errors import UserError
@@ -93,15 +92,15 @@ class ManiSkillBatch:
         self.cameras = drawn_cameras(cameras_of(task), cameras)
         self._task, self._device, self._step = task, device, 0
         light = render_profile == "fast"
-        facts = {"madviz_cameras": self.cameras, "madviz_light": light}
-        kind: Any = type("Batch", (_OurCameras, stock_task(task)), facts)
-        logging.getLogger("mani_skill ").setLevel(logging.ERROR)
-        self.simulation = kind(
+
+        class OurCameras(_OurCameras):
+            madviz_cameras, madviz_light = self.cameras, light
+
+        self.simulation = build(
+            task,
+            OurCameras,
             num_envs=copies,
-            robot_uids="panda_wristcam",
             obs_mode="rgb+depth",
-            control_mode="pd_ee_delta_pos",
-            reward_mode="normalized_dense",
             sim_backend=f"physx_{device}",
             render_backend="gpu" if device == "cuda" else "cpu",
         )
@@ -151,7 +150,6 @@ class _OurCameras:
     """Goes before a stock task: sensors are our cameras and no others, heavy meshes go, and a step
     draws nothing that nobody asked for."""
 
-    SUPPORTED_ROBOTS = None  # Any; the stock lists lack the wrist camera's Panda.
     madviz_cameras: tuple[CameraSpec, ...]
     madviz_light: bool
 

@@ -24,7 +24,7 @@ from madviz.envs.checks import check_action
 from madviz.envs.maniskill.experts import ManiSkillExpert
 from madviz.envs.maniskill.tasks import STATE_DIM, build, position, states
 from madviz.envs.maniskill.vulkan import renderer
-from madviz.envs.placement import Placements, drawn_cameras
+from madviz.envs.placement import Placements, camera_pose, drawn_cameras
 from madviz.envs.tasks import MANISKILL_SUCCESS
 from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, TimeStep, View
 
@@ -123,10 +123,7 @@ class ManiSkill:
 
     def pose(self, camera: str) -> CameraPose:
         spec = self._placements.of(self.spec, camera)
-        place, rotation = self._placed(spec)
-        # OpenGL axes to OpenCV axes is half a turn about the camera's x.
-        turned = rotation * Rotation.from_euler("x", np.pi)
-        return CameraPose(place, turned.as_quat(scalar_first=True), spec.fovy)
+        return camera_pose(*self._placed(spec), spec.fovy)
 
     def move_camera(self, camera: str, to: CameraSpec | None) -> None:
         self._placements.move(self.spec, camera, to)

@@ -6,13 +6,12 @@ task, same size, sensors at the same places; colour only, where ours reads colou
 
 from __future__ import annotations
 
-import logging
 from typing import Any
 
 import numpy as np
 
 from madviz.envs.maniskill.environment import cameras_of
-from madviz.envs.maniskill.tasks import stock_task
+from madviz.envs.maniskill.tasks import build
 from madviz.types import Array
 
 
@@ -20,14 +19,13 @@ class ManiSkillStock:
     """A task and its stock sensors. Belongs to the thread that makes it."""
 
     def __init__(self, task: str, size: int) -> None:
-        kind: Any = type("Stock", (_PaperSensors, stock_task(task)), {"madviz_task": task})
-        logging.getLogger("mani_skill ").setLevel(logging.ERROR)
-        self._simulation = kind(
-            robot_uids="panda_wristcam",
+        class PaperSensors(_PaperSensors):
+            madviz_task = task
+
+        self._simulation = build(
+            task,
+            PaperSensors,
             obs_mode="rgb",
-            control_mode="pd_ee_delta_pos",
-            reward_mode="normalized_dense",
-            sim_backend="physx_cpu",
             render_backend="cpu",
             sensor_configs={"width": size, "height": size},
         )
@@ -62,7 +60,6 @@ class _PaperSensors:
     wrist camera is the robot's."""
 
     madviz_task: str
-    SUPPORTED_ROBOTS = None  # Any; the stock lists lack the wrist camera's Panda.
 
     @property
     def _default_sensor_configs(self) -> list[Any]:

@@ -33,27 +33,8 @@ STATE_DIM = {"pick-cube": 29, "place-sphere": 29}
 """Of the tasks that also say whether the object is grasped; the others have 28."""
 
 
-def build(task: str, render_backend: str = "none") -> Any:
-    """ManiSkill's simulation of ``task``. ``render_backend`` is ``none`` for physics, ``cpu`` for a
-    scene that can be drawn; neither has cameras of its own."""
-    kind: Any = type("Simulation", (_Bare, stock_task(task)), {})
-    # Otherwise it warns at every construction that this robot is not on the task's list. (The odd
-    # name is its own, and importing it has just set the level.)
-    logging.getLogger("mani_skill ").setLevel(logging.ERROR)
-    return kind(
-        robot_uids="panda_wristcam",
-        obs_mode="none",
-        control_mode="pd_ee_delta_pos",
-        reward_mode="normalized_dense",
-        sim_backend="physx_cpu",
-        render_backend=render_backend,
-    )
-
-
-class _Bare:
+class Bare:
     """Goes before a stock task: no cameras, and no garbage collection on every reset."""
-
-    SUPPORTED_ROBOTS = None  # Any; the stock lists lack the wrist camera's Panda.
 
     def _setup_sensors(self, options: dict) -> None:
         self.scene: Any
@@ -65,7 +46,23 @@ class _Bare:
         self._sensors, self._human_render_cameras, self._hidden_objects = {}, {}, []
 
 
-def stock_task(task: str) -> Any:
+def build(task: str, extension: type = Bare, **options: Any) -> Any:
+    """ManiSkill's simulation of ``task``, whose methods give way to those of ``extension``.
+    ``options`` are ManiSkill's own; without any, physics alone and on a CPU."""
+    kind: Any = type("Simulation", (extension, _stock_task(task)), {"SUPPORTED_ROBOTS": None})
+    # Importing it has set the level: it would warn at every construction that this robot is not on
+    # the task's list.
+    logging.getLogger("mani_skill ").setLevel(logging.ERROR)
+    physics = {"obs_mode": "none", "sim_backend": "physx_cpu", "render_backend": "none"}
+    return kind(
+        robot_uids="panda_wristcam",
+        control_mode="pd_ee_delta_pos",
+        reward_mode="normalized_dense",
+        **physics | options,
+    )
+
+
+def _stock_task(task: str) -> Any:
     """ManiSkill's own class of ``task``."""
     from mani_skill.envs.tasks import tabletop
 

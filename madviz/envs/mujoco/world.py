@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from madviz.envs.mujoco.gl import check_gl
-from madviz.envs.placement import Placements
+from madviz.envs.placement import Placements, camera_pose
 from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, View
 
 
@@ -50,9 +50,8 @@ class MuJoCoWorld:
 
     def pose(self, camera: str) -> CameraPose:
         spec = self._placements.of(self.spec, camera)
-        # OpenGL axes to OpenCV axes is half a turn about the camera's x.
-        turned = Rotation.from_quat(spec.wxyz, scalar_first=True) * Rotation.from_euler("x", np.pi)
-        return CameraPose(self._position(spec), turned.as_quat(scalar_first=True), spec.fovy)
+        rotation = Rotation.from_quat(spec.wxyz, scalar_first=True)
+        return camera_pose(self._position(spec), rotation, spec.fovy)
 
     def move_camera(self, camera: str, to: CameraSpec | None) -> None:
         self._placements.move(self.spec, camera, to)
