@@ -28,9 +28,12 @@ class FakeFrames:
     def step(self) -> None:
         self._clock[0] += 60
 
-    def draw(self) -> None:
+    def draw(self) -> list:
         self._clock[0] += self._times.pop(0)
         self._log.append(self._name)
+        return []
+
+    def close(self) -> None: ...
 
 
 def test_sides_take_turns_and_neither_steps_nor_the_first_round_count() -> None:

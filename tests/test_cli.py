@@ -62,11 +62,12 @@ def test_every_command_explains_its_options(
     assert cli.COMMANDS[command].summary[:40] in told
 
 
-def without_words(config: type) -> list[str]:
+def without_words(config: Any) -> list[str]:
     """Options that no docstring follows, also those of nested groups."""
     found = []
-    kinds = {name: kind for name, kind in get_type_hints(config).items() if is_dataclass(kind)}
-    for parent in filter(is_dataclass, config.__mro__):
+    hints: dict[str, Any] = get_type_hints(config)
+    kinds = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    for parent in config.__mro__[:-1]:
         (tree,) = ast.parse(textwrap.dedent(inspect.getsource(parent))).body
         assert isinstance(tree, ast.ClassDef)
         for field, words in pairwise([*tree.body, ast.Pass()]):

@@ -20,11 +20,11 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from madviz.bench.render import STOCK
+from madviz.bench.render import STOCK, Frames
 from madviz.envs.registry import stock_frames
 from madviz.errors import UserError
 from madviz.evaluation.episodes import FIRST_SEED, Finished, Job, Runner, Workers, one_thread
@@ -53,16 +53,6 @@ class BenchEvaluateConfig:
     """Processes; by default one per core."""
     stock_decisions: int = 10
     """Decisions of the stock loop that are timed."""
-
-
-class StockSimulator(Protocol):
-    """A simulator as its users draw it; see ``envs/metaworld/stock.py``."""
-
-    def step(self) -> None: ...
-
-    def draw(self) -> list[Array]: ...
-
-    def close(self) -> None: ...
 
 
 def bench_evaluate(config: BenchEvaluateConfig) -> dict[str, Any]:
@@ -135,7 +125,7 @@ def in_turn(
 
 
 def stock_seconds(
-    frames: StockSimulator,
+    frames: Frames,
     policy: Policy,
     mask: Array,
     repeat: int,

@@ -29,7 +29,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from madviz.bench.server import served
+from madviz.bench.server import serving
 from madviz.errors import UserError
 from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 
@@ -86,8 +86,8 @@ def watched(config: LiveConfig) -> dict[str, Any]:
     all at once."""
     from madviz.bench.visitor import Visitor
 
-    words = ("--visitors", "1", "--watchers", str(config.watchers))
-    with served(config.policy, 0, *words) as url, ExitStack() as stack:
+    words = ["--visitors", "1", "--watchers", str(config.watchers)]
+    with serving(options(config, workers=0) + words) as (url, _), ExitStack() as stack:
         people: list[Visitor] = []
         for _ in range(1 + config.watchers):
             people.append(stack.enter_context(Visitor(url)))
@@ -156,10 +156,10 @@ def await_that(happened: Callable[[], object], patience: float) -> bool:
 
 def measure(config: LiveConfig, workers: int) -> dict[str, Any]:
     """One server, one browser: counts updates, then switches cameras off and on."""
-    options = "" if config.scene else "/?fixedDpr=0.05"
+    address = "" if config.scene else "/?fixedDpr=0.05"
     with (
-        served(config.policy, workers) as url,
-        opened(url + options, config.chromium) as page,
+        serving(options(config, workers)) as (url, _),
+        opened(url + address, config.chromium) as page,
     ):
         page.evaluate(STOPWATCH.read_text())
         page.wait_for_timeout(3000)
@@ -172,6 +172,11 @@ def measure(config: LiveConfig, workers: int) -> dict[str, Any]:
         "toggle_ms_p95": round(ordered[min(len(ordered) - 1, int(0.95 * len(ordered)))], 1),
         "toggle_ms": [round(value, 1) for value in raw],
     }
+
+
+def options(config: LiveConfig, workers: int) -> list[str]:
+    """Of ``madviz explore`` at full speed."""
+    return ["--policy", config.policy, "--workers", str(workers), "--speed", "None"]
 
 
 def updates_per_s(page: Page, seconds: float) -> float:

@@ -41,11 +41,13 @@ class RenderConfig:
 
 
 class Frames(Protocol):
-    """Something that moves on a step and draws three views; only ``draw`` is timed."""
+    """Something that moves on a step and draws three views."""
 
     def step(self) -> None: ...
 
-    def draw(self) -> object: ...
+    def draw(self) -> list[Any]: ...
+
+    def close(self) -> None: ...
 
 
 class OurFrames:
@@ -59,7 +61,7 @@ class OurFrames:
     def step(self) -> None:
         self._env.step(self._idle)
 
-    def draw(self) -> object:
+    def draw(self) -> list[Any]:
         return [self._env.view(camera.name, self._size) for camera in self._env.spec.cameras]
 
     def close(self) -> None:

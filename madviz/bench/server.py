@@ -16,14 +16,6 @@ from madviz.errors import UserError
 
 
 @contextmanager
-def served(policy: str, workers: int, *more: str) -> Iterator[str]:
-    """``madviz explore`` at full speed in a process of its own; its address once it answers."""
-    words = ["--policy", policy, "--workers", str(workers), "--speed", "None", *more]
-    with serving(words) as (url, _):
-        yield url
-
-
-@contextmanager
 def serving(
     words: Sequence[str], log: IO[str] | None = None
 ) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:

@@ -23,7 +23,6 @@ import statistics
 import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -114,12 +113,9 @@ def soak(config: SoakConfig) -> dict[str, Any]:
     """Runs server and visitors; see the module. Raises UserError for a machine without /proc."""
     if config.minutes <= 0 or config.visitors < 1:
         raise UserError("expected minutes above 0 and at least 1 visitor")
-    owners = max(1, config.visitors - 1)
     words = ["--policy", config.policy, "--workers", str(config.workers)]
-    with ExitStack() as stack:
-        log = stack.enter_context(tempfile.TemporaryFile("w+"))
-        words += ["--visitors", str(owners)]
-        url, process = stack.enter_context(serving(words, log))
+    words += ["--visitors", str(max(1, config.visitors - 1))]
+    with tempfile.TemporaryFile("w+") as log, serving(words, log) as (url, process):
         crowd = Crowd(url, process.pid, config.visitors, config.seed)
         samples = rounds(crowd, 60 * config.minutes)
         died = process.poll() is not None
@@ -158,10 +154,7 @@ def judged(samples: Sequence[Sample]) -> dict[str, Any]:
     part = max(1, len(warm) // 3)
     first, last = warm[:part], warm[-part:]
 
-    def middle(some: Sequence[Sample], name: str) -> float:
-        return statistics.median(getattr(sample, name) for sample in some)
-
-    before, after = middle(first, "memory_mb"), middle(last, "memory_mb")
+    before, after = (statistics.median(s.memory_mb for s in some) for some in (first, last))
     growth = after / before - 1
     threads = (int(max(s.threads for s in first)), int(min(s.threads for s in last)))
     processes = (max(s.processes for s in first), min(s.processes for s in last))

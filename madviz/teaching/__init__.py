@@ -8,42 +8,20 @@ All of these are here under ``madviz.teaching``; ``show``, ``lessons``, ``baseli
 are modules of their own, for those lessons that need them.
 """
 
-from madviz.teaching.episode import (
-    LESSON_SEED,
-    Moment,
-    begin,
-    frames_of,
-    moment_at,
-    moments,
-    occluded,
-)
-from madviz.teaching.rates import (
-    counts,
-    in_words,
-    paired_table,
-    shipped,
-    shipped_outcomes,
-    success_bars,
-    success_table,
-)
-from madviz.teaching.small_runs import SmallRun, train_light, train_small
-
-__all__ = [
-    "LESSON_SEED",
-    "Moment",
-    "SmallRun",
-    "begin",
-    "counts",
-    "frames_of",
-    "in_words",
-    "moment_at",
-    "moments",
-    "occluded",
-    "paired_table",
-    "shipped",
-    "shipped_outcomes",
-    "success_bars",
-    "success_table",
-    "train_light",
-    "train_small",
-]
+from madviz.teaching.episode import LESSON_SEED as LESSON_SEED
+from madviz.teaching.episode import Moment as Moment
+from madviz.teaching.episode import begin as begin
+from madviz.teaching.episode import frames_of as frames_of
+from madviz.teaching.episode import moment_at as moment_at
+from madviz.teaching.episode import moments as moments
+from madviz.teaching.episode import occluded as occluded
+from madviz.teaching.rates import counts as counts
+from madviz.teaching.rates import in_words as in_words
+from madviz.teaching.rates import paired_table as paired_table
+from madviz.teaching.rates import shipped as shipped
+from madviz.teaching.rates import shipped_outcomes as shipped_outcomes
+from madviz.teaching.rates import success_bars as success_bars
+from madviz.teaching.rates import success_table as success_table
+from madviz.teaching.small_runs import SmallRun as SmallRun
+from madviz.teaching.small_runs import train_light as train_light
+from madviz.teaching.small_runs import train_small as train_small

@@ -55,10 +55,7 @@ class LivePage:
         return f"[the live page, at {self.url}]"
 
     def _repr_html_(self) -> str:
-        return (
-            f'<iframe class="madviz-page" src="{escape(self.url)}" width="100%" '
-            f'height="{self._height}" style="border:0"></iframe>'
-        )
+        return iframe("madviz-page", self.url, self._height)
 
 
 class Viewer:
@@ -103,10 +100,15 @@ class Viewer:
         return f"[rerun's viewer, at {self.url}]"
 
     def _repr_html_(self) -> str:
-        return (
-            f'<iframe class="madviz-rerun" src="{escape(self.url)}" width="100%" '
-            f'height="{self._height}" style="border:0"></iframe>'
-        )
+        return iframe("madviz-rerun", self.url, self._height)
+
+
+def iframe(kind: str, url: str, height: int) -> str:
+    """HTML that shows the page at ``url``."""
+    return (
+        f'<iframe class="{kind}" src="{escape(url)}" width="100%" height="{height}" '
+        'style="border:0"></iframe>'
+    )
 
 
 def rerun_program() -> str:
