@@ -23,7 +23,7 @@ from madviz.teaching.inside import record
 from madviz.teaching.lessons import interval_figure
 from madviz.widgets import Explorer, Predict, TryOut, Viewer, live_page
 from madviz.widgets import page as widgets_page
-from madviz.widgets.explorer import ALIVE
+from madviz.widgets.explorer import MOST
 from madviz.widgets.questions import control_for
 from madviz.widgets.table import ROWS
 from tests.fakes import AllOrNothing, FakePolicy
@@ -43,7 +43,7 @@ def explorer() -> Iterator[Explorer]:
 
 
 def picture(explorer: Explorer) -> np.ndarray:
-    raw = np.frombuffer(explorer._picture.value, np.uint8)
+    raw = np.frombuffer(explorer.picture.value, np.uint8)
     decoded = cv2.imdecode(raw, cv2.IMREAD_COLOR)
     assert decoded is not None
     return decoded
@@ -51,35 +51,35 @@ def picture(explorer: Explorer) -> np.ndarray:
 
 def switch(explorer: Explorer, camera: str):
     """The control for what a camera gives, and the one for how it fails."""
-    return explorer._rows[camera].children[1:]
+    return explorer.switches[camera].children[1:]
 
 
 def test_it_waits_at_the_start_and_steps_when_told(explorer: Explorer) -> None:
     assert (explorer.frame.world.step, explorer.frame.pace.phase) == (0, "paused")
-    assert explorer._play.description == "Play"
+    assert explorer.play.description == "Play"
     explorer.step(3)
     assert explorer.frame.world.step == 3
-    until(lambda: "decision 3 of 25" in explorer._words.value)
+    until(lambda: "decision 3 of 25" in explorer.words.value)
 
 
 def test_a_click_takes_a_camera_away_in_the_same_picture(explorer: Explorer) -> None:
-    image, before = explorer._picture, picture(explorer)
+    image, before = explorer.picture, picture(explorer)
     third = before.shape[1] // 3
     switch(explorer, "third_a")[0].value = "off"
     until(lambda: not explorer.frame.mask[1])
-    until(lambda: "Third A dropped" in explorer._words.value)
+    until(lambda: "Third A dropped" in explorer.words.value)
     after = picture(explorer)
-    assert explorer._picture is image, "the widget stays, its value changes"
+    assert explorer.picture is image, "the widget stays, its value changes"
     tile = after[60:90, third + 20 : 2 * third - 20].astype(int)
     assert (
         np.ptp(tile, axis=2).mean() < 8 < np.ptp(before[60:90, third + 20 :].astype(int), 2).mean()
     )
-    assert ">first+third_b<" in explorer._table.value
+    assert ">first+third_b<" in explorer.table.value
 
 
 def test_an_occlusion_is_no_drop(explorer: Explorer) -> None:
     switch(explorer, "third_b")[1].value = "black"
-    until(lambda: "sends black" in explorer._words.value)
+    until(lambda: "sends black" in explorer.words.value)
     assert explorer.frame.mask.all() and explorer.frame.world.arrived["third_b"].max() == 0
 
 
@@ -95,24 +95,24 @@ def test_it_plays_and_pictures_follow(explorer: Explorer) -> None:
     explorer.session.send(SetSpeed(None))
     explorer.session.send(Play())
     until(lambda: explorer.painted > painted + 5)
-    assert explorer._play.description == "Pause"
-    explorer._play.click()
-    until(lambda: explorer._play.description == "Play")
+    assert explorer.play.description == "Pause"
+    explorer.play.click()
+    until(lambda: explorer.play.description == "Play")
 
 
 def test_it_says_so_when_a_policy_cannot_act() -> None:
     with closing(Explorer(AllOrNothing())) as explorer:
         explorer.set("first", "off")
-        until(lambda: "cannot act on this" in explorer._table.value)
+        until(lambda: "cannot act on this" in explorer.table.value)
         explorer.step()
-        until(lambda: "cannot act on" in explorer._words.value)
+        until(lambda: "cannot act on" in explorer.words.value)
 
 
 def test_modalities_that_a_policy_lacks_are_not_offered(explorer: Explorer) -> None:
     assert set(switch(explorer, "first")[0].options) == {"colour", "off"}
     with closing(Explorer(FakePolicy("toy-rgbd", "three-rgbd"))) as both:
         assert set(switch(both, "first")[0].options) == {"colour", "depth", "both", "off"}
-        assert both._table.value.count("<tr>") == ROWS + 1
+        assert both.table.value.count("<tr>") == ROWS + 1
 
 
 def test_it_is_shown_where_there_are_no_widgets(explorer: Explorer) -> None:
@@ -121,70 +121,75 @@ def test_it_is_shown_where_there_are_no_widgets(explorer: Explorer) -> None:
     assert bundle["text/html"].count("<img") == 1 and ">all<" in bundle["text/html"]
 
 
-def test_closing_ends_both_threads_and_says_so(explorer: Explorer) -> None:
+def threads() -> set[threading.Thread]:
+    """Those of explorers: sessions and painters."""
+    return {one for one in threading.enumerate() if one.name.startswith("madviz-")}
+
+
+def test_closing_ends_both_threads_and_says_so() -> None:
+    before = threads()
+    explorer = Explorer(FakePolicy())
+    assert {one.name for one in threads() - before} == {"madviz-session", "madviz-painter"}
     explorer.close()
-    assert explorer._play.disabled and switch(explorer, "first")[0].disabled
+    assert explorer.play.disabled and switch(explorer, "first")[0].disabled
     explorer.close()
-    assert explorer._words.value.count("has ended") == 1
-    painter = explorer._painter
-    assert painter is not None
-    until(lambda: not painter.is_alive())
-    thread = explorer.session._thread
-    assert thread is not None and not thread.is_alive()
+    assert explorer.words.value.count("has ended") == 1 and explorer not in Explorer.running
+    until(lambda: not threads() - before)
 
 
 def test_a_cell_that_is_run_again_and_again_keeps_no_simulation_for_each(
     explorer: Explorer,
 ) -> None:
-    later = [Explorer(FakePolicy()) for _ in range(ALIVE)]
-    assert explorer._words.value.count("has ended") == 1
-    assert explorer._painter is not None and not explorer._painter.is_alive()
-    assert all("has ended" not in one._words.value for one in later)
+    later = [Explorer(FakePolicy()) for _ in range(MOST)]
+    assert explorer.words.value.count("has ended") == 1
+    assert explorer not in Explorer.running and Explorer.running == later
+    assert all("has ended" not in one.words.value for one in later)
     for one in later:
         one.close()
-    assert not Explorer._alive
+    assert not Explorer.running
 
 
 def test_a_broken_start_is_told_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither a thread nor, when what was half made is forgotten, an error nobody can catch."""
+    """Neither a thread nor, when the unfinished widget is deleted, an error."""
 
     def broken(*_: object):
         raise UserError("expected a simulator, found none")
 
-    def sessions() -> set[threading.Thread]:
-        return {one for one in threading.enumerate() if one.name == "madviz-session"}
-
-    before, unraisable = sessions(), []
+    before, unraisable = threads(), []
     monkeypatch.setattr(sys, "unraisablehook", lambda told: unraisable.append(str(told.exc_value)))
     with pytest.raises(UserError, match="expected a simulator, found none"):
         Explorer(FakePolicy(), env_factory=broken)
-    assert sessions() == before
+    assert threads() == before
     gc.collect()
     assert not [one for one in unraisable if "Explorer" in one]
 
 
 def test_a_slider_draws_again_in_place() -> None:
     shown = TryOut(interval_figure, successes=(0, 50, 1), n=(1, 50, 1))
-    place, before = shown._drawn, shown._drawn.value
+    place, before = shown.drawing, shown.drawing.value
     shown.controls["n"].value = 40
-    assert shown._drawn is place and place.value != before and "n = 40" in place.value
-    assert "n = 40" in shown.still()
+    assert shown.drawing is place and place.value != before and "n = 40" in place.value
+    assert "n = 40" in shown.static_html()
 
 
 def test_every_kind_of_argument_has_its_control() -> None:
     made = [control_for(x) for x in (True, ["a", "b"], (0, 10), (0.0, 1.0), (0, 10, 5))]
     assert [type(one).__name__ for one in made] == [
-        *("Checkbox", "Dropdown", "IntSlider", "FloatSlider", "IntSlider")
+        "Checkbox",
+        "Dropdown",
+        "IntSlider",
+        "FloatSlider",
+        "IntSlider",
     ]
     assert made[3].value == 0.5 and made[4].step == 5
     with pytest.raises(UserError, match="lowest, highest"):
         control_for("word")
 
 
-def test_a_prediction_is_kept_beside_what_came() -> None:
+def test_a_prediction_is_shown_beside_the_measurement() -> None:
     guess = Predict("Heads or <tails>?", ["heads", "tails"])
     assert guess.said is None and "nothing yet" in guess.compare("heads")
-    assert "&lt;tails&gt;" in guess.still() and "<li>heads</li>" in guess.still()
+    assert "&lt;tails&gt;" in guess.static_html() and "<li>heads</li>" in guess.static_html()
     guess.choice.value = "tails"
     assert repr(guess.compare("heads")) == "You predicted: tails. Measured: heads."
 

@@ -12,7 +12,7 @@ frame, draws it, and puts the JPEG into one image that stays where it is:
                                  (simulates)         (newest)  (draws)
 
 A picture of three cameras is 20 to 30 kB, so 20 a second are half a megabyte a second. Clicks wait
-while a cell runs, because the kernel hears them in between cells; the pictures do not.
+while a cell runs, because the kernel reads them between cells; the pictures do not.
 """
 
 from __future__ import annotations
@@ -38,13 +38,18 @@ from madviz.session.session import EnvFactory, Session
 from madviz.subsets import modality_of
 from madviz.teaching import begin
 from madviz.types import CameraSpec, Environment, Policy
-from madviz.widgets.shown import Shown
+from madviz.widgets.static import StaticBox
 from madviz.widgets.table import table_html, words_html
 
 INPUTS: dict[str, CameraInput] = {"colour": "rgb", "depth": "depth", "both": "both", "off": "off"}
 OCCLUSIONS: dict[str, OcclusionKind] = {
-    **{"sees": "none", "sends black": "black", "sends noise": "noise", "is frozen": "freeze"},
-    **{"is blurred": "blur", "has a patch": "patch", "loses pictures": "dropout"},
+    "sees": "none",
+    "sends black": "black",
+    "sends noise": "noise",
+    "is frozen": "freeze",
+    "is blurred": "blur",
+    "has a patch": "patch",
+    "loses pictures": "dropout",
     "is late": "delay",
 }
 PICTURE = {"max_width": "100%", "align_self": "flex-start"}
@@ -55,17 +60,18 @@ PICTURES = 20.0
 PATIENCE = 120.0
 """Seconds to wait for a simulator to open on a busy machine."""
 
-ALIVE = 3
-"""Explorers of one kernel at once, some 200 MB each. A cell that is run again adds one, whatever
-becomes of the name it had, so one too many ends the oldest."""
+MOST = 3
+"""Explorers of one kernel at once, some 200 MB each. A cell that is run again adds one, so one too
+many ends the oldest."""
 ENDED = "<p>This simulation has ended; run the cell again for a new one.</p>"
 
 
-class Explorer(Shown):
+class Explorer(StaticBox):
     """A policy at work, and switches for its cameras. ``close`` ends its simulation, and so does
-    the ``ALIVE``-th explorer after it."""
+    the ``MOST``-th explorer after it."""
 
-    _alive: ClassVar[list[Explorer]] = []
+    running: ClassVar[list[Explorer]] = []
+    """Those that were not closed, the oldest first."""
 
     def __init__(
         self,
@@ -93,26 +99,26 @@ class Explorer(Shown):
         except UserError:
             self.session.close()
             raise
-        self._picture = ipywidgets.Image(format="jpeg", layout=PICTURE)
-        self._words, self._table = ipywidgets.HTML(), ipywidgets.HTML()
-        self._play = ipywidgets.Button(button_style="info", layout={"width": "90px"})
-        self._play.on_click(lambda _: self._toggle())
-        self._rows = {c.name: self._camera_row(first, c) for c in first.world.env.cameras}
+        self.picture = ipywidgets.Image(format="jpeg", layout=PICTURE)
+        self.words, self.table = ipywidgets.HTML(), ipywidgets.HTML()
+        self.play = ipywidgets.Button(button_style="info", layout={"width": "90px"})
+        self.play.on_click(lambda _: self._toggle())
+        self.switches = {c.name: self._camera_row(first, c) for c in first.world.env.cameras}
         self._bar = self._buttons()
-        super().__init__([self._bar, self._picture, *self._rows.values(), self._words])
-        self.children = (*self.children, self._table)
+        super().__init__([self._bar, self.picture, *self.switches.values(), self.words])
+        self.children = (*self.children, self.table)
         self.paint(first)
         self._painter = threading.Thread(target=self._run, name="madviz-painter", daemon=True)
         self._painter.start()
-        self._alive.append(self)
-        if len(self._alive) > ALIVE:
-            self._alive[0].close()
+        self.running.append(self)
+        if len(self.running) > MOST:
+            self.running[0].close()
 
     # What a cell can do.
 
     @property
     def frame(self) -> Frame:
-        """The newest instant. Raises UserError with the session's own words if there is none."""
+        """The newest time step. Raises UserError with the session's own words if there is none."""
         latest = self.session.latest
         if not isinstance(latest, Frame):
             found = latest.error if isinstance(latest, Failure) else "nothing yet"
@@ -125,13 +131,13 @@ class Explorer(Shown):
         """The same as a click: another switch or occlusion for ``camera``."""
         self.frame.world.env.camera(camera)
         state = CameraState(input, Occlusion(occlusion))
-        self._obeyed(SetCamera(camera, state), lambda frame: frame.camera(camera) == state)
+        self._send_and_wait(SetCamera(camera, state), lambda frame: frame.camera(camera) == state)
 
     def step(self, count: int = 1) -> None:
         """Takes decisions, then pauses."""
         for _ in range(count):
             before = (self.frame.world.episode, self.frame.world.step)
-            self._obeyed(
+            self._send_and_wait(
                 StepOnce(),
                 lambda frame, before=before: (
                     (frame.world.episode, frame.world.step) != before
@@ -142,34 +148,34 @@ class Explorer(Shown):
     def close(self) -> None:
         """Ends the simulation; the last picture stays, and says so."""
         if self._painter is None:
-            return  # ipywidgets closes what it forgets, and this one was never finished.
-        if self in self._alive:
-            self._alive.remove(self)
+            return  # ipywidgets closes what is deleted, and this one was never finished.
+        if self in self.running:
+            self.running.remove(self)
         self._closing.set()
         self._ready.set()
         self.session.close()
         self._painter.join(PATIENCE)
-        for row in (self._bar, *self._rows.values()):
+        for row in (self._bar, *self.switches.values()):
             for control in row.children:
                 if hasattr(control, "disabled"):
                     control.disabled = True
-        self._words.value = f"{self._words.value.removesuffix(ENDED)}{ENDED}"
+        self.words.value = f"{self.words.value.removesuffix(ENDED)}{ENDED}"
 
-    def still(self) -> str:
-        picture = b64encode(self._picture.value).decode()
+    def static_html(self) -> str:
+        picture = b64encode(self.picture.value).decode()
         return (
             f'<img alt="what each camera sends" src="data:image/jpeg;base64,{picture}">'
-            f"{self._words.value}{self._table.value}"
+            f"{self.words.value}{self.table.value}"
         )
 
     # Drawing.
 
     def paint(self, frame: Frame) -> None:
         """Puts ``frame`` into the widgets that show it."""
-        self._picture.value = jpeg(mosaic(frame, self._tile))
-        self._words.value = words_html(frame)
-        self._table.value = table_html(frame)
-        self._play.description = "Play" if frame.pace.phase == "paused" else "Pause"
+        self.picture.value = jpeg(mosaic(frame, self._tile))
+        self.words.value = words_html(frame)
+        self.table.value = table_html(frame)
+        self.play.description = "Play" if frame.pace.phase == "paused" else "Pause"
         self.painted += 1
 
     def _run(self) -> None:
@@ -183,11 +189,11 @@ class Explorer(Shown):
             if isinstance(latest, Frame):
                 self.paint(latest)
             elif isinstance(latest, Failure):
-                self._words.value = f"<pre>{escape(latest.error)}</pre>"
+                self.words.value = f"<pre>{escape(latest.error)}</pre>"
             self._closing.wait(max(0.0, 1 / PICTURES - (time.monotonic() - began)))
 
     def _first(self, playing: bool) -> Frame:
-        """Waits for the episode to open; where it shall not play, until it has paused."""
+        """Waits for the episode to open; where it should not play, until it has paused."""
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
             latest = self.session.latest
@@ -199,7 +205,7 @@ class Explorer(Shown):
             self._ready.clear()
         return self.frame
 
-    def _obeyed(self, command: Command, done: Callable[[Frame], bool]) -> None:
+    def _send_and_wait(self, command: Command, done: Callable[[Frame], bool]) -> None:
         """Sends a command and waits for a frame that shows it, or an error."""
         self.session.send(command)
         deadline = time.monotonic() + PATIENCE
@@ -212,7 +218,7 @@ class Explorer(Shown):
         self.session.send(Play() if self.frame.pace.phase == "paused" else Pause())
 
     def _buttons(self) -> ipywidgets.HBox:
-        box: list[ipywidgets.Widget] = [self._play]
+        box: list[ipywidgets.Widget] = [self.play]
         for label, command in (
             ("One step", StepOnce()),
             ("Again", Reset()),

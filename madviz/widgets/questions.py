@@ -10,10 +10,10 @@ import ipywidgets
 
 from madviz.errors import UserError
 from madviz.teaching.show import Draws, Words
-from madviz.widgets.shown import Shown
+from madviz.widgets.static import StaticBox
 
 
-class TryOut(Shown):
+class TryOut(StaticBox):
     """A function that draws, and a control for each of its arguments.
 
     ``TryOut(draw, n=(5, 200), rate=(0.0, 1.0, 0.05), camera=["first", "third_a"], squared=True)``:
@@ -23,22 +23,22 @@ class TryOut(Shown):
     def __init__(self, draw: Draws, **choices: Any) -> None:
         """``draw`` returns something of ``madviz.teaching.show``."""
         self.controls = {name: control_for(value) for name, value in choices.items()}
-        self._draw, self._drawn = draw, ipywidgets.HTML()
+        self._draw, self.drawing = draw, ipywidgets.HTML()
         for name, control in self.controls.items():
             control.description = name.replace("_", " ")
             control.style.description_width = "110px"
             control.layout.width = "420px"
             control.observe(lambda _: self._show(), "value")
-        super().__init__([*self.controls.values(), self._drawn])
+        super().__init__([*self.controls.values(), self.drawing])
         self._show()
 
     def _show(self) -> None:
         values = {name: control.value for name, control in self.controls.items()}
-        self._drawn.value = self._draw(**values).html
+        self.drawing.value = self._draw(**values).html
 
-    def still(self) -> str:
+    def static_html(self) -> str:
         values = (f"{name} = {control.value}" for name, control in self.controls.items())
-        return f"<p>{escape(', '.join(values))}</p>{self._drawn.value}"
+        return f"<p>{escape(', '.join(values))}</p>{self.drawing.value}"
 
 
 def control_for(choice: Any) -> Any:
@@ -58,7 +58,7 @@ def control_for(choice: Any) -> Any:
     raise UserError(f"expected True, False, a list or (lowest, highest), found {choice!r}")
 
 
-class Predict(Shown):
+class Predict(StaticBox):
     """A question to answer before the next cell is run; there is no grade."""
 
     def __init__(self, question: str, options: Sequence[str]) -> None:
@@ -73,7 +73,7 @@ class Predict(Shown):
     def said(self) -> str | None:
         return self.choice.value
 
-    def still(self) -> str:
+    def static_html(self) -> str:
         items = "".join(f"<li>{escape(option)}</li>" for option in self._options)
         return f"{self._question.value}<ul>{items}</ul>"
 

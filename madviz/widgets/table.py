@@ -1,4 +1,4 @@
-"""What an explorer says of an instant: where the episode stands, and every set of cameras."""
+"""The texts below an explorer's picture: the state of the episode, and every subset of cameras."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ ROWS = 12
 
 
 def words_html(frame: Frame) -> str:
-    """Where the episode stands, and what came of the last click."""
+    """The state of the episode, and the effect of the last click."""
     world = frame.world
-    fate = "success" if world.success else "not yet" if not frame.ended else "failed"
+    outcome = "success" if world.success else "not yet" if not frame.ended else "failed"
     lines = [
-        f"seed {world.seed}, decision {world.step} of {world.env.horizon}: <b>{fate}</b>",
+        f"seed {world.seed}, decision {world.step} of {world.env.horizon}: <b>{outcome}</b>",
         escape(words(world.change, world.env)) if world.change else "",
         escape(frame.pace.error.splitlines()[0]) if frame.pace.error else "",
     ]
@@ -27,7 +27,7 @@ def words_html(frame: Frame) -> str:
 
 
 def table_html(frame: Frame) -> str:
-    """The present subset, the trained ones and others: action, how far it is from now's, Q."""
+    """The present subset, trained ones and others: action, its distance from the present one, Q."""
     probe, streams = frame.world.probe, frame.world.policy.streams
     head = "".join(f"<th>{w}</th>" for w in ("cameras", "", "action", "differs by", "Q"))
     rows = [
@@ -49,13 +49,12 @@ def _subset_row(frame: Frame, row: int, name: str) -> str:
     if row == frame.row:
         note.append("now")
     if name not in frame.world.policy.trained_subsets:
-        note.append("off-training")
+        note.append("not trained on this subset")
     action: Array = readout.action[row]
     if not np.isfinite(action).all():
         cells = ["cannot act on this", "", ""]
     else:
-        apart = float(np.linalg.norm(action - frame.action))
-        cells = [" ".join(f"{a:+.2f}" for a in action), f"{apart:.2f}", f"{readout.q[row]:.1f}"]
-    return "".join(
-        ("<tr>", *(f"<td>{escape(c)}</td>" for c in (name, ", ".join(note), *cells)), "</tr>")
-    )
+        distance = float(np.linalg.norm(action - frame.action))
+        cells = [" ".join(f"{a:+.2f}" for a in action), f"{distance:.2f}", f"{readout.q[row]:.1f}"]
+    row_cells = "".join(f"<td>{escape(cell)}</td>" for cell in (name, ", ".join(note), *cells))
+    return f"<tr>{row_cells}</tr>"

@@ -1,4 +1,4 @@
-"""Widgets that show what they are also where a notebook is only displayed, without a kernel."""
+"""Widgets that are also displayed where a notebook has no kernel."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 import ipywidgets
 
 
-class Shown(ipywidgets.VBox):
-    """A box that also says what it shows where there are no widgets."""
+class StaticBox(ipywidgets.VBox):
+    """A box that also has HTML for where there are no widgets."""
 
-    def still(self) -> str:
+    def static_html(self) -> str:
         """HTML for a page without a kernel."""
         return ""
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Any:
         bundle = super()._repr_mimebundle_(**kwargs)
         if isinstance(bundle, dict):
-            bundle["text/html"] = self.still()
+            bundle["text/html"] = self.static_html()
         return bundle
