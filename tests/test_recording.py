@@ -40,14 +40,14 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording.checkpoint, "load_policy", policies)
 
 
-def lived(steps: int | None, setting: str = "toy-mad") -> list[Frame]:
-    session = Session(recording.make_env, policies(setting), policies, seed=3, speed=None)
+def frames_of(steps: int | None, policy: str = "toy-mad") -> list[Frame]:
+    session = Session(recording.make_env, policies(policy), policies, seed=3, speed=None)
     session.send(SetSchedule(parse_schedule(DROPS, CAMERAS)))
     return list(frames(session, steps))
 
 
-def written(path: Path, steps: int | None = None, setting: str = "toy-mad") -> list[Frame]:
-    writer, episode = writer_for(path, FACTS), lived(steps, setting)
+def written(path: Path, steps: int | None = None, policy: str = "toy-mad") -> list[Frame]:
+    writer, episode = writer_for(path, FACTS), frames_of(steps, policy)
     for frame in episode:
         writer.add(frame)
     writer.close()
@@ -55,11 +55,11 @@ def written(path: Path, steps: int | None = None, setting: str = "toy-mad") -> l
 
 
 def test_frames_are_one_for_every_step_after_what_came_by_itself() -> None:
-    episode = lived(12)
+    episode = frames_of(12)
     assert [frame.world.step for frame in episode] == list(range(13))
     off = [frame.world.step for frame in episode if frame.camera("third_a").input == "off"]
     assert off == [3, 4, 5, 6, 7]
-    assert [frame.world.step for frame in lived(None)] == list(range(26))
+    assert [frame.world.step for frame in frames_of(None)] == list(range(26))
 
 
 def test_a_policy_that_breaks_is_one_line() -> None:
@@ -239,17 +239,17 @@ def record(tmp_path: Path, *words: str) -> int:
     return cli.main(["record", *words])
 
 
-def test_a_recording_from_the_command_line_and_the_same_from_its_kept_file(
+def test_a_recording_from_the_command_line_and_the_same_from_a_saved_session(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kept, out = tmp_path / "kept.json", tmp_path / "x.html"
+    saved, out = tmp_path / "saved.json", tmp_path / "x.html"
     drops = ("--drop", "third_a@3-8", "first=black@5")
     words = ("--policy", "toy-mad", "--seed", "7", *drops, "--out", str(out))
-    assert record(tmp_path, *words, "--keep", str(kept)) == 0
+    assert record(tmp_path, *words, "--keep", str(saved)) == 0
     first = out.read_text()
     assert f"{out}: 25 decisions of toy-mad, seed 7" in capsys.readouterr().out
-    assert len(read_kept(kept).episodes[0].commands) == 3
-    assert record(tmp_path, "--replay", str(kept), "--out", str(out), "--json", "-") == 0
+    assert len(read_kept(saved).episodes[0].commands) == 3
+    assert record(tmp_path, "--replay", str(saved), "--out", str(out), "--json", "-") == 0
     assert '"same": true' in capsys.readouterr().out
 
     def measured(text: str) -> str:

@@ -23,7 +23,7 @@ from madviz.types import Array
 FOV = float(np.radians(50))
 """Vertical field of view; less than viser's 75 degrees, which bends what is at the edge."""
 DOWN = 0.6
-"""Metres down for each metre ahead, of the direction in which a visitor looks at first."""
+"""Metres down for each metre ahead, of the direction of the first view."""
 MARGIN = (0.84, 0.94)
 """Share of the picture that the points may fill, across and up; labels are wider than points."""
 WIDTH, WIDTH_ON_BODY = 0.24, 0.14
@@ -60,7 +60,7 @@ def best_direction(points: Array, pictures: Array, facing: Array, hand: Array) -
 
     Good is what keeps apart, on the screen, the cameras' ``pictures`` (C, 3) and the ``hand``
     (3,); what sees pictures from behind their cameras, which look along ``facing`` (C, 3), and so
-    the right way round; and what looks at the robot from the side of its hand. ``points`` (n, 3)
+    the right way round; and what faces the robot from the side of its hand. ``points`` (n, 3)
     are all that must be seen; most of them are the robot's.
     """
     reach = hand[:2] - points[:, :2].mean(0)

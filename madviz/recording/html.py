@@ -45,37 +45,36 @@ class HtmlWriter:
 
     def __init__(self, path: Path, facts: Facts) -> None:
         self._path, self._facts = path, facts
-        self._frames: list[Frame] = []
+        self._last: Frame | None = None
         self._marks: dict[int, str] = {}
         self._pictures: dict[int, str] = {}
         self._numbers: dict[str, list[Array]] = {}
 
     def add(self, frame: Frame) -> None:
-        before = self._frames[-1] if self._frames else None
-        if before is not None and _changed(before, frame):
-            self._marks[frame.world.step] = condition_words(frame)
-        every = max(frame.world.env.horizon // PICTURES, 1)
-        marked = frame.world.step in self._marks and len(self._marks) <= MOST_MARKED
-        if marked or frame.world.step % every == 0 or frame.ended:
-            self._pictures[frame.world.step] = jpeg_url(mosaic(frame, TILE))
-        probe, row = frame.world.probe, frame.row
+        world = frame.world
+        if self._last is not None and _changed(self._last, frame):
+            self._marks[world.step] = condition_words(frame)
+        every = max(world.env.horizon // PICTURES, 1)
+        marked = world.step in self._marks and len(self._marks) <= MOST_MARKED
+        if marked or world.step % every == 0 or frame.ended:
+            self._pictures[world.step] = jpeg_url(mosaic(frame, TILE))
+        probe, row = world.probe, frame.row
         self._note("norms", probe.norms)
         self._note("merged", np.array([probe.merged_norm(row)]))
         self._note("cosines", probe.cosines(row))
         self._note("action", frame.action)
         self._note("q", np.array([frame.q]))
-        self._note("reward", np.array([frame.world.reward]))
-        self._frames = [self._frames[0] if self._frames else frame, frame][-2:]
+        self._note("reward", np.array([world.reward]))
+        self._last = frame
 
     def close(self) -> None:
-        if self._frames:
-            write_bytes(self._path, self._html().encode())
+        if self._last is not None:
+            write_bytes(self._path, self._html(self._last).encode())
 
     def _note(self, name: str, numbers: Array) -> None:
         self._numbers.setdefault(name, []).append(np.asarray(numbers, float))
 
-    def _html(self) -> str:
-        last = self._frames[-1]
+    def _html(self, last: Frame) -> str:
         title = f"{last.world.policy.name}, seed {last.world.seed}"
         policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
         body = [

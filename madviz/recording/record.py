@@ -7,13 +7,14 @@ to one writer. The name of the file chooses it:
     .mp4   what the policy sees, with the state of every camera drawn in, and Q under it
     .html  one page that needs nothing else: pictures, curves, the outcome, how to make it again
 
-With ``--replay`` the episode is a kept one, otherwise a policy and a seed, and cameras that fail
-when ``--drop`` or ``--scenario`` says (``madviz.observation.schedule``).
+With ``--replay`` the episode is one of a saved session; otherwise a policy and a seed make it, and
+cameras fail when ``--drop`` or ``--scenario`` says (``madviz.observation.schedule``).
 """
 
 from __future__ import annotations
 
 import shlex
+from collections import deque
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -53,9 +54,9 @@ class RecordConfig:
     scenario: str | None = None
     """Failures with a name, for example "lens covered"; see madviz/observation/schedule.py."""
     replay: Path | None = None
-    """A kept session to record instead; policy, seed and failures are its own."""
+    """A saved session to record instead; policy, seed and failures are its own."""
     episode: int | None = None
-    """Which episode of the kept session, from 1; by default the last."""
+    """Which episode of the saved session, from 1; by default the last."""
     steps: int | None = None
     """Decisions to record; by default all there are."""
     tile: int = 252
@@ -63,7 +64,7 @@ class RecordConfig:
     fps: float = 10.0
     """Decisions in a second of film."""
     keep: Path | None = None
-    """Also write the episode as a kept session, for `madviz replay`."""
+    """Also write the episode as a saved session, for `madviz replay`."""
     json: str | None = None
     """Write what was recorded to this file; ``-`` is standard output, and nothing else goes there.
     """
@@ -72,7 +73,9 @@ class RecordConfig:
 class Writer(Protocol):
     """Takes the frames of one episode, one for every step, in order."""
 
-    def add(self, frame: Frame) -> None: ...
+    def add(self, frame: Frame) -> None:
+        """Takes the frame of the next step."""
+        ...
 
     def close(self) -> None:
         """Completes the file."""
@@ -91,7 +94,7 @@ def check(config: RecordConfig) -> None:
         raise UserError("expected --policy NAME or --replay FILE, found neither; give one")
     if config.replay is not None and (config.drop or config.scenario or config.steps):
         raise UserError(
-            "expected a kept session to have failures and length of its own, found --drop, "
+            "expected a saved session to have failures and length of its own, found --drop, "
             "--scenario or --steps beside --replay; leave them out"
         )
 
@@ -124,7 +127,7 @@ def check_out(path: Path) -> None:
 
 def run_record(config: RecordConfig) -> dict[str, Any]:
     """Records what ``config`` says. Raises UserError for whatever in it will not do. ``same`` is
-    whether a kept episode came out as it was, to the bit; null where there was none."""
+    whether a saved episode came out as it was, to the bit; null where there was none."""
     check(config)
     check_out(config.out)
     if config.keep is not None:
@@ -139,23 +142,23 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         session.send(SetSchedule(schedule))
         failures = failures_of(script) if script else in_words(schedule)
         facts = Facts(command_of(config), tuple(failures), config.fps, config.tile)
-        last, size = write_all(
-            config.out, facts, frames(session, script.steps if script else config.steps)
-        )
+        steps = script.steps if script else config.steps
+        last, size = write_all(config.out, facts, frames(session, steps))
     if config.keep is not None:
         session.keep().last().write(config.keep)
+    end = last.world
     return {
         "schema": 1,
         "out": str(config.out),
         "bytes": size,
-        "policy": last.world.policy.name,
-        "task": last.world.env.task,
-        "seed": last.world.seed,
-        "steps": last.world.step,
+        "policy": end.policy.name,
+        "task": end.env.task,
+        "seed": end.seed,
+        "steps": end.step,
         "failures": failures,
-        "success": last.world.success,
-        "success_any": last.world.success_any,
-        "return": last.world.total_reward,
+        "success": end.success,
+        "success_any": end.success_any,
+        "return": end.total_reward,
         "same": session.keep().episodes[-1].sha256 == script.sha256 if script else None,
     }
 
@@ -182,7 +185,7 @@ def record_words(result: dict[str, Any]) -> str:
         f"{result['bytes'] / 1e6:.2f} MB",
     ]
     if result["same"] is False:
-        said.append("it did not come out as it was kept: `madviz replay` says where it differs")
+        said.append("it did not come out as it was saved: `madviz replay` says where it differs")
     return "\n".join(said)
 
 
@@ -229,13 +232,13 @@ def _session(
 def frames(session: Session, steps: int | None) -> Iterator[Frame]:
     """The frames of one episode, from step 0 to its end or to step ``steps``: of every step the
     last one, after whatever came by itself. Raises UserError where the session stops."""
-    come: list[Frame | Failure] = []
-    session.subscribe(come.append)
+    arrived: deque[Frame | Failure] = deque()
+    session.subscribe(arrived.append)
     newest: Frame | None = None
     while newest is None or not (newest.ended or newest.world.step == steps):
         session.tick(0.0)
-        while come:
-            frame = come.pop(0)
+        while arrived:
+            frame = arrived.popleft()
             error = frame.error if isinstance(frame, Failure) else frame.pace.error
             if error or isinstance(frame, Failure):
                 raise UserError(f"the episode stopped: {error.strip().splitlines()[0]}")

@@ -4,11 +4,11 @@
                                  occlusions and all, dark where the camera is dropped
     world/bodies                 the robot and what it works on, as far as the simulator tells
     depth/NAME                   depth as it arrived at the policy, where it takes any
-    features/norm, cosine        length of every stream's feature, its cosine to the merged one
+    features/norm, cosine        norm of every stream's feature, its cosine to the merged one
     value/q, reward, success     of the decision at this step
     action, mask                 the action that comes next; 1 for every stream that is present
 
-Pictures go in as JPEG files, which the viewer decodes when they are looked at. A hammer episode of
+Pictures go in as JPEG files, which the viewer decodes when it shows them. A hammer episode of
 100 decisions is 1.0 MB, 0.9 of it pictures of 84 pixels; raw, these alone would be 6.4 MB.
 """
 
@@ -102,26 +102,24 @@ class RerunWriter:
 
     def _camera(self, frame: Frame, name: str) -> None:
         """Its pose and opening, and what arrives of it; dark where it is dropped."""
-        pose, off = frame.world.poses[name], frame.camera(name).input == "off"
+        world, off = frame.world, frame.camera(name).input == "off"
+        pose, picture = world.poses[name], world.views[name].rgb
         w, x, y, z = (float(number) for number in pose.wxyz)
-        size = frame.world.views[name].rgb.shape[0]
+        size = picture.shape[0]
         path = f"world/cameras/{name}"
         self._stream.log(
             path,
             rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=[x, y, z, w])),
-            rr.Pinhole(  # In pixels: told an angle, rerun takes the picture for one of 1 x 1.
+            rr.Pinhole(  # In pixels: given an angle, rerun takes the picture for one of 1 x 1.
                 focal_length=float(size / 2 / np.tan(np.radians(pose.fovy) / 2)),
                 width=size,
                 height=size,
                 image_plane_distance=0.25,
-                color=(110, 112, 116)
-                if off
-                else rgb(camera_colours(frame.world.env.cameras)[name]),
+                color=(110, 112, 116) if off else rgb(camera_colours(world.env.cameras)[name]),
             ),
         )
-        picture = frame.world.views[name].rgb
         for stream in (f"{name}.rgb", name):
-            picture = frame.world.arrived.get(stream, picture)
+            picture = world.arrived.get(stream, picture)
         self._picture(f"{path}/picture", (picture // 4) if off else picture)
 
     def _picture(self, path: str, picture: Array) -> None:
