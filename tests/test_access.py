@@ -148,15 +148,22 @@ def test_a_page_of_another_site_opens_nothing_here(
 @pytest.mark.parametrize(
     ("host", "forwarded", "welcome"),
     [
-        *[("127.0.0.1:{port}", None, True), ("127.5.0.1:{port}", None, True)],
-        *[("localhost:{port}", None, True), ("LOCALHOST.:{port}", None, True)],
-        *[("[::1]:{port}", None, True), ("madviz.localhost:{port}", None, True)],
+        ("127.0.0.1:{port}", None, True),
+        ("127.5.0.1:{port}", None, True),
+        ("localhost:{port}", None, True),
+        ("LOCALHOST.:{port}", None, True),
+        ("[::1]:{port}", None, True),
+        ("madviz.localhost:{port}", None, True),
         ("127.0.0.1:9000", None, True),  # A tunnel to another port.
         ("192.168.1.5:{port}", None, True),  # Or one that others may use: a number is nobody's.
-        *[("evil.example:{port}", None, False), ("127.0.0.1.evil.example:{port}", None, False)],
-        *[("localhost.evil.example:{port}", None, False), ("box:{port}", None, False)],
+        ("evil.example:{port}", None, False),
+        ("127.0.0.1.evil.example:{port}", None, False),
+        ("localhost.evil.example:{port}", None, False),
+        ("box:{port}", None, False),
         # A notebook's server, which passes its own name on, and one behind a hub.
-        *[("box:8888", None, True), ("hub.example", None, True), ("hub.example:443", None, True)],
+        ("box:8888", None, True),
+        ("hub.example", None, True),
+        ("hub.example:443", None, True),
         ("hub.example:{port}", "X-Forwarded-For", True),
     ],
 )

@@ -25,9 +25,15 @@ KINDS: dict[str, type[Message]] = {kind.__name__: kind for kind in Message.get_s
 LET_GO = 1002
 """The code with which a connection is closed after a message that no page sends."""
 REFUSED = {
-    *("ShareUrlRequest", "ShareUrlDisconnect", "FileTransferStartUpload", "FileTransferPart"),
-    *("GuiButtonHoldMessage", "GuiFormSubmitMessage", "GuiFormDirtyMessage"),
-    *("SceneNodeDragMessage", "ScenePointerMessage"),
+    "ShareUrlRequest",
+    "ShareUrlDisconnect",
+    "FileTransferStartUpload",
+    "FileTransferPart",
+    "GuiButtonHoldMessage",
+    "GuiFormSubmitMessage",
+    "GuiFormDirtyMessage",
+    "SceneNodeDragMessage",
+    "ScenePointerMessage",
 }
 """What viser would act upon and the page does not send."""
 

@@ -175,7 +175,11 @@ class Page:
         self._waiting.content = waiting_html(self._notice) if self._notice else ""
         with self.client.atomic():
             self._panels = Panels(
-                *(self.client, self.session, self._shared, frame, lambda: self._newest),
+                self.client,
+                self.session,
+                self._shared,
+                frame,
+                lambda: self._newest,
                 wide=self._wide,
                 readonly=self._readonly,
             )

@@ -22,7 +22,6 @@ from itertools import count
 import viser
 
 from madviz.app.panel import Assign
-from madviz.app.toolkit import remove_all
 from madviz.drawing.jpeg import jpeg_url
 from madviz.types import Array
 
@@ -59,4 +58,5 @@ class Screen:
 
     def remove(self) -> None:
         """Takes it off the page."""
-        remove_all([self._image, self._feed])
+        self._image.remove()
+        self._feed.remove()

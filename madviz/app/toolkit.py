@@ -115,6 +115,11 @@ def grid(name: str, columns: int, cells: Sequence[Cell]) -> str:
     )
 
 
+def place(gui: viser.GuiApi, name: str, columns: int, cells: Sequence[Cell]) -> list[Any]:
+    """Lays ``cells`` out in the container they are in. Returns all handles, the layout's too."""
+    return [*(cell.handle for cell in cells), gui.add_html(grid(name, columns, cells))]
+
+
 def selector(handle: Any) -> str:
     """CSS of the box around a widget that is a cell of some grid."""
     return f'[data-mv-id="{handle._impl.uuid}"]'
@@ -195,7 +200,12 @@ def on_press(button: viser.GuiButtonHandle, work: Callable[[], None]) -> None:
             guarded(event.client, work)
 
 
-def remove_all(handles: Sequence[Any]) -> None:
-    """Takes widgets off the page."""
-    for handle in handles:
-        handle.remove()
+class WidgetPanel:
+    """Base of a panel that is made of widgets: whatever is in ``handles`` is taken off the page."""
+
+    handles: list[Any]
+
+    def remove(self) -> None:
+        """See ``panel.Panel``."""
+        for handle in self.handles:
+            handle.remove()

@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from html import escape
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import viser
 
 from madviz.app.panels.policy import PolicyChoice
-from madviz.app.toolkit import Cell, grid, guarded, remove_all, theme
+from madviz.app.toolkit import Cell, guarded, place, theme
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.session.commands import Command, Play, Reset, Scrub, SetCamera, SetPolicy, SetSpeed
 from madviz.session.frame import Failure, Frame, untouched
@@ -168,13 +168,12 @@ class Tour:
         self._at, self._acting = 0, ""
         gui = client.gui
         options = (HELP_BUTTON,) if send is None else (TOUR_BUTTON, HELP_BUTTON)
-        row = gui.add_button_group(
+        self._row = gui.add_button_group(
             "New here?",
             options,
             hint="What there is to try; what words and keys (?) mean.",
         )
-        row.on_click(lambda event: self._pressed(event.target.value))
-        self._handles: list[Any] = [row]
+        self._row.on_click(lambda event: self._pressed(event.target.value))
 
     def _pressed(self, button: str) -> None:
         if button == TOUR_BUTTON:
@@ -199,8 +198,7 @@ class Tour:
             self._text = gui.add_html("")
             self._next = gui.add_button("next step", hint="The tour's next step.")
             self._end = gui.add_button("end the tour", hint="Everything as it was before the tour.")
-            cells = [Cell(self._next, 1), Cell(self._end, 2)]
-            gui.add_html(grid("tour-steps", 2, cells))
+            place(gui, "tour-steps", 2, [Cell(self._next, 1), Cell(self._end, 2)])
         self._next.on_click(lambda _: self.next())
         self._end.on_click(lambda _: self.end())
 
@@ -262,7 +260,7 @@ class Tour:
         if self._panel is not None:
             self._panel.remove()
             self._panel = None
-        remove_all(self._handles)
+        self._row.remove()
 
 
 def restored(frame: Frame) -> tuple[Command, ...]:

@@ -69,8 +69,10 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     home = folder / "home"
     environment = {
         **{key: value for key, value in os.environ.items() if not key.startswith("JUPYTER")},
-        **{"PYTHONPATH": str(ROOT), "JUPYTER_CONFIG_DIR": str(home / "config")},
-        **{"JUPYTER_DATA_DIR": str(home / "data"), "JUPYTER_RUNTIME_DIR": str(home / "run")},
+        "PYTHONPATH": str(ROOT),
+        "JUPYTER_CONFIG_DIR": str(home / "config"),
+        "JUPYTER_DATA_DIR": str(home / "data"),
+        "JUPYTER_RUNTIME_DIR": str(home / "run"),
     }
     words = [sys.executable, "-m", "jupyter", "lab", "--no-browser", "--allow-root"]
     words += ["--ServerApp.ip=127.0.0.1", f"--ServerApp.port={port}", "--ServerApp.port_retries=0"]

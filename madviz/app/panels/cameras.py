@@ -10,7 +10,7 @@ import viser
 from madviz.app.panel import Assign
 from madviz.app.panels.patch import HINT, Box, attributes, field_style, parse_box, patched
 from madviz.app.screen import Screen
-from madviz.app.toolkit import Cell, Choice, SyncedInput, grid, on_value, remove_all
+from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_value, place
 from madviz.drawing.mosaic import GAP, mosaic
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import SetCamera
@@ -20,9 +20,16 @@ from madviz.types import CameraSpec
 
 INPUTS = {"rgb": "RGB", "depth": "depth", "both": "both", "off": "off"}
 OCCLUSIONS = {
-    **{kind: kind for kind in ("none", "black", "noise", "freeze", "blur", "patch")},
-    **{"dropout": "lossy", "delay": "late"},
+    "none": "none",
+    "black": "black",
+    "noise": "noise",
+    "freeze": "freeze",
+    "blur": "blur",
+    "patch": "patch",
+    "dropout": "lossy",
+    "delay": "late",
 }
+"""Occlusions, and what their buttons say."""
 SLIDERS = {
     "strength": ("noise", "blur", "patch", "dropout", "delay"),
     "x": ("patch",),
@@ -78,10 +85,6 @@ class CameraControls:
         on_value(handle, lambda _, value: self._on_fraction(field, value))
         self.sliders[field], self._shown[field] = handle, SyncedInput(handle)
 
-    @property
-    def handles(self) -> list:
-        return [self.input.handle, self.occlusion.handle, *self.sliders.values()]
-
     def style(self) -> str:
         return self.input.style(self._state.input) + self.occlusion.style(
             self._state.occlusion.kind
@@ -120,7 +123,7 @@ class CameraControls:
         self._ask(replace(self._state, occlusion=occlusion))
 
 
-class CamerasPanel:
+class CamerasPanel(WidgetPanel):
     """The mosaic with a column of controls under every tile. ``send`` None: read-only."""
 
     def __init__(
@@ -144,8 +147,9 @@ class CamerasPanel:
             self._build(gui, send, frame.world.env.cameras)
         if self._field is not None:
             on_value(self._field, lambda _, text: self._draw(text))
-        self._grid = gui.add_html(self._layout(count))
+        self.handles = [self._style, self._screen, *place(gui, "cameras", count, self._cells())]
         self._note = gui.add_html("")
+        self.handles.append(self._note)
 
     def _build(
         self,
@@ -167,13 +171,13 @@ class CamerasPanel:
         box = parse_box(text, len(self._controls))
         self._controls[box.tile].cover(box, self._tile)
 
-    def _layout(self, columns: int) -> str:
+    def _cells(self) -> list[Cell]:
         cells = [Cell(self._field, 1)] if self._field else []
         for index, control in enumerate(self._controls):
             cells.append(Cell(control.input.handle, index + 1, label="above"))
             cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="21%"))
             cells += [Cell(slider, index + 1) for slider in control.sliders.values()]
-        return grid("cameras", columns, cells)
+        return cells
 
     def update(self, frame: Frame) -> list[Assign]:
         changes = [self._screen.show(mosaic(frame, self._tile), step_of(frame))]
@@ -185,11 +189,6 @@ class CamerasPanel:
         hint = f'<div class="mv"><span class="dim">{HINT}</span></div>' if self._field else ""
         changes.append(Assign(self._note, "content", unused_note(frame) or hint))
         return changes
-
-    def remove(self) -> None:
-        self._screen.remove()
-        remove_all([self._style, self._grid, self._note, *([self._field] if self._field else [])])
-        remove_all([handle for control in self._controls for handle in control.handles])
 
 
 def step_of(frame: Frame) -> str:

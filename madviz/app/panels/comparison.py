@@ -13,7 +13,7 @@ from madviz.app.panel import Assign
 from madviz.app.panels.policy import PolicyChoice, verdict
 from madviz.app.panels.subsets import subset_label
 from madviz.app.scene.scene import picture
-from madviz.app.toolkit import Cell, grid, on_press, remove_all
+from madviz.app.toolkit import Cell, WidgetPanel, on_press, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, NOTE
 from madviz.drawing.jpeg import jpeg_url
 from madviz.evaluation.statistics import Paired
@@ -35,7 +35,7 @@ HINTS = {
 }
 
 
-class ComparisonPanel:
+class ComparisonPanel(WidgetPanel):
     """Controls, B's cameras, and the tally. ``send`` None: read-only."""
 
     def __init__(
@@ -45,12 +45,13 @@ class ComparisonPanel:
         frame: Frame,
         choices: Sequence[PolicyChoice],
     ) -> None:
-        self._frame, self._handles = frame, []
+        self._frame = frame
+        self.handles = []
         self._names = {choice.label: choice.name for choice in choices}
         if send is not None and self._names:
             self._add_controls(gui, send)
         self._html = gui.add_html(comparison_html(frame))
-        self._handles.append(self._html)
+        self.handles.append(self._html)
 
     def _add_controls(self, gui: viser.GuiApi, send: Callable[[Command], None]) -> None:
         labels = {name: label for label, name in self._names.items()}
@@ -69,15 +70,11 @@ class ComparisonPanel:
         for button, work in ((start, begin), (stop, lambda: send(SetTwin(None)))):
             on_press(button, work)
         cells = [Cell(picker, 1, 6, "1.2em"), Cell(start, 7, 2), Cell(stop, 9, 2)]
-        layout = gui.add_html(grid("versus", 10, cells))
-        self._handles = [*(cell.handle for cell in cells), layout]
+        self.handles = place(gui, "versus", 10, cells)
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
         return [Assign(self._html, "content", comparison_html(frame))]
-
-    def remove(self) -> None:
-        remove_all(self._handles)
 
 
 def comparison_html(frame: Frame) -> str:

@@ -8,7 +8,7 @@ from html import escape
 import viser
 
 from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, grid, guarded, remove_all
+from madviz.app.toolkit import Cell, WidgetPanel, on_press, place
 from madviz.drawing.colours import NOTE
 from madviz.observation.schedule import HOW, SCENARIOS, Schedule, in_words, parse_schedule, scenario
 from madviz.session.commands import Command, Play, Reset, SetSchedule
@@ -23,7 +23,7 @@ HINTS = {
 }
 
 
-class FailuresPanel:
+class FailuresPanel(WidgetPanel):
     """A dropdown of scenarios, a line for one's own, and what is to come."""
 
     def __init__(
@@ -31,11 +31,11 @@ class FailuresPanel:
     ) -> None:
         """``send`` None: read-only."""
         self._send, self._env = send, frame.world.env
-        self._handles: list = []
+        self.handles: list = []
         if send is not None:
             self._add_controls(gui)
         self._words = gui.add_html(failures_html(frame))
-        self._handles.append(self._words)
+        self.handles.append(self._words)
 
     def _add_controls(self, gui: viser.GuiApi) -> None:
         names = [*(one.name for one in SCENARIOS), OWN]
@@ -43,15 +43,10 @@ class FailuresPanel:
         self._own = gui.add_text("My own", f"{self._env.cameras[0].name}@10-20", hint=HINTS["own"])
         run = gui.add_button("run scenario", icon=viser.Icon.PLAYER_PLAY, hint=HINTS["run"])
         end = gui.add_button("end it", hint=HINTS["end"])
-        run.on_click(lambda event: self._ask(event.client, self.run))
-        end.on_click(lambda event: self._ask(event.client, self.end))
+        on_press(run, self.run)
+        on_press(end, self.end)
         cells = [Cell(self._choice, 1, 2), Cell(self._own, 1, 2), Cell(run, 1), Cell(end, 2)]
-        layout = gui.add_html(grid("failures", 2, cells))
-        self._handles = [*(cell.handle for cell in cells), layout]
-
-    def _ask(self, client: viser.ClientHandle | None, work: Callable[[], None]) -> None:
-        if client is not None:
-            guarded(client, work)
+        self.handles = place(gui, "failures", 2, cells)
 
     def chosen(self) -> Schedule:
         """Raises UserError for a line of one's own that is none."""
@@ -72,9 +67,6 @@ class FailuresPanel:
 
     def update(self, frame: Frame) -> list[Assign]:
         return [Assign(self._words, "content", failures_html(frame))]
-
-    def remove(self) -> None:
-        remove_all(self._handles)
 
 
 def failures_html(frame: Frame) -> str:

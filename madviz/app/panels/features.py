@@ -21,7 +21,7 @@ from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import MODALITY_WORDS
-from madviz.app.toolkit import remove_all
+from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import MERGED, NOTE, camera_colours, heat
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
@@ -52,7 +52,7 @@ def stream_label(frame: Frame, stream: str) -> str:
     return f"{label} {MODALITY_WORDS[modality_of(stream)]}" if several else label
 
 
-class FeaturesPanel:
+class FeaturesPanel(WidgetPanel):
     """Curves of norms and, below them, a table: strip, norm and cosine of every stream."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, height: int = 150) -> None:
@@ -65,6 +65,7 @@ class FeaturesPanel:
         self._holder = gui.add_folder(None)
         self._rebuild(frame)
         self._table = gui.add_html(features_html(frame))
+        self.handles = [self._table, self._holder]
 
     def update(self, frame: Frame) -> list[Assign]:
         if frame.world.policy.streams != self._streams:
@@ -88,9 +89,6 @@ class FeaturesPanel:
             self._time += 1 + frame.world.step
         self._last = (frame.world.episode, frame.world.step)
         self._history.append((self._time, *curve_point(frame)))
-
-    def remove(self) -> None:
-        remove_all([self._table, self._holder])
 
     def _rebuild(self, frame: Frame) -> None:
         """Another policy may have other streams, and with them other curves."""

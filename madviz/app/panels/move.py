@@ -15,7 +15,7 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.scene.gizmo import Gizmo
-from madviz.app.toolkit import Cell, Choice, SyncedInput, grid, on_value, remove_all
+from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.drawing.viewpoint import extent
 from madviz.observation.displacement import Displacement, MoveCamera
@@ -42,7 +42,7 @@ RANGES = {
 """Of every slider: from, to, step. Commands may go further."""
 
 
-class MovePanel:
+class MovePanel(WidgetPanel):
     """See the module. ``send`` None: read-only."""
 
     def __init__(
@@ -64,21 +64,21 @@ class MovePanel:
         self._shown: dict[str, SyncedInput] = {}
         self._wanted: dict[str, float] = {}
         """What a slider was dragged to and no frame has confirmed yet: not to be pulled back."""
-        self._handles: list = []
+        self.handles: list = []
         self._choice: Choice | None = None
         self._style = gui.add_html("")
         if send is not None:
             self._add_controls(gui, frame)
         self._words = gui.add_html(move_html(frame))
-        self._handles += [self._style, self._words]
+        self.handles += [self._style, self._words]
 
     def _add_controls(self, gui: viser.GuiApi, frame: Frame) -> None:
         labels = {camera.name: camera.label for camera in frame.world.env.cameras}
         self._choice = Choice(gui, "Camera", labels, lambda _, c: self._choose(c), HINTS["camera"])
         back = gui.add_button("back", hint=HINTS["back"])
         home = gui.add_button("all back", hint=HINTS["all"])
-        back.on_click(lambda event: self._reset(event.client, [self._camera]))
-        home.on_click(lambda event: self._reset(event.client, self._names))
+        on_press(back, lambda: self._reset([self._camera]))
+        on_press(home, lambda: self._reset(self._names))
         cells = [Cell(self._choice.handle, 1, 7), Cell(back, 8, 2), Cell(home, 10, 3)]
         for field, (low, high, step) in RANGES.items():
             value = getattr(self._move, field)
@@ -93,8 +93,7 @@ class MovePanel:
             arrows = gui.add_checkbox("arrows", False, hint=HINTS["arrows"])
             on_value(arrows, lambda _, on: self._show_arrows(bool(on)))
             cells.append(Cell(arrows, 1, 4))
-        layout = gui.add_html(grid("move", 12, cells))
-        self._handles = [*(cell.handle for cell in cells), layout]
+        self.handles = place(gui, "move", 12, cells)
 
     @property
     def _move(self) -> Displacement:
@@ -122,9 +121,9 @@ class MovePanel:
         for change in self._gizmo.update(self._frame):
             setattr(change.handle, change.name, change.value)
 
-    def _reset(self, client: viser.ClientHandle | None, cameras: list[str]) -> None:
+    def _reset(self, cameras: list[str]) -> None:
         self._wanted.clear()
-        for camera in cameras if client is not None else ():
+        for camera in cameras:
             self._moves.pop(camera, None)
             self._ask(camera, None)
 
@@ -157,7 +156,7 @@ class MovePanel:
         return Assign(self._style, "content", f"<style>{self._choice.style(self._camera)}</style>")
 
     def remove(self) -> None:
-        remove_all(self._handles)
+        super().remove()
         if self._gizmo is not None:
             self._gizmo.remove()
 

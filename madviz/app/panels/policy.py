@@ -12,7 +12,7 @@ import viser
 from madviz.agent.methods import METHODS
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import action_bars
-from madviz.app.toolkit import Cell, Choice, SyncedInput, grid, guarded, on_value, remove_all
+from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.session.commands import (
     Command,
@@ -40,7 +40,7 @@ class PolicyChoice:
     label: str
 
 
-class PolicyPanel:
+class PolicyPanel(WidgetPanel):
     """Picker, transport, and the state of the episode. ``send`` None: read-only."""
 
     def __init__(
@@ -53,14 +53,14 @@ class PolicyPanel:
         self._gui, self._send = gui, send
         self._names = {choice.label: choice.name for choice in choices}
         self._labels = {choice.name: choice.label for choice in choices}
-        self._handles: list = []
+        self.handles: list = []
         self._run: Choice | None = None
         self._speed: Choice | None = None
         if send is not None:
             self._add_controls(gui, send, frame)
         self._style = gui.add_html("")
         self._status = gui.add_html(status_html(frame))
-        self._handles += [self._style, self._status]
+        self.handles += [self._style, self._status]
 
     def _add_controls(
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
@@ -86,33 +86,25 @@ class PolicyPanel:
             lambda _, name: send(SetSpeed(SPEEDS[name])),
             "Decisions per second that are asked for; max is as fast as it goes.",
         )
-        self._seed = gui.add_number(
+        seed = gui.add_number(
             "Seed", frame.world.seed, min=0, max=2**31 - 1, step=1, hint="Which episode to start."
         )
-        self._go = gui.add_button("go", hint="Start the episode of this seed.")
-        self._go.on_click(lambda event: self._on_go(event.client))
-        self._auto = gui.add_checkbox(
+        go = gui.add_button("go", hint="Start the episode of this seed.")
+        on_press(go, lambda: send(SetSeed(int(seed.value))))
+        auto = gui.add_checkbox(
             "Auto", True, hint="Start the next seed by itself when an episode is over."
         )
-        self._shown_auto = SyncedInput(self._auto)
-        on_value(self._auto, lambda _, on: send(SetAutoNext(bool(on))))
+        self._shown_auto = SyncedInput(auto)
+        on_value(auto, lambda _, on: send(SetAutoNext(bool(on))))
         cells = [
-            *(
-                Cell(self._picker, 1, 8),
-                Cell(self._run.handle, 1, 8),
-                Cell(self._speed.handle, 1, 8),
-            ),
-            *(Cell(self._seed, 1, 4), Cell(self._go, 5, 2), Cell(self._auto, 7, 2, "2.8em")),
+            Cell(self._picker, 1, 8),
+            Cell(self._run.handle, 1, 8),
+            Cell(self._speed.handle, 1, 8),
+            Cell(seed, 1, 4),
+            Cell(go, 5, 2),
+            Cell(auto, 7, 2, "2.8em"),
         ]
-        self._handles = [
-            *(cell.handle for cell in cells),
-            gui.add_html(grid("run", 8, cells)),
-        ]
-
-    def _on_go(self, client: viser.ClientHandle | None) -> None:
-        send = self._send
-        if client is not None and send is not None:
-            guarded(client, lambda: send(SetSeed(int(self._seed.value))))
+        self.handles = place(gui, "run", 8, cells)
 
     def _on_run(self, _: viser.ClientHandle, name: str) -> None:
         assert self._send is not None
@@ -138,9 +130,6 @@ class PolicyPanel:
         # After an error the policy may be another than the one that was picked.
         return changes + self._shown_policy.show(label, force=bool(frame.pace.error))
 
-    def remove(self) -> None:
-        remove_all(self._handles)
-
 
 def policy_words(spec: PolicySpec) -> str:
     """What kind of policy this is, for somebody who never heard of it."""
@@ -162,11 +151,10 @@ def verdict(frame: Frame) -> tuple[str, str]:
 
 def status_html(frame: Frame) -> str:
     """The episode at a glance. The attributes are there for those who measure the page."""
-    data = {
-        **{"episode": frame.world.episode, "step": frame.world.step, "phase": frame.pace.phase},
-        "setting": escape(str(frame.setting)),
-    }
-    attributes = " ".join(f'data-{name}="{value}"' for name, value in data.items())
+    attributes = (
+        f'data-episode="{frame.world.episode}" data-step="{frame.world.step}" data-phase="{frame.pace.phase}" '
+        f'data-setting="{escape(str(frame.setting))}"'
+    )
     seed = f'<span class="plain num" style="float:right">seed {frame.world.seed}</span>'
     return (
         f'<div class="mv mv-status" {attributes}>'

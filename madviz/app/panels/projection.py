@@ -19,7 +19,7 @@ from madviz.analysis.projection import DECISIONS, Atlas, Basis
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_VIEWS, stream_label
 from madviz.app.rates import key_of
-from madviz.app.toolkit import remove_all
+from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import FAINT, MERGED, MUTED, camera_colours
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
@@ -40,7 +40,7 @@ class Place:
     """(V + 1, Z) float32: the streams, and the merged feature on their scale (NaN: none)."""
 
 
-class ProjectionPanel:
+class ProjectionPanel(WidgetPanel):
     """One point per stream and one for what they are merged to, on axes that stay."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, height: int = 190) -> None:
@@ -51,12 +51,10 @@ class ProjectionPanel:
         """Policy and episode of the trail."""
         self._seen: tuple[int, int] = (-1, -1)
         self._drawing = gui.add_html(self._html(frame))
+        self.handles = [self._drawing]
 
     def update(self, frame: Frame) -> list[Assign]:
         return [Assign(self._drawing, "content", self._html(frame))]
-
-    def remove(self) -> None:
-        remove_all([self._drawing])
 
     def _html(self, frame: Frame) -> str:
         if frame.world.probe.merged_kind() == "no views":

@@ -13,7 +13,7 @@ import viser
 
 from madviz.analysis.saliency import Target
 from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, Choice, grid, remove_all
+from madviz.app.toolkit import Cell, Choice, WidgetPanel, place
 from madviz.session.frame import Frame
 
 OPTIONS: dict[str, str] = {"": "off", "q": "for its Q", "action": "for its action"}
@@ -21,14 +21,14 @@ OPTIONS: dict[str, str] = {"": "off", "q": "for its Q", "action": "for its actio
 HINT = "Lights up the pixels that matter; takes as long as a step."
 
 
-class SaliencyPanel:
+class SaliencyPanel(WidgetPanel):
     """Three buttons and a line. ``ask`` None: read-only."""
 
     def __init__(
         self, gui: viser.GuiApi, ask: Callable[[Target | None], None] | None, frame: Frame
     ) -> None:
         self._asked = ""
-        self._handles: list[Any] = []
+        self.handles: list[Any] = []
         self._choice: Choice | None = None
         if ask is not None:
 
@@ -38,15 +38,12 @@ class SaliencyPanel:
 
             self._choice = Choice(gui, "Saliency", OPTIONS, choose, HINT)
             cell = Cell(self._choice.handle, 1, 1, "7.5em")
-            self._handles = [self._choice.handle, gui.add_html(grid("saliency", 1, [cell]))]
+            self.handles = place(gui, "saliency", 1, [cell])
         self._line = gui.add_html(self._html(frame))
-        self._handles.append(self._line)
+        self.handles.append(self._line)
 
     def update(self, frame: Frame) -> list[Assign]:
         return [Assign(self._line, "content", self._html(frame))]
-
-    def remove(self) -> None:
-        remove_all(self._handles)
 
     def _html(self, frame: Frame) -> str:
         style = self._choice.style(self._asked) if self._choice else ""

@@ -9,7 +9,7 @@ from html import escape
 import viser
 
 from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, grid, guarded, remove_all
+from madviz.app.toolkit import Cell, WidgetPanel, guarded, place
 from madviz.session.frame import Frame
 from madviz.session.session_file import KeptSession
 
@@ -19,7 +19,7 @@ HINTS = {
 }
 
 
-class SavePanel:
+class SavePanel(WidgetPanel):
     """Two buttons, and what to do with what they save. Watchers may save, too: it only reads."""
 
     def __init__(self, gui: viser.GuiApi, keep: Callable[[], KeptSession], frame: Frame) -> None:
@@ -30,7 +30,7 @@ class SavePanel:
         several.on_click(lambda event: self._download(event.client, last=False))
         cells = [Cell(one, 1), Cell(several, 2)]
         self._words = gui.add_html(save_html(frame))
-        self._handles = [one, several, gui.add_html(grid("save", 2, cells)), self._words]
+        self.handles = [*place(gui, "save", 2, cells), self._words]
 
     def _download(self, client: viser.ClientHandle | None, last: bool) -> None:
         if client is None:
@@ -45,9 +45,6 @@ class SavePanel:
 
     def update(self, frame: Frame) -> list[Assign]:
         return [Assign(self._words, "content", save_html(frame))]
-
-    def remove(self) -> None:
-        remove_all(self._handles)
 
 
 def file_name(kept: KeptSession) -> str:

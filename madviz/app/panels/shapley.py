@@ -24,7 +24,7 @@ from madviz.analysis.shapley import (
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import subset_label
 from madviz.app.rates import Rates
-from madviz.app.toolkit import remove_all
+from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import FAINT, MUTED, NOTE, camera_colours
 from madviz.session.frame import Frame, Setting
 from madviz.subsets import camera_of, cameras_of, mask_of
@@ -57,18 +57,16 @@ class Column(NamedTuple):
     """(C,) half the width of the interval."""
 
 
-class ShapleyPanel:
+class ShapleyPanel(WidgetPanel):
     """A table with a row per camera and a column per game; below it, what the numbers mean."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, rates: Rates) -> None:
         self._rates = rates
         self._table = gui.add_html(shapley_html(frame, rates))
+        self.handles = [self._table]
 
     def update(self, frame: Frame) -> list[Assign]:
         return [Assign(self._table, "content", shapley_html(frame, self._rates))]
-
-    def remove(self) -> None:
-        remove_all([self._table])
 
 
 def shapley_html(frame: Frame, rates: Rates) -> str:

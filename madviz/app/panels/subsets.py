@@ -9,7 +9,7 @@ import viser
 
 from madviz.analysis.shapley import camera_masks
 from madviz.app.panel import Assign, apply
-from madviz.app.toolkit import on_value, remove_all
+from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, mask_of, modality_of, name_of
@@ -23,7 +23,7 @@ FEW = 16
 """Rows up to which all are shown; six streams have 64, four pages of them."""
 
 
-class SubsetsPanel:
+class SubsetsPanel(WidgetPanel):
     """A table with a row per subset: its action as bars, how far that is from other actions, its Q,
     whether it was trained."""
 
@@ -34,6 +34,7 @@ class SubsetsPanel:
         )
         self._everything.visible = len(frame.world.probe.masks) > FEW
         self._table = gui.add_html(subsets_html(frame, everything=False))
+        self.handles = [self._everything, self._table]
         on_value(self._everything, lambda *_: apply(self.update(self._frame)))
 
     def update(self, frame: Frame) -> list[Assign]:
@@ -43,9 +44,6 @@ class SubsetsPanel:
             Assign(self._table, "content", html),
             Assign(self._everything, "visible", len(frame.world.probe.masks) > FEW),
         ]
-
-    def remove(self) -> None:
-        remove_all([self._everything, self._table])
 
 
 def is_trained(frame: Frame, mask: np.ndarray) -> bool:

@@ -14,7 +14,7 @@ from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_POINTS, small_axes
 from madviz.app.panels.subsets import is_trained, presence, subset_label
 from madviz.app.rates import Rate, Rates
-from madviz.app.toolkit import on_value, remove_all
+from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.session.frame import Change, Frame, Outcome, Setting, words
 from madviz.subsets import mask_of, name_of, single_streams
@@ -34,7 +34,7 @@ HISTORY = 200
 """Points of the success curve."""
 
 
-class SuccessPanel:
+class SuccessPanel(WidgetPanel):
     """Bars (shipped above, measured here below), a curve that marks every change, a strip."""
 
     def __init__(
@@ -62,9 +62,11 @@ class SuccessPanel:
             height=84,
             padding=(6, 10, 0, 0),
         )
+        self.handles = [self._bars, self._strip, self._plot]
         self._switch: viser.GuiCheckboxHandle | None = None
         if visitor is not None and rates.measures:
             self._switch = gui.add_checkbox("Measure", True, hint=MEASURE_HINT)
+            self.handles.append(self._switch)
             on_value(self._switch, lambda _, on: self._set_measuring(bool(on)))
 
     def update(self, frame: Frame) -> list[Assign]:
@@ -85,8 +87,7 @@ class SuccessPanel:
 
     def remove(self) -> None:
         self._rates.forget(self._visitor)
-        remove_all([self._bars, self._plot, self._strip])
-        remove_all([self._switch] if self._switch else [])
+        super().remove()
 
     def _want(self, frame: Frame) -> None:
         """Has the setting of this moment measured, if it is not the one that already is."""
@@ -275,7 +276,7 @@ def _outcome(frame: Frame, outcome: Outcome) -> str:
     )
 
 
-class WordsPanel:
+class WordsPanel(WidgetPanel):
     """One line that says what just happened, in plain words."""
 
     HINT = (
@@ -287,14 +288,12 @@ class WordsPanel:
         self._rates = rates
         self._last: tuple[Change, PolicySpec] | None = None
         self._line = gui.add_html(self._html(frame))
+        self.handles = [self._line]
 
     def update(self, frame: Frame) -> list[Assign]:
         if frame.world.change is not None:
             self._last = (frame.world.change, frame.world.policy)
         return [Assign(self._line, "content", self._html(frame))]
-
-    def remove(self) -> None:
-        self._line.remove()
 
     def _html(self, frame: Frame) -> str:
         if self._last is None or self._last[1] != frame.world.policy:
@@ -321,6 +320,3 @@ def sentence(change: Change, frame: Frame, rates: Rates) -> str:
         start = f"{before.mean:.2f} → " if before.n else ""
         tail = f"success so far {start}{after.mean:.2f} (n={after.n})"
     return f"{line}; {tail}" if tail else line
-
-
-__all__ = ["Curve", "SuccessPanel", "WordsPanel", "bars_html", "sentence", "strip_html"]

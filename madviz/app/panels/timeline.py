@@ -16,7 +16,7 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.scene.scene import picture
-from madviz.app.toolkit import Cell, SyncedInput, grid, on_press, on_value, remove_all
+from madviz.app.toolkit import Cell, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.drawing.jpeg import jpeg_url
 from madviz.session.commands import Command, Fork, Scrub
@@ -36,7 +36,7 @@ HINTS = {
 }
 
 
-class TimelinePanel:
+class TimelinePanel(WidgetPanel):
     """A slider over the steps, two lanes, and the branch. ``send`` None: read-only."""
 
     def __init__(
@@ -48,14 +48,14 @@ class TimelinePanel:
     ) -> None:
         self._send, self._clock = send, clock
         self._horizon = frame.world.env.horizon
-        self._handles: list = []
+        self.handles: list = []
         self._slider: SyncedInput | None = None
         self._dragged, self._crossed = -AFTER_DRAG, False
         """When a visitor moved the slider last, and whether it was set right since."""
         if send is not None:
             self._add_controls(gui, send, frame)
         self._drawing = gui.add_html(timeline_html(frame))
-        self._handles.append(self._drawing)
+        self.handles.append(self._drawing)
 
     def _add_controls(
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
@@ -70,8 +70,7 @@ class TimelinePanel:
             on_press(button, lambda command=command: send(command))
         self._slider = SyncedInput(slider)
         cells = [Cell(slider, 1, 6, "3em"), Cell(fork, 7, 2), Cell(live, 9, 2)]
-        layout = gui.add_html(grid("timeline", 10, cells))
-        self._handles = [*(cell.handle for cell in cells), layout]
+        self.handles = place(gui, "timeline", 10, cells)
 
     @property
     def unsettled(self) -> bool:
@@ -96,9 +95,6 @@ class TimelinePanel:
         self._crossed = False
         changes += self._slider.show(frame.world.step - 1 if frame.world.step else 1, force=True)
         return [*changes, *self._slider.show(frame.world.step, force=True)]
-
-    def remove(self) -> None:
-        remove_all(self._handles)
 
 
 def timeline_html(frame: Frame) -> str:

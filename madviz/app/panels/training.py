@@ -16,7 +16,7 @@ import viser
 
 from madviz.agent.methods import METHODS
 from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, grid, guarded, notify, on_value, remove_all
+from madviz.app.toolkit import Cell, WidgetPanel, guarded, notify, on_value, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.envs.registry import known_tasks
 from madviz.session.commands import Command, SetPolicy
@@ -51,7 +51,7 @@ READ_EVERY = 3.0
 """Seconds between two reads of the run's files."""
 
 
-class TrainingPanel:
+class TrainingPanel(WidgetPanel):
     """Controls and curves. ``send`` None: read-only."""
 
     unsettled = True
@@ -67,11 +67,11 @@ class TrainingPanel:
     ) -> None:
         self._job, self._clock = job, clock
         self._read_at, self._status = -READ_EVERY, JobStatus()
-        self._handles: list = []
+        self.handles: list = []
         if send is not None:
             self._add_controls(gui, send, frame)
         self._html = gui.add_html(training_html(self._status))
-        self._handles.append(self._html)
+        self.handles.append(self._html)
 
     def _add_controls(
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
@@ -97,12 +97,13 @@ class TrainingPanel:
         }
         buttons = [self._button(gui, name, do) for name, do in work.items()]
         cells = [
-            *(Cell(task, 1, 6, "3.6em"), Cell(method, 7, 6, "3.6em")),
-            *(Cell(recipe, 1, 6, "3.6em"), Cell(budget, 7, 6, "3.6em")),
-            *(Cell(button, 1 + 3 * place, 3) for place, button in enumerate(buttons)),
+            Cell(task, 1, 6, "3.6em"),
+            Cell(method, 7, 6, "3.6em"),
+            Cell(recipe, 1, 6, "3.6em"),
+            Cell(budget, 7, 6, "3.6em"),
         ]
-        layout = gui.add_html(grid("training", 12, cells))
-        self._handles = [*(cell.handle for cell in cells), layout]
+        cells += [Cell(button, 1 + 3 * column, 3) for column, button in enumerate(buttons)]
+        self.handles = place(gui, "training", 12, cells)
 
     def _button(
         self, gui: viser.GuiApi, name: str, work: Callable[[], None]
@@ -124,9 +125,6 @@ class TrainingPanel:
         if self._clock() - self._read_at >= READ_EVERY:
             self._read_at, self._status = self._clock(), self._job.status()
         return [Assign(self._html, "content", training_html(self._status))]
-
-    def remove(self) -> None:
-        remove_all(self._handles)
 
 
 def training_html(status: JobStatus) -> str:
