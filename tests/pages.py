@@ -60,6 +60,11 @@ class Recorded:
         return "\n".join(handle.content for handle in texts)
 
 
+def recorded(api: Any) -> Any:
+    """In place of ``api``, what also knows all that was added to it; see ``Recorded``."""
+    return Recorded(api)
+
+
 def browser(server: viser.ViserServer, number: int = 1, **more: Any) -> Any:
     """A client that nobody sees: it draws into the server's own widgets, and keeps its ``notes``
     and what was registered to follow its ``camera``."""
@@ -70,8 +75,8 @@ def browser(server: viser.ViserServer, number: int = 1, **more: Any) -> Any:
     )
     client = SimpleNamespace(
         client_id=number,
-        gui=Recorded(server.gui),
-        scene=Recorded(server.scene),
+        gui=recorded(server.gui),
+        scene=recorded(server.scene),
         atomic=server.atomic,
         flush=server.flush,
         camera=camera,

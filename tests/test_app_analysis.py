@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ from madviz.session.commands import Pause, Reset, SetCamera, SetPolicy
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
-from tests.pages import Recorded, browser, use
+from tests.pages import browser, recorded, use
 from tests.sessions import frame_with, with_pace, with_world
 
 OFF = CameraState("off")
@@ -125,7 +126,7 @@ def test_a_policy_without_a_critic_has_no_value_in_q() -> None:
 
 
 def test_the_panel_follows_another_policy(server: viser.ViserServer) -> None:
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = ShapleyPanel(gui, frame_with(), Rates())
     apply(panel.update(frame_with(SetPolicy("toy-rgbd"))))
     assert "Third B" in gui.html
@@ -138,7 +139,7 @@ def circles(html: str) -> list[tuple[str, str, str]]:
 
 def test_a_map_is_made_while_an_episode_runs_and_then_stays(server: viser.ViserServer) -> None:
     session, panels = session_with(speed=None), []
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = ProjectionPanel(gui, shown(session))
     for _ in range(DECISIONS + 3):
         panels.append("<svg" in gui.html)
@@ -157,9 +158,9 @@ def test_a_map_is_made_while_an_episode_runs_and_then_stays(server: viser.ViserS
     panel.remove()
 
 
-def mapped(server: viser.ViserServer) -> tuple[ProjectionPanel, Session, Recorded]:
+def mapped(server: viser.ViserServer) -> tuple[ProjectionPanel, Session, Any]:
     """A panel that has its map, the session it came from, and what is on the page."""
-    session, gui = session_with(speed=None), Recorded(server.gui)
+    session, gui = session_with(speed=None), recorded(server.gui)
     panel = ProjectionPanel(gui, shown(session))
     for _ in range(DECISIONS + 2):
         session.tick(0.0)
@@ -200,7 +201,7 @@ def test_without_features_of_their_own_cameras_have_no_map(server: viser.ViserSe
     blank = with_world(
         frame, probe=replace(frame.world.probe, features=0 * frame.world.probe.features)
     )
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = ProjectionPanel(gui, blank)
     assert "No camera has a feature of its own" in gui.html
     panel.remove()
@@ -234,7 +235,7 @@ def test_depth_is_bright_where_it_is_shown() -> None:
 def test_the_switch_asks_and_the_line_says_what_comes(server: viser.ViserServer) -> None:
     asked: list[object] = []
     frame = frame_with()
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = SaliencyPanel(gui, asked.append, frame)
     use(gui.find("Saliency"), "for its Q")
     assert asked == ["q"]

@@ -36,7 +36,7 @@ from madviz.session.commands import Pause, SetCamera, SetPolicy, StepOnce
 from madviz.session.frame import Frame, Setting
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
-from tests.pages import Recorded, browser, use
+from tests.pages import browser, recorded, use
 from tests.sessions import frame_with, with_pace, with_world
 
 OFF = CameraState("off")
@@ -51,7 +51,7 @@ def server() -> Iterator[viser.ViserServer]:
 
 def test_camera_switches_send_commands_and_never_echo(server):
     sent: list[SetCamera] = []
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = CamerasPanel(gui, sent.append, frame_with(), 622)
     noisy = CameraState("rgb", Occlusion("noise", 0.3))
     apply(panel.update(frame_with(SetCamera("third_a", noisy))))
@@ -68,7 +68,7 @@ def test_an_old_frame_does_not_take_back_a_choice(server):
     """The callback that sends a command reads the widget after a frame may have come between."""
     sent: list = []
     choices = [PolicyChoice(name, name) for name in ("toy-mad", "toy-rgbd")]
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = PolicyPanel(gui, sent.append, frame_with(), choices)
     picker = gui.find("Policy")
     picker.value = "toy-rgbd"
@@ -81,7 +81,7 @@ def test_an_old_frame_does_not_take_back_a_choice(server):
 
 def test_a_slider_being_dragged_is_not_pulled_back(server):
     sent: list[SetCamera] = []
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = CamerasPanel(gui, sent.append, frame_with(), 622)
     old = frame_with(SetCamera("first", CameraState("rgb", Occlusion("blur", 0.5))))
     apply(panel.update(old))
@@ -101,7 +101,7 @@ def test_a_dropped_stream_adds_nothing_to_the_curves():
 
 
 def test_features_follow_the_streams_of_another_policy(server):
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = FeaturesPanel(gui, frame_with())
     apply(panel.update(frame_with()))
     six = frame_with(SetPolicy("toy-rgbd"))
@@ -112,7 +112,7 @@ def test_features_follow_the_streams_of_another_policy(server):
 
 
 def test_a_time_step_seen_twice_is_one_point(server):
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     session = Session(make_env, FakePolicy(), policies, speed=None)
     panel = FeaturesPanel(gui, frame_with())
     for command in (Pause(), SetCamera("first", OFF), StepOnce()):
@@ -128,7 +128,7 @@ def test_a_time_step_seen_twice_is_one_point(server):
 def test_curves_have_every_decision_though_they_are_drawn_less_often(server):
     session = Session(make_env, FakePolicy(), policies, speed=None)
     session.tick(0.0)
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = FeaturesPanel(gui, frame_with())
     for _ in range(40):  # An episode has 25 decisions, the next one begins with a frame of its own.
         assert isinstance(session.latest, Frame)
@@ -186,7 +186,7 @@ def test_of_many_subsets_those_of_whole_cameras_are_shown_until_somebody_asks(se
     # Eight sets of cameras, six single streams, and the present setting, with half a camera.
     assert html.count("<tr") == 1 + 8 + 6 + 1
     assert "49 sets with half a camera are not shown" in html
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = SubsetsPanel(gui, frame)
     switch = gui.find("Every row")
     assert switch.visible and gui.html == html
@@ -272,7 +272,7 @@ def test_words_join_effect_and_success():
 
 def test_words_stay_until_something_else_happens(server):
     frame = frame_with(SetCamera("third_a", OFF))
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = WordsPanel(gui, frame_with(), Rates())
     assert "Take a camera away" in gui.html
     apply(panel.update(frame))
@@ -314,7 +314,7 @@ def test_verdicts_have_words_and_colours():
 def test_policy_panel_shows_without_sending(server):
     sent: list = []
     choices = [PolicyChoice("toy-mad", "MAD"), PolicyChoice("toy-rgbd", "RGB-D")]
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = PolicyPanel(gui, sent.append, frame_with(), choices)
     apply(panel.update(frame_with(SetPolicy("toy-rgbd"))))
     assert gui.find("Policy").value == "RGB-D" and sent == []
@@ -355,7 +355,7 @@ def test_at_full_speed_frusta_change_one_picture_at_a_time(server):
 
 def test_a_screen_keeps_its_element_and_feeds_it(server):
     black = np.zeros((8, 12, 3), np.uint8)
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     screen = Screen(gui, black, "1:0", "a picture")
     image, hidden = gui.added
     element = image.content
@@ -377,7 +377,7 @@ def test_lines_of_sight_meet_on_the_table():
 
 
 def test_panels_leave_nothing(server):
-    gui, frame, rates = Recorded(server.gui), frame_with(), Rates()
+    gui, frame, rates = recorded(server.gui), frame_with(), Rates()
     panels = [
         CamerasPanel(gui, lambda command: None, frame, 622),
         FeaturesPanel(gui, frame),

@@ -13,7 +13,7 @@ from madviz.drawing.mosaic import GAP, HEADER, mosaic
 from madviz.errors import UserError
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Pause, SetCamera, SetPolicy
-from tests.pages import Recorded, use
+from tests.pages import recorded, use
 from tests.sessions import frame_with
 
 TILE = 202
@@ -94,7 +94,7 @@ def server():
 def test_the_panel_sends_what_was_drawn_and_nothing_else(server):
     sent = []
     frame = frame_with(Pause())
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = CamerasPanel(gui, sent.append, frame, 620)
     apply(panel.update(frame))
     assert not use(gui.find("box"), "1 2 0.5000 0.5000 0.2500 0.7500")
@@ -106,7 +106,7 @@ def test_the_panel_sends_what_was_drawn_and_nothing_else(server):
 
 
 def test_who_only_watches_cannot_draw(server):
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = CamerasPanel(gui, None, frame_with(Pause()), 620)
     assert not gui.of("GuiTextHandle") and "data-draw" not in gui.html
     panel.remove()
@@ -117,7 +117,7 @@ def test_a_patch_has_a_slider_for_each_side_and_only_a_patch_has(server):
     frame = frame_with(
         Pause(), SetCamera("first", CameraState("rgb", Occlusion("patch", width=0.8)))
     )
-    gui, names = Recorded(server.gui), ("x", "y", "width", "height")
+    gui, names = recorded(server.gui), ("x", "y", "width", "height")
     panel = CamerasPanel(gui, sent.append, frame, 620)
     apply(panel.update(frame))
     assert [gui.find(side).value for side in ("width", "height")] == [0.8, 0.4]

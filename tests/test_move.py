@@ -32,7 +32,7 @@ from madviz.session.session import Session
 from madviz.session.session_reader import parse
 from madviz.types import CameraSpec
 from tests.fakes import FakePolicy, policies
-from tests.pages import Recorded, drag, use
+from tests.pages import drag, recorded, use
 
 RIGHT = Displacement(right=0.3)
 DOWN = CameraSpec("down", "Down", 60, (0, 0, 2), (1, 0, 0, 0))
@@ -246,7 +246,7 @@ def test_the_panel_drags_is_not_pulled_back_and_puts_back():
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     live, sent = Live(), []
     frame = live.ask(Pause())
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = MovePanel(gui, sent.append, frame)
     camera, right, pan = (gui.find(name) for name in ("Camera", "right", "pan"))
     use(camera, "Third A")
@@ -339,7 +339,7 @@ def server():
 def test_arrows_stand_where_the_camera_does_unless_they_are_dragged(server):
     live, moved = Live(), []
     frame = live.ask(Pause())
-    scene = Recorded(server.scene)
+    scene = recorded(server.scene)
     gizmo = Gizmo(scene, frame, 1.0, lambda *said: moved.append(said))
     handle = scene.find("/moved")
     apply(gizmo.update(frame))
@@ -363,7 +363,7 @@ def test_arrows_stand_where_the_camera_does_unless_they_are_dragged(server):
 
 def test_a_ring_turns_the_camera_and_on_release_stands_as_the_camera_does(server):
     live, moved = Live(), []
-    scene = Recorded(server.scene)
+    scene = recorded(server.scene)
     gizmo = Gizmo(scene, live.ask(Pause()), 1.0, lambda *said: moved.append(said))
     gizmo.camera = "third_a"
     apply(gizmo.update(live.ask(ASIDE)))

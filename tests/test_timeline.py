@@ -18,7 +18,7 @@ from madviz.session.session import Session
 from madviz.session.timeline import MOST_ROWS
 from madviz.types import TimeStep
 from tests.fakes import policies
-from tests.pages import Recorded, use
+from tests.pages import recorded, use
 
 OFF = CameraState("off")
 
@@ -70,7 +70,7 @@ def test_a_slider_shows_the_step_and_is_not_pulled_back_while_dragged(server) ->
     play, sent = Played(), []
     frame = play(5)
     now = [100.0]
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = TimelinePanel(gui, sent.append, frame, lambda: now[0])
     handle = gui.find("Step")
     use(handle, 2)
@@ -89,7 +89,7 @@ def test_a_slider_shows_the_step_and_is_not_pulled_back_while_dragged(server) ->
 
 
 def test_watchers_see_the_drawing_without_controls(server) -> None:
-    gui = Recorded(server.gui)
+    gui = recorded(server.gui)
     panel = TimelinePanel(gui, None, Played()(2))
     assert not gui.of("GuiSliderHandle")
     panel.remove()

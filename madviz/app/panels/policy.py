@@ -152,8 +152,8 @@ def verdict(frame: Frame) -> tuple[str, str]:
 def status_html(frame: Frame) -> str:
     """The episode at a glance. The attributes are there for those who measure the page."""
     attributes = (
-        f'data-episode="{frame.world.episode}" data-step="{frame.world.step}" data-phase="{frame.pace.phase}" '
-        f'data-setting="{escape(str(frame.setting))}"'
+        f'data-episode="{frame.world.episode}" data-step="{frame.world.step}" '
+        f'data-phase="{frame.pace.phase}" data-setting="{escape(str(frame.setting))}"'
     )
     seed = f'<span class="plain num" style="float:right">seed {frame.world.seed}</span>'
     return (
