@@ -24,7 +24,7 @@ from typing import Any
 
 from madviz import __version__
 from madviz.errors import UserError, unknown
-from madviz.evaluation.statistics import in_words
+from madviz.evaluation.statistics import SuccessRate
 from madviz.system.files import pretty, write_json, written_to
 
 
@@ -292,7 +292,7 @@ def success_table(result: dict[str, Any]) -> str:
     lines = [f"{result['policy']} on {result['task']}: success {result['definition']}"]
     for name, row in result["subsets"].items():
         lines.append(
-            f"  {name:24} {in_words(row['success'], row['ci95'], row['n'])}"
+            f"  {name:24} {SuccessRate(row['success'], row['ci95'], row['n'])}"
             f"   any step {row['success_any']:.2f}"
             + ("" if row["trained"] else "   not trained on this subset")
         )

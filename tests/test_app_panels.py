@@ -25,11 +25,12 @@ from madviz.app.panels.success import (
     sentence,
     strip_html,
 )
-from madviz.app.rates import Rate, Rates
+from madviz.app.rates import Rates
 from madviz.app.scene.scene import ScenePanel
 from madviz.app.screen import Screen
 from madviz.drawing.viewpoint import focus
 from madviz.envs.registry import make_env
+from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.policies.checkpoint import load_policy
 from madviz.session.commands import Pause, SetCamera, SetPolicy, StepOnce
@@ -236,7 +237,7 @@ def test_a_policy_without_a_critic_has_no_value():
 def test_success_bars_tell_shipped_from_measured(server):
     rates = Rates(lambda spec: {"all": {"success": 0.94, "n": 100}})
     frame = frame_with(SetCamera("third_a", OFF))
-    assert rates.best(frame.world.policy, Setting("all")) == Rate(94, 100)
+    assert rates.best(frame.world.policy, Setting("all")) == SuccessRate.of(94, 100)
     rates.add(frame.world.policy, frame.setting, {2000: True, 2001: False})
     rates.add(frame.world.policy, frame.setting, {2001: False})
     html = bars_html(frame, rates)
@@ -283,10 +284,10 @@ def test_words_stay_until_something_else_happens(server):
 
 def test_curve_marks_changes():
     curve, spec = Curve(), FakePolicy().spec
-    assert curve.add(spec, Setting("all"), Rate(1, 1))
-    assert not curve.add(spec, Setting("all"), Rate(1, 1))
-    assert curve.add(spec, Setting("first"), Rate(0, 0))
-    assert curve.add(spec, Setting("first"), Rate(0, 1))
+    assert curve.add(spec, Setting("all"), SuccessRate.of(1, 1))
+    assert not curve.add(spec, Setting("all"), SuccessRate.of(1, 1))
+    assert curve.add(spec, Setting("first"), SuccessRate.of(0, 0))
+    assert curve.add(spec, Setting("first"), SuccessRate.of(0, 1))
     x, low, _, success, change = curve.data()
     assert list(x) == [1, 1.5, 1.5, 1.5, 2]
     assert list(change) == [-1, -1, 1, -1, -1], "seen only while it rises to 1"

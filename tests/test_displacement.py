@@ -25,7 +25,7 @@ from madviz.evaluation.displace import (
 )
 from madviz.evaluation.episodes import Job, Runner
 from madviz.evaluation.evaluate import evaluate
-from madviz.evaluation.statistics import wilson
+from madviz.evaluation.statistics import SuccessRate, wilson
 from madviz.observation.displacement import Displacement
 from madviz.types import Encoded, Readout
 from tests.fakes import AllOrNothing, FakePolicy
@@ -93,9 +93,9 @@ def test_success_falls_with_distance_and_starts_at_what_eval_says():
     points = displace(Seeker(), "third_b", moves, subset="third_b", episodes=6, seed=5000)
     assert [point.at for point in points] == [0.0, 0.3, 0.6]
     whole = evaluate(Seeker(), ["third_b"], episodes=6, seed=5000).rows["third_b"]
-    assert points[0].rate == whole["success"] == 1.0
-    assert points[2].rate < 0.5
-    assert points[0].ci95 == wilson(6, 6) and points[0].n == 6
+    assert points[0].success.value == whole["success"] == 1.0
+    assert points[2].success.value < 0.5
+    assert points[0].success == SuccessRate.of(6, 6)
 
 
 def test_every_place_has_the_same_seeds(monkeypatch):
@@ -175,7 +175,7 @@ def test_how_far_depends_on_what_it_is_unless_somebody_says(way, end, monkeypatc
 
     def displaced(policy, camera, moves, **_):
         asked.extend(moves)
-        return (Point(0.0, 1, 1),)
+        return (Point(0.0, SuccessRate.of(1, 1)),)
 
     monkeypatch.setattr(displace_module, "displace", displaced)
     run_displace(DisplaceConfig("tests.test_displacement:make_seeker", "first", way))
@@ -183,10 +183,15 @@ def test_how_far_depends_on_what_it_is_unless_somebody_says(way, end, monkeypatc
 
 
 def test_table_and_picture_of_zoom():
-    row = {"success": 0.5, "n": 4, "ci95": list(Point(1.0, 2, 4).ci95)}
+    row = {"success": 0.5, "n": 4, "ci95": list(wilson(2, 4))}
     result = {
-        **{"policy": "p", "task": "t", "camera": "first", "along": "zoom", "unit": "times"},
-        **{"subset": "all", "points": [{"at": 1.0, **row}, {"at": 0.5, **row}]},
+        "policy": "p",
+        "task": "t",
+        "camera": "first",
+        "along": "zoom",
+        "unit": "times",
+        "subset": "all",
+        "points": [{"at": 1.0, **row}, {"at": 0.5, **row}],
     }
     assert "0.5 times" in displacement_table(result)
     assert "% more or less" in picture(result)
@@ -194,13 +199,15 @@ def test_table_and_picture_of_zoom():
 
 
 def test_a_curve_for_each_way():
-    row = {"success": 0.5, "n": 4, "ci95": list(Point(1.0, 2, 4).ci95)}
+    row = {"success": 0.5, "n": 4, "ci95": list(wilson(2, 4))}
     result = {
-        **{"policy": "p", "task": "t", "camera": "first", "along": "pan", "unit": "°"},
-        **{
-            "subset": "rgb",
-            "points": [{"at": at, **row} for at in (-20.0, -10.0, 0.0, 10.0, 20.0)],
-        },
+        "policy": "p",
+        "task": "t",
+        "camera": "first",
+        "along": "pan",
+        "unit": "°",
+        "subset": "rgb",
+        "points": [{"at": at, **row} for at in (-20.0, -10.0, 0.0, 10.0, 20.0)],
     }
     drawn = picture(result)
     assert drawn.count('class="line"') == 2 and "rgb, right" in drawn and "rgb, left" in drawn

@@ -4,6 +4,7 @@ Jobs of the fake workers wait until a test says how they end, so nothing here de
 test at the end uses real processes.
 """
 
+import multiprocessing
 import os
 import signal
 import threading
@@ -83,8 +84,8 @@ def test_seeds_are_run_in_order_one_at_a_time_until_there_are_enough(live):
         workers.finish(success=seed > 5000)
     assert workers.jobs == []
     tally = evaluator.request("ann", POLICY, ALL)
-    assert (tally.n, tally.successes, tally.success, tally.success_any) == (4, 3, 0.75, 1.0)
-    assert tally.ci95 == pytest.approx((0.3006, 0.9544), abs=1e-4)
+    assert (tally.success.successes, tally.success.n, tally.success_any.value) == (3, 4, 1.0)
+    assert tally.success.interval == pytest.approx((0.3006, 0.9544), abs=1e-4)
     assert [result.seed for result in tally.results] == [5000, 5001, 5002, 5003]
 
 
@@ -147,8 +148,8 @@ def test_a_visitor_who_left_is_not_served(live):
 def test_occlusions_that_cannot_be_noticed_are_the_same_setting(live):
     evaluator, _ = live
     black = {"third_a": Occlusion("black")}
-    assert evaluator.tally(POLICY, FIRST, black).setting == evaluator.tally(POLICY, FIRST).setting
-    assert evaluator.tally(POLICY, ALL, black).setting != evaluator.tally(POLICY, ALL).setting
+    assert evaluator.tally(POLICY, FIRST, black).request == evaluator.tally(POLICY, FIRST).request
+    assert evaluator.tally(POLICY, ALL, black).request != evaluator.tally(POLICY, ALL).request
 
 
 def test_the_listener_hears_every_result():
@@ -157,7 +158,7 @@ def test_the_listener_hears_every_result():
     evaluator.request("ann", POLICY, ALL)
     workers.finish()
     workers.finish()
-    assert [(tally.setting.subset, tally.n) for tally in heard] == [("all", 1), ("all", 2)]
+    assert [(tally.request.subset, tally.n) for tally in heard] == [("all", 1), ("all", 2)]
 
 
 def test_an_error_ends_its_setting_only_and_asking_anew_tries_again(live):
@@ -230,7 +231,7 @@ def test_results_of_policy_folders_are_kept_in_the_store(monkeypatch, tmp_path):
     workers.finish(success=False)
     later, workers = fake(1, store)
     tally = later.request("bob", "toy", ALL)
-    assert (tally.n, tally.successes) == (2, 1)
+    assert (tally.success.successes, tally.success.n) == (1, 2)
     assert workers.jobs == [("all", 5002)]
     assert later.tally("toy", FIRST).n == 0
 
@@ -243,15 +244,16 @@ def test_real_workers_survive_a_kill_and_give_the_right_numbers():
         if tally.n == 60:
             enough.set()
 
+    before = set(multiprocessing.active_children())
     evaluator = Evaluator(1, listener=listen, episodes=60)
     evaluator.request("ann", POLICY, ALL)
     assert some.wait(300)
-    assert evaluator._workers._pool is not None
-    (victim,) = evaluator._workers._pool._processes
-    os.kill(victim, signal.SIGKILL)
+    (victim,) = set(multiprocessing.active_children()) - before
+    assert victim.pid is not None
+    os.kill(victim.pid, signal.SIGKILL)
     assert enough.wait(300)
     runner, tally = Runner(), evaluator.tally(POLICY, ALL)
-    assert tally.results == tuple(runner.run(tally.setting.job(r.seed))[0] for r in tally.results)
+    assert tally.results == tuple(runner.run(tally.request.job(r.seed))[0] for r in tally.results)
     assert [r.seed for r in tally.results] == list(range(5000, 5060))
     evaluator.close()
 

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from scipy.stats import binom, binomtest
+from scipy.stats import binomtest, multinomial
 
 from madviz.errors import UserError
 from madviz.evaluation.statistics import (
     Paired,
+    SuccessRate,
     difference_interval,
     mean_interval,
-    newcombe,
     pair,
     wilson,
 )
@@ -34,35 +34,48 @@ def test_wilson_refuses_impossible_counts(successes, n):
         wilson(successes, n)
 
 
-def test_newcombe_agrees_with_his_published_example():
-    # Newcombe (1998), Statistics in Medicine 17:873-890, table II, contrast (a), method 10.
-    assert newcombe(56, 70, 48, 80) == pytest.approx((0.0524, 0.3339), abs=5e-5)
-    assert newcombe(0, 0, 5, 10) == (-1.0, 1.0)
+def test_a_success_rate_says_its_interval_and_count():
+    rate = SuccessRate.of(45, 50)
+    assert (rate.value, rate.interval, rate.n, rate.successes) == (0.9, wilson(45, 50), 50, 45)
+    assert str(rate) == "0.90 [0.79, 0.96] n=50"
+    nothing = SuccessRate.of(0, 0)
+    assert nothing == SuccessRate.of(0, 0) and nothing.interval == (0.0, 1.0)
+    assert np.isnan(nothing.value) and nothing.successes == 0
 
 
-def test_newcombe_covers_the_truth_about_95_percent_of_the_time():
-    n, p, q = 30, 0.9, 0.6
-    first, second = binom.pmf(np.arange(n + 1), n, p), binom.pmf(np.arange(n + 1), n, q)
-    covered = 0.0
-    for a in range(n + 1):
-        for b in range(n + 1):
-            low, high = newcombe(a, n, b, n)
-            covered += first[a] * second[b] * (low <= p - q <= high)
-    assert 0.93 < covered < 0.98
+def from_two_wilson_intervals(first, second, n):
+    """Newcombe (1998, first paper, method 10): the difference of rates of independent episodes."""
+    p, q = first / n, second / n
+    (p_low, p_high), (q_low, q_high) = wilson(first, n), wilson(second, n)
+    low = p - q - np.hypot(p - p_low, q_high - q)
+    return low, p - q + np.hypot(p_high - p, q - q_low)
+
+
+@pytest.mark.parametrize("cells", [(0.6, 0.3, 0.05, 0.05), (0.4, 0.2, 0.2, 0.2)])
+def test_the_paired_interval_covers_the_truth_about_95_percent_of_the_time(cells):
+    n, covered = 20, 0.0
+    for both in range(n + 1):
+        for first in range(n + 1 - both):
+            for second in range(n + 1 - both - first):
+                counts = (both, first, second, n - both - first - second)
+                low, high = Paired(*counts).interval()
+                if low <= cells[1] - cells[2] <= high:
+                    covered += multinomial.pmf(counts, n, cells)
+    assert 0.93 < covered < 0.99
 
 
 def test_pairing_narrows_the_interval_of_policies_that_fail_on_the_same_seeds():
     paired = Paired(both=70, first_only=10, second_only=2, neither=18)
     assert paired.difference == pytest.approx(0.08)
     low, high = paired.interval()
-    unpaired = newcombe(80, 100, 72, 100)
+    unpaired = from_two_wilson_intervals(80, 72, 100)
     assert low < paired.difference < high
     assert high - low < 0.75 * (unpaired[1] - unpaired[0])
 
 
 def test_paired_interval_without_association_is_the_unpaired_one():
     paired = Paired(both=25, first_only=25, second_only=25, neither=25)
-    assert paired.interval() == pytest.approx(newcombe(50, 100, 50, 100))
+    assert paired.interval() == pytest.approx(from_two_wilson_intervals(50, 50, 100))
     assert Paired(0, 0, 0, 0).interval() == (-1.0, 1.0)
 
 
@@ -78,7 +91,7 @@ def test_pair_uses_common_seeds_only():
     assert pair(first, second) == Paired(1, 1, 1, 1)
 
 
-def test_a_mean_over_subsets_is_worth_more_seeds_only_where_they_are_independent():
+def test_a_mean_over_subsets_says_more_than_its_seeds_only_where_they_are_independent():
     alike = [1.0] * 80 + [0.0] * 20
     assert mean_interval(alike, 4) == pytest.approx(wilson(80, 100))
     # Independent subsets: four times as many episodes, half the width.

@@ -94,7 +94,7 @@ def test_a_file_that_breaks_while_open_is_replaced(tmp_path):
     path.write_bytes(b"\xff" * path.stat().st_size)
     store._db.close()
     store._db = sqlite3.connect(path, check_same_thread=False)
-    with pytest.warns(UserWarning, match="starting afresh"):
+    with pytest.warns(UserWarning, match="starting anew"):
         store.put(KEY, episode(7))
     assert store.results(KEY) == {7: episode(7)}
     store.close()

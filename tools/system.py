@@ -180,7 +180,9 @@ def unfit() -> str:
             f"error: expected Python 3.11 or newer, found {found}; try `make PYTHON=python3.11 …`"
         )
     if not (shutil.which("apt-get") and shutil.which("dpkg-query")):
-        return "note: no apt here; docs/install.md lists what to install, `madviz doctor` what lacks"
+        return (
+            "note: no apt here; docs/install.md lists what to install, `madviz doctor` what lacks"
+        )
     return ""
 
 

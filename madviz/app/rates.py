@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from madviz.evaluation.live import Evaluator, Tally
-from madviz.evaluation.statistics import wilson
+from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.frame import Setting
 from madviz.types import Array, PolicySpec
@@ -23,21 +22,7 @@ Shipped = Callable[[PolicySpec], Mapping[str, Mapping[str, Any]]]
 """Policy -> the ``subsets`` of its evaluation.json, empty where it has none."""
 
 
-@dataclass(frozen=True)
-class Rate:
-    """Successes among episodes."""
-
-    successes: int = 0
-    n: int = 0
-
-    @property
-    def mean(self) -> float:
-        return self.successes / self.n if self.n else float("nan")
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95% Wilson."""
-        return wilson(self.successes, self.n)
+NOTHING = SuccessRate.of(0, 0)
 
 
 class Rates:
@@ -58,29 +43,29 @@ class Rates:
         self._errors: dict[tuple[str, Setting], str] = {}
         self._lock = threading.Lock()
         """Between writers: pages and the evaluator add episodes, and pages come and go."""
-        self._shipped: dict[str, dict[str, Rate]] = {}
+        self._shipped: dict[str, dict[str, SuccessRate]] = {}
         self._live: dict[tuple[str, Setting], dict[int, bool]] = {}
         self._listeners: tuple[Callable[[], None], ...] = ()
 
-    def shipped(self, spec: PolicySpec) -> dict[str, Rate]:
+    def shipped(self, spec: PolicySpec) -> dict[str, SuccessRate]:
         """By subset, without occlusions: what the policy's own evaluation says."""
         key = key_of(spec)
         if key not in self._shipped:
             table = {
-                subset: Rate(round(row["success"] * row["n"]), row["n"])
+                subset: SuccessRate.of(round(row["success"] * row["n"]), row["n"])
                 for subset, row in self._read(spec).items()
             }
             self._shipped = {**self._shipped, key: table}
         return self._shipped[key]
 
-    def live(self, spec: PolicySpec, setting: Setting) -> Rate:
+    def live(self, spec: PolicySpec, setting: Setting) -> SuccessRate:
         """What was measured here."""
         seen = self._live.get((key_of(spec), setting), {})
-        return Rate(sum(seen.values()), len(seen))
+        return SuccessRate.of(sum(seen.values()), len(seen))
 
-    def best(self, spec: PolicySpec, setting: Setting) -> Rate:
+    def best(self, spec: PolicySpec, setting: Setting) -> SuccessRate:
         """Whichever says more. They are not added up: workers begin with the shipped seeds."""
-        known = Rate() if setting.occlusions else self.shipped(spec).get(setting.subset, Rate())
+        known = NOTHING if setting.occlusions else self.shipped(spec).get(setting.subset, NOTHING)
         live = self.live(spec, setting)
         return live if live.n >= known.n else known
 
@@ -126,10 +111,10 @@ class Rates:
             self._evaluator.close()
 
     def _hear(self, tally: Tally) -> None:
-        occluded = {camera: CameraState(occlusion=o) for camera, o in tally.setting.occlusions}
-        setting = Setting(tally.setting.subset, Ablation(occluded, dict(tally.setting.moves)).key())
+        occluded = {camera: CameraState(occlusion=o) for camera, o in tally.request.occlusions}
+        setting = Setting(tally.request.subset, Ablation(occluded, dict(tally.request.moves)).key())
         outcomes = {result.seed: result.success for result in tally.results}
-        self._add((self._keys[tally.setting.policy], setting), outcomes, tally.error)
+        self._add((self._keys[tally.request.policy], setting), outcomes, tally.error)
 
     def subscribe(self, listener: Callable[[], None]) -> None:
         with self._lock:

@@ -1,4 +1,4 @@
-"""``madviz compare A B``: which policy is better, told from the episodes they have in common.
+"""``madviz compare A B``: which policy is better, by the episodes they have in common.
 
 Two policies that met the same seeds are compared scene by scene: where both succeed or both fail, a
 scene says nothing about which is better. With 100 scenes, 12 of which only A solves and 2 only B,
@@ -6,7 +6,7 @@ scene says nothing about which is better. With 100 scenes, 12 of which only A so
     A - B   +0.10   95% interval [+0.03, +0.18]   exact p = 0.013
 
 (Newcombe's interval for paired rates, McNemar's test). Policies that did not meet the same seeds
-are refused: nothing would tell a better policy from easier scenes. Several policies are each
+are refused: the difference could come from easier scenes. Several policies are each
 compared with the first. The figure shows every method with its trainings: bars are means, dots are
 trainings; with ``--curves``, success against environment steps where the recipe measured it on the
 way.
@@ -70,13 +70,15 @@ def run_compare(config: CompareConfig) -> dict[str, Any]:
         write_bytes(config.curves, curves(found).encode())
     return {
         "schema": 1,
-        **{"task": first.task, "definition": first.definition},
+        "task": first.task,
+        "definition": first.definition,
         "policies": [
             {"name": e.name, "path": str(e.path), "method": e.method, "seed": e.seed} for e in found
         ],
         "comparisons": [
             {
-                **{"first": config.policies[0], "second": config.policies[index]},
+                "first": config.policies[0],
+                "second": config.policies[index],
                 "subsets": {name: _row(rows[0], rows[index]) for name, rows in table.items()},
             }
             for index in range(1, len(found))

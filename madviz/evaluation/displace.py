@@ -29,7 +29,7 @@ from tqdm import tqdm
 from madviz.errors import UserError, unknown
 from madviz.evaluation.episodes import FIRST_SEED, Finished, Job, Runner, unsupported
 from madviz.evaluation.evaluate import run_anywhere
-from madviz.evaluation.statistics import in_words, wilson
+from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.displacement import Displacement, along
 from madviz.plots import Line, lines
 from madviz.policies import checkpoint
@@ -39,13 +39,17 @@ from madviz.types import Policy
 
 Direction = Literal["forward", "right", "up", "pan", "tilt", "zoom"]
 WAYS = {
-    **{"forward": ("forward", "back"), "right": ("right", "left"), "up": ("up", "down")},
-    **{"pan": ("right", "left"), "tilt": ("up", "down"), "zoom": ("in", "out")},
+    "forward": ("forward", "back"),
+    "right": ("right", "left"),
+    "up": ("up", "down"),
+    "pan": ("right", "left"),
+    "tilt": ("up", "down"),
+    "zoom": ("in", "out"),
 }
 """What more and less of a direction are called."""
-UNITS = {**dict.fromkeys(("forward", "right", "up"), "m"), "pan": "°", "tilt": "°", "zoom": "times"}
+UNITS = {"forward": "m", "right": "m", "up": "m", "pan": "°", "tilt": "°", "zoom": "times"}
 FARTHEST = {"m": 0.2, "°": 20.0, "times": 1.5}
-"""The last place by its unit, where nobody says otherwise."""
+"""The last place by its unit, the default of ``--most``."""
 MOST_POINTS = 50
 
 
@@ -84,28 +88,19 @@ class DisplaceConfig:
 
 @dataclass(frozen=True)
 class Point:
-    """What was counted at one place."""
+    """Success with the camera at one place."""
 
     at: float
     """Metres, degrees or times."""
-    successes: int
-    n: int
-
-    @property
-    def rate(self) -> float:
-        return self.successes / self.n
-
-    @property
-    def ci95(self) -> tuple[float, float]:
-        return wilson(self.successes, self.n)
+    success: SuccessRate
 
 
 def places(
     direction: str, most: float, steps: int, both: bool = False
 ) -> dict[float, Displacement]:
     """``steps`` moves by how far they go, from none to ``most``; ``both`` ways, from the farthest
-    of the one side to the farthest of the other. Raises UserError for a direction nobody knows, a
-    range that is none and a place that is too far."""
+    of the one side to the farthest of the other. Raises UserError for an unknown direction, a
+    range of no length and a place that is too far."""
     count = 2 * steps - 1 if both else steps
     if not (steps >= 2 and count <= MOST_POINTS):
         raise UserError(f"expected 2 to {MOST_POINTS} places, found {count}; say so with --steps")
@@ -155,7 +150,7 @@ def displace(
     found = {at: 0 for at in moves}
     for job, (result, _) in _watched(run_anywhere([*jobs], workers, here), len(jobs), progress):
         found[jobs[job]] += result.success
-    return tuple(Point(at, successes, episodes) for at, successes in found.items())
+    return tuple(Point(at, SuccessRate.of(successes, episodes)) for at, successes in found.items())
 
 
 def _moves(camera: str, move: Displacement) -> tuple[tuple[str, Displacement], ...]:
@@ -202,12 +197,24 @@ def run_displace(config: DisplaceConfig) -> dict[str, Any]:
         progress=True,
     )
     result = {
-        **{"schema": 1, "policy": spec.name, "digest": spec.digest, "task": spec.task},
-        **{"camera": config.camera, "along": config.along, "unit": UNITS[config.along]},
-        **{"subset": config.subset, "seed": config.seed},
+        "schema": 1,
+        "policy": spec.name,
+        "digest": spec.digest,
+        "task": spec.task,
+        "camera": config.camera,
+        "along": config.along,
+        "unit": UNITS[config.along],
+        "subset": config.subset,
+        "seed": config.seed,
         "points": [
-            {"at": p.at, "successes": p.successes, "success": p.rate, "n": p.n, "ci95": [*p.ci95]}
-            for p in points
+            {
+                "at": point.at,
+                "successes": point.success.successes,
+                "success": point.success.value,
+                "n": point.success.n,
+                "ci95": list(point.success.interval),
+            }
+            for point in points
         ],
     }
     if config.svg is not None:
@@ -218,7 +225,7 @@ def run_displace(config: DisplaceConfig) -> dict[str, Any]:
 
 
 def table_csv(result: dict[str, Any]) -> str:
-    """A row for each place, with all that tells it from rows of other files."""
+    """A row for each place, with all that sets it apart from rows of other files."""
     facts = {key: result[key] for key in ("policy", "digest", "task", "subset", "seed", "camera")}
     facts |= {key: result[key] for key in ("along", "unit")}
     file = io.StringIO()
@@ -240,7 +247,7 @@ def displacement_table(result: dict[str, Any]) -> str:
     ]
     for point in result["points"]:
         place = f"{point['at']:g} {result['unit']}"
-        rows.append(f"  {place:12} {in_words(point['success'], point['ci95'], point['n'])}")
+        rows.append(f"  {place:12} {SuccessRate(point['success'], point['ci95'], point['n'])}")
     return "\n".join(rows)
 
 

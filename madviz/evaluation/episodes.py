@@ -5,7 +5,7 @@ before it, in whichever process, beside however many others. Two things would br
 splits sums differently over different numbers of threads, so an episode always computes on one. And
 OpenGL and PyTorch do not survive a fork, so workers are spawned and load what they need themselves.
 
-A process dies now and then (out of memory, an impatient user). The standard library then gives up
+A process dies now and then (out of memory, killed by a user). The standard library then gives up
 the whole pool; ``Workers`` starts another one, and whoever submitted submits again what had not
 finished. An episode lasts seconds, so that is all that is lost.
 """
@@ -43,7 +43,7 @@ FIRST_SEED = 5000
 GIVE_UP = 3
 """Pools that may break in a row, without a single episode finished, before it is an error."""
 
-KEPT = 4
+LOADED = 4
 """Policies a process keeps loaded: visitors of a page compare a few, and take turns."""
 
 
@@ -65,10 +65,14 @@ class Job:
     """Cameras that do not stand where the policy was trained."""
 
     def key(self, spec: PolicySpec, definition: str) -> ResultKey:
-        """Where the result is kept, given what the policy says of itself."""
+        """Where the result is stored, given the policy's own spec."""
         return ResultKey(
-            *(spec.digest, spec.task, definition, spec.render_profile),
-            *(occlusion_key(dict(self.occlusions), dict(self.moves)), self.subset),
+            digest=spec.digest,
+            task=spec.task,
+            definition=definition,
+            render_profile=spec.render_profile,
+            occlusions=occlusion_key(dict(self.occlusions), dict(self.moves)),
+            subset=self.subset,
         )
 
 
@@ -81,7 +85,7 @@ def occlusion_key(
 
 
 def claimed_definition(policy: str) -> str:
-    """The definition of success in a policy folder's config: where to look for kept results."""
+    """The definition of success in a policy folder's config: part of the key of stored results."""
     return checkpoint.describe(policy).config.definition
 
 
@@ -178,7 +182,7 @@ class Runner:
             policy = checkpoint.load_policy(reference)
             if policy.spec.digest != digest:
                 raise UserError(f"{reference} was changed while it was evaluated; start again")
-            if len(self._policies) == KEPT:
+            if len(self._policies) == LOADED:
                 del self._policies[next(iter(self._policies))]
             self._policies[key] = policy
         return self._policies[key]
@@ -194,7 +198,7 @@ class Runner:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """PyTorch on one thread, if anybody has imported it; see the module."""
+    """PyTorch on one thread, if it was imported; see the module."""
     torch: Any = sys.modules.get("torch")
     if torch is None:
         yield
@@ -237,8 +241,8 @@ class Workers:
     def renew(self, generation: int) -> None:
         """Forgets the broken pool of ``generation``, unless that has happened already.
 
-        It is not shut down: a broken pool ends its processes by itself, and tells its futures while
-        it holds the very lock that ``shutdown`` would wait for.
+        It is not shut down: a broken pool ends its processes by itself, and completes its futures
+        while it holds the lock that ``shutdown`` would wait for.
         """
         if generation == self.generation:
             self._pool, self.generation = None, generation + 1

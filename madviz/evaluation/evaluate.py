@@ -144,7 +144,7 @@ def evaluate(
 
     ``policy`` is a path, a name, ``module:factory``, or a policy itself, which then runs in this
     process. ``workers`` is the number of processes, by default one per core; 0 is none but this.
-    ``store`` answers for episodes it has seen, of policy folders only, and keeps the new ones.
+    ``store`` answers for episodes it has seen, of policy folders only, and stores the new ones.
     Raises UserError for names that are unknown and subsets the policy cannot act on.
     """
     if episodes < 1 or seed < 0:
@@ -155,7 +155,7 @@ def evaluate(
     else:
         reference, loaded, workers = "", policy, 0
     if not checkpoint.is_folder(reference):
-        store = None  # Nobody can tell whether somebody's own code is still the same.
+        store = None  # Whether a user's own code is still the same cannot be known.
     here.adopt(reference, loaded)
     spec = loaded.spec
     for camera in occluded:
@@ -195,8 +195,8 @@ def _remembered(store: Store | None, spec: PolicySpec, jobs: list[Job]) -> dict[
     if store is None:
         return {}
     definition = claimed_definition(jobs[0].policy)
-    kept = {key: store.results(key) for key in {job.key(spec, definition) for job in jobs}}
-    known = ((job, kept[job.key(spec, definition)].get(job.seed)) for job in jobs)
+    stored = {key: store.results(key) for key in {job.key(spec, definition) for job in jobs}}
+    known = ((job, stored[job.key(spec, definition)].get(job.seed)) for job in jobs)
     return {job: (result, definition) for job, result in known if result is not None}
 
 
@@ -242,7 +242,7 @@ def run_jobs(jobs: list[Job], workers: Workers) -> Iterator[tuple[Job, Finished]
 def _progress(
     finished: Iterator[tuple[Job, Finished]], total: int, show: bool
 ) -> Iterable[tuple[Job, Finished]]:
-    """A bar on standard error, only where somebody watches."""
+    """A bar on standard error, if that is a terminal."""
     return tqdm(finished, total=total, unit="episode", disable=None if show else True)
 
 
@@ -303,11 +303,11 @@ def joined(known: EvaluationFile | None, new: EvaluationFile) -> EvaluationFile:
     same = ("digest", "definition", "seed")
     if known is None or any(known[key] != new[key] for key in same):
         return new
-    kept = {name: row for name, row in known["subsets"].items() if name not in new["subsets"]}
-    episodes = [e for e in known["episodes"] if e["subset"] in kept]
+    before = {name: row for name, row in known["subsets"].items() if name not in new["subsets"]}
+    episodes = [e for e in known["episodes"] if e["subset"] in before]
     return {
         **new,
-        "subsets": {**kept, **new["subsets"]},
+        "subsets": {**before, **new["subsets"]},
         "episodes": [*episodes, *new["episodes"]],
     }
 

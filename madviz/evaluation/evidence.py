@@ -2,7 +2,7 @@
 
 Weights may be missing (a policy that only serves a table leaves them out), so this is not the way
 to load a policy. Where they are there, the evaluation must be of them; and always its rates must be
-those of its own episodes, so that a number that somebody typed is noticed.
+those of its own episodes, so that a number typed by hand is noticed.
 """
 
 from __future__ import annotations

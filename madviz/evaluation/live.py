@@ -1,14 +1,14 @@
-"""Success rates while somebody plays with the cameras: episodes under the setting of this moment.
+"""Success rates while a visitor of the page drops, occludes and moves cameras.
 
-The page asks again and again, the answer is always what is known now. Three rules keep that honest
-and quick. At most one episode per worker is in flight, so a changed setting is served within one
-episode's time, not behind a queue of the old one. Visitors take turns. And every setting gets the
-same seeds in the same order (5000, 5001, ...), so bars of two settings can be compared; what the
-store knows from earlier days is there at once.
+The page asks again and again; the answer is always what is known now. Three rules make the numbers
+comparable and quick to come. At most one episode per worker is running, so a changed request starts
+within one episode's time and does not wait behind the old one. Visitors take turns. And every
+request gets the same seeds in the same order (5000, 5001, ...), so two rates can be compared;
+episodes in the store count at once.
 
-    request(visitor, setting) ─► wanted ─► next free worker ─► result ─► store, tally, listeners
-                                   ▲                             │
-                                   └───────── round robin ◄──────┘
+    request(visitor, ...) ─► wanted ─► next free worker ─► result ─► store, tally, listeners
+                               ▲                             │
+                               └───────── round robin ◄──────┘
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from madviz.evaluation.episodes import (
     claimed_definition,
     relevant,
 )
-from madviz.evaluation.statistics import Interval, wilson
+from madviz.evaluation.statistics import SuccessRate
 from madviz.evaluation.store import EpisodeResult, Store
 from madviz.observation.ablation import Occlusion
 from madviz.observation.displacement import Displacement, Moves
@@ -45,8 +45,9 @@ NICENESS = 15
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What is evaluated: a version of a policy, the present streams, what is wrong with them."""
+class Request:
+    """What is to be measured: a version of a policy, its present streams, and the cameras among
+    them that are occluded or moved."""
 
     policy: str
     digest: str
@@ -60,43 +61,34 @@ class Setting:
 
 @dataclass(frozen=True)
 class Tally:
-    """What is known about a setting so far; a snapshot that never changes."""
+    """What is known about a request so far; a snapshot that never changes."""
 
-    setting: Setting
+    request: Request
     results: tuple[EpisodeResult, ...] = ()
     """By seed, without gaps from the first on where nothing failed."""
     error: str = ""
-    """Why no more episodes will come; '' while all is well."""
+    """Why no more episodes will come; empty while they do."""
 
     @property
     def n(self) -> int:
         return len(self.results)
 
     @property
-    def successes(self) -> int:
+    def success(self) -> SuccessRate:
         """At the last step."""
-        return sum(result.success for result in self.results)
+        return SuccessRate.of(sum(result.success for result in self.results), self.n)
 
     @property
-    def success(self) -> float:
-        """The rate; NaN before the first episode."""
-        return self.successes / self.n if self.n else float("nan")
-
-    @property
-    def success_any(self) -> float:
-        """The rate at any step; NaN before the first episode."""
-        return sum(r.success_any for r in self.results) / self.n if self.n else float("nan")
-
-    @property
-    def ci95(self) -> Interval:
-        return wilson(self.successes, self.n)
+    def success_any(self) -> SuccessRate:
+        """At any step."""
+        return SuccessRate.of(sum(result.success_any for result in self.results), self.n)
 
 
 class Evaluator:
     """One for all visitors of a page; every method may be called from any thread.
 
-    Processes start at the first request and are replaced when they die. ``listener`` hears of every
-    new tally, on a thread of its own: it must be quick, and may call back.
+    Processes start at the first request and are replaced when they die. ``listener`` is called
+    with every new tally, on a thread of its own: it must be quick, and may call back.
     """
 
     def __init__(
@@ -107,19 +99,19 @@ class Evaluator:
         episodes: int = 100,
         make_workers: Callable[[int, int], Workers] = Workers,
     ) -> None:
-        """``workers`` None leaves one core to the page. ``episodes`` is enough for a setting."""
+        """``workers`` None leaves one core to the page. ``episodes`` is enough for a request."""
         count = max((os.cpu_count() or 2) - 1, 1) if workers is None else workers
         self._workers = make_workers(count, NICENESS)
         self._store = store
         self._listener = listener
         self._seeds = range(FIRST_SEED, FIRST_SEED + episodes)
         self._lock = threading.RLock()
-        self._wanted: dict[Hashable, Setting] = {}
+        self._wanted: dict[Hashable, Request] = {}
         """By visitor; the one whose turn is next comes first."""
-        self._tallies: dict[Setting, dict[int, EpisodeResult]] = {}
-        self._errors: dict[Setting, str] = {}
-        self._specs: dict[Setting, PolicySpec] = {}
-        self._flying: set[Job] = set()
+        self._tallies: dict[Request, dict[int, EpisodeResult]] = {}
+        self._errors: dict[Request, str] = {}
+        self._specs: dict[Request, PolicySpec] = {}
+        self._running: set[Job] = set()
         self._breaks, self._last_broken = 0, -1
         self._closed = False
 
@@ -131,50 +123,50 @@ class Evaluator:
         occlusions: dict[str, Occlusion] | None = None,
         moves: dict[str, Displacement] | None = None,
     ) -> Tally:
-        """From now on ``visitor`` wants this and nothing else; what is known of it already.
+        """From now on ``visitor`` wants this and nothing else. Returns what is known of it already.
 
         Raises UserError for an unknown policy or camera.
         """
-        setting = self._setting(policy, mask, occlusions, moves)
+        request = self._as_request(policy, mask, occlusions, moves)
         with self._lock:
-            if self._wanted.get(visitor) != setting:
-                self._errors.pop(setting, None)  # Asking anew is trying anew.
+            if self._wanted.get(visitor) != request:
+                self._errors.pop(request, None)  # Asking anew is trying anew.
                 self._breaks = 0
                 if visitor in self._wanted:
-                    self._wanted[visitor] = setting
+                    self._wanted[visitor] = request
                 else:  # Newcomers are served first, then they queue.
-                    self._wanted = {visitor: setting, **self._wanted}
+                    self._wanted = {visitor: request, **self._wanted}
             self._fill()
-            return self._tally(setting)
+            return self._tally(request)
 
     def tally(
         self, policy: str | Path, mask: Array, occlusions: dict[str, Occlusion] | None = None
     ) -> Tally:
-        """What is known of a setting, without wanting more of it."""
-        setting = self._setting(policy, mask, occlusions)
+        """What is known of a request, without wanting more of it."""
+        request = self._as_request(policy, mask, occlusions)
         with self._lock:
-            return self._tally(setting)
+            return self._tally(request)
 
     def forget(self, visitor: Hashable) -> None:
-        """The visitor is gone; an episode in flight ends and is kept."""
+        """The visitor has left; an episode that is running ends and counts."""
         with self._lock:
             self._wanted.pop(visitor, None)
 
     def close(self) -> None:
-        """Ends the processes; what is in flight is abandoned."""
+        """Ends the processes; running episodes are abandoned."""
         with self._lock:
             self._closed = True
             self._wanted.clear()
         self._workers.close()
 
-    def _setting(
+    def _as_request(
         self,
         policy: str | Path,
         mask: Array,
         occlusions: dict[str, Occlusion] | None,
         moves: dict[str, Displacement] | None = None,
-    ) -> Setting:
-        """Settings that cannot differ are the same one. New ones start with what the store has."""
+    ) -> Request:
+        """Requests that cannot differ are the same one. New ones start with what the store has."""
         reference = str(policy)
         if checkpoint.is_folder(reference):
             spec = checkpoint.describe(reference).spec
@@ -183,78 +175,78 @@ class Evaluator:
         present = relevant(occlusions or {}, mask, spec.streams)
         seen = {camera_of(s) for s, on in zip(spec.streams, mask, strict=True) if on}
         moved = tuple((c, move) for c, move in sorted((moves or {}).items()) if c in seen)
-        setting = Setting(reference, spec.digest, name_of(mask, spec.streams), present, moved)
+        request = Request(reference, spec.digest, name_of(mask, spec.streams), present, moved)
         with self._lock:
-            if setting not in self._tallies:
-                self._specs[setting] = spec
-                self._tallies[setting] = self._remembered(setting, spec)
-        return setting
+            if request not in self._tallies:
+                self._specs[request] = spec
+                self._tallies[request] = self._remembered(request, spec)
+        return request
 
-    def _remembered(self, setting: Setting, spec: PolicySpec) -> dict[int, EpisodeResult]:
-        if self._store is None or not checkpoint.is_folder(setting.policy):
+    def _remembered(self, request: Request, spec: PolicySpec) -> dict[int, EpisodeResult]:
+        if self._store is None or not checkpoint.is_folder(request.policy):
             return {}
-        key = setting.job(0).key(spec, claimed_definition(setting.policy))
+        key = request.job(0).key(spec, claimed_definition(request.policy))
         known = self._store.results(key)
         return {seed: known[seed] for seed in self._seeds if seed in known}
 
-    def _tally(self, setting: Setting) -> Tally:
-        results = sorted(self._tallies[setting].items())
-        return Tally(setting, tuple(r for _, r in results), self._errors.get(setting, ""))
+    def _tally(self, request: Request) -> Tally:
+        results = sorted(self._tallies[request].items())
+        return Tally(request, tuple(r for _, r in results), self._errors.get(request, ""))
 
     def _fill(self) -> None:
         """Gives every free worker the next episode; called with the lock held."""
-        while not self._closed and len(self._flying) < self._workers.count:
+        while not self._closed and len(self._running) < self._workers.count:
             job = next(self._turns(), None)
             if job is None:
                 return
-            self._flying.add(job)
+            self._running.add(job)
             future = self._workers.submit(job)
             generation = self._workers.generation
-            future.add_done_callback(lambda f, j=job, g=generation: self._landed(j, g, f))
+            future.add_done_callback(lambda f, j=job, g=generation: self._ended(j, g, f))
 
     def _turns(self) -> Iterator[Job]:
         """The next episode of the first visitor who lacks one; they then go to the end."""
-        for visitor, setting in list(self._wanted.items()):
-            if setting in self._errors:
+        for visitor, request in list(self._wanted.items()):
+            if request in self._errors:
                 continue
-            known = self._tallies[setting]
+            known = self._tallies[request]
             for seed in self._seeds:
-                job = setting.job(seed)
-                if seed not in known and job not in self._flying:
+                job = request.job(seed)
+                if seed not in known and job not in self._running:
                     self._wanted[visitor] = self._wanted.pop(visitor)
                     yield job
                     return
 
-    def _landed(self, job: Job, generation: int, future: Future[Finished]) -> None:
-        """A worker is free again, for better or worse."""
-        setting = Setting(job.policy, job.digest, job.subset, job.occlusions, job.moves)
+    def _ended(self, job: Job, generation: int, future: Future[Finished]) -> None:
+        """A job came to an end, with a result or an error; its worker is free again."""
+        request = Request(job.policy, job.digest, job.subset, job.occlusions, job.moves)
         with self._lock:
-            self._flying.discard(job)
+            self._running.discard(job)
             if self._closed or future.cancelled():
                 return
             error = future.exception()
             if error is None:
-                self._keep(setting, job, *future.result())
+                self._record(request, job, *future.result())
             elif isinstance(error, BrokenProcessPool):
-                self._replace(setting, generation)
+                self._replace(request, generation)
             elif not isinstance(error, Stopped):
-                self._errors[setting] = str(error) or type(error).__name__
+                self._errors[request] = str(error) or type(error).__name__
             self._fill()
-            tally = self._tally(setting)
+            tally = self._tally(request)
         if self._listener:
             self._listener(tally)
 
-    def _keep(self, setting: Setting, job: Job, result: EpisodeResult, definition: str) -> None:
+    def _record(self, request: Request, job: Job, result: EpisodeResult, definition: str) -> None:
         self._breaks = 0
-        self._tallies[setting][job.seed] = result
-        if self._store is not None and checkpoint.is_folder(setting.policy):
-            self._store.put(job.key(self._specs[setting], definition), result)
+        self._tallies[request][job.seed] = result
+        if self._store is not None and checkpoint.is_folder(request.policy):
+            self._store.put(job.key(self._specs[request], definition), result)
 
-    def _replace(self, setting: Setting, generation: int) -> None:
+    def _replace(self, request: Request, generation: int) -> None:
         """The pool broke; the seed is free again, so the next turn takes it up."""
         if generation > self._last_broken:
             self._last_broken = generation
             self._breaks += 1
             self._workers.renew(generation)
         if self._breaks >= GIVE_UP:
-            self._errors[setting] = str(self._workers.gave_up())
+            self._errors[request] = str(self._workers.gave_up())

@@ -8,21 +8,47 @@ are compared on the same seeds, where only the episodes that came out differentl
     80 of 100   0.80   [0.71, 0.87]
 
 Wilson (1927) inverts the score test, so it stays inside [0, 1] and does not shrink to nothing at 0
-of n or n of n. Newcombe (1998, methods 10 of both papers) builds the interval of a difference from
-the two Wilson intervals.
+of n or n of n. Newcombe (1998, second paper, method 10) builds the interval of a paired difference
+from the two Wilson intervals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import nan, sqrt
 from statistics import NormalDist
 
 from madviz.errors import UserError
 
 Interval = tuple[float, float]
 Z95 = NormalDist().inv_cdf(0.975)
+
+
+@dataclass(frozen=True)
+class SuccessRate:
+    """A success rate and how far to trust it."""
+
+    value: float
+    """NaN where nothing was tried."""
+    interval: Interval
+    """95%."""
+    n: int
+    """Episodes; a mean over several subsets has as many of each."""
+
+    @classmethod
+    def of(cls, successes: int, n: int) -> SuccessRate:
+        """``successes`` of ``n`` episodes, with Wilson's interval."""
+        return cls(successes / n if n else nan, wilson(successes, n), n)
+
+    @property
+    def successes(self) -> int:
+        return round(self.value * self.n) if self.n else 0
+
+    def __str__(self) -> str:
+        """How a rate is written everywhere: ``0.90 [0.79, 0.96] n=50``."""
+        low, high = self.interval
+        return f"{self.value:.2f} [{low:.2f}, {high:.2f}] n={self.n}"
 
 
 def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:
@@ -36,11 +62,6 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:
     return _wilson(successes, n, confidence) if n else (0.0, 1.0)
 
 
-def in_words(rate: float, interval: Interval, n: int) -> str:
-    """How a rate is written everywhere: ``0.90 [0.79, 0.96] n=50``."""
-    return f"{rate:.2f} [{interval[0]:.2f}, {interval[1]:.2f}] n={n}"
-
-
 def _wilson(successes: float, n: float, confidence: float) -> Interval:
     """Also for counts that are not whole, n above 0."""
     z = NormalDist().inv_cdf(0.5 + confidence / 2)
@@ -51,13 +72,6 @@ def _wilson(successes: float, n: float, confidence: float) -> Interval:
     low = 0.0 if successes == 0 else max(centre - half, 0.0)
     high = 1.0 if successes == n else min(centre + half, 1.0)
     return low, high
-
-
-def newcombe(first: int, first_n: int, second: int, second_n: int) -> Interval:
-    """95% interval of first rate minus second, from independent episodes."""
-    if first_n == 0 or second_n == 0:
-        return -1.0, 1.0
-    return _hybrid(first, first_n, second, second_n, correlation=0.0)
 
 
 @dataclass(frozen=True)
@@ -83,7 +97,15 @@ class Paired:
         if self.n == 0:
             return -1.0, 1.0
         first, second = self.both + self.first_only, self.both + self.second_only
-        return _hybrid(first, self.n, second, self.n, self._correlation())
+        p, q, correlation = first / self.n, second / self.n, self._correlation()
+        (p_low, p_high), (q_low, q_high) = wilson(first, self.n), wilson(second, self.n)
+
+        def reach(a: float, b: float) -> float:
+            return sqrt(max(a * a - 2 * correlation * a * b + b * b, 0.0))
+
+        low = p - q - reach(p - p_low, q_high - q)
+        high = p - q + reach(p_high - p, q - q_low)
+        return max(low, -1.0), min(high, 1.0)
 
     def mcnemar(self) -> float:
         """Exact two-sided p-value of 'both are equally good': the episodes that came out
@@ -120,18 +142,18 @@ def mean_interval(shares: Sequence[float], parts: int) -> Interval:
     """95% interval of a mean over ``parts`` success rates that were measured on the same seeds.
 
     ``shares`` has one number for each seed: the share of its ``parts`` episodes that succeeded.
-    Episodes of one seed resemble each other, so 4 x 100 of them are worth between 100 and 400:
-    Wilson's interval at the number of independent episodes whose mean would scatter as much.
+    Episodes of one seed resemble each other, so 4 x 100 of them say as much as 100 to 400
+    independent ones: Wilson's interval at the number whose mean would scatter as much.
     """
     n = len(shares)
     if n == 0:
         return 0.0, 1.0
     mean = sum(shares) / n
     scatter = sum((share - mean) ** 2 for share in shares) / n
-    worth = min(max(mean * (1 - mean) / scatter, 1.0), parts) if scatter > 0 else 1.0
+    independent = min(max(mean * (1 - mean) / scatter, 1.0), parts) if scatter > 0 else 1.0
     # The ends must be the ends also where a sum of thirds is a hair off.
-    count = n * worth * (0.0 if max(shares) == 0 else 1.0 if min(shares) == 1 else mean)
-    return _wilson(count, n * worth, 0.95)
+    count = n * independent * (0.0 if max(shares) == 0 else 1.0 if min(shares) == 1 else mean)
+    return _wilson(count, n * independent, 0.95)
 
 
 def difference_interval(differences: Sequence[float]) -> Interval:
@@ -148,15 +170,3 @@ def difference_interval(differences: Sequence[float]) -> Interval:
     squares = sum(difference**2 for difference in differences) + 1
     half = Z95 * sqrt(max(squares / (n + 2) - mean**2, 0.0) / (n + 2))
     return max(mean - half, -1.0), min(mean + half, 1.0)
-
-
-def _hybrid(first: int, first_n: int, second: int, second_n: int, correlation: float) -> Interval:
-    p, q = first / first_n, second / second_n
-    (p_low, p_high), (q_low, q_high) = wilson(first, first_n), wilson(second, second_n)
-
-    def reach(a: float, b: float) -> float:
-        return sqrt(max(a * a - 2 * correlation * a * b + b * b, 0.0))
-
-    low = p - q - reach(p - p_low, q_high - q)
-    high = p - q + reach(p_high - p, q - q_low)
-    return max(low, -1.0), min(high, 1.0)

@@ -78,7 +78,7 @@ def default_path() -> Path:
 
 
 class Store:
-    """See the module. ``path`` None is the default one, ``":memory:"`` keeps nothing."""
+    """See the module. ``path`` None is the default one, ``":memory:"`` is gone with the process."""
 
     def __init__(self, path: str | Path | None = None) -> None:
         self.path = str(path or default_path())
@@ -86,7 +86,7 @@ class Store:
         self._db = self._open()
 
     def put(self, key: ResultKey, result: EpisodeResult) -> None:
-        """Keeps a result; the same episode again changes nothing."""
+        """Stores a result; the same episode again changes nothing."""
         if key.digest:
             row = (*astuple(key), *astuple(result)[1:])
             query = f"INSERT OR REPLACE INTO episodes_1 VALUES ({', '.join('?' * len(row))})"
@@ -138,7 +138,7 @@ class Store:
                 self._move_aside(error)
                 return self._connect()
         except (OSError, sqlite3.OperationalError) as error:
-            warnings.warn(f"{self.path}: {error}; results are kept in memory only", stacklevel=4)
+            warnings.warn(f"{self.path}: {error}; results stay in memory only", stacklevel=4)
             self.path = MEMORY
             return self._connect()
 
@@ -161,7 +161,7 @@ class Store:
     def _move_aside(self, error: sqlite3.DatabaseError) -> None:
         path = os.path.realpath(self.path)  # A link stays a link.
         aside = f"{path}.broken-{time.time_ns()}"
-        warnings.warn(f"{self.path}: {error}; moved to {aside}, starting afresh", stacklevel=5)
+        warnings.warn(f"{self.path}: {error}; moved to {aside}, starting anew", stacklevel=5)
         with suppress(FileNotFoundError):  # Another process may have been faster.
             os.replace(path, aside)
         for suffix in ("-wal", "-shm"):

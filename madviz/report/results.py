@@ -21,12 +21,12 @@ from typing import Any
 from madviz import plots
 from madviz.errors import UserError
 from madviz.evaluation.evidence import Evidence, find_evidence
-from madviz.evaluation.statistics import in_words
+from madviz.evaluation.statistics import SuccessRate
 from madviz.policies.card import AGAIN, train_again
 from madviz.policies.checkpoint import WEIGHTS
 from madviz.report.claims import claims
 from madviz.report.layouts import LAYOUTS, THREE
-from madviz.report.rows import Rate, Row
+from madviz.report.rows import Row
 from madviz.report.tables import ResultTable, build
 from madviz.report.target import (
     TARGET_ALL,
@@ -198,10 +198,8 @@ def _row_line(task: str, row: Row, table: ResultTable) -> str:
     return _line((task, row.label, str(row.trainings), *cells, *mean))
 
 
-def _cell(rate: Rate | None) -> str:
-    if rate is None:
-        return "–"
-    return in_words(rate.value, rate.interval, rate.n)
+def _cell(rate: SuccessRate | None) -> str:
+    return "–" if rate is None else str(rate)
 
 
 def _head(headings: Sequence[str]) -> list[str]:

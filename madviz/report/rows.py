@@ -16,20 +16,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from madviz.evaluation.evidence import Evidence
-from madviz.evaluation.statistics import Interval, difference_interval, mean_interval, wilson
+from madviz.evaluation.statistics import (
+    Interval,
+    SuccessRate,
+    difference_interval,
+    mean_interval,
+)
 
 Unit = tuple[str, int, int]
 """Task, training seed, episode seed."""
-
-
-@dataclass(frozen=True)
-class Rate:
-    """A success rate as it is printed."""
-
-    value: float
-    interval: Interval
-    n: int
-    """Episodes of one subset; a mean over several has as many of each."""
 
 
 @dataclass
@@ -51,13 +46,12 @@ class Row:
         seeds = {unit[:2] for cell in self.cells.values() for unit in cell}
         return max(Counter(task for task, _ in seeds).values(), default=0)
 
-    def rate(self, column: str) -> Rate | None:
+    def rate(self, column: str) -> SuccessRate | None:
         """None where nothing was measured."""
         cell = self.cells.get(column)
         if not cell:
             return None
-        successes = sum(cell.values())
-        return Rate(successes / len(cell), wilson(successes, len(cell)), len(cell))
+        return SuccessRate.of(sum(cell.values()), len(cell))
 
     def shares(self, columns: Sequence[str]) -> dict[Unit, float]:
         """By unit, the share of ``columns`` that succeeded; of units that have them all."""
@@ -69,14 +63,14 @@ class Row:
         """Those of ``columns`` that this row has episodes of."""
         return [column for column in columns if self.cells.get(column)]
 
-    def mean(self, columns: Sequence[str]) -> Rate | None:
+    def mean(self, columns: Sequence[str]) -> SuccessRate | None:
         """Over those of ``columns`` that this row has."""
         present = self.measured(columns)
         shares = list(self.shares(present).values())
         if not shares:
             return None
         interval = mean_interval(shares, len(present))
-        return Rate(sum(shares) / len(shares), interval, len(shares))
+        return SuccessRate(sum(shares) / len(shares), interval, len(shares))
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ from typing import Any
 from madviz.envs.registry import MANISKILL_TASKS, METAWORLD_TASKS
 from madviz.errors import UserError, unknown
 from madviz.evaluation.evidence import Evidence
+from madviz.evaluation.statistics import SuccessRate
 from madviz.report.layouts import THREE
-from madviz.report.rows import Rate, Row
+from madviz.report.rows import Row
 from madviz.report.tables import usual_alphas
 from madviz.system.files import read_json
 from madviz.system.typed import typed
@@ -32,7 +33,7 @@ class Verdict:
     task: str
     row: Row | None
     """None where no policy was trained and measured."""
-    mean: Rate | None
+    mean: SuccessRate | None
     reasons: tuple[str, ...]
     """What it falls short of; none: the target is met."""
 
@@ -67,7 +68,7 @@ def judge(task: str, evidence: Sequence[Evidence]) -> Verdict:
     return Verdict(task, row, mean, tuple(_reasons(task, row, mean)))
 
 
-def _reasons(task: str, row: Row, mean: Rate | None) -> list[str]:
+def _reasons(task: str, row: Row, mean: SuccessRate | None) -> list[str]:
     reasons = []
     missing = [c for c in judged_on(task) if c not in row.cells]
     if missing:

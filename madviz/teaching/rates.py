@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from madviz.errors import UserError
-from madviz.evaluation import statistics
-from madviz.evaluation.statistics import pair, wilson
+from madviz.evaluation.statistics import SuccessRate, pair, wilson
 from madviz.policies import checkpoint
 from madviz.teaching.show import Figure, TextTable, Words, bars, table
 
@@ -21,7 +20,7 @@ def in_words(successes: int, n: int) -> Words:
 
 def counted_in_words(successes: int, n: int) -> str:
     """``0.80 [0.49, 0.94] n=10``, for a cell of a table."""
-    return statistics.in_words(successes / n, wilson(successes, n), n)
+    return str(SuccessRate.of(successes, n))
 
 
 def counts(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[int, int]]:

@@ -117,10 +117,10 @@ def success_column(frame: Frame, rates: Rates) -> Column:
     streams, title = frame.world.policy.streams, "success, measured"
     names = set_names(streams, frame.mask)
     found = {name: rates.best(frame.world.policy, Setting(name)) for name in dict.fromkeys(names)}
-    worth = success_worth({name: rate.mean for name, rate in found.items()}, streams, frame.mask)
+    worth = success_worth({name: rate.value for name, rate in found.items()}, streams, frame.mask)
     if worth is None:
         return Column(title, None, 2, "–", _missing(frame, [n for n in found if not found[n].n]))
-    bounded = {name: (rate.mean, *rate.interval) for name, rate in found.items()}
+    bounded = {name: (rate.value, *rate.interval) for name, rate in found.items()}
     low, high = success_interval(bounded, streams, frame.mask)
     least = min(rate.n for rate in found.values())
     clean = " Measured with clean pictures." if frame.setting.occlusions else ""

@@ -13,9 +13,10 @@ from viser import uplot
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_POINTS, small_axes
 from madviz.app.panels.subsets import is_trained, presence, subset_label
-from madviz.app.rates import Rate, Rates
+from madviz.app.rates import NOTHING, Rates
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
+from madviz.evaluation.statistics import SuccessRate
 from madviz.session.frame import Change, Frame, Outcome, Setting, words
 from madviz.subsets import mask_of, name_of, single_streams
 from madviz.types import PolicySpec
@@ -121,7 +122,7 @@ class Curve:
         self._key: tuple[PolicySpec, Setting] | None = None
         self._n, self._episodes = 0, 0
 
-    def add(self, policy: PolicySpec, setting: Setting, rate: Rate) -> bool:
+    def add(self, policy: PolicySpec, setting: Setting, rate: SuccessRate) -> bool:
         """Whether there is something new to draw."""
         key, before = (policy, setting), self._key
         if key != before:
@@ -146,9 +147,9 @@ class Curve:
         return tuple(np.array(points).T)
 
 
-def rate_point(rate: Rate) -> tuple[float, float, float]:
+def rate_point(rate: SuccessRate) -> tuple[float, float, float]:
     """Low, high and mean; out of sight where nothing was measured."""
-    return (*rate.interval, rate.mean) if rate.n else (BELOW, BELOW, BELOW)
+    return (*rate.interval, rate.value) if rate.n else (BELOW, BELOW, BELOW)
 
 
 def bar_rows(frame: Frame, rates: Rates) -> list[Setting]:
@@ -171,8 +172,8 @@ def bars_html(frame: Frame, rates: Rates) -> str:
     rows = []
     settings = bar_rows(frame, rates)
     for setting in settings:
-        shipped = rates.shipped(spec).get(setting.subset, Rate())
-        shipped = Rate() if setting.occlusions else shipped
+        shipped = rates.shipped(spec).get(setting.subset, NOTHING)
+        shipped = NOTHING if setting.occlusions else shipped
         live = rates.live(spec, setting)
         rows.append(_bar_row(frame, setting, shipped, live, 20 if len(settings) < 10 else 17))
     key = (
@@ -186,7 +187,9 @@ def bars_html(frame: Frame, rates: Rates) -> str:
     )
 
 
-def _bar_row(frame: Frame, setting: Setting, shipped: Rate, live: Rate, height: int) -> str:
+def _bar_row(
+    frame: Frame, setting: Setting, shipped: SuccessRate, live: SuccessRate, height: int
+) -> str:
     mask = mask_of(setting.subset, frame.world.policy.streams)
     label = subset_label(frame, setting.subset)
     short = label if len(label) <= LABEL else setting.subset
@@ -195,7 +198,7 @@ def _bar_row(frame: Frame, setting: Setting, shipped: Rate, live: Rate, height: 
         label, short = label + words, short + words
     dagger = "" if is_trained(frame, mask) else "† "
     joined = live if live.n >= shipped.n else shipped
-    number = f"<b>{joined.mean:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"
+    number = f"<b>{joined.value:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"
     style, now = "border-left:3px solid transparent", ""
     if setting == frame.setting:
         style = f"border-left:3px solid {NOTE};background:rgba(255,209,102,0.12)"
@@ -218,19 +221,19 @@ def _trouble(error: str) -> str:
     return f'<div style="color:{NOTE}">not measured: {escape(error)}</div>' if error else ""
 
 
-def _in_words(rate: Rate, source: str) -> str:
+def _in_words(rate: SuccessRate, source: str) -> str:
     if not rate.n:
         return f"nothing {source}"
     low, high = rate.interval
-    return f"{source} {rate.mean:.2f} [{low:.2f}, {high:.2f}], n={rate.n}"
+    return f"{source} {rate.value:.2f} [{low:.2f}, {high:.2f}], n={rate.n}"
 
 
-def _interval(rate: Rate, colour: str, top: int) -> str:
+def _interval(rate: SuccessRate, colour: str, top: int) -> str:
     """A band from low to high with a solid mark at the mean."""
     if not rate.n:
         return ""
     low, high = rate.interval
-    at = 97 * rate.mean
+    at = 97 * rate.value
     return (
         f'<div style="position:absolute;top:{top}px;height:6px;left:{100 * low:.1f}%;'
         f'width:{100 * (high - low):.1f}%;background:{colour};opacity:0.5"></div>'
@@ -315,8 +318,8 @@ def sentence(change: Change, frame: Frame, rates: Rates) -> str:
     before = rates.best(frame.world.policy, change.setting_before)
     after = rates.best(frame.world.policy, change.setting_after)
     if not after.n:
-        tail = f"success so far {before.mean:.2f} → not measured yet" if before.n else ""
+        tail = f"success so far {before.value:.2f} → not measured yet" if before.n else ""
     else:
-        start = f"{before.mean:.2f} → " if before.n else ""
-        tail = f"success so far {start}{after.mean:.2f} (n={after.n})"
+        start = f"{before.value:.2f} → " if before.n else ""
+        tail = f"success so far {start}{after.value:.2f} (n={after.n})"
     return f"{line}; {tail}" if tail else line
