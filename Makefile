@@ -1,6 +1,9 @@
 # make demo    set everything up and serve the page at http://127.0.0.1:8080
 # make notebooks   the lessons in JupyterLab (notebooks/README.md)
 # make test    set up the same, then the fast and the real-browser tests
+# make docs    the documentation as a site in build/docs
+# make dist    a wheel and a source archive in dist/
+# make figures  figures and pictures in README and docs, from checkpoints/ and results/
 #
 # Variables: PYTHON=python3.12      the Python the environment is made from (3.11 or newer)
 #            TORCH_INDEX=ADDRESS    where to take torch from, for example the index of its CPU builds
@@ -10,7 +13,7 @@ PYTHON ?= python3
 POLICY ?= metaworld-hammer-mad-light
 BIN    := .venv/bin
 
-.PHONY: notebooks help demo setup setup-dev test test-slow check bench clean
+.PHONY: notebooks help demo setup setup-dev test test-slow check docs figures dist bench clean
 
 help:
 	@sed -n '/^$$/q; s/^# \{0,1\}//p' Makefile
@@ -37,6 +40,18 @@ check: .venv/dev.stamp
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/pyright
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+
+docs: .venv/dev.stamp
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+dist: .venv/dev.stamp
+	$(BIN)/python -m build --outdir dist .
+
+figures: setup-dev
+	$(BIN)/madviz report
+	$(BIN)/python tools/figures.py
+	$(BIN)/python tools/fill_figures.py
 
 bench: setup-dev
 	$(BIN)/madviz bench render

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOMES = {
+PUBLIC = {
     "ExploreConfig": "madviz.app.server",
     "allow_task": "madviz.envs.custom",
     "evaluate": "madviz.evaluation.evaluate",
@@ -41,9 +41,10 @@ _HOMES = {
     "save_policy": "madviz.policies.checkpoint",
     "UserError": "madviz.errors",
 }
+"""Each public name, and the module where it is."""
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"madviz has no {name!r}; public names: {', '.join(_HOMES)}")
-    return getattr(import_module(_HOMES[name]), name)
+    if name not in PUBLIC:
+        raise AttributeError(f"madviz has no {name!r}; public names: {', '.join(PUBLIC)}")
+    return getattr(import_module(PUBLIC[name]), name)

@@ -86,10 +86,12 @@ def save_policy(
 
 
 def policy_roots() -> list[Path]:
-    """Where names are looked up: $MADVIZ_CHECKPOINTS, ./checkpoints, the repository's."""
+    """Where names are looked up: $MADVIZ_CHECKPOINTS, ./checkpoints, the repository's, and the two
+    policies that an installed package brings."""
     named = [Path(p) for p in os.environ.get("MADVIZ_CHECKPOINTS", "").split(os.pathsep) if p]
-    repository = Path(__file__).resolve().parents[2] / "checkpoints"
-    return list(dict.fromkeys([*named, Path.cwd() / "checkpoints", repository]))
+    package = Path(__file__).resolve().parents[1]
+    shipped = [package.parent / "checkpoints", package / "bundled"]
+    return list(dict.fromkeys([*named, Path.cwd() / "checkpoints", *shipped]))
 
 
 def results_beside(root: Path) -> Path:

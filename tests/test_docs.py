@@ -1,0 +1,134 @@
+"""README and docs: their figures are those in the files, their commands work, their links lead
+somewhere, and a built page fetches nothing from elsewhere."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from madviz import cli
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = (ROOT / "README.md", ROOT / "environment.md", *sorted((ROOT / "docs").glob("*.md")))
+FENCE = re.compile(r"(?:<!-- ([^\n]*) -->\n)?```sh\n(.*?)```", re.DOTALL)
+"""A block of commands and the mark above it: ``slow``, or ``not run: REASON``."""
+
+
+class Written(NamedTuple):
+    """A command in a page, and the mark above its block."""
+
+    page: str
+    line: str
+    mark: str
+
+
+def commands() -> Iterator[Written]:
+    for page in PAGES:
+        for mark, block in FENCE.findall(page.read_text()):
+            for line in block.replace("\\\n", " ").splitlines():
+                line = re.sub(r"\s+#\s.*", "", line).strip()
+                if line and not line.startswith("#"):
+                    yield Written(page.name, line, mark)
+
+
+def of_madviz(line: str) -> list[str]:
+    """The words after ``madviz``; none for another program."""
+    words = shlex.split(line)
+    while words and "=" in words[0]:
+        del words[0]
+    return words[1:] if words and words[0] == "madviz" else []
+
+
+MADVIZ = [each for each in commands() if of_madviz(each.line)]
+
+
+def test_readme_is_read_in_one_sitting() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+
+
+def test_figures_in_the_text_are_those_in_the_files() -> None:
+    command = [sys.executable, str(ROOT / "tools" / "fill_figures.py"), "--check"]
+    checked = subprocess.run(command, capture_output=True, text=True)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+@pytest.mark.parametrize("written", MADVIZ, ids=[f"{c.page}: {c.line}" for c in MADVIZ])
+def test_a_command_in_the_text_can_be_read(written: Written) -> None:
+    """Also those that are not run: every command and option exists."""
+    words = of_madviz(written.line)
+    name = " ".join(words[:2]) if words[0] in cli.GROUPS else words[0]
+    if name.startswith("-") or "--help" in words:
+        return
+    cli.parse(name, words[len(name.split()) :])
+
+
+def test_what_is_not_run_says_why() -> None:
+    for written in commands():
+        assert re.fullmatch(r"(|slow|not run: .{6,})", written.mark), written
+        if not of_madviz(written.line):
+            assert written.mark.startswith("not run: "), f"{written}: only madviz is run here"
+
+
+def runs(written: Written, folder: Path) -> None:
+    """Runs a command as a reader would, in a folder of their own."""
+    if not (folder / "checkpoints").exists():
+        (folder / "checkpoints").symlink_to(ROOT / "checkpoints")
+        (folder / "results").symlink_to(ROOT / "results")
+    line = [sys.executable, "-m", "madviz", *of_madviz(written.line)]
+    path = os.pathsep.join([str(ROOT), str(folder)])
+    done = subprocess.run(
+        line, cwd=folder, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}
+    )
+    assert done.returncode == 0, f"{written.line}\n{done.stdout}{done.stderr}"
+
+
+QUICK = [each for each in MADVIZ if not each.mark]
+SLOW = {page.name: [c for c in MADVIZ if c.page == page.name] for page in PAGES}
+
+
+@pytest.mark.parametrize("written", QUICK, ids=[f"{c.page}: {c.line}" for c in QUICK])
+def test_a_quick_command_in_the_text_works(written: Written, tmp_path: Path) -> None:
+    runs(written, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", SLOW)
+def test_the_commands_of_a_page_work_one_after_the_other(page: str, tmp_path: Path) -> None:
+    for written in SLOW[page]:
+        if not written.mark.startswith("not run: "):
+            runs(written, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The docs as they are built for readers; MkDocs stops at a link that leads nowhere."""
+    out = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(out)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment)
+    assert built.returncode == 0, built.stdout + built.stderr
+    return out
+
+
+def test_a_built_page_fetches_nothing_from_elsewhere(site: Path) -> None:
+    for page in site.glob("*.html"):
+        fetched = re.findall(
+            r"<(?:script|img|link|iframe|source)[^>]*(?:src|href)=[\"'](https?://[^\"']+)",
+            page.read_text(),
+        )
+        assert [url for url in fetched if "canonical" not in url] == [], page.name
+
+
+def test_readme_links_lead_somewhere() -> None:
+    for page in PAGES:
+        for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#]+)", page.read_text()):
+            generated = target in ("api.md", "command-line.md", "results.md", "tried.md")
+            assert generated or (page.parent / target).exists(), f"{page.name}: {target}"

@@ -1,0 +1,117 @@
+"""Pages of the docs site that are made from the program and from its files, while it is built.
+
+    command-line.md   ``--help`` of every command
+    api.md            what ``import madviz`` offers, madviz.types and the examples
+    results.md        results/RESULTS.md with its pictures
+    tried.md          results/tried.json: what was tried and did not help
+
+They are never written to docs/, so they cannot go stale there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+import madviz
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "results"
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Adds the pages above and the pictures of the results."""
+    pages = {
+        "command-line.md": command_line(),
+        "api.md": api(),
+        "results.md": results(),
+        "tried.md": tried(),
+    }
+    for name, text in pages.items():
+        files.append(File.generated(config, name, content=text))
+    for picture in sorted(RESULTS.glob("**/*.svg")):
+        name = f"pictures/{picture.name}"
+        files.append(File.generated(config, name, content=picture.read_bytes()))
+    return files
+
+
+def help_of(*words: str) -> str:
+    """What ``madviz WORDS --help`` prints, 100 columns wide and without colours."""
+    environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
+    command = [sys.executable, "-m", "madviz", *words, "--help"]
+    printed = subprocess.run(
+        command, capture_output=True, text=True, check=True, env=environment, cwd=ROOT
+    )
+    lines = re.sub(r"\x1b\[[0-9;]*m", "", printed.stdout).replace(str(ROOT), ".").splitlines()
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def commands(usage: str) -> list[str]:
+    """The names in a usage text: the first word of every line that is indented by two."""
+    return re.findall(r"^  ([a-z]+)  ", usage, re.MULTILINE)
+
+
+def command_line() -> str:
+    """Markdown with the help of every command and of every benchmark."""
+    whole = help_of()
+    parts = [
+        "# Command line",
+        "Made from `--help` when these pages are built. `--json FILE` writes a result as JSON; "
+        "`--json -` prints it, and then nothing else goes to standard output. The exit code is 0 "
+        "only for success, 2 for a mistake in the command, 1 for any other failure, 130 after "
+        "Ctrl-C.",
+        f"```text\n{whole}\n```",
+    ]
+    for name in commands(whole):
+        described = help_of(name)
+        parts.append(f"## madviz {name}\n\n```text\n{described}\n```")
+        if name == "bench":
+            for each in commands(described):
+                parts.append(f"### madviz bench {each}\n\n```text\n{help_of(name, each)}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def api() -> str:
+    """Markdown that mkdocstrings fills with docstrings."""
+    public = [f"::: {home}.{name}" for name, home in madviz.PUBLIC.items()]
+    lines = [
+        "# Python",
+        "`import madviz` loads neither torch nor viser. These names load what they need when they "
+        "are used:",
+        *public,
+        "## madviz.types",
+        "::: madviz.types\n    options:\n      show_root_heading: false",
+        "## Examples",
+        "::: madviz.examples.own_policy",
+        "::: madviz.examples.own_task",
+    ]
+    return "\n\n".join(lines) + "\n"
+
+
+def results() -> str:
+    """RESULTS.md; its pictures are beside the page, its policy cards are named without a link."""
+    text = (RESULTS / "RESULTS.md").read_text()
+    text = re.sub(r"(!\[[^\]]*\]\()[^)]*?([^/)]+\.svg\))", r"\1pictures/\2", text)
+    return re.sub(r"(?<!!)\[([^\]]+)\]\((?!https?:|#|pictures/)[^)]*\)", r"\1", text)
+
+
+def tried() -> str:
+    """What results/tried.json holds, a section for each task."""
+    parts = [
+        "# What was tried",
+        "Changes to the light recipe that were measured and not taken, by task, as they were "
+        "written down then. Success rates are on development seeds.",
+    ]
+    for task, entries in json.loads((RESULTS / "tried.json").read_text()).items():
+        parts.append(f"## {task}\n")
+        parts += [
+            f"- {entry if isinstance(entry, str) else json.dumps(entry)}" for entry in entries
+        ]
+    return "\n\n".join(parts[:2]) + "\n\n" + "\n".join(parts[2:]) + "\n"
