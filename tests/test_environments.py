@@ -1,4 +1,4 @@
-"""One contract for every environment: whoever keeps it can be trained on, evaluated and shown."""
+"""One contract for every environment: what has it can be trained on, evaluated and shown."""
 
 from __future__ import annotations
 
@@ -21,8 +21,11 @@ from madviz.errors import UserError
 from madviz.types import Environment
 
 CONTRACT_TASKS = (
-    *("toy/reach", "metaworld/hammer", "metaworld/push"),
-    *("maniskill/push-cube", "maniskill/place-sphere"),
+    "toy/reach",
+    "metaworld/hammer",
+    "metaworld/push",
+    "maniskill/push-cube",
+    "maniskill/place-sphere",
     "madviz.examples.own_task:make",
 )
 

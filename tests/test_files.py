@@ -67,7 +67,7 @@ def test_who_writes_files_goes_through_one_place():
     )
     package = Path(files.__file__).parent.parent
     found = {path.stem for path in package.rglob("*.py") if direct.search(path.read_text())}
-    assert found == {"files", "store", "run", "demonstrations", "buffer", "update"}
+    assert found == {"files", "store", "run_folder", "demonstrations", "buffer", "update"}
 
 
 def test_what_cannot_be_read_is_named(tmp_path):
@@ -157,8 +157,11 @@ def test_what_is_no_place_for_a_file_is_refused(tmp_path):
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(tmp_path / "socket"))
         for name, found in {
-            **{"folder": "a folder", "link": "a folder", "socket": "a socket"},
-            **{"ring": "symbolic links in a circle", "none/x": f"no folder {tmp_path}/none"},
+            "folder": "a folder",
+            "link": "a folder",
+            "socket": "a socket",
+            "ring": "symbolic links in a circle",
+            "none/x": f"no folder {tmp_path}/none",
         }.items():
             path = tmp_path / name
             for write in (

@@ -180,16 +180,16 @@ def test_states_of_many_copies_are_rows(task: str, size: int) -> None:
 
 def test_many_copies_fill_their_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
     class Three:
-        """Copies that say their number, and what they were told."""
+        """Copies that say their number, and the actions they got."""
 
-        def __init__(self, *told: Any) -> None:
-            assert told[:3] == ("push-cube", 3, "fast")
+        def __init__(self, *arguments: Any) -> None:
+            assert arguments[:3] == ("push-cube", 3, "fast")
 
         def reset(self, seeds: list[int]) -> batch.Steps:
             return self.step(np.array(seeds, np.float32)[:, np.newaxis].repeat(4, 1))
 
         def step(self, actions: np.ndarray) -> batch.Steps:
-            self.told = actions.copy()
+            self.actions = actions.copy()
             success = np.zeros(3, bool)
             return batch.Steps(actions.repeat(7, 1), actions[:, 0], success, last=True)
 

@@ -1,7 +1,7 @@
 """Fewer triangles for the same shape: fast_simplification, one call at a time.
 
 The library works in variables of its own. Two simulators that open at once, each in its visitor's
-thread, would get each other's triangles, or none; the robot a policy sees would have holes.
+thread, would get each other's triangles, or none: the robot that a policy sees would have holes.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def simplify(
-    vertices: Array, triangles: Array, share: float, eagerness: float = 7.0
+    vertices: Array, triangles: Array, share: float, aggressiveness: float = 7.0
 ) -> tuple[Array, Array]:
     """Vertices (n, 3) and triangles (m, 3) of the same shape without about ``share`` of its
-    triangles, by quadric error; ``eagerness`` is how soon the library takes an edge for flat."""
+    triangles, by quadric error; ``aggressiveness`` is how fast the allowed error grows."""
     call: Any = fast_simplification.simplify  # Its types say less than it takes.
     with _ONE_AT_A_TIME:
-        small, faces, *_ = call(vertices, triangles, share, agg=eagerness)
+        small, faces, *_ = call(vertices, triangles, share, agg=aggressiveness)
     return small, faces
 
 
@@ -44,10 +44,10 @@ def decimate(vertices: Array, triangles: Array, wanted: int = TRIANGLES) -> tupl
         unique, place = np.unique(rows, return_inverse=True)
         small = unique.view(np.float32).reshape(-1, 3)
         faces = place.reshape(-1)[triangles].astype(np.int32)
-    for eagerness in (7.0, 9.0):
+    for aggressiveness in (7.0, 9.0):
         if len(faces) > ENOUGH * wanted:
             share = 1 - wanted / len(faces)
-            small, faces = simplify(small, faces, share, eagerness)
+            small, faces = simplify(small, faces, share, aggressiveness)
     for cells in (64, 48, 32, 24, 16):
         if len(faces) > ENOUGH * wanted:
             small, faces = snap(small, faces, cells)

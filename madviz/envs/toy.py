@@ -43,12 +43,13 @@ _NOTHING, _FAR = 40, 10.0
 
 
 class ToyReach:
-    """See the module. State: hand x, y and the last two, 6 numbers; action: x, y."""
+    """A ``madviz.types.Environment``. State: hand x, y now and the two before; action: x, y."""
 
     setting_cameras: Mapping[str, tuple[CameraSpec, ...]] = {}
 
     @staticmethod
     def own_cameras(task: str) -> tuple[CameraSpec, ...]:
+        """The three, for any task."""
         return CAMERAS
 
     def __init__(

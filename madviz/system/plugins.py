@@ -1,4 +1,4 @@
-"""``module:factory``: an object out of a user's own code, imported as if from a shell beside it."""
+"""``module:factory``: an object from a user's own code, which may lie in the working directory."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def made_by(reference: str, protocol: type) -> Any:
 
 @contextmanager
 def _importable_from_here() -> Iterator[None]:
-    """A console script does not look for modules in the working directory; its user does."""
+    """Adds the working directory to the path, which console scripts leave out."""
     sys.path.insert(0, os.getcwd())
     try:
         yield

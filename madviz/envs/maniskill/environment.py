@@ -70,7 +70,7 @@ def cameras_of(task: str) -> tuple[CameraSpec, ...]:
 
 
 class ManiSkill:
-    """One task; see the module. Not thread-safe, and bound to the thread that makes it.
+    """One task, a ``madviz.types.Environment``. Only the thread that makes it may use it.
 
     ``simulation`` is ManiSkill's own environment, physics only.
     """

@@ -15,9 +15,9 @@ The state is joint positions (9), joint speeds (9) and what the task adds, 28 or
     pick-cube, place-sphere   whether the object is grasped 1, tool point's pose 7, goal or bin 3
     poke-cube                 tool point's pose 7, *the peg's present position* 3
 
-The last one is called goal in the paper's code and in ManiSkill, but it is privileged: it tells a
+The last one is called goal in the paper's code and in ManiSkill, but it is privileged: it shows a
 policy where the peg is, whatever its cameras show. It stays, to be comparable. PushCube's target
-is where the cube started plus 0.2 m, and PullCube's minus 0.2 m, so they tell that as well.
+is where the cube started plus 0.2 m, and PullCube's minus 0.2 m, so they show that as well.
 """
 
 from __future__ import annotations

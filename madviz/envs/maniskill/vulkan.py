@@ -5,7 +5,7 @@ that lavapipe has since Mesa 24.3: an older one ends in ``ErrorFeatureNotPresent
 in ``Failed to find a supported physical device``. ``renderer`` turns all of them into one sentence.
 
 ``python -m madviz.envs.maniskill.vulkan`` says which device would draw: the doctor runs it in a
-process of its own, since a broken driver can take its process along.
+process of its own, since a broken driver can crash it.
 """
 
 from __future__ import annotations

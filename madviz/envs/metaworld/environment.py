@@ -82,7 +82,7 @@ but for the thermos of the stick tasks, which stands on First's way."""
 
 
 class MetaWorld(MuJoCoWorld):
-    """One task; see the module. Not thread-safe, and bound to the thread that makes it.
+    """One task, a ``madviz.types.Environment``. Only the thread that makes it may use it.
 
     ``simulation`` is Meta-World's own environment, and ``observation`` (39,) what it observes:
     hand, objects and goal, now and one simulator step ago.

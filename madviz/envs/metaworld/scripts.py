@@ -1,18 +1,17 @@
 """Our own scripted experts for the tasks where Meta-World's scripts drop, overshoot or stall.
 
-Two facts make them work at one question per decision. The hand is dragged by a target of the
-simulator's own which no observation shows: after a push at full speed (0.01 m a step) it runs on
-for 0.034 m. As it moves at the speed of that target, the observation's frame difference gives it
-away: the hand comes to rest at ``hand + 3.4 x velocity``, and that is the place a script steers
-by. And the fingers need about seven decisions to close: an object lifted earlier slips. A hand
-whose opening still changes therefore stays where it is.
+They rest on two facts. The hand follows a target inside the simulator that no observation shows:
+after a push at full speed (0.01 m a step) it runs on for 0.034 m. It moves at the speed of that
+target, so its velocity between two frames is enough: the hand comes to rest at ``hand + 3.4 x
+velocity``, and scripts steer that place. And the fingers need about seven decisions to close: an
+object lifted earlier slips. A hand whose opening still changes therefore stays where it is.
 
 A script is a function of the present observation alone. What was done so far is read off the
 scene: fingers open and far from the object mean "go there", closed around it means "carry".
 
-What holds without noise need not teach: a student is off by a little at every decision. With normal
-noise of 0.3 on every action, Meta-World's scripts of assembly, hand-insert and pick-place-wall
-succeed in 42 to 46 % of 24 episodes, ours in all of them.
+A script that succeeds without noise may teach badly, as a student is off by a little at every
+decision. With normal noise of 0.3 on every action, Meta-World's scripts of assembly, hand-insert
+and pick-place-wall succeed in 42 to 46 % of 24 episodes, ours in all of them.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Whether MuJoCo can draw on this machine, asked before it fails in its own words.
 
-MuJoCo picks its OpenGL library from ``MUJOCO_GL`` while it is imported. What goes wrong then has
-many faces: without libEGL an AttributeError of PyOpenGL, without a driver an ImportError out of the
-first context and a second exception out of its destructor, and ``glfw`` without a display makes a
-context of nothing that crashes when it is used. ``check_gl`` turns all of them into one sentence.
+MuJoCo picks its OpenGL library from ``MUJOCO_GL`` while it is imported. It fails in many ways:
+without libEGL an AttributeError of PyOpenGL, without a driver an ImportError out of the first
+context and a second exception out of its destructor, and ``glfw`` without a display makes a context
+of nothing that crashes when it is used. ``check_gl`` turns all of them into one sentence.
 
-``python -m madviz.envs.mujoco.gl`` draws nothing but says who would: the doctor runs it in a
+``python -m madviz.envs.mujoco.gl`` prints which driver would draw: the doctor runs it in a
 process of its own for every back end, since a back end that was imported once stays.
 """
 

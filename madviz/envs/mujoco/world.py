@@ -18,7 +18,7 @@ from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, View
 
 
 class MuJoCoWorld:
-    """Not thread-safe, and bound to the thread that makes it."""
+    """What draws in a ``madviz.types.Environment``. Only the thread that makes it may use it."""
 
     def __init__(self, spec: EnvSpec, model: Any, data: Any) -> None:
         """``model`` and ``data`` are MuJoCo's. Raises UserError where MuJoCo cannot draw, and for a
