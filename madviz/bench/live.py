@@ -20,9 +20,9 @@ from __future__ import annotations
 import random
 import statistics
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
@@ -91,19 +91,12 @@ def watched(config: LiveConfig) -> dict[str, Any]:
         people: list[Visitor] = []
         for _ in range(1 + config.watchers):
             people.append(stack.enter_context(Visitor(url)))
-            await_steps(people[-1].steps)
+            if not await_that(lambda: people[-1].steps, 60.0):
+                raise UserError("the page sent no picture; try: madviz explore")
         time.sleep(3.0)
-        rates: list[float] = [0.0] * len(people)
-
-        def count(index: int) -> None:
-            rates[index] = round(people[index].updates_per_s(config.seconds), 2)
-
-        threads = [threading.Thread(target=count, args=(n,)) for n in range(len(people))]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    owner, *watchers = rates
+        with ThreadPoolExecutor(len(people)) as pool:
+            rates = list(pool.map(lambda one: one.updates_per_s(config.seconds), people))
+    owner, *watchers = [round(rate, 2) for rate in rates]
     return {
         "count": config.watchers,
         "updates_per_s": watchers,
@@ -136,12 +129,6 @@ def beside_training(config: LiveConfig) -> dict[str, Any]:
     if status.state != "running":
         raise UserError(f"expected a training to last, found it {status.state}: {status.why}")
     return found
-
-
-def await_steps(steps: Sequence[object], patience: float = 60.0) -> None:
-    """Returns when something came. Raises UserError if nothing does."""
-    if not await_that(lambda: steps, patience):
-        raise UserError("the page sent no picture; try: madviz explore")
 
 
 def await_that(happened: Callable[[], object], patience: float) -> bool:

@@ -19,6 +19,7 @@ episode by episode: "1101" and "1100" differ in the last of four.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -235,11 +236,11 @@ def _shares(query: torch.Tensor, key: torch.Tensor, mask: Array, itself: bool) -
 
 def averaged_heads(policy: TorchPolicy, moment: Moment) -> TextTable:
     """Q-mean's actions on single cameras, their mean taken before tanh, and its action on all."""
-    alone = np.stack([moment_action(policy, moment, name) for name in policy.spec.streams])
+    now = replace(moment, policy=policy)
+    alone = np.stack([now.action(name) for name in policy.spec.streams])
     mean = np.tanh(np.arctanh(alone.astype(float)).mean(0))
-    everything = moment_action(policy, moment, "all")
     rows = [[f"only {n}", _numbers(a)] for n, a in zip(policy.spec.streams, alone, strict=True)]
-    rows += [["mean of the three", _numbers(mean)], ["all", _numbers(everything)]]
+    rows += [["mean of the three", _numbers(mean)], ["all", _numbers(now.action())]]
     return table(["cameras", "action"], rows)
 
 
@@ -249,7 +250,7 @@ def put_everywhere(policy: TorchPolicy, moment: Moment, camera: str) -> TextTabl
     thrice = policy.encode(moment.stack[[index] * len(moment.stack)], moment.state)
     everything = policy.read(thrice, np.ones((1, len(moment.stack)), bool)).action[0]
     rows = [
-        [f"only {camera}", _numbers(moment_action(policy, moment, camera))],
+        [f"only {camera}", _numbers(replace(moment, policy=policy).action(camera))],
         [f"three times {camera}", _numbers(everything)],
     ]
     return table(["what arrives", "action"], rows)
@@ -262,12 +263,6 @@ def same_draws(draws: int, seed: int = 0) -> tuple[int, int]:
     keys = torch.rand(draws, 2, len(CAMERAS), generator=generator)
     same = [bool((pairs[:, 0] == pairs[:, 1]).all()) for pairs in (drawn(masks, k) for k in keys)]
     return sum(same), draws
-
-
-def moment_action(policy: Policy, moment: Moment, subset: str) -> Array:
-    """(A,) what ``policy``, not the moment's own, does on ``subset``."""
-    encoded = policy.encode(moment.stack, moment.state)
-    return policy.read(encoded, mask_of(subset, policy.spec.streams)[None]).action[0]
 
 
 def _numbers(action: Array) -> str:

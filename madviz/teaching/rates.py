@@ -50,13 +50,8 @@ def success_table(measured: Mapping[str, Mapping[str, tuple[int, int]]]) -> Text
     names = dict.fromkeys(name for one in measured.values() for name in one)
     rows = []
     for name in names:
-        cells = []
-        for one in measured.values():
-            if name in one:
-                cells.append(counted_in_words(*one[name]))
-            else:
-                cells.append("not measured")
-        rows.append([name, *cells])
+        found = [one.get(name) for one in measured.values()]
+        rows.append([name, *(counted_in_words(*f) if f else "not measured" for f in found)])
     return table(["cameras", *measured], rows)
 
 

@@ -6,6 +6,7 @@ second time has its policies at once.
 
 from __future__ import annotations
 
+import csv
 import tempfile
 import time
 from collections.abc import Mapping
@@ -109,9 +110,5 @@ def _say(event: dict[str, Any]) -> None:
 
 
 def _read_curve(file: Path) -> tuple[Mapping[str, Any], ...]:
-    import csv
-
-    with file.open(newline="") as handle:
-        return tuple(
-            {key: float(v or "nan") for key, v in row.items()} for row in csv.DictReader(handle)
-        )
+    rows = csv.DictReader(file.read_text().splitlines())
+    return tuple({key: float(value or "nan") for key, value in row.items()} for row in rows)
