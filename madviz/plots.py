@@ -66,9 +66,8 @@ class Line:
 def bars(title: str, groups: Sequence[str], series: Mapping[str, Sequence[Bar | None]]) -> str:
     """SVG text; ``series`` has a bar, or None where nothing was measured, for each group."""
     group = max(BAR * (len(series) + 2), 60, *(7 * len(name) for name in groups))
-    width = max(60 + group * len(groups), _least_width(title, series))
     with _style(title):
-        figure = _figure(width, 250 + _legend_height(series, width))
+        figure = _figure(_width(60 + group * len(groups), title, series), 250)
         axes = figure.subplots()
         _rate_axis(axes)
         axes.set_xlim(-0.5, len(groups) - 0.5)
@@ -89,9 +88,8 @@ def lines(title: str, x_label: str, panels: Mapping[str, Mapping[str, Line]]) ->
     names = list(dict.fromkeys(name for panel in panels.values() for name in panel))
     colours = {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(names)}
     last = max((x for p in panels.values() for line in p.values() for x in line.x), default=1.0)
-    width = max(50 + PANEL * len(panels), _least_width(title, names))
     with _style(title):
-        figure = _figure(width, 270 + _legend_height(names, width))
+        figure = _figure(_width(50 + PANEL * len(panels), title, names), 270)
         row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
         for axes, (subset, panel) in zip(row, panels.items(), strict=True):
             _rate_axis(axes)
@@ -101,11 +99,10 @@ def lines(title: str, x_label: str, panels: Mapping[str, Mapping[str, Line]]) ->
             axes.locator_params(axis="x", nbins=3)
             axes.xaxis.set_major_formatter("{x:,g}")
             for name, line in panel.items():
-                band = {"color": colours[name], "clip_on": False}
-                axes.fill_between(
-                    line.x, line.low, line.high, alpha=0.15, linewidth=0, gid="band", **band
-                )
-                axes.plot(line.x, line.y, gid="line", **band)
+                colour = colours[name]
+                band = axes.fill_between(line.x, line.low, line.high, color=colour, alpha=0.15)
+                band.set(linewidth=0, clip_on=False, gid="band")
+                axes.plot(line.x, line.y, color=colour, clip_on=False, gid="line")
         return _finished(figure, title, {name: _patch(colours[name]) for name in names})
 
 
@@ -197,11 +194,10 @@ def _svg(figure: Figure) -> str:
 
 
 def _finished(figure: Figure, title: str, handles: Mapping[str, Artist]) -> str:
-    """With the title above and the legend below."""
+    """With the title above and the legend at the right."""
     figure.suptitle(title, x=0.01, horizontalalignment="left")
-    columns = _legend_columns(handles, figure.get_figwidth() * 96)
     if handles:
-        figure.legend(handles.values(), handles, loc="outside lower left", ncols=columns)
+        figure.legend(handles.values(), handles, loc="outside right upper")
     return _svg(figure)
 
 
@@ -228,19 +224,6 @@ def _bar(axes: Axes, x: float, width: float, bar: Bar, colour: str) -> None:
         axes.plot(x, dot, "o", ms=3, mfc="white", mec=INK, mew=0.7, clip_on=False, gid="dot")
 
 
-def _entry_width(name: str) -> float:
-    return 36 + 6.8 * len(name)
-
-
-def _least_width(title: str, names: Collection[str]) -> float:
-    """Pixels that the title and the widest entry of the legend need."""
-    return max(8.5 * len(title) + 20, *map(_entry_width, names), 0)
-
-
-def _legend_columns(names: Collection[str], width: float) -> int:
-    return max(int(width / max(map(_entry_width, names), default=width)), 1)
-
-
-def _legend_height(names: Collection[str], width: float) -> float:
-    """Pixels of a legend that is ``width`` pixels wide."""
-    return 18.0 * -(-len(names) // _legend_columns(names, width))
+def _width(plot: float, title: str, names: Collection[str]) -> float:
+    """Pixels that a plot needs with its legend, and its title above."""
+    return max(plot + 40 + 6.8 * max(map(len, names), default=0), 8.5 * len(title) + 20)

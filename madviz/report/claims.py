@@ -208,15 +208,26 @@ def _merge_verdict(name: str, gap: Difference) -> str:
     return same(gap.interval)
 
 
+def _compared(
+    rows: tuple[Row | None, Row | None],
+    columns: Sequence[str],
+    names: str,
+    paper: str,
+    judged: Callable[[Interval], str],
+) -> list[str]:
+    """What the first of two rows has more than the second, and whether the paper's sentence fits;
+    nothing where a row is missing or no episodes can be paired."""
+    first, second = rows
+    gap = difference(first, second, columns) if first and second else None
+    return [f"{names}: {points(gap)}. {paper}: {judged(gap.interval)}."] if gap else []
+
+
 def _occlusion(table: ResultTable) -> list[str]:
-    lines, single = [], table.average("single")
+    single, said = table.average("single"), "The paper reports 63% and 62%, so no difference"
+    lines = []
     for mad in [row for row in table.averages if row.label.split(",")[0] == "mad"]:
-        if single and (gap := difference(mad, single, ("all",))):
-            lines.append(
-                f"MAD{mad.label.removeprefix('mad')} minus single, with every camera it has: "
-                f"{points(gap)}. The paper reports 63% and 62%, so no difference: "
-                f"{same(gap.interval)}."
-            )
+        names = f"MAD{mad.label.removeprefix('mad')} minus single, with every camera it has"
+        lines += _compared((mad, single), ("all",), names, said, same)
     return [
         *lines,
         *_blind(table),
@@ -242,29 +253,18 @@ def _blind(table: ResultTable) -> list[str]:
 
 
 def _modality(table: ResultTable) -> list[str]:
-    lines, mad = [], table.average("mad, one-rgbd")
+    mad = table.average("mad, one-rgbd")
     depth, both = table.average("single, one-depth"), table.average("single, one-rgbd")
-    if mad and depth and (gap := difference(mad, depth, ("depth",))):
-        lines.append(
-            f"MAD minus single on depth alone: {points(gap)}. The paper finds MAD ahead: "
-            f"{ahead(gap.interval)}."
-        )
-    if mad and both and (gap := difference(mad, both, ("all",))):
-        lines.append(
-            f"MAD minus single on colour and depth: {points(gap)}. The paper finds them alike: "
-            f"{same(gap.interval)}."
-        )
-    return lines
+    names, said = "MAD minus single on depth alone", "The paper finds MAD ahead"
+    lines = _compared((mad, depth), ("depth",), names, said, ahead)
+    names, said = "MAD minus single on colour and depth", "The paper finds them alike"
+    return lines + _compared((mad, both), ("all",), names, said, same)
 
 
 def _resolution(table: ResultTable) -> list[str]:
-    mixed, alike = table.average("mad"), table.average("mad, one size")
-    if mixed is None or alike is None or not (gap := difference(mixed, alike, THREE)):
-        return []
-    return [
-        f"MAD with mixed sizes minus MAD with one: {points(gap)}. The paper reports no loss: "
-        f"{same(gap.interval)}."
-    ]
+    rows = (table.average("mad"), table.average("mad, one size"))
+    names, said = "MAD with mixed sizes minus MAD with one", "The paper reports no loss"
+    return _compared(rows, THREE, names, said, same)
 
 
 CLAIMS: dict[str, Callable[[ResultTable], list[str]]] = {
