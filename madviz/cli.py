@@ -63,7 +63,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "train": Command(
         "Trains a policy by a recipe and prints its folder; can be stopped and resumed.",
-        config="madviz.training.train:TrainConfig",
+        config="madviz.training.config:TrainConfig",
         work="madviz.training.train:train",
         words="builtins:str",
     ),

@@ -15,8 +15,9 @@ from madviz.errors import UserError
 from madviz.evaluation.evaluate import evaluate
 from madviz.examples.own_policy import Finder
 from madviz.sweep.plan import read_plan
+from madviz.training.config import TrainConfig
 from madviz.training.light import LightConfig
-from madviz.training.train import TrainConfig, train
+from madviz.training.train import train
 from madviz.types import Encoded
 
 TOUCH = "madviz.examples.own_task:make"

@@ -17,21 +17,17 @@ from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.training.demonstrations import Dataset, Driver, Episode, record_episode
-from madviz.training.light import LightConfig, LightRun, imitation_loss, train_light
+from madviz.training.light import LightConfig, LightRun, imitation_loss, run_rounds
 from madviz.training.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
 from madviz.training.run_folder import RunFolder
-from madviz.types import PolicySpec
+from tests.plans import THREE, toy_plan
 
-THREE, RGBD = SETTINGS["three"].streams, SETTINGS["three-rgbd"].streams
+RGBD = SETTINGS["three-rgbd"].streams
 TOY = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=16)
 TINY = LightConfig(
-    rounds=4, demonstrations=2, episodes_per_round=4, updates_per_round=3, batch_size=4
-)
-
-
-def spec(streams: tuple[str, ...] = THREE, method: str = "mad") -> PolicySpec:
-    trained = METHODS[method].trained_subsets(streams)
-    return PolicySpec("p", "toy/reach", method, "three", "light", streams, trained)
+    rounds=4, demonstrations=2, episodes_per_round=4, updates_per_round=3, batch_size=4,
+    critic_updates=0,
+)  # fmt: skip
 
 
 class InlineRecorder:
@@ -56,8 +52,7 @@ class InlineRecorder:
 
 
 def run_in(folder: RunFolder, config: LightConfig = TINY) -> LightRun:
-    torch.manual_seed(0)
-    run = LightRun(config, spec(), Agent(TOY), 25, 0, folder.resume)
+    run = LightRun(toy_plan(), config, folder.resume)
     state = folder.load_state()
     if state:
         run.restore(state)
@@ -65,7 +60,7 @@ def run_in(folder: RunFolder, config: LightConfig = TINY) -> LightRun:
 
 
 def finish(run: LightRun, folder: RunFolder, recorder: InlineRecorder) -> None:
-    train_light(run, folder, recorder, lambda run, final: None)  # type: ignore[arg-type]
+    run_rounds(run, folder, recorder)  # type: ignore[arg-type]
 
 
 def weights(run: LightRun) -> torch.Tensor:
@@ -140,7 +135,7 @@ def test_fitting_the_critic_changes_nothing_else() -> None:
 
 
 def test_a_recorded_episode_repeats_to_the_bit() -> None:
-    student = random_policy(spec(), TOY)
+    student = random_policy(toy_plan().spec, TOY)
     driver = Driver(0.5, 0.2, student, np.array([True, False, False]))
     one, two = (record_episode(ToyReach(), THREE, driver, 3) for _ in range(2))
     assert np.array_equal(one.actions, two.actions)
@@ -187,19 +182,19 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None
 def test_students_see_their_methods_subsets_and_demonstrations_are_shared(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "a", TINY, resume=False, listener=None)
     mad = run_in(folder)
-    merged = LightRun(TINY, spec(method="merged-only"), Agent(TOY), 25, 0, folder.resume)
-    assert mad.plan(0) == merged.plan(0)
-    assert [seed for _, seed in mad.plan(2)] == [seed for _, seed in merged.plan(2)]
-    seen = {tuple(driver.mask) for driver, _ in mad.plan(1) if driver.mask is not None}
+    merged = LightRun(toy_plan("merged-only"), TINY, folder.resume)
+    assert mad.drivers(0) == merged.drivers(0)
+    assert [seed for _, seed in mad.drivers(2)] == [seed for _, seed in merged.drivers(2)]
+    seen = {tuple(driver.mask) for driver, _ in mad.drivers(1) if driver.mask is not None}
     assert len(seen) == 4
-    assert all(driver.mask is not None and driver.mask.all() for driver, _ in merged.plan(1))
-    assert all(seed < 1000 for _, seed in mad.plan(3))
+    assert all(driver.mask is not None and driver.mask.all() for driver, _ in merged.drivers(1))
+    assert all(seed < 1000 for _, seed in mad.drivers(3))
 
 
 def test_noise_fades_from_round_to_round_where_it_is_told_to(tmp_path: Path) -> None:
     run = run_in(RunFolder(tmp_path / "a", TINY, resume=False, listener=None))
     run.config = replace(TINY, noise_share=0.4, noise_decay=0.5)
-    noise = [{driver.noise_share for driver, _ in run.plan(round_)} for round_ in range(4)]
+    noise = [{driver.noise_share for driver, _ in run.drivers(round_)} for round_ in range(4)]
     assert noise == [{0.4}, {0.4}, {0.2}, {0.1}]
 
 

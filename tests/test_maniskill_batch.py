@@ -20,10 +20,12 @@ from madviz.envs.maniskill.tasks import states
 from madviz.envs.registry import MANISKILL_TASKS, make_env, setting_cameras
 from madviz.errors import UserError
 from madviz.training import vector_batch, vectorised
+from madviz.training.config import TrainConfig
 from madviz.training.run_folder import RunFolder
-from madviz.training.train import TrainConfig, train
+from madviz.training.simulation import Simulation
+from madviz.training.train import train
 from madviz.training.vector_batch import BatchedEnvs
-from madviz.training.vector_envs import Board, Recipe, VectorEnvs
+from madviz.training.vector_envs import Board, VectorEnvs
 from madviz.training.vectorised import VectorisedConfig
 from madviz.types import EnvSpec, TimeStep, View
 
@@ -126,10 +128,10 @@ def on_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_its_lanes_are_those_of_processes(on_cpu: None) -> None:
     streams = ("first.rgb", "third_a.depth", "third_b.rgb")
     env = make_env("maniskill/pull-cube")
-    recipe = Recipe("maniskill/pull-cube", "fast", env.spec.cameras, streams)
+    simulation = Simulation("maniskill/pull-cube", "fast", env.spec.cameras, streams)
     one, other = (Board(1, streams, env.spec.state_dim, 4) for _ in range(2))
-    batched = BatchedEnvs(recipe, env.spec, one, 1)
-    others = VectorEnvs(recipe, other, 1, workers=0)
+    batched = BatchedEnvs(simulation, env.spec, one, 1)
+    others = VectorEnvs(simulation, other, 1, workers=0)
     actions = np.random.default_rng(1).uniform(-1, 1, (4, 1, 4)).astype(np.float32)
 
     def assert_same_board() -> None:
@@ -204,8 +206,8 @@ def test_many_copies_fill_their_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(vector_batch, "ManiSkillBatch", Three)
     spec = EnvSpec("maniskill/push-cube", cameras_of("push-cube"), 28, 4, 50)
     board = Board(3, ("third_a",), 28, 4)
-    recipe = Recipe("maniskill/push-cube", "fast", spec.cameras, ("third_a",))
-    envs = BatchedEnvs(recipe, spec, board, 3)
+    simulation = Simulation("maniskill/push-cube", "fast", spec.cameras, ("third_a",))
+    envs = BatchedEnvs(simulation, spec, board, 3)
     envs.reset([7, 8, 9])
     assert board["reward"][:, 0].tolist() == [7, 8, 9] and board["last"].all()
     envs.send(np.arange(12, dtype=np.float32).reshape(3, 4))
@@ -254,8 +256,7 @@ def test_the_gpu_is_claimed_before_anything_simulates(
         raise AssertionError("too early")
 
     monkeypatch.setattr(vectorised, "claim_gpu", claim)
-    for module in ("madviz.training.train", "madviz.training.vectorised"):
-        monkeypatch.setattr(f"{module}.make_env", simulate)
+    monkeypatch.setattr("madviz.training.simulation.make_env", simulate)
     settings = VectorisedConfig(simulation="gpu")
     config = TrainConfig("maniskill/push-cube", "mad", "paper-vectorised", out=tmp_path / "run")
     with pytest.raises(Claimed):

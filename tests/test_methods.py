@@ -30,13 +30,16 @@ from madviz.observation.ablation import Ablation
 from madviz.policies import checkpoint
 from madviz.policies.listing import list_everything
 from madviz.subsets import every_mask, mask_of
-from madviz.training import light, paper, train
-from madviz.training.demonstrations import Driver, Episode, record_episode
+from madviz.training import light
+from madviz.training.config import TrainConfig, resolve
+from madviz.training.demonstrations import Driver, Episode, Recorder, record_episode
 from madviz.training.light import LightConfig, LightRun
 from madviz.training.paper import PaperConfig
 from madviz.training.run_folder import RunFolder
-from madviz.training.train import TrainConfig
+from madviz.training.simulation import Simulation
+from madviz.training.train import train
 from madviz.types import Environment, PolicySpec
+from tests.plans import toy_plan
 
 STREAMS = SETTINGS["three"].streams
 HORIZON = 4
@@ -56,11 +59,11 @@ def short_toy() -> ToyReach:
     return env
 
 
-class InlineRecorder(light.Recorder):
+class InlineRecorder(Recorder):
     """Records at once, in this process."""
 
-    def __init__(self, task, profile, cameras, streams, workers) -> None:
-        self.env, self.streams = short_toy(), streams
+    def __init__(self, simulation: Simulation, workers: int) -> None:
+        self.env, self.streams = short_toy(), simulation.streams
 
     def start(self, plan: list[tuple[Driver, int]]) -> list[Future[Episode]]:
         futures: list[Future[Episode]] = []
@@ -79,9 +82,8 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     def make(task: str, render_profile: str, cameras=()) -> Environment:
         return short_toy()
 
-    for module in (train, paper):
-        monkeypatch.setattr(module, "make_env", make)
-    monkeypatch.setattr(train, "Recorder", InlineRecorder)
+    monkeypatch.setattr("madviz.training.simulation.make_env", make)
+    monkeypatch.setattr(light, "Recorder", InlineRecorder)
     before = torch.get_num_threads()
     yield
     torch.set_num_threads(before)
@@ -93,15 +95,12 @@ def config(method: str, recipe: str = "light", **changes: Any) -> TrainConfig:
 
 
 def trained(folder: Path, whole: TrainConfig) -> Path:
-    return train.train(replace(whole, out=folder), lambda event: None)
+    return train(replace(whole, out=folder), lambda event: None)
 
 
 def untrained(whole: TrainConfig) -> dict[str, torch.Tensor]:
     """The weights that a light run of ``whole`` begins with."""
-    torch.manual_seed(whole.seed)
-    networks = whole.networks(ToyReach().spec, 8, 6)
-    merge = METHODS[whole.method].merge_for(whole.streams(), whole.merge)
-    return Agent(networks, merge=merge, streams=whole.streams()).acting_state()
+    return resolve(whole).new_agent().acting_state()
 
 
 def acts_where_it_says(folder: Path, words: str) -> None:
@@ -162,7 +161,7 @@ def test_paper(method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize("merge", ["attention", "vit", "q-mean"])
 def test_mad_with_another_merge(merge: str, tmp_path: Path) -> None:
     whole = config("mad", merge=merge)
-    assert whole.policy_name() == f"toy-reach-mad-{merge}-light"
+    assert resolve(whole).spec.name == f"toy-reach-mad-{merge}-light"
     folder = trained(tmp_path / "run", whole)
     policy = checkpoint.load_policy(folder)
     assert policy.spec.trained_subsets == ("all", *STREAMS)
@@ -172,8 +171,8 @@ def test_mad_with_another_merge(merge: str, tmp_path: Path) -> None:
 
 def test_a_single_camera_is_part_of_the_name(tmp_path: Path) -> None:
     whole = config("single", camera="third_a", setting="three-rgbd")
-    assert whole.policy_name() == "toy-reach-single-third_a-three-rgbd-light"
-    assert "--camera third_a" in train.command(whole)
+    assert resolve(whole).spec.name == "toy-reach-single-third_a-three-rgbd-light"
+    assert "--camera third_a" in resolve(whole).command
     folder = trained(tmp_path / "run", whole)
     spec = checkpoint.describe(folder).spec
     assert spec.streams == ("third_a.rgb", "third_a.depth") and spec.trained_subsets == ("all",)
@@ -229,12 +228,8 @@ SEED = 1
 
 
 def light_run(method: str, folder: Path) -> LightRun:
-    names = ("p", "toy/reach", method, "three", "light")
-    spec = PolicySpec(*names, STREAMS, METHODS[method].trained_subsets(STREAMS))
-    torch.manual_seed(0)
-    networks = NetworkConfig(6, 2, hidden_dim=8, bottleneck_dim=6)
-    agent = Agent(networks, merge=METHODS[method].merge, streams=STREAMS)
-    run = LightRun(replace(LIGHT, shift=0), spec, agent, HORIZON, 0, folder)
+    plan = toy_plan(method, horizon=HORIZON, hidden_dim=8)
+    run = LightRun(plan, replace(LIGHT, shift=0), folder)
     run.add([record_episode(short_toy(), STREAMS, Driver(), seed) for seed in range(2)], 0)
     return run
 
@@ -293,7 +288,7 @@ def test_a_resumed_light_run_of_mvd_repeats_its_draws(tmp_path: Path) -> None:
 def test_drivers_are_the_trained_subsets(tmp_path: Path) -> None:
     masks = {}
     for method in ("singular-only", "vib", "mvd"):
-        drivers = [driver for driver, _ in light_run(method, tmp_path).plan(1)]
+        drivers = [driver for driver, _ in light_run(method, tmp_path).drivers(1)]
         masks[method] = {tuple(driver.mask) for driver in drivers if driver.mask is not None}
     singles = {tuple(row) for row in np.eye(3, dtype=bool)}
     assert masks["singular-only"] == singles

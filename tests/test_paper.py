@@ -15,16 +15,16 @@ import pytest
 import torch
 
 from madviz.agent.agent import TorchPolicy
-from madviz.agent.networks import NetworkConfig
 from madviz.agent.update import Learner
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
-from madviz.training import paper, reinforcement
+from madviz.training import loop, reinforcement
+from madviz.training.config import TrainConfig, resolve
 from madviz.training.paper import PaperConfig, PaperRun, train_paper
 from madviz.training.run_folder import Event, RunFolder
-from madviz.training.train import TrainConfig
-from madviz.types import Environment, PolicySpec
+from madviz.types import Environment
+from tests.plans import toy_plan
 
 TINY = PaperConfig(
     steps=26, exploration_steps=10, batch_size=4, hidden_dim=8, eval_every=16, eval_episodes=1,
@@ -42,7 +42,7 @@ def short_toy(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         env.spec = replace(env.spec, horizon=HORIZON, action_repeat=2)
         return env
 
-    monkeypatch.setattr(paper, "make_env", make)
+    monkeypatch.setattr("madviz.training.simulation.make_env", make)
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -60,12 +60,12 @@ def run(
     whole = TrainConfig("toy/reach", "mad", "paper", seed=3, paper=config)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RunFolder, "finish", lambda self: None)
-        train_paper(whole, RunFolder(folder, whole, resume, listener), "the command")
+        train_paper(resolve(whole), config, RunFolder(folder, whole, resume, listener))
 
 
 def test_a_finished_run_gives_back_the_room_of_its_buffer(tmp_path: Path) -> None:
     whole = TrainConfig("toy/reach", "mad", "paper", seed=3, paper=TINY)
-    train_paper(whole, RunFolder(tmp_path, whole, False, None), "the command")
+    train_paper(resolve(whole), TINY, RunFolder(tmp_path, whole, False, None))
     assert {file.name for file in (tmp_path / "resume").iterdir()} == {"run.json", "finished"}
     assert load_policy(tmp_path).spec.recipe == "paper"
 
@@ -155,7 +155,7 @@ def test_ctrl_c_saves_in_mid_episode(whole_run: Path, tmp_path: Path) -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reinforcement, "PROGRESS_SECONDS", 0)
+        patch.setattr(loop, "PROGRESS_SECONDS", 0)
         run(tmp_path / "run", listener=interrupt)
     state, _ = final(tmp_path / "run")
     assert state["step"] == 21 and not state["between_episodes"]
@@ -189,10 +189,8 @@ def test_another_configuration_is_not_resumed(whole_run: Path) -> None:
 def stored_discounts(tmp_path: Path, config: PaperConfig) -> list[float]:
     env = ToyReach()
     env.spec = replace(env.spec, horizon=3)
-    spec = PolicySpec("x", "toy/reach", "mad", "three", "paper", ("first", "third_a"), ("all",))
-    networks = NetworkConfig(env.spec.state_dim, env.spec.action_dim, hidden_dim=8)
-    folder = RunFolder(tmp_path, config, False, None)
-    training = PaperRun(config, env, spec, networks, 0, folder)
+    plan = toy_plan(recipe="paper", streams=("first", "third_a"), horizon=3, hidden_dim=8)
+    training = PaperRun(plan, config, env, RunFolder(tmp_path, config, False, None))
     for _ in range(6):
         training.advance()
     return training.buffer.batch(np.array([0, 1, 2, 4, 5, 6])).discount.tolist()
@@ -211,7 +209,7 @@ def test_shifting_when_acting_is_a_switch(tmp_path: Path, monkeypatch: pytest.Mo
         seen.append(True)
         return views
 
-    monkeypatch.setattr(paper, "random_shift", shift)
+    monkeypatch.setattr(reinforcement, "random_shift", shift)
     monkeypatch.setattr(Learner, "update", lambda learner, batch: {})
     short = replace(TINY, steps=12, eval_every=1000)
     run(tmp_path / "off", short)

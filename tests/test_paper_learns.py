@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from madviz.agent.methods import METHODS
+from madviz.training.config import TrainConfig
 from madviz.training.paper import PaperConfig
-from madviz.training.train import TrainConfig, train
+from madviz.training.train import train
 
 CONFIG = PaperConfig(
     steps=3_000,

@@ -43,8 +43,8 @@ from madviz.teaching.lessons import (
     width_table,
 )
 from madviz.teaching.show import LABEL, bars, curves, sheet, source, table
+from madviz.training.config import TrainConfig
 from madviz.training.light import LightConfig
-from madviz.training.train import TrainConfig
 from tests.fakes import AllOrNothing, FakePolicy
 
 

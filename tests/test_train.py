@@ -12,9 +12,10 @@ import pytest
 from madviz.errors import UserError
 from madviz.evaluation.evaluate import evaluate
 from madviz.policies.checkpoint import load_policy
+from madviz.training.config import TrainConfig, command, identity, resolve
 from madviz.training.light import LightConfig
 from madviz.training.run_folder import Event, changes
-from madviz.training.train import TrainConfig, command, train
+from madviz.training.train import train
 
 TINY = LightConfig(
     rounds=2, demonstrations=2, episodes_per_round=4, updates_per_round=3, critic_updates=2
@@ -40,9 +41,9 @@ def test_a_name_that_is_unknown_costs_nothing(
 
 
 def test_names_follow_the_scheme() -> None:
-    assert TrainConfig().policy_name() == "metaworld-hammer-mad-light"
+    assert resolve(TrainConfig()).spec.name == "metaworld-hammer-mad-light"
     rgbd = TrainConfig(setting="three-rgbd")
-    assert rgbd.policy_name() == "metaworld-hammer-mad-three-rgbd-light"
+    assert resolve(rgbd).spec.name == "metaworld-hammer-mad-three-rgbd-light"
 
 
 def test_the_command_on_the_card_says_what_was_not_default() -> None:
@@ -142,9 +143,11 @@ def test_options_of_other_recipes_and_the_number_of_processes_may_change() -> No
         **{"light": TINY, "vectorised": replace(config.vectorised, workers=7)},
         **{"out": Path("elsewhere"), "resume": True},
     )
-    assert config.identity() == other.identity()
+    assert identity(config, ()) == identity(other, ())
     slower = replace(config, vectorised=replace(config.vectorised, update_ratio=0.25))
-    assert changes(config.identity(), slower.identity()) == ["vectorised.update_ratio 0.5 -> 0.25"]
+    assert changes(identity(config, ()), identity(slower, ())) == [
+        "vectorised.update_ratio 0.5 -> 0.25"
+    ]
 
 
 @pytest.mark.slow

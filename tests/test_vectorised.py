@@ -17,14 +17,16 @@ import torch
 from madviz.envs.toy import CAMERAS, ToyReach
 from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
-from madviz.training import reinforcement
+from madviz.training import loop
+from madviz.training.config import TrainConfig, resolve
 from madviz.training.run_folder import Event, RunFolder
-from madviz.training.train import TrainConfig, command, train
-from madviz.training.vector_envs import Board, Recipe, VectorEnvs
+from madviz.training.simulation import Simulation
+from madviz.training.train import train
+from madviz.training.vector_envs import Board, VectorEnvs
 from madviz.training.vectorised import VectorisedConfig
 
 STREAMS = ("first.rgb", "first.depth", "third_b.rgb")
-RECIPE = Recipe("toy/reach", "fast", CAMERAS, STREAMS)
+SIMULATION = Simulation("toy/reach", "fast", CAMERAS, STREAMS)
 TINY = VectorisedConfig(
     steps=80, exploration_steps=40, batch_size=4, hidden_dim=8, eval_every=1000, eval_episodes=1,
     save_every=30, precision="float32", environments=2, workers=0, update_ratio=0.2,
@@ -84,7 +86,7 @@ def board(lanes: int) -> Board:
 
 
 def test_lanes_in_processes_are_the_environments_themselves() -> None:
-    envs = VectorEnvs(RECIPE, board(3), lanes=3, workers=2)
+    envs = VectorEnvs(SIMULATION, board(3), lanes=3, workers=2)
     alone = [ToyReach() for _ in range(3)]
     rng = np.random.default_rng(0)
     try:
@@ -110,13 +112,13 @@ def test_lanes_in_processes_are_the_environments_themselves() -> None:
 
 
 def test_an_error_in_a_worker_is_raised_here_and_a_death_is_noticed() -> None:
-    envs = VectorEnvs(RECIPE, board(2), lanes=2, workers=1)
+    envs = VectorEnvs(SIMULATION, board(2), lanes=2, workers=1)
     envs.reset([1, 2])
     envs.send(np.full((2, 2), np.nan, np.float32))
     with pytest.raises(UserError, match="finite action"):
         envs.receive()
     envs.close()
-    envs = VectorEnvs(RECIPE, board(1), lanes=1, workers=1)
+    envs = VectorEnvs(SIMULATION, board(1), lanes=1, workers=1)
     pid = envs._workers[0]._process.pid
     assert pid is not None
     os.kill(pid, signal.SIGKILL)
@@ -127,9 +129,9 @@ def test_an_error_in_a_worker_is_raised_here_and_a_death_is_noticed() -> None:
 
 def test_what_cannot_be_built_says_so_at_once() -> None:
     with pytest.raises(UserError, match="unknown task"):
-        VectorEnvs(replace(RECIPE, task="toy/teach"), board(1), lanes=1, workers=1)
+        VectorEnvs(replace(SIMULATION, task="toy/teach"), board(1), lanes=1, workers=1)
     with pytest.raises(UserError, match="1 or more environments"):
-        VectorEnvs(RECIPE, board(1), lanes=0, workers=1)
+        VectorEnvs(SIMULATION, board(1), lanes=0, workers=1)
 
 
 def test_the_schedule(undisturbed: tuple[Path, dict[str, Any]]) -> None:
@@ -152,7 +154,7 @@ def test_the_folder_is_a_policy_that_names_its_recipe(
     assert policy.spec.name == "toy-reach-mad-paper-vectorised"
     assert policy.spec.recipe == "paper-vectorised"
     config = TrainConfig("toy/reach", recipe="paper-vectorised", vectorised=TINY)
-    words = command(config)
+    words = resolve(config).command
     assert "--recipe paper-vectorised" in words and "--vectorised.update-ratio 0.2" in words
 
 
@@ -171,7 +173,7 @@ def test_a_stopped_run_goes_on_in_mid_episode_and_ends_the_same(
         if event["kind"] == "progress" and event["step"] == 66:
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(reinforcement, "PROGRESS_SECONDS", 0)
+    monkeypatch.setattr(loop, "PROGRESS_SECONDS", 0)
     state = run(tmp_path / "run", listener=interrupt)
     assert state["step"] == 66 and not state["between_episodes"]
     state = run(tmp_path / "run", replace(TINY, workers=1), resume=True)

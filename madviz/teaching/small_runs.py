@@ -79,15 +79,18 @@ def train_light(
     for unknown names, and where the training is stopped before its end.
     """
     from madviz.sweep.run import trained
+    from madviz.training.config import TrainConfig, resolve
     from madviz.training.light import LightConfig
-    from madviz.training.train import TrainConfig, train
+    from madviz.training.train import train
 
     begin()
     light = light or LightConfig()
     config = TrainConfig(task=task, method=method, camera=camera, seed=seed, light=light)
     root = Path(folder) if folder else Path(tempfile.gettempdir()) / "madviz-lessons"
     own = sha256(repr(light).encode()).hexdigest()[:6]
-    out = root / f"{config.policy_name()}-{light.rounds}x{light.updates_per_round}-{own}-{seed}"
+    out = (
+        root / f"{resolve(config).spec.name}-{light.rounds}x{light.updates_per_round}-{own}-{seed}"
+    )
     began, done = time.monotonic(), trained(out)
     if not done:
         resume = (out / "resume" / "run.json").exists()

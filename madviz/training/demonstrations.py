@@ -11,20 +11,26 @@ are formed when a batch is drawn.
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from madviz.envs.registry import make_env, sees
+from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of
-from madviz.types import Array, CameraSpec, Environment, Policy
+from madviz.system.processes import set_up_worker
+from madviz.training.simulation import Simulation
+from madviz.types import Array, Environment, Policy
 
 
 @dataclass(frozen=True)
@@ -154,21 +160,39 @@ class Dataset:
         return torch.from_numpy(self._rest[name][index])
 
 
-_env: Environment | None = None  # A worker process keeps its environment between episodes.
+@lru_cache(maxsize=1)
+def _environment(simulation: Simulation) -> Environment:
+    """A worker process keeps its environment between episodes."""
+    return simulation.build()
 
 
-def record_in_worker(
-    task: str,
-    render_profile: str,
-    cameras: tuple[CameraSpec, ...],
-    streams: tuple[str, ...],
-    driver: Driver,
-    seed: int,
-) -> Episode:
+def _record(simulation: Simulation, driver: Driver, seed: int) -> Episode:
     """``record_episode`` for a process pool; PyTorch on one thread, so that results repeat."""
-    global _env
-    same = _env is not None and (_env.spec.task, _env.spec.render_profile) == (task, render_profile)
-    if _env is None or not same or not sees(_env.spec, cameras):
-        _env = make_env(task, render_profile, cameras)
     with one_thread():
-        return record_episode(_env, streams, driver, seed)
+        return record_episode(_environment(simulation), simulation.streams, driver, seed)
+
+
+class Recorder:
+    """Records a round's episodes in worker processes while the caller does something else."""
+
+    def __init__(self, simulation: Simulation, workers: int) -> None:
+        self._simulation = simulation
+        context = multiprocessing.get_context("spawn")
+        self._pool = ProcessPoolExecutor(workers, mp_context=context, initializer=set_up_worker)
+
+    def start(self, plan: list[tuple[Driver, int]]) -> list[Future[Episode]]:
+        return [self._pool.submit(_record, self._simulation, d, s) for d, s in plan]
+
+    @staticmethod
+    def finish(recording: list[Future[Episode]]) -> list[Episode]:
+        """Waits for the episodes. Raises UserError if a recording process was killed."""
+        try:
+            return [future.result() for future in recording]
+        except BrokenProcessPool as error:
+            raise UserError(
+                "expected the recording process to live, found it killed (out of memory?); "
+                "nothing learned is lost: go on with --resume"
+            ) from error
+
+    def close(self) -> None:
+        self._pool.shutdown(wait=True, cancel_futures=True)

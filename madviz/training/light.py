@@ -27,10 +27,8 @@ features.
 from __future__ import annotations
 
 import copy
-import multiprocessing
 import time
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,13 +39,13 @@ from torch import Tensor
 
 from madviz.agent.agent import Agent, TorchPolicy, autocast
 from madviz.agent.augment import random_shift
-from madviz.agent.methods import method
-from madviz.errors import UserError
+from madviz.policies.config import TrainingRecord
 from madviz.subsets import mask_of
-from madviz.system.processes import set_up_worker
-from madviz.training.demonstrations import Dataset, Driver, Episode, record_in_worker
+from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder
+from madviz.training.light_critic import REWARD_SCALE, fit_critic
+from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder, interruptible
-from madviz.types import Array, CameraSpec, PolicySpec
+from madviz.types import Array
 
 
 @dataclass(frozen=True)
@@ -117,20 +115,13 @@ def row_errors(agent: Agent, merged: Tensor, state: Tensor, label: Tensor) -> Te
 class LightRun:
     """The state of a run and one method per thing that happens to it."""
 
-    def __init__(
-        self,
-        config: LightConfig,
-        spec: PolicySpec,
-        agent: Agent,
-        horizon: int,
-        seed: int,
-        folder: Path,
-    ) -> None:
-        self.config, self.spec, self.agent, self.seed = config, spec, agent, seed
-        self.method = chosen = method(spec.method)
-        self.masks = torch.from_numpy(chosen.masks(spec.streams))
-        self.driven = [mask_of(name, spec.streams) for name in spec.trained_subsets]
-        self.weights = torch.from_numpy(chosen.row_weights(spec.streams, config.alpha))
+    def __init__(self, plan: TrainingPlan, config: LightConfig, folder: Path) -> None:
+        """Episodes are kept in ``folder``, for a run that is resumed."""
+        self.plan, self.config, self.agent = plan, config, plan.new_agent()
+        agent, streams = self.agent, plan.spec.streams
+        self.masks = torch.from_numpy(plan.method.masks(streams))
+        self.driven = [mask_of(name, streams) for name in plan.spec.trained_subsets]
+        self.weights = torch.from_numpy(plan.method.row_weights(streams, config.alpha))
         self.average = copy.deepcopy(agent).eval().requires_grad_(False)
         learned = [*agent.encoder.parameters(), *agent.actor.parameters()]
         self.optimisers = {
@@ -142,14 +133,14 @@ class LightRun:
                 encoder, lr=config.learning_rate, fused=True
             )
         total = config.demonstrations + config.rounds * config.episodes_per_round
-        self.data = Dataset(spec.streams, total, horizon)
-        self.rng = np.random.default_rng(seed)
+        self.data = Dataset(streams, total, plan.env.horizon)
+        self.rng = np.random.default_rng(plan.seed)
         self.round = self.updates = 0
         self.seconds = 0.0
         self._episodes = folder / "episodes"
         self._episodes.mkdir(exist_ok=True)
 
-    def plan(self, round_index: int) -> list[tuple[Driver, int]]:
+    def drivers(self, round_index: int) -> list[tuple[Driver, int]]:
         """Who drives which seed in a round: the trained subsets in turn, round 0 the expert.
 
         A function of the configuration, the round, and the average at the time of the call.
@@ -160,7 +151,7 @@ class LightRun:
             return [(demonstration, self._train_seed(i)) for i in range(config.demonstrations)]
         share = config.expert_share * config.share_decay ** (round_index - 1)
         noise = config.noise_share * config.noise_decay ** (round_index - 1)
-        student = TorchPolicy(self.spec, copy.deepcopy(self.average))
+        student = TorchPolicy(self.plan.spec, copy.deepcopy(self.average))
         first = config.demonstrations + (round_index - 1) * config.episodes_per_round
         planned = []
         for number in range(first, first + config.episodes_per_round):
@@ -188,7 +179,7 @@ class LightRun:
         config = self.config
         index = self.rng.integers(0, len(self.data), config.batch_size)
         # Of this update alone, so that a resumed run draws the same.
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.updates)
+        generator = torch.Generator().manual_seed(self.plan.seed * 1_000_003 + self.updates)
         noise = self.agent.noise(config.batch_size, generator)
         views = random_shift(self.data.views(index), self.rng, pad=config.shift)
         state, label = self.data.column("states", index), self.data.column("labels", index)
@@ -231,7 +222,7 @@ class LightRun:
 
     def _train_seed(self, number: int) -> int:
         # Training seeds stay below 1000; a run with more episodes meets scenes again.
-        return (self.seed * 137 + number) % 1000
+        return (self.plan.seed * 137 + number) % 1000
 
     def state(self) -> dict[str, Any]:
         """Everything ``restore`` needs to go on exactly."""
@@ -258,53 +249,31 @@ class LightRun:
                 self.data.add(Episode.load(file))
 
 
-class Recorder:
-    """Records a round's episodes in worker processes while the caller does something else."""
-
-    def __init__(
-        self,
-        task: str,
-        render_profile: str,
-        cameras: tuple[CameraSpec, ...],
-        streams: tuple[str, ...],
-        workers: int,
-    ) -> None:
-        self._fixed = (task, render_profile, cameras, streams)
-        context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(workers, mp_context=context, initializer=set_up_worker)
-
-    def start(self, plan: list[tuple[Driver, int]]) -> list[Future[Episode]]:
-        return [self._pool.submit(record_in_worker, *self._fixed, d, s) for d, s in plan]
-
-    @staticmethod
-    def finish(recording: list[Future[Episode]]) -> list[Episode]:
-        """Waits for the episodes. Raises UserError if a recording process was killed."""
-        try:
-            return [future.result() for future in recording]
-        except BrokenProcessPool as error:
-            raise UserError(
-                "expected the recording process to live, found it killed (out of memory?); "
-                "nothing learned is lost: go on with --resume"
-            ) from error
-
-    def close(self) -> None:
-        self._pool.shutdown(wait=True, cancel_futures=True)
+def train_light(plan: TrainingPlan, config: LightConfig, folder: RunFolder) -> None:
+    """Trains by the light recipe, from the folder's last state on if it has one; Ctrl-C saves after
+    the round at hand. Raises UserError if a recording process is killed."""
+    run = LightRun(plan, config, folder.resume)
+    state = folder.load_state()
+    if state:
+        run.restore(state)
+        folder.truncate_curve("round", run.round)
+    started = time.monotonic()
+    with closing(Recorder(plan.simulation, config.workers)) as recorder:
+        run_rounds(run, folder, recorder)
+    folder.report("done", seconds=round(time.monotonic() - started, 1), path=str(folder.path))
 
 
-def train_light(run: LightRun, folder: RunFolder, recorder: Recorder, save: Any) -> None:
-    """The loop. ``save(run, final)`` writes the policy in its shipped form.
-
-    Round k's updates use the episodes of rounds 0..k; meanwhile round k+1 is recorded by the
-    student as it stood at the start of round k.
-    """
+def run_rounds(run: LightRun, folder: RunFolder, recorder: Recorder) -> None:
+    """The loop: round k's updates use the episodes of rounds 0..k; meanwhile round k+1 is recorded
+    by the student as it stood at the start of round k."""
     config = run.config
     began = time.monotonic() - run.seconds
     if len(run.data) == 0:
-        run.add(Recorder.finish(recorder.start(run.plan(0))), 0)
+        run.add(Recorder.finish(recorder.start(run.drivers(0))), 0)
     with interruptible() as stop:
         while run.round < config.rounds and not stop.is_set():
             ahead = run.round + 1
-            recording = recorder.start(run.plan(ahead)) if ahead < config.rounds else []
+            recording = recorder.start(run.drivers(ahead)) if ahead < config.rounds else []
             loss = run.learn()
             episodes = Recorder.finish(recording)
             run.add(episodes, ahead)
@@ -312,10 +281,34 @@ def train_light(run: LightRun, folder: RunFolder, recorder: Recorder, save: Any)
             folder.save_state(run.state())
             _report(run, folder, loss, episodes)
             if run.round < config.rounds:
-                save(run, final=False)
+                _save(run, folder, final=False)
         if run.round >= config.rounds:
-            save(run, final=True)
+            _save(run, folder, final=True)
             folder.finish()
+
+
+def _save(run: LightRun, folder: RunFolder, final: bool) -> None:
+    """Writes the averaged weights as a policy; the critic is fitted when nothing else changes."""
+    plan, config, began = run.plan, run.config, time.monotonic()
+    updates = config.critic_updates if final else 0
+    if updates:
+        fit_critic(run.average, run.data, plan.method, config.alpha, updates, plan.seed)
+    record = TrainingRecord(
+        how="imitation of a scripted expert that labels the student's own states; "
+        "not reinforcement learning from scratch",
+        command=plan.command,
+        expert_demonstrations=config.demonstrations,
+        labelled_episodes=run.data.episodes,
+        environment_steps=len(run.data) * plan.env.action_repeat,
+        updates=run.updates,
+        critic_updates=updates,
+        batch_size=config.batch_size,
+        alpha=config.alpha,
+        seeds=f"network and data {plan.seed}, episodes below 1000",
+        wall_time_s=round(run.seconds + time.monotonic() - began),
+        finished=final,
+    )
+    plan.save(folder, run.average, record, REWARD_SCALE)
 
 
 def _report(run: LightRun, folder: RunFolder, loss: float, episodes: list[Episode]) -> None:

@@ -8,101 +8,19 @@
 That is 249,000 updates and, where a decision lasts two simulator steps (Meta-World), a million of
 those. Every 25,000 *simulator* steps (the paper's words; its code counts decisions), at the next
 end of an episode, 20 deterministic episodes are run on all streams and on each alone.
-
-A run is a function of its configuration and seed. Resume state holds weights, optimisers,
-generators and what is new in the buffer; a killed run goes on in mid-episode, by resetting to the
-episode's seed and repeating its actions, and ends with the weights of a run that was left alone.
 """
 
 from __future__ import annotations
 
-import copy
-import json
-from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import torch
-
-from madviz.agent.agent import Agent, TorchPolicy
-from madviz.agent.augment import random_shift
-from madviz.agent.methods import method
-from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
-from madviz.agent.update import Learner, LearningConfig, Precision
-from madviz.envs.registry import make_env
-from madviz.evaluation.episodes import one_thread, run_episode
-from madviz.observation.ablation import Ablation
-from madviz.observation.streams import stream_frame
-from madviz.subsets import camera_of, cameras_of, mask_of, single_streams
-from madviz.training.buffer import BufferSpec, ReplayBuffer
-from madviz.training.reinforcement import train_on
+from madviz.training.loop import train_on
+from madviz.training.plan import TrainingPlan
+from madviz.training.reinforcement import ReinforcementConfig, ReinforcementRun
 from madviz.training.run_folder import RunFolder
-from madviz.types import Array, Encoded, Environment, PolicySpec
-
-if TYPE_CHECKING:
-    from madviz.training.train import TrainConfig
-
-SELECTION_SEED = 1000
-"""Where the seeds of evaluations during training begin; training itself stays below."""
-
-
-@dataclass(frozen=True)
-class ReinforcementConfig:
-    """What every recipe of reinforcement learning has; the defaults are the paper's numbers
-    (discount: Meta-World's)."""
-
-    steps: int = 500_000
-    """Decisions in the whole run."""
-    exploration_steps: int = 2_000
-    """Decisions drawn uniformly before the policy acts; no update before that."""
-    batch_size: int = 256
-    """Transitions in an update."""
-    buffer_capacity: int = 500_000
-    """Transitions that are remembered."""
-    buffer_packed: bool = True
-    """Pack frames in memory without loss: a quarter of the bytes; every batch is the same."""
-    buffer_on_disk: bool = False
-    """Keep frames, as they are, in files of the run's folder; memory need not hold them."""
-    discount: float = 0.99
-    """Gamma (ManiSkill: 0.8)."""
-    bootstrap_at_time_limit: bool = True
-    """Whether the last step of an episode still expects a future; nothing really ends there."""
-    hidden_dim: int = 1024
-    """Width of the heads' hidden layers."""
-    bottleneck_dim: int = FEATURE_SIZE
-    """VIB alone: numbers in the Gaussian of a third-person view."""
-    kl_weight: float = 10.0
-    """VIB alone: beta, the weight of the bottleneck's cost, a mean over its numbers."""
-    temperature: float = 0.1
-    """Of the entropy bonus, at the start; learned from then on."""
-    alpha: float = 0.8
-    """Weight of the merged term; 1 - alpha is shared by the singular terms."""
-    learning_rate: float = 5e-4
-    """Of four separate Adams."""
-    target_rate: float = 0.01
-    """Share of the critic in its target's moving average, per update."""
-    same_shift_for_views: bool = True
-    """Shift all views of a sample alike (the paper), or each on its own (its code)."""
-    shift_when_acting: bool = False
-    """Also shift what the policy acts on, in training and in evaluation (as the code does)."""
-    precision: Precision = "auto"
-    """Of matrix products in updates."""
-    eval_every: int = 25_000
-    """Simulator steps between evaluations."""
-    eval_episodes: int = 20
-    """Deterministic episodes for each subset; 0: none, and no success in the curve."""
-    save_every: int = 2_000
-    """Decisions between checkpoints."""
-
-    def learning(self) -> LearningConfig:
-        """The part an update needs."""
-        return LearningConfig(
-            *(self.alpha, self.learning_rate, self.target_rate),
-            same_shift_for_views=self.same_shift_for_views,
-            precision=self.precision,
-            kl_weight=self.kl_weight,
-        )
+from madviz.training.simulation import newest_frames
+from madviz.types import Array
 
 
 @dataclass(frozen=True)
@@ -113,201 +31,43 @@ class PaperConfig(ReinforcementConfig):
     """Decisions between updates."""
 
 
-class PaperRun:
-    """One training run: learner, buffer, environment, and where they stand."""
+class PaperRun(ReinforcementRun):
+    """One decision at a time."""
 
     SCHEDULE = "by the paper's schedule"
-    SEEDS = SELECTION_SEED
-    """Episodes of training have seeds below."""
-
-    def __init__(
-        self,
-        config: ReinforcementConfig,
-        env: Environment,
-        spec: PolicySpec,
-        networks: NetworkConfig,
-        seed: int,
-        folder: RunFolder,
-        merge: str = "",
-        lanes: int = 1,
-        device: str = "cpu",
-    ) -> None:
-        """``merge`` is the method's own if empty; ``lanes`` environments fill the buffer in turn.
-        Raises UserError if that will not fit, and for a merge that the method cannot use."""
-        self.config, self.env, self.spec, self.folder = config, env, spec, folder
-        facts = env.spec
-        chosen = method(spec.method)
-        merge = chosen.merge_for(spec.streams, merge)
-        torch.manual_seed(seed)
-        self.learner = Learner(
-            Agent(networks, config.temperature, merge, spec.streams).to(device),
-            chosen,
-            spec.streams,
-            config.learning(),
-            seed,
-        )
-        self.buffer = ReplayBuffer(
-            BufferSpec(
-                spec.streams,
-                *(facts.state_dim, facts.action_dim),
-                capacity=min(config.buffer_capacity, config.steps),
-                horizon=facts.horizon,
-                frame_stack=spec.frame_stack,
-                packed=config.buffer_packed and not config.buffer_on_disk,
-                lanes=lanes,
-            ),
-            folder.resume / "frames" if config.buffer_on_disk else None,
-        )
-        self.rng = np.random.default_rng(seed)
-        self.step = self.updates = self.episodes = self.evaluate_at = 0
-        self.evaluated_step = -1
-        self.seconds = self.busy = 0.0
-        self.losses: dict[str, float] = {}
-        self.between_episodes = True
-        self.episode_seeds: list[int] = []
+    config: PaperConfig
 
     def advance(self) -> None:
         """One decision, with the update that is due before it."""
-        config = self.config
-        assert isinstance(config, PaperConfig)
+        config, streams = self.config, self.plan.spec.streams
         exploring = self.step < config.exploration_steps
         if self.between_episodes:
-            self._begin()
+            self.episode_seeds = self.draw_seeds(1)
+            self.episodes += 1
+            now = self.env.reset(self.episode_seeds[0])
+            self.buffer.begin(now.state, newest_frames(self.env, streams))
         if not exploring and self.step % config.update_every == 0:
             self.losses = self.learner.update(self.buffer.sample(config.batch_size, self.rng))
             self.updates += 1
-        action = self._explore() if exploring else self._act()
+        action = self.explore() if exploring else self.act()[0]
         now = self.env.step(action)
-        ends = now.last and not config.bootstrap_at_time_limit
-        self.buffer.add(action, now.reward, 0 if ends else config.discount, now.state, self._look())
+        discount = 0 if now.last and not config.bootstrap_at_time_limit else config.discount
+        frames = newest_frames(self.env, streams)
+        self.buffer.add(action, now.reward, discount, now.state, frames)
         self.step += 1
         self.between_episodes = now.last
 
-    @property
-    def env_steps(self) -> int:
-        """Simulator steps taken."""
-        return self.step * self.env.spec.action_repeat
-
-    @property
-    def finished(self) -> bool:
-        return self.step >= self.config.steps
-
-    def evaluation_due(self) -> bool:
-        """At the start, at the first episode's end past every ``eval_every``, and at the end."""
-        regular = self.between_episodes and self.env_steps >= self.evaluate_at
-        return regular or (self.finished and self.evaluated_step != self.step)
-
-    def evaluate(self, stop: Callable[[], bool]) -> dict[str, float]:
-        """Success and return on all streams and on each alone, where the policy supports it.
-        Raises Stopped if ``stop`` says so.
-
-        The environment is between two episodes; the next one begins with a reset anyway.
-        """
-        kind = _Shifting if self.config.shift_when_acting else TorchPolicy
-        policy = kind(self.spec, self.acting_agent())
-        row: dict[str, float] = {}
-        for subset in dict.fromkeys(("all", *single_streams(self.spec.streams))):
-            mask = mask_of(subset, self.spec.streams)
-            if not policy.supports(mask) or not self.config.eval_episodes:
-                continue
-            with one_thread():
-                results = [
-                    run_episode(policy, self.env, mask, Ablation(), SELECTION_SEED + i, stop)
-                    for i in range(self.config.eval_episodes)
-                ]
-            row[f"success_{subset}"] = round(float(np.mean([r.success for r in results])), 4)
-            row[f"return_{subset}"] = round(float(np.mean([r.total_reward for r in results])), 3)
-        self.evaluated_step = self.step
-        self.evaluate_at = (self.env_steps // self.config.eval_every + 1) * self.config.eval_every
-        return row
-
-    def acting_agent(self) -> Agent:
-        """The agent where policies compute and are saved, which is the CPU."""
-        agent = self.learner.agent
-        on_cpu = agent.log_temperature.device.type == "cpu"
-        return agent if on_cpu else copy.deepcopy(agent).cpu()
-
-    def state(self) -> dict[str, Any]:
-        """Everything ``restore`` needs; what is new in the buffer is written on the way."""
-        return {
-            "learner": self.learner.state_dict(),
-            "buffer": self.buffer.save(self.folder.resume / "buffer"),
-            "rng": json.dumps(self.rng.bit_generator.state),
-            **{key: getattr(self, key) for key in _COUNTS},
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Continues from ``state``, in mid-episode if need be."""
-        self.learner.load_state_dict(state["learner"])
-        self.buffer.restore(self.folder.resume / "buffer", state["buffer"])
-        self.rng.bit_generator.state = json.loads(state["rng"])
-        for key in _COUNTS:
-            setattr(self, key, state[key])
-        if not self.between_episodes:
-            self._repeat(self.buffer.actions())
-
-    def _repeat(self, actions: Array) -> None:
-        """The running episode so far, from ``actions`` (age, 1, A)."""
+    def repeat(self, actions: Array) -> None:
         self.env.reset(self.episode_seeds[0])
         for action in actions[:, 0]:
             self.env.step(action)
 
-    def _begin(self) -> None:
-        self.episode_seeds = self._draw_seeds(1)
-        self.episodes += 1
-        now = self.env.reset(self.episode_seeds[0])
-        self.buffer.begin(now.state, self._look())
 
-    def _draw_seeds(self, lanes: int) -> list[int]:
-        return [int(self.rng.integers(0, SELECTION_SEED)) for _ in range(lanes)]
-
-    def _look(self) -> list[Array]:
-        """The newest frame of every stream."""
-        streams = self.spec.streams
-        views = {camera: self.env.view(camera) for camera in cameras_of(streams)}
-        return [stream_frame(views[camera_of(s)], s, self.env.spec) for s in streams]
-
-    def _explore(self) -> Array:
-        return self.rng.uniform(-1, 1, self.env.spec.action_dim).astype(np.float32)
-
-    def _act(self) -> Array:
-        return self._act_everywhere()[0]
-
-    def _act_everywhere(self) -> Array:
-        """(L, A): what the policy draws in every lane."""
-        views, state = self.buffer.newest()
-        if self.config.shift_when_acting:
-            views = random_shift(views, self.rng, self.config.same_shift_for_views)
-        return self.learner.act_all(views, state)
-
-
-_COUNTS = (
-    *("step", "updates", "episodes", "evaluate_at", "evaluated_step"),
-    *("seconds", "losses", "between_episodes", "episode_seeds"),
-)
-
-
-class _Shifting(TorchPolicy):
-    """The code's policy: every view it acts on is shifted, evaluation included."""
-
-    def encode(self, views: Array, state: Array) -> Encoded:
-        # Drawn from the picture itself, so that an episode stays a function of its seed.
-        rng = np.random.default_rng(int(views.sum(dtype=np.int64)))
-        moved = random_shift(torch.from_numpy(views)[None], rng, same_for_views=False)
-        return super().encode(moved[0].numpy(), state)
-
-
-def train_paper(config: TrainConfig, folder: RunFolder, command: str = "") -> None:
+def train_paper(plan: TrainingPlan, config: PaperConfig, folder: RunFolder) -> None:
     """Trains by the paper's recipe, from the folder's last state on if it has one.
 
     Ctrl-C saves after the decision (or evaluation episode) at hand. Raises UserError for what the
-    method or the machine cannot do.
+    machine cannot do.
     """
-    env = make_env(config.task, config.render_profile, config.drawn())
-    try:
-        networks = config.networks(env.spec, config.paper.hidden_dim, config.paper.bottleneck_dim)
-        spec = config.policy_spec()
-        run = PaperRun(config.paper, env, spec, networks, config.seed, folder, config.merge)
-        train_on(run, config, command)
-    finally:
-        env.close()
+    with closing(plan.simulation.build()) as env:
+        train_on(PaperRun(plan, config, env, folder))

@@ -1,144 +1,253 @@
-"""The loop around a run of reinforcement learning: evaluate, save, advance, report.
+"""A run of reinforcement learning: what is learned, what was seen, and where the run stands.
 
-    while not finished:
-        an evaluation that is due        a row of curve.csv, and curve.svg
-        a checkpoint that is due         resume state, and the policy as it ships
-        run.advance()                    decisions and updates, as the recipe has them
+What all recipes share is here: their numbers, the learner and its buffer, evaluation, and state to
+go on from. How decisions and updates alternate is a recipe's own (``paper``, ``vectorised``); the
+loop around them is ``loop.train_on``.
 
-It knows nothing about how a recipe acts and learns; ``paper`` and ``paper_vectorised`` do.
+A run is a function of its plan and configuration. Resume state holds weights, optimisers,
+generators and what is new in the buffer; a killed run goes on in mid-episode, by resetting to the
+episode's seed and repeating its actions, and ends with the weights of a run that was left alone.
 """
 
 from __future__ import annotations
 
-import time
+import copy
+import json
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import Any
 
-from madviz.evaluation.episodes import Stopped
-from madviz.policies.checkpoint import save_policy
-from madviz.policies.config import TrainingRecord, policy_config
-from madviz.training.curve import draw_curve
-from madviz.training.run_folder import interruptible
+import numpy as np
+import torch
 
-if TYPE_CHECKING:
-    from madviz.training.paper import PaperRun
-    from madviz.training.train import TrainConfig
+from madviz.agent.agent import Agent, TorchPolicy
+from madviz.agent.augment import random_shift
+from madviz.agent.networks import FEATURE_SIZE
+from madviz.agent.update import Learner, LearningConfig, Precision
+from madviz.evaluation.episodes import one_thread, run_episode
+from madviz.observation.ablation import Ablation
+from madviz.subsets import mask_of, single_streams
+from madviz.training.buffer import BufferSpec, ReplayBuffer
+from madviz.training.plan import TrainingPlan
+from madviz.training.run_folder import RunFolder
+from madviz.types import Array, Encoded, Environment
 
-PROGRESS_SECONDS = 20
-"""Between lines that say how far a run is."""
-
-
-def train_on(run: PaperRun, config: TrainConfig, command: str) -> None:
-    """From the folder's last state, if it has one, to the end of the run or a Ctrl-C."""
-    state = run.folder.load_state()
-    if state:
-        run.restore(state)
-    # Whatever was reported after that state will be reported again.
-    run.folder.truncate_curve("step", run.step if state else -1)
-    _loop(run, lambda: _save(run, config, command))
+SELECTION_SEED = 1000
+"""Where the seeds of evaluations during training begin; training itself stays below."""
 
 
-def _loop(run: PaperRun, save: Callable[[], None]) -> None:
-    saved, began = run.step, time.monotonic() - run.seconds
-    reported, pace = time.monotonic(), Pace(run)
-    with interruptible() as stop:
-        while True:
-            if run.evaluation_due():
-                _evaluate(run, stop.is_set, pace)
-                pace = Pace(run)
-            run.seconds = time.monotonic() - began
-            if run.finished or stop.is_set() or run.step - saved >= run.config.save_every:
-                save()
-                saved = run.step
-            if run.finished or stop.is_set():
-                break
-            before = time.monotonic()
-            run.advance()
-            now = time.monotonic()
-            run.busy += now - before
-            if now - reported > PROGRESS_SECONDS:
-                _report(run, pace)
-                reported = now
-        # Not where somebody stopped it: the last evaluation may still be due.
-        if run.finished and not stop.is_set():
-            run.folder.finish()
+@dataclass(frozen=True)
+class ReinforcementConfig:
+    """What every recipe of reinforcement learning has; the defaults are the paper's numbers
+    (discount: Meta-World's)."""
+
+    steps: int = 500_000
+    """Decisions in the whole run."""
+    exploration_steps: int = 2_000
+    """Decisions drawn uniformly before the policy acts; no update before that."""
+    batch_size: int = 256
+    """Transitions in an update."""
+    buffer_capacity: int = 500_000
+    """Transitions that are remembered."""
+    buffer_packed: bool = True
+    """Pack frames in memory without loss: a quarter of the bytes; every batch is the same."""
+    buffer_on_disk: bool = False
+    """Keep frames, as they are, in files of the run's folder; memory need not hold them."""
+    discount: float = 0.99
+    """Gamma (ManiSkill: 0.8)."""
+    bootstrap_at_time_limit: bool = True
+    """Whether the last step of an episode still expects a future; nothing really ends there."""
+    hidden_dim: int = 1024
+    """Width of the heads' hidden layers."""
+    bottleneck_dim: int = FEATURE_SIZE
+    """VIB alone: numbers in the Gaussian of a third-person view."""
+    kl_weight: float = 10.0
+    """VIB alone: beta, the weight of the bottleneck's cost, a mean over its numbers."""
+    temperature: float = 0.1
+    """Of the entropy bonus, at the start; learned from then on."""
+    alpha: float = 0.8
+    """Weight of the merged term; 1 - alpha is shared by the singular terms."""
+    learning_rate: float = 5e-4
+    """Of four separate Adams."""
+    target_rate: float = 0.01
+    """Share of the critic in its target's moving average, per update."""
+    same_shift_for_views: bool = True
+    """Shift all views of a sample alike (the paper), or each on its own (its code)."""
+    shift_when_acting: bool = False
+    """Also shift what the policy acts on, in training and in evaluation (as the code does)."""
+    precision: Precision = "auto"
+    """Of matrix products in updates."""
+    eval_every: int = 25_000
+    """Simulator steps between evaluations."""
+    eval_episodes: int = 20
+    """Deterministic episodes for each subset; 0: none, and no success in the curve."""
+    save_every: int = 2_000
+    """Decisions between checkpoints."""
+
+    def learning(self) -> LearningConfig:
+        """The part an update needs."""
+        return LearningConfig(
+            alpha=self.alpha,
+            learning_rate=self.learning_rate,
+            target_rate=self.target_rate,
+            same_shift_for_views=self.same_shift_for_views,
+            precision=self.precision,
+            kl_weight=self.kl_weight,
+        )
 
 
-class Pace:
-    """How fast a run goes since now; evaluating and saving are left out."""
+class ReinforcementRun:
+    """One run: learner, buffer, environment, and where they stand. A recipe adds ``advance``."""
 
-    def __init__(self, run: PaperRun) -> None:
-        self._run, self._before = run, (run.env_steps, run.updates, run.busy)
+    SCHEDULE: str
+    """How decisions and updates alternate, for the card."""
 
-    def rates(self) -> dict[str, float]:
-        """Simulator steps and updates per second."""
-        run, (steps, updates, busy) = self._run, self._before
-        seconds = max(run.busy - busy, 1e-9)
+    def __init__(
+        self,
+        plan: TrainingPlan,
+        config: ReinforcementConfig,
+        env: Environment,
+        folder: RunFolder,
+        lanes: int = 1,
+        device: str = "cpu",
+    ) -> None:
+        """``env`` is what ``plan.simulation`` builds; ``lanes`` environments fill the buffer in
+        turn. Raises UserError if the buffer will not fit."""
+        self.plan, self.config, self.env, self.folder = plan, config, env, folder
+        self.learner = Learner(
+            plan.new_agent(config.temperature).to(device),
+            plan.method,
+            plan.spec.streams,
+            config.learning(),
+            plan.seed,
+        )
+        self.buffer = ReplayBuffer(
+            BufferSpec(
+                plan.spec.streams,
+                state_dim=plan.env.state_dim,
+                action_dim=plan.env.action_dim,
+                capacity=min(config.buffer_capacity, config.steps),
+                horizon=plan.env.horizon,
+                frame_stack=plan.spec.frame_stack,
+                packed=config.buffer_packed and not config.buffer_on_disk,
+                lanes=lanes,
+            ),
+            folder.resume / "frames" if config.buffer_on_disk else None,
+        )
+        self.rng = np.random.default_rng(plan.seed)
+        self.step = self.updates = self.episodes = self.evaluate_at = 0
+        self.evaluated_step = -1
+        self.seconds = self.busy = 0.0
+        self.losses: dict[str, float] = {}
+        self.between_episodes = True
+        self.episode_seeds: list[int] = []
+
+    def advance(self) -> None:
+        """The next decisions, with the updates that are due."""
+        raise NotImplementedError
+
+    @property
+    def env_steps(self) -> int:
+        """Simulator steps taken."""
+        return self.step * self.plan.env.action_repeat
+
+    @property
+    def finished(self) -> bool:
+        return self.step >= self.config.steps
+
+    def evaluation_due(self) -> bool:
+        """At the start, at the first episode's end past every ``eval_every``, and at the end."""
+        regular = self.between_episodes and self.env_steps >= self.evaluate_at
+        return regular or (self.finished and self.evaluated_step != self.step)
+
+    def evaluate(self, stop: Callable[[], bool]) -> dict[str, float]:
+        """Success and return on all streams and on each alone, where the policy supports it.
+        Raises Stopped if ``stop`` says so.
+
+        The environment is between two episodes; the next one begins with a reset anyway.
+        """
+        kind = _ShiftingPolicy if self.config.shift_when_acting else TorchPolicy
+        policy = kind(self.plan.spec, self.acting_agent())
+        row: dict[str, float] = {}
+        for subset in dict.fromkeys(("all", *single_streams(self.plan.spec.streams))):
+            mask = mask_of(subset, self.plan.spec.streams)
+            if not policy.supports(mask) or not self.config.eval_episodes:
+                continue
+            with one_thread():
+                results = [
+                    run_episode(policy, self.env, mask, Ablation(), SELECTION_SEED + i, stop)
+                    for i in range(self.config.eval_episodes)
+                ]
+            row[f"success_{subset}"] = round(float(np.mean([r.success for r in results])), 4)
+            row[f"return_{subset}"] = round(float(np.mean([r.total_reward for r in results])), 3)
+        self.evaluated_step = self.step
+        self.evaluate_at = (self.env_steps // self.config.eval_every + 1) * self.config.eval_every
+        return row
+
+    def acting_agent(self) -> Agent:
+        """The agent where policies compute and are saved, which is the CPU."""
+        agent = self.learner.agent
+        on_cpu = agent.log_temperature.device.type == "cpu"
+        return agent if on_cpu else copy.deepcopy(agent).cpu()
+
+    def state(self) -> dict[str, Any]:
+        """Everything ``restore`` needs; what is new in the buffer is written on the way."""
         return {
-            "env_steps_per_s": round((run.env_steps - steps) / seconds, 2),
-            "updates_per_s": round((run.updates - updates) / seconds, 3),
+            "learner": self.learner.state_dict(),
+            "buffer": self.buffer.save(self.folder.resume / "buffer"),
+            "rng": json.dumps(self.rng.bit_generator.state),
+            **{key: getattr(self, key) for key in _COUNTS},
         }
 
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continues from ``state``, in mid-episode if need be."""
+        self.learner.load_state_dict(state["learner"])
+        self.buffer.restore(self.folder.resume / "buffer", state["buffer"])
+        self.rng.bit_generator.state = json.loads(state["rng"])
+        for key in _COUNTS:
+            setattr(self, key, state[key])
+        if not self.between_episodes:
+            self.repeat(self.buffer.actions())
 
-def _evaluate(run: PaperRun, stop: Callable[[], bool], pace: Pace) -> None:
-    """A row of the curve, and the picture of all rows."""
-    try:
-        row = run.evaluate(stop)
-    except Stopped:
-        return  # It is due again when the run goes on.
-    counts = {"step": run.step, "env_steps": run.env_steps, "updates": run.updates}
-    losses = {name: round(run.losses.get(name, float("nan")), 5) for name in _LOSSES}
-    left = _seconds_left(run) if run.step else ""
-    clock = {"seconds": round(run.seconds, 1), "seconds_left": left, **pace.rates()}
-    episodes = {"episodes": run.config.eval_episodes}
-    run.folder.report("curve", **counts, **clock, **episodes, **row, **losses)
-    draw_curve(run.folder.path, run.spec.name, run.config.steps)
+    def repeat(self, actions: Array) -> None:
+        """Puts the running episodes where ``actions`` (age, L, A) led them."""
+        raise NotImplementedError
 
+    def draw_seeds(self, lanes: int) -> list[int]:
+        """Of the next training episodes."""
+        return [int(self.rng.integers(0, SELECTION_SEED)) for _ in range(lanes)]
 
-_LOSSES = ("critic_loss", "actor_loss", "temperature", "entropy")
+    def explore(self, *lanes: int) -> Array:
+        """(*lanes, A) uniform actions."""
+        size = (*lanes, self.plan.env.action_dim)
+        return self.rng.uniform(-1, 1, size).astype(np.float32)
 
-
-def _report(run: PaperRun, pace: Pace) -> None:
-    run.folder.report(
-        "progress",
-        step=run.step,
-        steps=run.config.steps,
-        episodes=run.episodes,
-        updates=run.updates,
-        seconds_left=_seconds_left(run),
-        **pace.rates(),
-        **{name: round(value, 4) for name, value in run.losses.items()},
-    )
-
-
-def _seconds_left(run: PaperRun) -> int:
-    """At the pace of all that was done so far, evaluations included."""
-    return round(run.seconds / max(run.step, 1) * max(run.config.steps - run.step, 0))
+    def act(self) -> Array:
+        """(L, A): what the policy draws in every lane."""
+        views, state = self.buffer.newest()
+        if self.config.shift_when_acting:
+            views = random_shift(views, self.rng, self.config.same_shift_for_views)
+        return self.learner.act_all(views, state)
 
 
-def _save(run: PaperRun, config: TrainConfig, command: str) -> None:
-    """Resume state, then the policy in its shipped form."""
-    run.folder.save_state(run.state())
-    agent = run.acting_agent()
-    training = TrainingRecord(
-        how=f"reinforcement learning from scratch, {run.SCHEDULE}",
-        command=command,
-        steps=run.step,
-        environment_steps=run.env_steps,
-        episodes=run.episodes,
-        updates=run.updates,
-        batch_size=run.config.batch_size,
-        alpha=run.config.alpha,
-        seeds=f"network and data {config.seed}, episodes below {run.SEEDS}",
-        wall_time_s=round(run.seconds),
-        finished=run.finished,
-    )
-    described = policy_config(
-        run.spec,
-        run.env.spec,
-        agent.config,
-        training,
-        merge=agent.merge_name,
-        camera=config.chosen_camera(),
-    )
-    save_policy(run.folder.path, agent, described)
+_COUNTS = (
+    "step",
+    "updates",
+    "episodes",
+    "evaluate_at",
+    "evaluated_step",
+    "seconds",
+    "losses",
+    "between_episodes",
+    "episode_seeds",
+)
+
+
+class _ShiftingPolicy(TorchPolicy):
+    """The code's policy: every view it acts on is shifted, evaluation included."""
+
+    def encode(self, views: Array, state: Array) -> Encoded:
+        # Drawn from the picture itself, so that an episode stays a function of its seed.
+        rng = np.random.default_rng(int(views.sum(dtype=np.int64)))
+        moved = random_shift(torch.from_numpy(views)[None], rng, same_for_views=False)
+        return super().encode(moved[0].numpy(), state)

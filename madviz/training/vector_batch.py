@@ -13,7 +13,8 @@ from madviz.envs.maniskill.batch import ManiSkillBatch, Steps
 from madviz.errors import UserError
 from madviz.observation.streams import stream_frame
 from madviz.subsets import camera_of
-from madviz.training.vector_envs import Board, Recipe
+from madviz.training.simulation import Simulation
+from madviz.training.vector_envs import Board
 from madviz.types import Array, EnvSpec
 
 SUITE = "maniskill/"
@@ -31,13 +32,13 @@ def check_batched(task: str) -> None:
 class BatchedEnvs:
     """``lanes`` environments in one simulation; see the module."""
 
-    def __init__(self, recipe: Recipe, spec: EnvSpec, board: Board, lanes: int) -> None:
+    def __init__(self, simulation: Simulation, spec: EnvSpec, board: Board, lanes: int) -> None:
         """``spec`` is that of a single one. Raises UserError as ``ManiSkillBatch`` does."""
-        check_batched(recipe.task)
+        check_batched(simulation.task)
         self.board, self.lanes = board, lanes
-        self._spec, self._streams = spec, recipe.streams
-        task = recipe.task.removeprefix(SUITE)
-        self._batch = ManiSkillBatch(task, lanes, recipe.render_profile, recipe.cameras)
+        self._spec, self._streams = spec, simulation.streams
+        task = simulation.task.removeprefix(SUITE)
+        self._batch = ManiSkillBatch(task, lanes, simulation.render_profile, simulation.cameras)
 
     def reset(self, seeds: list[int]) -> None:
         """A new episode in every lane."""

@@ -19,31 +19,17 @@ from __future__ import annotations
 import multiprocessing
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 
-from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.observation.streams import IMAGE_SIZE, stream_frame
-from madviz.subsets import camera_of, cameras_of, modality_of
+from madviz.observation.streams import IMAGE_SIZE
+from madviz.subsets import modality_of
 from madviz.system.processes import set_up_worker
-from madviz.types import Array, CameraSpec, Environment, TimeStep
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """How a worker builds its environments, and what it draws."""
-
-    task: str
-    render_profile: str
-    cameras: tuple[CameraSpec, ...]
-    streams: tuple[str, ...]
-
-    def build(self) -> Environment:
-        return make_env(self.task, self.render_profile, self.cameras)
+from madviz.training.simulation import Simulation, newest_frames
+from madviz.types import Array, Environment, TimeStep
 
 
 class Board:
@@ -75,9 +61,9 @@ class Board:
 class Lanes:
     """Some of the environments, in the process that steps them."""
 
-    def __init__(self, recipe: Recipe, board: Board, places: Sequence[int]) -> None:
-        self._recipe, self._board, self._places = recipe, board, places
-        self._envs = [recipe.build() for _ in places]
+    def __init__(self, simulation: Simulation, board: Board, places: Sequence[int]) -> None:
+        self._streams, self._board, self._places = simulation.streams, board, places
+        self._envs = [simulation.build() for _ in places]
 
     def reset(self, seeds: Sequence[int]) -> None:
         """A new episode in every lane; ``seeds`` are all lanes', here and elsewhere."""
@@ -102,19 +88,19 @@ class Lanes:
             env.close()
 
     def _show(self, place: int, env: Environment, now: TimeStep) -> None:
-        board, streams = self._board, self._recipe.streams
+        board = self._board
         board["state"][place] = now.state
         board["reward"][place] = now.reward
         board["last"][place] = now.last
-        views = {camera: env.view(camera) for camera in cameras_of(streams)}
-        for stream in streams:
-            board[stream][place] = stream_frame(views[camera_of(stream)], stream, env.spec)
+        frames = newest_frames(env, self._streams)
+        for stream, frame in zip(self._streams, frames, strict=True):
+            board[stream][place] = frame
 
 
 class VectorEnvs:
     """``lanes`` environments in ``workers`` processes; see the module."""
 
-    def __init__(self, recipe: Recipe, board: Board, lanes: int, workers: int) -> None:
+    def __init__(self, simulation: Simulation, board: Board, lanes: int, workers: int) -> None:
         """Raises UserError for numbers that make no sense, and what building one raises."""
         if lanes < 1 or workers < 0:
             raise UserError(
@@ -122,10 +108,10 @@ class VectorEnvs:
                 f"{workers}; see --vectorised.environments and --vectorised.workers"
             )
         self.board, self.lanes = board, lanes
-        self._streams = recipe.streams
-        self._here = None if workers else Lanes(recipe, board, range(lanes))
+        self._streams = simulation.streams
+        self._here = None if workers else Lanes(simulation, board, range(lanes))
         shares = [s.tolist() for s in np.array_split(np.arange(lanes), min(workers or 1, lanes))]
-        self._workers = [_Worker(recipe, board, share) for share in shares] if workers else []
+        self._workers = [_Worker(simulation, board, share) for share in shares] if workers else []
         try:
             self._wait()
         except BaseException:
@@ -176,11 +162,11 @@ class VectorEnvs:
 class _Worker:
     """A process with some lanes, seen from here."""
 
-    def __init__(self, recipe: Recipe, board: Board, places: Sequence[int]) -> None:
+    def __init__(self, simulation: Simulation, board: Board, places: Sequence[int]) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(
-            target=_work, args=(theirs, recipe, board, places), daemon=True
+            target=_work, args=(theirs, simulation, board, places), daemon=True
         )
         self._process.start()
         theirs.close()  # So that its death is heard.
@@ -215,12 +201,14 @@ class _Worker:
         )
 
 
-def _work(connection: Connection, recipe: Recipe, board: Board, places: Sequence[int]) -> None:
+def _work(
+    connection: Connection, simulation: Simulation, board: Board, places: Sequence[int]
+) -> None:
     """Runs in a worker process, until the other end of the connection is closed."""
     set_up_worker()
     lanes: Lanes | None = None
     try:
-        lanes = Lanes(recipe, board, places)
+        lanes = Lanes(simulation, board, places)
         connection.send(None)
         while True:
             name, *arguments = connection.recv()

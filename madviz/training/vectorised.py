@@ -4,12 +4,12 @@ One environment and one update every second decision leave a machine with cores 
 drawing three cameras takes longer than acting. Here L environments step in worker processes, and
 the learner makes its updates *while* they step:
 
-    act on L instants -> workers step and draw ...................... -> L transitions
+    act in L lanes -> workers step and draw ......................... -> L transitions
                          meanwhile updates on what was there before
 
 How much is learned from a decision is a dial: ``update_ratio``, 0.5 in the paper. With 8
 environments that is 4 updates for a step of all; fewer make a run shorter and each decision count
-for less. The curve reports both paces, ``env_steps_per_s`` and ``updates_per_s``.
+for less. The curve reports both rates, ``env_steps_per_s`` and ``updates_per_s``.
 
 The order of everything is fixed, so a run is a function of its configuration and seed, whatever the
 number of workers; a killed run goes on in mid-episode and ends with the same weights.
@@ -26,25 +26,22 @@ from __future__ import annotations
 
 import copy
 import os
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
-import numpy as np
 import torch
 
 from madviz.agent.agent import Agent
 from madviz.envs.maniskill.batch import claim_gpu
-from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.training.paper import PaperRun, ReinforcementConfig
-from madviz.training.reinforcement import train_on
+from madviz.training.loop import train_on
+from madviz.training.plan import TrainingPlan
+from madviz.training.reinforcement import ReinforcementConfig, ReinforcementRun
 from madviz.training.run_folder import RunFolder
 from madviz.training.vector_batch import BatchedEnvs, check_batched
-from madviz.training.vector_envs import Board, Recipe, VectorEnvs
-from madviz.types import Array
-
-if TYPE_CHECKING:
-    from madviz.training.train import TrainConfig
+from madviz.training.vector_envs import Board, VectorEnvs
+from madviz.types import Array, Environment
 
 
 @dataclass(frozen=True)
@@ -90,18 +87,23 @@ class VectorisedConfig(ReinforcementConfig):
         return "cuda" if there and self.device != "cpu" else "cpu"
 
 
-class VectorisedRun(PaperRun):
-    """A run whose decisions are made in all lanes at once; all else is ``PaperRun``'s."""
+class VectorisedRun(ReinforcementRun):
+    """A run whose decisions are made in all lanes at once."""
 
     SCHEDULE = "with the paper's losses over many environments"
     config: VectorisedConfig
 
     def __init__(
-        self, config: VectorisedConfig, envs: VectorEnvs | BatchedEnvs, *run: Any, merge: str
+        self,
+        plan: TrainingPlan,
+        config: VectorisedConfig,
+        env: Environment,
+        folder: RunFolder,
+        envs: VectorEnvs | BatchedEnvs,
     ) -> None:
-        """``run`` are the other arguments of ``PaperRun``: its environment only evaluates here."""
+        """``env`` only evaluates; ``envs`` are learned from."""
         device = config.torch_device()
-        super().__init__(config, *run, merge=merge, lanes=config.environments, device=device)
+        super().__init__(plan, config, env, folder, lanes=config.environments, device=device)
         self.envs = envs
         if config.compile:
             mode = "reduce-overhead" if device == "cuda" else "default"
@@ -113,7 +115,7 @@ class VectorisedRun(PaperRun):
         if self.between_episodes:
             self._begin()
         exploring = self.step < config.exploration_steps
-        actions = self._explore_everywhere() if exploring else self._act_everywhere()
+        actions = self.explore(self.envs.lanes) if exploring else self.act()
         self.envs.send(actions)
         try:
             self._update()
@@ -143,42 +145,30 @@ class VectorisedRun(PaperRun):
             self.updates += 1
 
     def _begin(self) -> None:
-        self.episode_seeds = self._draw_seeds(self.envs.lanes)
+        self.episode_seeds = self.draw_seeds(self.envs.lanes)
         self.episodes += self.envs.lanes
         self.envs.reset(self.episode_seeds)
         for lane in range(self.envs.lanes):
             self.buffer.begin(self.envs.board["state"][lane], self.envs.frames(lane))
 
-    def _repeat(self, actions: Array) -> None:
+    def repeat(self, actions: Array) -> None:
         self.envs.repeat(self.episode_seeds, actions)
 
-    def _explore_everywhere(self) -> Array:
-        size = (self.envs.lanes, self.env.spec.action_dim)
-        return self.rng.uniform(-1, 1, size).astype(np.float32)
 
-
-def train_vectorised(config: TrainConfig, folder: RunFolder, command: str = "") -> None:
+def train_vectorised(plan: TrainingPlan, config: VectorisedConfig, folder: RunFolder) -> None:
     """Trains from the folder's last state on, if it has one; Ctrl-C saves after the decision at
-    hand. Raises UserError for what the method or the machine cannot do."""
-    settings, spec = config.vectorised, config.policy_spec()
-    if settings.update_ratio < 0:
+    hand. Raises UserError for what the machine cannot do."""
+    if config.update_ratio < 0:
         raise UserError(
-            f"expected an --vectorised.update-ratio of 0 or more, found {settings.update_ratio}"
+            f"expected an --vectorised.update-ratio of 0 or more, found {config.update_ratio}"
         )
-    recipe = Recipe(config.task, config.render_profile, config.drawn(), spec.streams)
-    env = make_env(config.task, config.render_profile, config.drawn())
-    envs: VectorEnvs | BatchedEnvs | None = None
-    try:
-        facts = env.spec
-        networks = config.networks(facts, settings.hidden_dim, settings.bottleneck_dim)
-        board = Board(settings.environments, spec.streams, facts.state_dim, facts.action_dim)
-        if settings.simulation == "gpu":
-            envs = BatchedEnvs(recipe, facts, board, settings.environments)
+    simulation, facts, lanes = plan.simulation, plan.env, config.environments
+    with ExitStack() as resources:
+        env = resources.enter_context(closing(simulation.build()))
+        board = Board(lanes, simulation.streams, facts.state_dim, facts.action_dim)
+        if config.simulation == "gpu":
+            envs = BatchedEnvs(simulation, facts, board, lanes)
         else:
-            envs = VectorEnvs(recipe, board, settings.environments, settings.processes())
-        rest = (env, spec, networks, config.seed, folder)
-        train_on(VectorisedRun(settings, envs, *rest, merge=config.merge), config, command)
-    finally:
-        if envs is not None:
-            envs.close()
-        env.close()
+            envs = VectorEnvs(simulation, board, lanes, config.processes())
+        resources.callback(envs.close)
+        train_on(VectorisedRun(plan, config, env, folder, envs))

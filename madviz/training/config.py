@@ -1,0 +1,190 @@
+"""What a user asks for when training, and ``resolve``, which makes a plan of it, once.
+
+    TrainConfig -- resolve --> TrainingPlan --> a recipe
+
+A new recipe is a file, an option field of ``TrainConfig`` and a row of ``RECIPES``.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from madviz.agent.methods import Method, method
+from madviz.agent.networks import NetworkConfig
+from madviz.envs.custom import allow_task
+from madviz.envs.registry import choose
+from madviz.errors import UserError, unknown
+from madviz.subsets import camera_of
+from madviz.training.light import LightConfig, train_light
+from madviz.training.paper import PaperConfig, train_paper
+from madviz.training.plan import TrainingPlan
+from madviz.training.run_folder import RunFolder
+from madviz.training.simulation import Simulation
+from madviz.training.vectorised import VectorisedConfig, train_vectorised
+from madviz.types import CameraSpec, PolicySpec
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A way to train."""
+
+    options: str
+    """The field of ``TrainConfig`` with its own options."""
+    train: Callable[[TrainingPlan, Any, RunFolder], None]
+    """Trains a plan with those options, in a folder."""
+
+
+RECIPES = {
+    "light": Recipe("light", train_light),
+    "paper": Recipe("paper", train_paper),
+    "paper-vectorised": Recipe("vectorised", train_vectorised),
+}
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Which policy to train, how, and where to."""
+
+    task: str = "metaworld/hammer"
+    """suite/task; ``madviz list`` shows them. Or one of your own, module:factory."""
+    method: str = "mad"
+    """What is trained on which subsets of streams."""
+    recipe: str = "light"
+    """``light`` (minutes, from a scripted expert), ``paper`` (reinforcement learning) or
+    ``paper-vectorised`` (the same over many environments)."""
+    setting: str = "three"
+    """Cameras and modalities."""
+    cameras: Path | None = None
+    """A file of your own cameras, in place of the setting's (``madviz.envs.cameras``)."""
+    camera: str = ""
+    """For the method ``single``: the camera of the setting it learns from (else its first one)."""
+    merge: str = ""
+    """How streams become one feature, where a method leaves the choice; else the method's own."""
+    out: Path | None = None
+    """The run's folder; runs/NAME if not given."""
+    seed: int = 1
+    """Of networks, data and noise; the same seed repeats a run."""
+    state: Literal["code", "paper"] = "code"
+    """Proprioception: ``code`` is all the environment gives (Meta-World: 24 numbers, as in the
+    paper's code), ``paper`` the 4 of its table."""
+    render_profile: str = "fast"
+    """What the policy sees, now and for ever."""
+    resume: bool = False
+    """Go on with the run in ``out``."""
+    threads: int | None = None
+    """Of the learner; by default 1 for ``light``, whose recorder uses the other core, one per core
+    for ``paper``, one per core without a worker for ``paper-vectorised``. Sums are split between
+    threads, so another number is another run."""
+    light: LightConfig = field(default_factory=LightConfig)
+    paper: PaperConfig = field(default_factory=PaperConfig)
+    vectorised: VectorisedConfig = field(default_factory=VectorisedConfig)
+
+
+def resolve(config: TrainConfig) -> TrainingPlan:
+    """Everything that follows from ``config``: checked, and chosen. Builds one environment, for its
+    facts. Raises UserError for unknown names and for what does not go together."""
+    allow_task(config.task)
+    if config.recipe not in RECIPES:
+        raise unknown("recipe", config.recipe, list(RECIPES))
+    chosen = method(config.method)
+    if config.recipe not in chosen.recipes:
+        raise UserError(
+            f"method {config.method!r} has the recipes {', '.join(chosen.recipes)}, "
+            f"not {config.recipe!r}"
+        )
+    setting, cameras = choose(config.task, config.setting, config.cameras)
+    camera = _one_camera(config, chosen, setting.cameras)
+    streams = tuple(s for s in setting.streams if not camera or camera_of(s) == camera)
+    merge = chosen.merge_for(streams, config.merge)
+    simulation = Simulation(config.task, config.render_profile, cameras, streams)
+    with closing(simulation.build()) as env:
+        facts = env.spec
+    options = getattr(config, RECIPES[config.recipe].options)
+    return TrainingPlan(
+        PolicySpec(
+            _name(config, chosen, camera),
+            config.task,
+            config.method,
+            config.setting,
+            config.recipe,
+            streams=streams,
+            trained_subsets=chosen.trained_subsets(streams),
+            render_profile=config.render_profile,
+        ),
+        simulation,
+        facts,
+        NetworkConfig(
+            facts.state_dim,
+            facts.action_dim,
+            hidden_dim=options.hidden_dim,
+            bottleneck_dim=options.bottleneck_dim,
+            state_columns=facts.paper_state if config.state == "paper" else (),
+        ),
+        merge,
+        config.seed,
+        camera,
+        command(config),
+    )
+
+
+def _one_camera(config: TrainConfig, chosen: Method, known: tuple[str, ...]) -> str:
+    """The camera of a method that takes one; empty for all others."""
+    if not chosen.one_camera:
+        if config.camera:
+            raise UserError(
+                f"expected --camera with the method single, found it with {config.method!r}; "
+                "leave it out: the method takes all cameras of its setting"
+            )
+        return ""
+    if config.camera and config.camera not in known:
+        raise unknown("camera", config.camera, list(known))
+    return config.camera or known[0]
+
+
+def _name(config: TrainConfig, chosen: Method, camera: str) -> str:
+    """{suite}-{task}-{method}[-{merge}][-{camera}][-{setting}]-{recipe}."""
+    parts = [re.sub(r"\W+", "-", config.task), config.method]
+    parts += [config.merge] if config.merge not in ("", chosen.merge) else []
+    parts += [camera] if camera else []
+    parts += [config.setting] if config.setting != "three" else []
+    parts += [config.cameras.stem] if config.cameras else []
+    return "-".join([*parts, config.recipe])
+
+
+def identity(config: TrainConfig, drawn: tuple[CameraSpec, ...]) -> dict[str, Any]:
+    """What must be the same when a run is resumed: all but where it is, how many processes step its
+    environments, and other recipes' options. Of the user's cameras, ``drawn``, it is what the file
+    says that counts, not where the file is."""
+    facts = asdict(replace(config, out=None, resume=False, cameras=None))
+    for recipe in RECIPES.values():
+        if recipe != RECIPES[config.recipe]:
+            del facts[recipe.options]
+    facts.get("vectorised", {}).pop("workers", None)
+    facts["cameras"] = [asdict(camera) for camera in drawn] if config.cameras else None
+    return facts
+
+
+def command(config: TrainConfig) -> str:
+    """The line that trains this policy again."""
+    default = TrainConfig()
+    words = ["madviz", "train", "--task", config.task, "--method", config.method]
+    words += ["--recipe", config.recipe]
+    if config.cameras:
+        words += ["--cameras", str(config.cameras)]
+    for name in ("setting", "camera", "merge", "seed", "state", "render_profile", "threads"):
+        if getattr(config, name) != getattr(default, name):
+            words += [f"--{name.replace('_', '-')}", str(getattr(config, name))]
+    section = RECIPES[config.recipe].options
+    standard = getattr(default, section)
+    for name, value in vars(getattr(config, section)).items():
+        if isinstance(value, bool) and value != getattr(standard, name):
+            words += [f"--{section}.{'' if value else 'no-'}{name.replace('_', '-')}"]
+        elif value != getattr(standard, name):
+            words += [f"--{section}.{name.replace('_', '-')}", str(value)]
+    return shlex.join(words)
