@@ -32,6 +32,7 @@ from madviz.agent.merges.vit import ViewTransformer
 from madviz.errors import UserError
 from madviz.evaluation.evaluate import FIRST_SEED, evaluate
 from madviz.evaluation.evidence import Evidence, find_evidence
+from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.ablation import Occlusion
 from madviz.policies import checkpoint
 from madviz.report.layouts import THREE, Layout, any_method
@@ -39,7 +40,6 @@ from madviz.report.tables import build
 from madviz.subsets import mask_of
 from madviz.system.files import read_json, write_json
 from madviz.teaching import Moment, SmallRun, train_small
-from madviz.teaching.rates import counted_in_words
 from madviz.teaching.show import Figure, TextTable, bars, table
 from madviz.types import Array, Policy
 
@@ -159,7 +159,7 @@ def outcome_table(
     rows = []
     for method, outcomes in measured.items():
         found = [outcomes.get(name, "") for name in names]
-        cells = [counted_in_words(o.count("1"), len(o)) if o else missing for o in found]
+        cells = [str(SuccessRate.of(o.count("1"), len(o))) if o else missing for o in found]
         rows.append([method, *cells])
     return table(["method", *names], rows)
 

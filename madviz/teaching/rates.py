@@ -6,21 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 from madviz.errors import UserError
-from madviz.evaluation.statistics import SuccessRate, pair, wilson
+from madviz.evaluation.statistics import SuccessRate, pair
 from madviz.policies import checkpoint
 from madviz.teaching.show import Figure, TextTable, Words, bars, table
 
 
 def in_words(successes: int, n: int) -> Words:
     """``8 of 10 = 0.80, 95% interval [0.49, 0.94]``."""
-    low, high = wilson(successes, n)
-    rate = successes / n if n else float("nan")
-    return Words(f"{successes} of {n} = {rate:.2f}, 95% interval [{low:.2f}, {high:.2f}]")
-
-
-def counted_in_words(successes: int, n: int) -> str:
-    """``0.80 [0.49, 0.94] n=10``, for a cell of a table."""
-    return str(SuccessRate.of(successes, n))
+    rate = SuccessRate.of(successes, n)
+    low, high = rate.interval
+    return Words(f"{successes} of {n} = {rate.value:.2f}, 95% interval [{low:.2f}, {high:.2f}]")
 
 
 def counts(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[int, int]]:
@@ -51,7 +46,7 @@ def success_table(measured: Mapping[str, Mapping[str, tuple[int, int]]]) -> Text
     rows = []
     for name in names:
         found = [one.get(name) for one in measured.values()]
-        rows.append([name, *(counted_in_words(*f) if f else "not measured" for f in found)])
+        rows.append([name, *(str(SuccessRate.of(*f)) if f else "not measured" for f in found)])
     return table(["cameras", *measured], rows)
 
 
