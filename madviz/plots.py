@@ -1,9 +1,9 @@
-"""Pictures that stand in files: bars with intervals, lines with bands, curves over an episode.
+"""Figures for files: bars with intervals, lines with bands, curves over an episode.
 
 matplotlib draws them, as SVG text that is the same to the byte whenever it is made from the same
 numbers: without a date, a version or random names, and with text as text. Nothing is clipped, so
-no reference in it leads outside, and several of them can stand in one HTML page. What belongs
-to the data is in groups of the class ``bar``, ``dot``, ``line``, ``band`` or ``mark``.
+no reference in it leads outside, and one HTML page can hold several of them. What belongs to
+the data is in groups of the class ``bar``, ``dot``, ``line``, ``band`` or ``mark``.
 
 matplotlib takes half a second to import, so that happens when something is drawn.
 """
@@ -184,10 +184,10 @@ def _figure(
 
 
 def _svg(figure: Figure) -> str:
-    """Without what says who made it and when, and with classes for names that come twice."""
+    """Without metadata, and with classes in the place of names that come twice."""
     text = StringIO()
-    nobody = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-    figure.savefig(text, format="svg", metadata=nobody)
+    no_metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    figure.savefig(text, format="svg", metadata=no_metadata)
     drawn = text.getvalue()
     drawn = re.sub(r'<g id="[\w.]+_\d+">', "<g>", drawn[drawn.index("<svg") :])
     return re.sub(r'<g id="([a-z0-9 ]+)">', r'<g class="\1">', drawn)

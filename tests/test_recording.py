@@ -54,7 +54,7 @@ def written(path: Path, steps: int | None = None, policy: str = "toy-mad") -> li
     return episode
 
 
-def test_frames_are_one_for_every_step_after_what_came_by_itself() -> None:
+def test_there_is_one_frame_for_every_step() -> None:
     episode = frames_of(12)
     assert [frame.world.step for frame in episode] == list(range(13))
     off = [frame.world.step for frame in episode if frame.camera("third_a").input == "off"]
@@ -62,7 +62,7 @@ def test_frames_are_one_for_every_step_after_what_came_by_itself() -> None:
     assert [frame.world.step for frame in frames_of(None)] == list(range(26))
 
 
-def test_a_policy_that_breaks_is_one_line() -> None:
+def test_a_policy_that_fails_is_reported_in_one_line() -> None:
     session = Session(recording.make_env, NanPolicy(), policies, seed=3, speed=None)
     session.send(SetSchedule(parse_schedule(["third_a@3", "first@3"], CAMERAS)))
     with pytest.raises(UserError, match="the episode stopped: expected a finite action") as stopped:
@@ -144,7 +144,7 @@ def test_a_rerun_file_holds_every_step(tmp_path: Path) -> None:
     assert path.stat().st_size < 26 * 16_000
 
 
-def test_the_viewer_opens_with_the_sight_of_the_page(tmp_path: Path) -> None:
+def test_the_viewer_opens_with_the_view_of_the_page(tmp_path: Path) -> None:
     path = tmp_path / "x.rrd"
     first = written(path, 2)[0]
     (blueprint,) = RrdReader(path).blueprints()

@@ -231,7 +231,7 @@ def test_the_command_writes_beside_the_folder_and_prints_json(tmp_path: Path, ca
     assert cli.main(["report", "--folder", str(tmp_path / "nothing")]) == 2
 
 
-def test_runs_of_a_sweep_bear_their_own_names(tmp_path: Path) -> None:
+def test_runs_of_a_sweep_have_their_own_names(tmp_path: Path) -> None:
     for method in ("mad", "merged-only"):
         write_policy(tmp_path, rates(0.9, 0.5, 0.5, 0.5), method=method, folder=f"{method}/policy")
     _, text = report(tmp_path)

@@ -53,7 +53,7 @@ def test_the_target_has_twenty_tasks_and_the_page_counts_them(tmp_path: Path) ->
     assert "| metaworld/push | – | – |" in text
 
 
-def test_what_was_tried_stands_under_the_target(tmp_path: Path) -> None:
+def test_what_was_tried_is_listed_under_the_target(tmp_path: Path) -> None:
     write_policy(tmp_path, GOOD)
     (tmp_path / "tried.json").write_text(
         '{"maniskill/push-cube": ["12 rounds: 0.4"], "metaworld/push": ["half a point", "more"]}'
@@ -129,7 +129,7 @@ def test_one_training_under_two_names_is_said_to_be_one(tmp_path: Path) -> None:
     assert len(said) == 1 and said[0].startswith("On metaworld/push naive-both and MAD")
 
 
-def test_an_alpha_that_nobody_wrote_down_stops_no_report(tmp_path: Path) -> None:
+def test_a_config_without_alpha_stops_no_report(tmp_path: Path) -> None:
     write_policy(tmp_path, GOOD, folder="metaworld-hammer-mad-light")
     write_policy(tmp_path, GOOD, method="merged-only")
     bare = write_policy(tmp_path, GOOD, folder="other")

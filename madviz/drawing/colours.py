@@ -16,7 +16,7 @@ GOOD, BAD, NOTE = "#4db6ff", "#ff8a3d", "#ffd166"
 """Success and failure: blue against orange, always with a word or a shape beside them."""
 MERGED_ON_WHITE = "#222222"
 _ON_WHITE = {"#F0E442": "#b3a600", "#56B4E9": "#2f8fc9", "#E69F00": "#c98500"}
-"""Camera colours that are too bright on white, and what stands for them."""
+"""Camera colours that are too bright on white, and what replaces them."""
 
 
 def camera_colours(cameras: tuple[CameraSpec, ...]) -> dict[str, str]:

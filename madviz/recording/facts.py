@@ -37,7 +37,7 @@ def condition_words(frame: Frame) -> str:
 
 
 def verdict(frame: Frame) -> str:
-    """How the episode stands, in a word or two."""
+    """Whether the goal is met, or how the episode ended: a word or two."""
     if not frame.ended:
         return "goal met" if frame.world.success else "goal not met"
     return "SUCCESS" if frame.world.success else "FAIL"

@@ -214,7 +214,7 @@ def _schedule(config: RecordConfig, env: Environment) -> Schedule:
 def _session(
     env: Environment, policy: Policy, seed: int, script: KeptEpisode | None, find: Finder
 ) -> Session:
-    """A session in ``env`` that waits for nobody."""
+    """A session in ``env`` that runs as fast as it can."""
     if script is not None:
         check_horizon(script, env)
         check_policies(script, find, env)
@@ -225,7 +225,7 @@ def _session(
 
     session = Session(lambda *_: env, policy, load, seed=seed, speed=None, script=script)
     if script is not None:
-        session.send(Play())  # With a script it waits for somebody who watches.
+        session.send(Play())  # A session with a script starts paused.
     return session
 
 

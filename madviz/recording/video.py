@@ -1,4 +1,4 @@
-"""A film of an episode: the page's mosaic, a line that says how it stands, and Q under it.
+"""A film of an episode: the page's mosaic, a line with its state, and Q under it.
 
 The curve of Q is drawn as far as the episode has come, with a mark wherever the cameras' states
 changed, so that a viewer who stops the film sees what a lost camera did.
@@ -74,7 +74,7 @@ class VideoWriter:
 
 
 def _caption(frame: Frame, facts: Facts, width: int) -> Array:
-    """(CAPTION, width, 3): what this is, and how it stands."""
+    """(CAPTION, width, 3): what this is, and its state."""
     image = Image.new("RGB", (width, CAPTION), _GROUND)
     draw = ImageDraw.Draw(image)
     _text(draw, headline(frame, facts), 6, 6, width - 12, MUTED)
@@ -85,8 +85,8 @@ def _caption(frame: Frame, facts: Facts, width: int) -> Array:
         if frame.world.success
         else INK
     )
-    stand = f"step {frame.world.step}/{frame.world.env.horizon}  cameras: {condition_words(frame)}"
-    _text(draw, stand, 6, 28, width - 130, INK)
+    state = f"step {frame.world.step}/{frame.world.env.horizon}  cameras: {condition_words(frame)}"
+    _text(draw, state, 6, 28, width - 130, INK)
     draw.text((width - 6, 28), verdict(frame), fill=colour, font=_font(15), anchor="ra")
     return np.asarray(image)
 

@@ -130,8 +130,8 @@ def _row(
                 cell, unit = row.cells.setdefault(column, {}), (each.task, each.seed, seed)
                 counts |= unit not in cell
                 cell.setdefault(unit, success)
-        # Who says nothing that was not said (Single Camera with this camera, of another setting)
-        # is not trained again for this row.
+        # A policy that adds no episode (Single Camera with this camera, of another setting) is not
+        # trained again for this row.
         if counts:
             row.evidence.append(each)
     return row
