@@ -116,7 +116,10 @@ def test_a_task_of_ones_own_keeps_its_cameras_and_its_profile(tmp_path, monkeypa
         "renamed_1",
         "from dataclasses import replace",
         "from madviz.envs.toy import ToyReach",
+        "built = 0",
         "def make():",
+        "    global built",
+        "    built += 1",
         "    world = ToyReach()",
         "    left, right = (replace(c, name=n) for c, n in zip(world.spec.cameras, 'lr'))",
         "    world.spec = replace(world.spec, cameras=(left, right))",
@@ -127,6 +130,8 @@ def test_a_task_of_ones_own_keeps_its_cameras_and_its_profile(tmp_path, monkeypa
     assert setting.streams == ("l.rgb", "l.depth", "r.rgb", "r.depth")
     with pytest.raises(UserError, match="no cameras for the setting 'five'"):
         choose(task, "five")
+    assert choose(task, "three")[1] == cameras
+    assert sys.modules["renamed_1"].built == 1, "to learn its cameras, and never again"
     sized = make_env(task, cameras=(replace(cameras[0], size=48),))
     assert [camera.size for camera in sized.spec.cameras] == [48, 84] and sized.spec.task == task
     for wrong in (replace(cameras[0], fovy=20.0), replace(cameras[0], name="x")):

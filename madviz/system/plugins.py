@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, get_type_hints
 
 from madviz.errors import UserError
 
@@ -20,7 +20,7 @@ def load(reference: str) -> Any:
 
 def made_by(reference: str, protocol: type) -> Any:
     """What ``module:factory`` returns. Raises UserError where it cannot be imported, and where the
-    result lacks an attribute or a method that ``protocol`` has."""
+    result lacks a part that ``protocol`` has, or has another kind of ``spec``."""
     try:
         with _importable_from_here():
             made = load(reference)()
@@ -34,6 +34,12 @@ def made_by(reference: str, protocol: type) -> Any:
         raise UserError(
             f"{reference}: expected a {protocol.__name__} ({protocol.__module__}), found a "
             f"{type(made).__name__} without {', '.join(lacking)}; return an object that has them"
+        )
+    kind = get_type_hints(protocol)["spec"]
+    if not isinstance(made.spec, kind):
+        raise UserError(
+            f"{reference}: expected a spec of the kind {kind.__module__}.{kind.__name__}, found a "
+            f"{type(made.spec).__name__}; fill one in"
         )
     return made
 

@@ -16,6 +16,7 @@ long to be grasped that way, so the fingers press on it from above and drag it: 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -71,14 +72,6 @@ def _towards(error: Array, gripper: float, limit: float = 1.0, gain: float = 1.3
     and its direction stays."""
     motion = gain * error / STEP
     return np.append(motion * min(1.0, limit / max(np.abs(motion).max(), 1e-9)), gripper)
-
-
-def _push(simulation: Any) -> Array:
-    return _slide(simulation, 1.0)
-
-
-def _pull(simulation: Any) -> Array:
-    return _slide(simulation, -1.0)
 
 
 def _slide(simulation: Any, sign: float) -> Array:
@@ -194,8 +187,8 @@ def _line_up(tool: Array, peg: Array, aside: float) -> Array:
 
 
 _SCRIPTS = {
-    "push-cube": _push,
-    "pull-cube": _pull,
+    "push-cube": partial(_slide, sign=1.0),
+    "pull-cube": partial(_slide, sign=-1.0),
     "pick-cube": _pick,
     "place-sphere": _place,
     "poke-cube": _poke,

@@ -33,6 +33,11 @@ WALL = 0.75
 """Where the wall of pick-place-wall stands, along y."""
 
 
+Script = Callable[["Scene"], Array]
+SCRIPTS: dict[str, Script] = {}
+"""By task; ``script`` fills it."""
+
+
 class Scene:
     """The parts of an observation (39,), in metres; ``opening`` 0 to 1, velocities per step."""
 
@@ -73,21 +78,34 @@ def pick(scene: Scene, grasp: Array, hover: float = 0.1, slack: float = 0.03) ->
     return scene.go(grasp, 1.0)
 
 
+def script(
+    task: str, grasp: tuple[float, float, float] | None = (0.0, 0.0, 0.02), slack: float = 0.03
+) -> Callable[[Script], Script]:
+    """Puts a script into ``SCRIPTS``. Unless ``grasp`` is None, the object is picked first, by a
+    hand that is ``grasp`` metres from its middle, and the script decides once it is held."""
+
+    def add(carry: Script) -> Script:
+        def whole(scene: Scene) -> Array:
+            action = None if grasp is None else pick(scene, scene.object + grasp, slack=slack)
+            return carry(scene) if action is None else action
+
+        SCRIPTS[task] = whole
+        return carry
+
+    return add
+
+
+@script("basketball")
 def basketball(scene: Scene) -> Array:
     """Lifts the ball above the rim before it goes sideways, and holds it in the hoop's mouth."""
-    action = pick(scene, scene.object + [0.0, 0.0, 0.02])
-    if action is not None:
-        return action
     if scene.object[2] < 0.29:
         return scene.bring(np.append(scene.object[:2], 0.33))
     return scene.bring(scene.goal + [0.0, 0.0, 0.05])
 
 
+@script("shelf-place")
 def shelf_place(scene: Scene) -> Array:
     """Lifts the cube in front of the shelf, lines it up, then goes in."""
-    action = pick(scene, scene.object + [0.0, 0.0, 0.02])
-    if action is not None:
-        return action
     wanted = scene.goal
     if scene.object[2] < wanted[2] - 0.02 or abs(scene.object[0] - wanted[0]) > 0.03:
         front = min(float(scene.object[1]), float(wanted[1]) - 0.2)
@@ -95,6 +113,7 @@ def shelf_place(scene: Scene) -> Array:
     return scene.bring(wanted)
 
 
+@script("disassemble", grasp=None)
 def disassemble(scene: Scene) -> Array:
     """Lifts the wrench straight off its peg, its ring above the peg all the way.
 
@@ -112,19 +131,15 @@ def disassemble(scene: Scene) -> Array:
     return scene.bring(scene.goal + 0.13 * along + [0.0, 0.0, 0.04])
 
 
+@script("soccer")
 def soccer(scene: Scene) -> Array:
     """Carries the ball: one that is pushed rolls on and out."""
-    action = pick(scene, scene.object + [0.0, 0.0, 0.02])
-    if action is not None:
-        return action
     return scene.bring(scene.goal + [0.0, -0.03, 0.03])
 
 
+@script("peg-insert-side")
 def peg_insert_side(scene: Scene) -> Array:
     """Lines the peg up in front of the hole, then pushes it in along x."""
-    action = pick(scene, scene.object + [0.0, 0.0, 0.02])
-    if action is not None:
-        return action
     wanted = scene.goal + [0.13, 0.0, 0.01]
     off = float(np.abs(scene.object - wanted)[1:].max())
     if off > 0.01:
@@ -132,25 +147,22 @@ def peg_insert_side(scene: Scene) -> Array:
     return scene.bring(wanted)
 
 
+@script("pick-out-of-hole")
 def pick_out_of_hole(scene: Scene) -> Array:
     """Lifts the puck out of the hole before it goes sideways."""
-    action = pick(scene, scene.object + [0.0, 0.0, 0.02])
-    if action is not None:
-        return action
     if scene.object[2] < 0.1:
         return scene.bring(np.append(scene.object[:2], scene.goal[2]))
     return scene.bring(scene.goal)
 
 
+@script("sweep-into")
 def sweep_into(scene: Scene) -> Array:
     """Carries the cube over the hole and lowers it: one that is swept rolls past or gets stuck."""
-    action = pick(scene, scene.object + [0.0, 0.0, 0.02])
-    if action is not None:
-        return action
     far = float(np.linalg.norm((scene.object - scene.goal)[:2]))
     return scene.bring(np.append(scene.goal[:2], 0.08 if far > 0.02 else 0.04))
 
 
+@script("stick-pull", grasp=(-0.015, 0.0, 0.03))
 def stick_pull(scene: Scene) -> Array:
     """Threads the stick through the thermos handle and drags it, the stick at the handle's height
     throughout: lowered, it slips out. The thermos slides with next to no friction (a free one had
@@ -162,9 +174,6 @@ def stick_pull(scene: Scene) -> Array:
     The thermos slides no further than x = 0.406 and its handle is 0.112 m above the goal, so goals
     beyond x = 0.449 are out of reach (0.12 m allow 0.043 along the table): seed 5011, at 0.450.
     """
-    action = pick(scene, scene.object + [-0.015, 0.0, 0.03])
-    if action is not None:
-        return action
     stick, handle = scene.object, scene.other
     level = float(handle[2]) - 0.01
     behind = float(handle[0] - stick[0])
@@ -179,6 +188,7 @@ def stick_pull(scene: Scene) -> Array:
     return scene.bring(np.array([rest[0] - 0.03 + max(left[0], 0.0), sideways, level]))
 
 
+@script("assembly", grasp=(-0.02, 0.0, 0.02), slack=0.04)
 def assembly(scene: Scene) -> Array:
     """Lifts the wrench by the end of its handle, brings its ring over the peg, then lowers it. The
     wrench hangs down from the hand a little: the ring is found by its whole turn, not only its yaw.
@@ -187,9 +197,6 @@ def assembly(scene: Scene) -> Array:
     12 mm and up beyond them was right without fail, and taught students, who see no better than a
     centimetre, to hover over the peg; the ring slides onto it from further away than that.
     """
-    action = pick(scene, scene.object + [-0.02, 0.0, 0.02], slack=0.04)
-    if action is not None:
-        return action
     w, x, y, z = scene.quaternion
     along = -np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
     ring = scene.object - 0.13 * along
@@ -200,38 +207,19 @@ def assembly(scene: Scene) -> Array:
     return scene.go(scene.hand + target - ring, 1.0)
 
 
+@script("hand-insert")
 def hand_insert(scene: Scene) -> Array:
     """Carries the cube over the hole and lowers it, the hand going in with it."""
-    action = pick(scene, scene.object + [0.0, 0.0, 0.02])
-    if action is not None:
-        return action
     far = float(np.linalg.norm((scene.object - scene.goal)[:2]))
     return scene.bring(scene.goal + [0.0, 0.0, 0.12 if far > 0.02 else 0.0])
 
 
+@script("pick-place-wall")
 def pick_place_wall(scene: Scene) -> Array:
     """Lifts the puck in front of the wall, 0.12 m high, crosses it, and lowers it behind."""
-    action = pick(scene, scene.object + [0.0, 0.0, 0.02])
-    if action is not None:
-        return action
     wanted = scene.goal.copy()
     if scene.object[1] < WALL + 0.04:
         wanted[2] = max(wanted[2], 0.2)
         if scene.object[2] < 0.16:
             wanted[:2] = scene.object[0], min(scene.object[1], WALL - 0.08)
     return scene.bring(wanted)
-
-
-SCRIPTS: dict[str, Callable[[Scene], Array]] = {
-    "assembly": assembly,
-    "hand-insert": hand_insert,
-    "pick-place-wall": pick_place_wall,
-    "basketball": basketball,
-    "shelf-place": shelf_place,
-    "disassemble": disassemble,
-    "soccer": soccer,
-    "peg-insert-side": peg_insert_side,
-    "pick-out-of-hole": pick_out_of_hole,
-    "stick-pull": stick_pull,
-    "sweep-into": sweep_into,
-}
