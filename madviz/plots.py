@@ -39,7 +39,7 @@ COLOURS = (
 )
 GRID, INK, MARK = "#dddddd", "#222222", "#b8860b"
 BAR, PANEL = 13, 230
-"""Pixels: the width of a bar, of a panel with lines."""
+"""Pixels: the least width of a bar, the width of a panel with lines."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def bars(title: str, groups: Sequence[str], series: Mapping[str, Sequence[Bar | 
     group = max(BAR * (len(series) + 2), 60, *(7 * len(name) for name in groups))
     with _style(title):
         figure = _figure(_width(60 + group * len(groups), title, series), 250)
-        axes = figure.subplots()
+        axes, step = figure.subplots(), 1 / (len(series) + 2)
         _rate_axis(axes)
         axes.set_xlim(-0.5, len(groups) - 0.5)
         axes.set_xticks(range(len(groups)), groups)
@@ -78,8 +78,8 @@ def bars(title: str, groups: Sequence[str], series: Mapping[str, Sequence[Bar | 
             handles[name] = _patch(colour)
             for place, bar in enumerate(row):
                 if bar is not None:
-                    x = place + (number - (len(series) - 1) / 2) * BAR / group
-                    _bar(axes, x, 0.85 * BAR / group, bar, colour)
+                    x = place + (number - (len(series) - 1) / 2) * step
+                    _bar(axes, x, 0.85 * step, bar, colour)
         return _finished(figure, title, handles)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from madviz.app.panels.cameras import unused_note
+from madviz.drawing.jpeg import jpeg, jpeg_url
 from madviz.drawing.mosaic import GAP, HEADER, badge, mosaic
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import SetCamera
@@ -78,3 +80,13 @@ def test_depth_under_an_rgb_policy_is_shown_and_said_to_be_unused():
     assert unused_note(frame_with()) == ""
     assert unused_note(frame_with(policy=policies("toy-rgbd"))) == ""
     assert len(np.unique(tile(mosaic(frame, TILE), 0).reshape(-1, 3), axis=0)) > 2
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_jpeg_has_the_colours_of_its_picture(channels: int):
+    picture = np.zeros((16, 24, channels), np.uint8)
+    picture[..., 0] = 200
+    found = cv2.imdecode(np.frombuffer(jpeg(picture), np.uint8), cv2.IMREAD_COLOR_RGB)
+    assert found is not None and found.shape == (16, 24, 3)
+    assert np.abs(found.astype(int) - picture).max() < 6
+    assert jpeg_url(picture).startswith("data:image/jpeg;base64,/9j/")
