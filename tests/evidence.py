@@ -40,11 +40,21 @@ def write_policy(
     path.mkdir(parents=True)
     config: dict[str, Any] = {
         "format": 1,
-        **{"name": name, "task": task, "method": method, "setting": setting, "recipe": recipe},
-        **{"definition": "at the last step: it is done", "render_profile": "fast"},
-        **{"streams": list(names), "trained_subsets": ["all"], "image_size": 84},
+        "name": name,
+        "task": task,
+        "method": method,
+        "setting": setting,
+        "recipe": recipe,
+        "definition": "at the last step: it is done",
+        "render_profile": "fast",
+        "streams": list(names),
+        "trained_subsets": ["all"],
+        "image_size": 84,
         "cameras": [asdict(CameraSpec(camera, camera, 60)) for camera in cameras],
-        **{"horizon": 100, "action_repeat": 2, "merge": merge, "reward_scale": 1.0},
+        "horizon": 100,
+        "action_repeat": 2,
+        "merge": merge,
+        "reward_scale": 1.0,
         "networks": NETWORKS,
         "training": {
             "command": f"madviz train --task {task} --method {method} --seed {seed}",
@@ -67,21 +77,33 @@ def evaluation(
         outcomes = [number < successes for number in range(episodes)]
         random.Random(f"{config['name']} {subset} {seed}").shuffle(outcomes)
         subsets[subset] = {
-            **{"success": successes / episodes, "success_any": 1.0, "n": episodes},
-            **{"ci95": list(wilson(successes, episodes)), "trained": True},
+            "success": successes / episodes,
+            "success_any": 1.0,
+            "n": episodes,
+            "ci95": list(wilson(successes, episodes)),
+            "trained": True,
         }
         listed += [
             {
-                **{"subset": subset, "seed": first_seed + number},
-                **{"success": success, "success_any": True, "return": 1.0},
+                "subset": subset,
+                "seed": first_seed + number,
+                "success": success,
+                "success_any": True,
+                "return": 1.0,
             }
             for number, success in enumerate(outcomes)
         ]
     return {
         "schema": 1,
-        **{"policy": config["name"], "digest": "none", "task": config["task"]},
-        **{"definition": config["definition"], "render_profile": "fast", "occlusions": ""},
-        **{"seed": first_seed, "subsets": subsets, "episodes": listed},
+        "policy": config["name"],
+        "digest": "none",
+        "task": config["task"],
+        "definition": config["definition"],
+        "render_profile": "fast",
+        "occlusions": "",
+        "seed": first_seed,
+        "subsets": subsets,
+        "episodes": listed,
     }
 
 

@@ -49,7 +49,7 @@ else:
 
 def sweep_file(folder: Path, seeds: str = "[1, 2]", rounds: int = 3, pause: int = 0) -> str:
     """Two methods on one task; ``pause`` is in milliseconds for each of ``rounds`` steps."""
-    file = folder / "rivals.toml"
+    file = folder / "grid.toml"
     file.write_text(
         f'[grid]\ntasks = ["toy/reach"]\nmethods = ["mad", "merged-only"]\nseeds = {seeds}\n'
         f"[grid.train]\nlight.rounds = {rounds}\nthreads = {pause}\n[eval]\nepisodes = 4\n"

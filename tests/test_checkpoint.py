@@ -176,14 +176,22 @@ def test_digest_names_weights_and_config(folder):
 def test_golden_format_1(tmp_path):
     """What format 1 wrote must load for ever: names, shapes, digest and the action that follows."""
     shapes = {
-        **{"encoder.conv1": (32, 9, 8, 8), "encoder.conv2": (64, 32, 4, 4)},
-        **{"encoder.conv3": (64, 64, 3, 3)},
-        **{f"{head}.trunk.linear": (50, 3136) for head in ("actor", "critic")},
-        **{f"{head}.trunk.norm": (50,) for head in ("actor", "critic")},
-        **{"actor.mlp.0": (8, 56), "actor.mlp.2": (8, 8), "actor.mlp.4": (4, 8)},
-        **{f"critic.{q}.0": (8, 58) for q in ("q1", "q2")},
-        **{f"critic.{q}.2": (8, 8) for q in ("q1", "q2")},
-        **{f"critic.{q}.4": (1, 8) for q in ("q1", "q2")},
+        "encoder.conv1": (32, 9, 8, 8),
+        "encoder.conv2": (64, 32, 4, 4),
+        "encoder.conv3": (64, 64, 3, 3),
+        "actor.trunk.linear": (50, 3136),
+        "critic.trunk.linear": (50, 3136),
+        "actor.trunk.norm": (50,),
+        "critic.trunk.norm": (50,),
+        "actor.mlp.0": (8, 56),
+        "actor.mlp.2": (8, 8),
+        "actor.mlp.4": (4, 8),
+        "critic.q1.0": (8, 58),
+        "critic.q2.0": (8, 58),
+        "critic.q1.2": (8, 8),
+        "critic.q2.2": (8, 8),
+        "critic.q1.4": (1, 8),
+        "critic.q2.4": (1, 8),
     }
     rng, tensors = np.random.default_rng(0), {}
     for name, shape in shapes.items():

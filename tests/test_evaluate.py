@@ -2,8 +2,10 @@
 
 import json
 import shutil
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -87,13 +89,22 @@ def test_success_is_counted_at_the_last_step_and_at_any():
     assert (result.success, result.success_any, result.subset, result.seed) == (1, 1, "all", 5000)
     assert result.total_reward > 10
 
+    class Watched(ToyReach):
+        def step(self, action):
+            self.now = super().step(action)
+            return self.now
+
+        def reset(self, seed):
+            self.now = super().reset(seed)
+            return self.now
+
     class Leaves(Expert):
         def read(self, encoded, masks):
-            action = super().read(encoded, masks).action
-            return replace(super().read(encoded, masks), action=-action if env._near() else action)
+            readout = super().read(encoded, masks)
+            return replace(readout, action=-readout.action) if watched.now.success else readout
 
-    env._step = 0
-    wanders = [run_episode(Leaves(env), env, ALL, INTACT, seed) for seed in range(20)]
+    watched = Watched()
+    wanders = [run_episode(Leaves(watched), watched, ALL, INTACT, seed) for seed in range(20)]
     assert any(r.success_any and not r.success for r in wanders)
 
 
@@ -231,7 +242,8 @@ def test_the_store_answers_only_when_it_is_handed_in(folder, monkeypatch):
     evaluate(folder, ("all",), episodes=2, workers=0)
     assert ran == [5000, 5001, 5002, 5000, 5001]
     evaluate(
-        *(folder, ("all",)),
+        folder,
+        ("all",),
         episodes=1,
         workers=0,
         store=store,
@@ -240,10 +252,12 @@ def test_the_store_answers_only_when_it_is_handed_in(folder, monkeypatch):
     assert len(ran) == 6
 
 
-def test_bring_your_own_is_never_stored():
-    store = Store(MEMORY)
+def test_bring_your_own_is_never_stored(tmp_path):
+    store = Store(tmp_path / "results.sqlite")
     evaluate("tests.fakes:FakePolicy", ("all",), episodes=1, workers=0, store=store)
-    assert store._db.execute("SELECT count(*) FROM episodes_1").fetchone() == (0,)
+    store.close()
+    with closing(sqlite3.connect(tmp_path / "results.sqlite")) as db:
+        assert db.execute("SELECT count(*) FROM episodes_1").fetchone() == (0,)
 
 
 @pytest.mark.parametrize("asked", [{"episodes": 0}, {"seed": -1}, {"workers": -1}])

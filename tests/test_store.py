@@ -5,6 +5,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+from contextlib import closing
 from dataclasses import replace
 
 import pytest
@@ -87,17 +88,17 @@ def test_a_corrupt_file_is_moved_aside_with_a_warning(tmp_path, content):
 
 def test_a_file_that_breaks_while_open_is_replaced(tmp_path):
     path = tmp_path / "results.sqlite"
-    store = Store(path)
+    store, other = Store(path), Store(path)
     for seed in range(300):
-        store.put(KEY, episode(seed))
-    store._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        other.put(KEY, episode(seed))
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     path.write_bytes(b"\xff" * path.stat().st_size)
-    store._db.close()
-    store._db = sqlite3.connect(path, check_same_thread=False)
     with pytest.warns(UserWarning, match="starting anew"):
         store.put(KEY, episode(7))
     assert store.results(KEY) == {7: episode(7)}
     store.close()
+    other.close()
 
 
 def test_a_folder_that_cannot_be_written_means_memory_only(tmp_path):

@@ -98,7 +98,7 @@ def test_a_killed_sweep_goes_on_where_it_was(
     assert not list(out.glob("*/result.json"))
     process.send_signal(how)
     process.wait(20)
-    # The leash: the trainings end with their sweep, in mid-run.
+    # The trainings end with their sweep, in mid-run.
     wait_for(lambda: all(free(folder) for folder in out.iterdir()))
     cut = [len(f.read_text().split()) for f in out.glob("*/policy/steps.txt")]
     assert max(cut) < 30

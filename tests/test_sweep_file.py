@@ -34,7 +34,13 @@ def test_a_file_expands_to_runs_whose_names_say_what_varies(tmp_path: Path) -> N
         "--light.alpha 0.2 --light.critic-updates 0"
     )
     assert plan.runs[2].evaluate == (
-        *("--episodes", "9", "--seed", "5000", "--subsets", "all", "first"),
+        "--episodes",
+        "9",
+        "--seed",
+        "5000",
+        "--subsets",
+        "all",
+        "first",
     )
 
 
@@ -61,15 +67,24 @@ def test_the_words_of_a_run_are_words_that_the_command_line_knows(
     ("text", "expected"),
     [
         ("tasks = [", "expected TOML"),
-        ("[grids]\n", "unknown table 'grids'; known: eval, grid"),
-        ("", r"expected a table \[grid\]"),
-        ('[grid]\nmethods = ["mad"]\n', "expected tasks to be a list of names, found None"),
-        ('[grid]\ntasks = "toy/reach"\nmethods = ["mad"]\n', "tasks to be a list of names"),
+        ("[grids]\n", "unknown word 'grids'; known: eval, grid"),
+        ("", "expected 'grid', found none"),
+        ('[grid]\nmethods = ["mad"]\n', "expected 'grid.tasks', found none"),
+        (
+            '[grid]\ntasks = "toy/reach"\nmethods = ["mad"]\n',
+            "expected 'grid.tasks' to be a list, found 'toy/reach'",
+        ),
+        (
+            '[[grid]]\ntasks = ["toy/reach"]\nmethods = ["mad"]\nseed = [1]\n',
+            r"unknown word in grid\[0\] 'seed'; known: methods, .*did you mean seeds",
+        ),
+        ('[grid]\ntasks = []\nmethods = ["mad"]\n', "expected 'grid.tasks' to be a list of"),
+        ("[grid]\n[grid]\n", "expected TOML, found: Cannot declare .* twice"),
         ('[grid]\ntasks = ["toy/rech"]\nmethods = ["mad"]\n', "unknown task 'toy/rech'; known"),
         ('[grid]\ntasks = ["toy/reach"]\nmethods = ["sad"]\n', "unknown method 'sad'; known"),
         (
             '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\nseeds = ["1"]\n',
-            "seeds to be a list of whole numbers",
+            r"expected 'grid.seeds\[0\]' to be a whole number, found '1'",
         ),
         (
             '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[grid.train]\nout = "x"\n',
@@ -77,7 +92,7 @@ def test_the_words_of_a_run_are_words_that_the_command_line_knows(
         ),
         (
             '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[eval]\nepisodes = "many"\n',
-            "expected episodes in .eval. to be a whole number, found 'many'",
+            "expected 'eval.episodes' to be a whole number or nothing, found 'many'",
         ),
     ],
 )

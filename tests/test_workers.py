@@ -1,12 +1,14 @@
-"""Worker processes that are killed, kill, or lose their parent. They are real; the world is toy."""
+"""Worker processes that are killed, or whose parent is. They are real; the environment is toy."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -16,8 +18,8 @@ from madviz.evaluation.evaluate import evaluate, run_jobs
 from tests.fakes import FakePolicy
 
 
-class Suicidal(FakePolicy):
-    """Its process does not survive it."""
+class Killing(FakePolicy):
+    """Kills its process."""
 
     def encode(self, views, state):
         os.kill(os.getpid(), signal.SIGKILL)
@@ -29,16 +31,13 @@ def jobs_for(count, subset="all"):
     return [Job(policy, "toy-mad0", subset, (), seed) for seed in range(5000, 5000 + count)]
 
 
-def pids(workers):
-    return list(workers._pool._processes)
-
-
 def test_a_killed_worker_is_replaced_and_nothing_finished_is_lost():
-    jobs, workers = jobs_for(40), Workers(2)
+    jobs, workers, before = jobs_for(40), Workers(2), set(multiprocessing.active_children())
     finished = run_jobs(jobs, workers)
     seen = [next(finished) for _ in range(5)]
-    victims = pids(workers)
-    os.kill(victims[0], signal.SIGKILL)
+    victim = next(iter(set(multiprocessing.active_children()) - before))
+    assert victim.pid is not None
+    os.kill(victim.pid, signal.SIGKILL)
     seen += list(finished)
     assert workers.generation >= 1
     assert sorted(job.seed for job, _ in seen) == [job.seed for job in jobs]  # Each exactly once.
@@ -48,15 +47,15 @@ def test_a_killed_worker_is_replaced_and_nothing_finished_is_lost():
 
 def test_a_policy_that_kills_every_worker_is_given_up():
     with pytest.raises(UserError, match="3 deaths in a row.*--workers"):
-        evaluate("tests.test_workers:Suicidal", ("all",), episodes=2, workers=1)
+        evaluate("tests.test_workers:Killing", ("all",), episodes=2, workers=1)
 
 
-def test_workers_leave_when_their_parent_is_killed():
+def test_workers_end_when_their_parent_is_killed():
     code = (
-        "import sys, time; from madviz.evaluation.episodes import Job, Workers\n"
+        "import multiprocessing, time; from madviz.evaluation.episodes import Job, Workers\n"
         "workers = Workers(1)\n"
         "workers.submit(Job('tests.fakes:FakePolicy', 'toy-mad0', 'all', (), 1)).result()\n"
-        "print(*workers._pool._processes, flush=True); time.sleep(600)"
+        "print(*(c.pid for c in multiprocessing.active_children()), flush=True); time.sleep(600)"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert parent.stdout is not None
@@ -64,7 +63,7 @@ def test_workers_leave_when_their_parent_is_killed():
     assert len(children) == 1
     parent.kill()
     parent.wait()
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 5
     while any(alive(pid) for pid in children) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not any(alive(pid) for pid in children)
@@ -78,18 +77,16 @@ def alive(pid):
         return False
 
 
-def test_workers_use_one_thread_and_are_polite():
+class Asked(FakePolicy):
+    """Says how its process was set up, as an error."""
+
+    def encode(self, views, state):
+        raise UserError(f"threads {os.environ['LP_NUM_THREADS']}, niceness {os.nice(0)}")
+
+
+def test_workers_use_one_thread_and_a_low_priority():
     workers = Workers(1, niceness=7)
-    workers.submit(jobs_for(1)[0]).result()
-    assert workers._pool is not None
-    asked = [workers._pool.submit(question) for question in (os.cpu_count, lp_threads, niceness)]
-    assert [answer.result() for answer in asked][1:] == ["1", min(os.nice(0) + 7, 19)]
+    job = replace(jobs_for(1)[0], policy="tests.test_workers:Asked")
+    with pytest.raises(UserError, match=f"threads 1, niceness {min(os.nice(0) + 7, 19)}"):
+        workers.submit(job).result()
     workers.close()
-
-
-def lp_threads():
-    return os.environ["LP_NUM_THREADS"]
-
-
-def niceness():
-    return os.nice(0)

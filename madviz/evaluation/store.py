@@ -5,9 +5,10 @@ definition, render profile, occlusions, subset and seed. Change any of them and 
 longer answers. The store is a cache: losing it costs time, never truth. ``madviz eval`` does not
 read it unless asked to; the live page does, so that bars are there from the first second.
 
-One file serves many threads (a lock) and many processes (SQLite's write-ahead log). A file that is
-broken is moved aside with a warning; a folder that cannot be written to, and what is no file, mean
-memory only.
+One file serves many threads (a lock) and many processes (SQLite's write-ahead log). SQLite reports
+a broken file at every use and does not mend it; so a broken one is moved aside here, with a
+warning, and a new one begun. Otherwise no command could use the cache until a user removed it. A
+folder that cannot be written to, and what is no file, mean memory only.
 """
 
 from __future__ import annotations

@@ -28,23 +28,52 @@ import tomllib
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from madviz.agent.methods import method
 from madviz.envs.registry import check_task, setting
-from madviz.errors import UserError, unknown
+from madviz.errors import UserError
 from madviz.sweep.run import Run
+from madviz.system.typed import typed
 
-AXES = {
-    **{"tasks": None, "methods": None, "settings": ["three"]},
-    **{"recipes": ["light"], "seeds": [1]},
-}
-"""Axis -> its values where the file has none; None is an axis every grid must have."""
-EVAL = {"episodes": int, "seed": int, "subsets": list}
+FIX = "mend the sweep file"
+Names = Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
+Table = dict[str, Any]
+"""A TOML table whose words are another command's options."""
+
+
+class Grid(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A table ``[grid]``: every combination of these is a run."""
+
+    tasks: Names
+    methods: Names
+    settings: Names = ("three",)
+    recipes: Names = ("light",)
+    seeds: Annotated[tuple[int, ...], msgspec.Meta(min_length=1)] = (1,)
+    """Of training."""
+    train: Table = {}
+    """More options of ``madviz train``; a list is one more axis."""
+
+
+class Evaluation(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
+    """The table ``[eval]``: options of ``madviz eval``."""
+
+    episodes: int | None = None
+    seed: int | None = None
+    subsets: list[str] | None = None
+
+
+class SweepFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """The whole file."""
+
+    grid: Grid | Annotated[list[Grid], msgspec.Meta(min_length=1)]
+    eval: Evaluation = Evaluation()
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """What a sweep file asks for."""
 
     name: str
@@ -52,7 +81,7 @@ class Plan:
     runs: tuple[Run, ...]
 
 
-def read_plan(file: str | Path) -> Plan:
+def read_plan(file: str | Path) -> SweepPlan:
     """Raises UserError for a file that is missing, not TOML, or asks for what does not exist."""
     path = Path(file)
     try:
@@ -61,39 +90,32 @@ def read_plan(file: str | Path) -> Plan:
         raise UserError(f"{path}: expected a sweep file, found: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: expected TOML, found: {error}") from error
-    _known(path, "table", document, {"grid": 0, "eval": 0})
-    grids = document.get("grid", [])
-    grids = [grids] if isinstance(grids, dict) else grids
-    if not isinstance(grids, list) or not grids:
-        raise UserError(f"{path}: expected a table [grid] with tasks and methods, found none")
-    evaluation = _evaluation(path, document.get("eval", {}))
+    asked = typed(document, SweepFile, path, FIX)
+    evaluation = tuple(_options(msgspec.to_builtins(asked.eval)))
     runs: dict[str, Run] = {}
-    for grid in grids:
+    for grid in asked.grid if isinstance(asked.grid, list) else [asked.grid]:
         for run in _expand(path, grid, evaluation):
             if runs.setdefault(run.name, run) != run:
                 raise UserError(
                     f"{path}: expected one set of options for {run.name}, found two in different "
-                    "grids; let a list of values tell them apart"
+                    "grids; put the values that differ in a list, so that names say them"
                 )
-    return Plan(path.stem, tuple(runs.values()))
+    return SweepPlan(path.stem, tuple(runs.values()))
 
 
-def _expand(path: Path, grid: Any, evaluation: tuple[str, ...]) -> list[Run]:
-    if not isinstance(grid, dict):
-        raise UserError(f"{path}: expected [grid] to be a table, found {grid!r:.60}")
-    _known(path, "word in [grid]", grid, {**AXES, "train": 0})
-    axes = {axis: _values(path, axis, grid.get(axis, default)) for axis, default in AXES.items()}
-    options = flat(grid.get("train", {}))
+def _expand(path: Path, grid: Grid, evaluation: tuple[str, ...]) -> list[Run]:
+    options = flat(grid.train)
     reserved = {"task", "method", "setting", "recipe", "seed", "out", "resume"} & options.keys()
     if reserved:
         raise UserError(
             f"{path}: expected other options in [grid.train], found {', '.join(sorted(reserved))}; "
             "tasks, methods, settings, recipes and seeds are lists in [grid], folders are ours"
         )
-    _check(axes)
+    _check(grid)
     varied = {key: value for key, value in options.items() if isinstance(value, list)}
+    axes = product(grid.tasks, grid.methods, grid.settings, grid.recipes, grid.seeds)
     runs = []
-    for task, name, where, recipe, seed in product(*axes.values()):
+    for task, name, where, recipe, seed in axes:
         for values in product(*varied.values()):
             chosen = dict(zip(varied, values, strict=True))
             words = ["--task", task, "--method", name, "--setting", where, "--recipe", recipe]
@@ -103,51 +125,30 @@ def _expand(path: Path, grid: Any, evaluation: tuple[str, ...]) -> list[Run]:
     return runs
 
 
-def _check(axes: dict[str, list[Any]]) -> None:
-    for task in axes["tasks"]:
+def _check(grid: Grid) -> None:
+    for task in grid.tasks:
         check_task(task)
-    for name in axes["methods"]:
-        for recipe in axes["recipes"]:
+    for name in grid.methods:
+        for recipe in grid.recipes:
             if recipe not in method(name).recipes:
                 raise UserError(
                     f"method {name!r} has the recipes {', '.join(method(name).recipes)}, "
                     f"not {recipe!r}"
                 )
-        for where in axes["settings"]:
+        for where in grid.settings:
             method(name).rows(setting(where).streams)
 
 
-def _values(path: Path, axis: str, found: Any) -> list[Any]:
-    kind = int if axis == "seeds" else str
-    if not isinstance(found, list) or not found or not all(type(v) is kind for v in found):
-        words = "whole numbers" if kind is int else "names"
-        raise UserError(f"{path}: expected {axis} to be a list of {words}, found {found!r:.60}")
-    return found
-
-
-def _evaluation(path: Path, table: Any) -> tuple[str, ...]:
-    if not isinstance(table, dict):
-        raise UserError(f"{path}: expected [eval] to be a table, found {table!r:.60}")
-    _known(path, "word in [eval]", table, EVAL)
-    for key, value in table.items():
-        if type(value) is not EVAL[key]:
-            raise UserError(
-                f"{path}: expected {key} in [eval] to be "
-                f"{'a list of names' if EVAL[key] is list else 'a whole number'}, found {value!r}"
-            )
-    return tuple(_options(table))
-
-
-def flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat(table: Table, prefix: str = "") -> Table:
     """``{"light": {"rounds": 3}}`` -> ``{"light.rounds": 3}``, as the command line spells it."""
-    found: dict[str, Any] = {}
+    found: Table = {}
     for key, value in table.items():
         name = f"{prefix}{key}".replace("_", "-")
         found |= flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
     return found
 
 
-def _options(options: dict[str, Any]) -> list[str]:
+def _options(options: Table) -> list[str]:
     """``{"a": 1, "b": True, "c": False, "d": ["x", "y"]}`` -> ``--a 1 --b --no-c --d x y``."""
     words: list[str] = []
     for key, value in options.items():
@@ -160,13 +161,9 @@ def _options(options: dict[str, Any]) -> list[str]:
     return words
 
 
-def _name(task: str, name: str, where: str, recipe: str, chosen: dict[str, Any], seed: int) -> str:
-    parts = [task.replace("/", "-"), name, *([] if where == "three" else [where]), recipe]
+def _name(task: str, name: str, where: str, recipe: str, chosen: Table, seed: int) -> str:
+    parts = [task.replace("/", "-"), name]
+    parts += [] if where == "three" else [where]
+    parts += [recipe]
     parts += [f"{key.split('.')[-1]}{value}" for key, value in chosen.items()]
     return re.sub(r"[^\w.+-]", "_", "-".join([*parts, f"seed{seed}"]))
-
-
-def _known(path: Path, kind: str, table: dict[str, Any], known: dict[str, Any]) -> None:
-    for key in table:
-        if key not in known:
-            raise UserError(f"{path}: {unknown(kind, key, list(known))}")

@@ -34,7 +34,7 @@ class RayBackend:
     ) -> None:
         """Connects, or starts a cluster on this machine. Raises UserError where ray is missing or
         the cluster cannot be reached."""
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Nobody else is told of our runs.
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Runs are not reported to others.
         self._ray = _ray()
         self._mine = not self._ray.is_initialized()
         if self._mine:
@@ -60,7 +60,7 @@ class RayBackend:
 
     def close(self) -> None:
         for reference in self._running:
-            # Ends the worker process; its command is on a leash and saves before it goes.
+            # Ends the worker process; its command then gets SIGTERM and saves before it ends.
             self._ray.cancel(reference, force=True)
         if self._mine:
             self._ray.shutdown()
@@ -102,7 +102,7 @@ class RayBackend:
 def _on_node(
     run: Run, tasks: Sequence[str], out: Path, program: Sequence[str], cpus: int
 ) -> Outcome:
-    """``carry_out`` in a process that never heard which tasks of one's own the driver knows: nodes
+    """``carry_out`` in a process that does not know the driver's own tasks yet: nodes
     have the environment variables that they were started with."""
     for task in tasks:
         allow_task(task)

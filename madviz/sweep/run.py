@@ -3,16 +3,16 @@
     OUT/NAME/run.json        the words of its two commands; another sweep file must not mix in
     OUT/NAME/policy/         the policy folder, and what its training needs to be resumed
     OUT/NAME/log.txt         everything the two commands printed
-    OUT/NAME/claim           locked while somebody works here
-    OUT/NAME/result.json     written last, whole or not at all: who finds it leaves the run alone
+    OUT/NAME/claim           locked while a process works here
+    OUT/NAME/result.json     written last, whole or not at all: the run is finished
 
-The folder is the only memory, so anybody may carry a run out at any time: the same sweep again
+All state is in the folder, so any process may carry a run out at any time: the same sweep again
 after a kill, a second sweep beside it, another machine that shares the folder. The claim is an
-advisory lock of the operating system and is handed on to the commands themselves. It ends when the
-last process that holds it ends, whichever way: if the supervisor is killed and its training lives
-on for a moment, the next supervisor finds the claim taken, comes back later, and then resumes.
-Commands are also told to stop politely when their supervisor dies, so that moment is short (on
-Linux; elsewhere they finish, and their claim keeps others away meanwhile).
+advisory lock of the operating system that the commands inherit. It ends when the last process that
+holds it ends: if the supervisor is killed and its training runs on for a moment, the next
+supervisor finds the claim taken, comes back later, and then resumes. Commands also get SIGTERM when
+their supervisor dies, so that moment is short (on Linux; elsewhere they finish, and hold their
+claim until then).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ RESULT, WORDS, LOG, CLAIM = "result.json", "run.json", "log.txt", "claim"
 State = Literal["finished", "failed", "busy", "stopped"]
 POLL_SECONDS = 0.1
 
-LEASH = (
+END_WITH_PARENT = (
     "import ctypes, os, signal, sys\n"
     "if sys.platform == 'linux': ctypes.CDLL(None).prctl(1, int(signal.SIGTERM))\n"
     "if os.getppid() != int(sys.argv[1]): sys.exit(143)\n"
@@ -69,7 +69,7 @@ class Outcome:
     """How an attempt at a run ended."""
 
     state: State
-    """``busy``: somebody else works on it; ``stopped``: we were asked to stop."""
+    """``busy``: another process works on it; ``stopped``: this one was asked to stop."""
     error: str = ""
     seconds: float = 0.0
     """Of work in this attempt."""
@@ -104,7 +104,8 @@ def carry_out(
     """Does what is left of ``run`` in ``out/run.name``. Never raises for what goes wrong inside.
 
     ``program`` stands for ``madviz`` (by default this Python's), ``workers`` for the processes of
-    its evaluation, which change no result. ``stop`` ends the commands politely.
+    its evaluation, which change no result. ``stop`` ends the commands with
+    SIGTERM.
     """
     folder, began = out / run.name, time.monotonic()
     try:
@@ -126,7 +127,7 @@ def carry_out(
 
 @contextmanager
 def claimed(folder: Path) -> Iterator[int | None]:
-    """The descriptor of the locked claim; None if somebody else holds it."""
+    """The descriptor of the locked claim; None if another process holds it."""
     descriptor = os.open(folder / CLAIM, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         try:
@@ -136,7 +137,7 @@ def claimed(folder: Path) -> Iterator[int | None]:
         else:
             yield descriptor
     finally:
-        # Closed, not unlocked: a command that outlives us must keep holding the claim.
+        # Closed, not unlocked: a command that runs longer than this process still holds it.
         os.close(descriptor)
 
 
@@ -174,7 +175,7 @@ def expected_seconds(folder: Path) -> float | None:
 
 
 class _Stopped(Exception):
-    """We were asked to stop, and the command has ended."""
+    """This process was asked to stop, and the command has ended."""
 
 
 class _Commands:
@@ -190,13 +191,13 @@ class _Commands:
         """Raises UserError with the command's last line if it fails, _Stopped when asked to."""
         if self._stop.is_set():
             raise _Stopped
-        leash = [sys.executable, "-I", "-S", "-c", LEASH, str(os.getpid())]
+        starter = [sys.executable, "-I", "-S", "-c", END_WITH_PARENT, str(os.getpid())]
         log = self._folder / LOG
         with log.open("ab") as file:
             file.write(f"$ {shlex.join(['madviz', verb, *words])}\n".encode())
             file.flush()
             process = subprocess.Popen(
-                [*leash, *self._program, verb, *words],
+                [*starter, *self._program, verb, *words],
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,

@@ -1,8 +1,8 @@
 """``madviz sweep FILE``: many trainings and their evaluations, from one small file.
 
-    madviz sweep rivals.toml --dry-run       what it would do (the file: see plan.py)
-    madviz sweep rivals.toml                 here, a process for each run
-    madviz sweep rivals.toml --backend ray   on a cluster; every node must see the same --out
+    madviz sweep settings.toml --dry-run       what it would do (the file: see plan.py)
+    madviz sweep settings.toml                 here, a process for each run
+    madviz sweep settings.toml --backend ray   on a cluster; every node must see the same --out
 
 A sweep has no memory but its folders (run.py). Kill it at any moment and give the same
 command again: finished runs are left alone, a training that was cut off resumes. Two sweeps may
@@ -33,7 +33,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from madviz.errors import UserError
-from madviz.sweep.plan import Plan, read_plan
+from madviz.sweep.plan import SweepPlan, read_plan
 from madviz.sweep.run import (
     RESULT,
     Outcome,
@@ -46,7 +46,7 @@ from madviz.sweep.run import (
 from madviz.system.files import read_json
 
 BUSY_SECONDS = 2.0
-"""How long a run that somebody else works on is left alone."""
+"""How long a run that another process works on is left alone."""
 
 QUIET_SECONDS = 60.0
 """Where no bar can be drawn, a line is printed after as long a silence."""
@@ -89,7 +89,7 @@ class Backend(Protocol):
         ...
 
     def close(self) -> None:
-        """Ends what still runs, politely, and waits for it."""
+        """Ends what still runs, with SIGTERM, and waits for it."""
         ...
 
 
@@ -258,7 +258,7 @@ class Watch:
             self.say(words)
 
     def seconds_left(self) -> float | None:
-        """None before anybody can know."""
+        """None before it can be estimated."""
         expected = [seconds for run in self._begun if (seconds := self._expects(run)) is not None]
         known = [*self._seconds, *expected]
         if not known:
@@ -274,7 +274,7 @@ class Watch:
 
     def say(self, line: str) -> None:
         self._said = self._now()
-        # Through the bar where there is one, so that neither tears the other apart.
+        # Through the bar where there is one, so that their lines do not mix.
         if self._bar.disable:
             print(f"[sweep] {line}", file=sys.stderr, flush=True)
         else:
@@ -283,7 +283,7 @@ class Watch:
 
 @contextmanager
 def interrupted_by_sigterm() -> Iterator[None]:
-    """A polite kill ends the sweep as Ctrl-C does: commands are stopped politely in turn."""
+    """SIGTERM ends the sweep as Ctrl-C does: its commands get SIGTERM in turn."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -307,7 +307,7 @@ def duration(seconds: float) -> str:
 
 
 def _summary(
-    plan: Plan, out: Path, config: SweepConfig, outcomes: dict[str, Outcome]
+    plan: SweepPlan, out: Path, config: SweepConfig, outcomes: dict[str, Outcome]
 ) -> dict[str, Any]:
     """What ``--json`` writes. Results are read from the folders, whoever put them there."""
     runs: list[dict[str, Any]] = []

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
+import msgspec.inspect
 
 from madviz.errors import UserError, unknown
 
@@ -45,10 +46,7 @@ def _mistake(message: str, value: Any, kind: type) -> str:
     if missing := re.fullmatch(r"Object missing required field `(.*)`", what):
         return f"expected {_joined(place, missing[1])!r}, found none"
     if extra := re.fullmatch(r"Object contains unknown field `(.*)`", what):
-        if place or not issubclass(kind, msgspec.Struct):
-            return f"expected no {_joined(place, extra[1])!r}, found one"
-        known = [field.encode_name for field in msgspec.structs.fields(kind)]
-        return str(unknown("word", extra[1], known))
+        return str(unknown(f"word in {place}" if place else "word", extra[1], _known(kind, place)))
     if wrong := re.fullmatch(r"Expected `(.*?)`(.*?)(?:, got .*)?", what):
         words = " or ".join(KINDS.get(name, name) for name in wrong[1].split(" | ")) + wrong[2]
         named = f"{place!r} to be {words}" if place else words
@@ -60,10 +58,37 @@ def _joined(place: str, name: str) -> str:
     return f"{place}.{name}" if place else name
 
 
+def _steps(place: str) -> list[tuple[str, str]]:
+    """``cameras[0].fovy`` -> (cameras, ""), ("", 0), (fovy, "")."""
+    return re.findall(r"([^.\[\]]+)|\[(\d+)\]", place)
+
+
+def _known(kind: type, place: str) -> list[str]:
+    """The names that the table at ``place`` may hold."""
+    here = _choices(msgspec.inspect.type_info(kind))
+    for name, _ in _steps(place):
+        inner = [each for node in here for each in _inside(node, name)]
+        here = [choice for node in inner for choice in _choices(node)]
+    structs = [node for node in here if isinstance(node, msgspec.inspect.StructType)]
+    return [field.encode_name for struct in structs for field in struct.fields]
+
+
+def _choices(node: msgspec.inspect.Type) -> list[msgspec.inspect.Type]:
+    return list(node.types) if isinstance(node, msgspec.inspect.UnionType) else [node]
+
+
+def _inside(node: msgspec.inspect.Type, name: str) -> list[msgspec.inspect.Type]:
+    if isinstance(node, msgspec.inspect.StructType):
+        return [field.type for field in node.fields if field.encode_name == name]
+    if isinstance(node, msgspec.inspect.ListType | msgspec.inspect.VarTupleType) and not name:
+        return [node.item_type]
+    return []
+
+
 def _found(value: Any, place: str) -> Any:
     """What stands at ``cameras[0].fovy``; the whole where the place has no such path."""
     try:
-        for name, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", place):
+        for name, index in _steps(place):
             value = value[int(index)] if index else value[name]
         return value
     except (KeyError, IndexError, TypeError):
