@@ -1,4 +1,4 @@
-"""The benchmarks' arithmetic, with a clock that the test winds."""
+"""The benchmarks' arithmetic, with a clock that the test sets."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class FakeFrames:
     def close(self) -> None: ...
 
 
-def test_sides_take_turns_and_neither_steps_nor_the_first_round_count() -> None:
+def test_both_sides_alternate_and_only_draws_after_the_first_round_are_timed() -> None:
     clock, log = [0.0], []
     sides: dict[str, Frames] = {
         "ours": FakeFrames("ours", [9, 0.010, 0.020, 0.090], clock, log),
@@ -48,13 +48,13 @@ def test_sides_take_turns_and_neither_steps_nor_the_first_round_count() -> None:
 
 
 @pytest.mark.parametrize("bad", [RenderConfig(task="toy/reach"), RenderConfig(rounds=0)])
-def test_what_cannot_be_measured_is_refused(bad: RenderConfig) -> None:
+def test_tasks_without_stock_renderer_and_zero_rounds_are_refused(bad: RenderConfig) -> None:
     with pytest.raises(UserError, match="expected"):
         bench_render(bad)
 
 
 class Clock:
-    """Says what a test has wound it to."""
+    """Returns what a test has set."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -117,7 +117,7 @@ def test_a_plain_loop_is_timed_without_its_first_episode() -> None:
     assert seconds == 30.0 and [found[job][0].seed for job in jobs] == [0, 1, 2]
 
 
-def test_loops_that_disagree_measure_nothing(monkeypatch) -> None:
+def test_different_results_of_the_two_loops_are_an_error(monkeypatch) -> None:
     def ours(jobs: list[Job], workers: Workers) -> tuple[float, dict[Job, Finished]]:
         return 3.0, {job: (EpisodeResult("all", job.seed, True, True, 1.0), "x") for job in jobs}
 
@@ -138,12 +138,12 @@ def test_loops_that_disagree_measure_nothing(monkeypatch) -> None:
         bench_evaluate.BenchEvaluateConfig(workers=0),
     ],
 )
-def test_an_evaluation_of_nothing_is_refused(wrong: bench_evaluate.BenchEvaluateConfig) -> None:
+def test_counts_below_one_are_refused(wrong: bench_evaluate.BenchEvaluateConfig) -> None:
     with pytest.raises(UserError, match="at least 1 episode, 1 decision to time and 1 worker"):
         bench_evaluate.bench_evaluate(wrong)
 
 
-def test_an_evaluation_by_nobody_is_refused() -> None:
+def test_an_unknown_policy_is_refused() -> None:
     with pytest.raises(UserError, match="nobody"):
         bench_evaluate.bench_evaluate(bench_evaluate.BenchEvaluateConfig(policy="nobody"))
 

@@ -29,7 +29,7 @@ def test_both_sides_are_measured_on_the_same_frames(monkeypatch: pytest.MonkeyPa
     assert result["filled"]["transitions"] >= 90 and result["filled"]["held_gb"] > 0
 
 
-def test_packs_that_come_back_changed_stop_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changed_frames_of_the_packed_buffer_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     original = buffer_storage.Pack.frames
 
     def wrong(pack: buffer_storage.Pack, places: list[int]) -> list[object]:
@@ -43,6 +43,6 @@ def test_packs_that_come_back_changed_stop_it(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("change", [{"decisions": 1024}, {"rounds": 0}])
-def test_too_little_to_say_anything_is_refused(change: dict[str, int]) -> None:
+def test_too_few_decisions_or_rounds_are_refused(change: dict[str, int]) -> None:
     with pytest.raises(UserError, match="more than 1024 --decisions"):
         bench_buffer(BenchBufferConfig(task="toy/reach", **change))  # type: ignore[arg-type]

@@ -82,7 +82,7 @@ def test_every_option_has_a_line_of_help(command: str) -> None:
     assert without_words(cli.named(cli.COMMANDS[command].config)) == []
 
 
-def test_no_command_at_all_is_a_mistake() -> None:
+def test_without_a_command_the_usage_is_an_error() -> None:
     asked = run()
     assert asked.returncode == 2 and asked.stdout == "" and "usage: madviz" in asked.stderr
 
@@ -108,7 +108,7 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
         ("", ""),
     ],
 )
-def test_what_was_meant_is_said_last(found: str, end: str) -> None:
+def test_names_like_the_unknown_one_are_suggested_last(found: str, end: str) -> None:
     known = ["maniskill/push-cube", "metaworld/push", "hammer", "train", "eval"]
     assert perhaps(found, known) == end
     everything = "eval, hammer, maniskill/push-cube, metaworld/push, train"
@@ -150,7 +150,7 @@ def test_ctrl_c_ends_without_a_traceback(
     assert capsys.readouterr().err == "madviz: stopped\n"
 
 
-def test_a_dash_keeps_everything_but_the_json_off_standard_output() -> None:
+def test_with_a_dash_only_the_json_goes_to_standard_output() -> None:
     program = (
         "import os; from madviz.cli import ListConfig, deliver\n"
         "def work(config):\n"
@@ -173,7 +173,7 @@ def test_a_file_gets_the_json_and_the_terminal_the_words(
     assert capsys.readouterr().out == "one a\n"
 
 
-def test_a_place_that_cannot_be_written_is_noticed_before_the_work(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path) -> None:
     worked: list[str] = []
     for place, said in (("missing/out.json", "a folder that exists"), (".", "found a folder")):
         with pytest.raises(UserError, match=f"^--json .*{said}"):

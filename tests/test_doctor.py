@@ -20,7 +20,7 @@ def by_name(checks: list[Check]) -> dict[str, Check]:
     return {check.name: check for check in checks}
 
 
-def test_opengl_that_is_there_is_sound() -> None:
+def test_opengl_that_is_found_is_ok() -> None:
     checks = by_name(check_opengl(lambda backend: MESA))
     assert all(check.sound for check in checks.values())
     assert checks["Mesa"].found == "25.0.7"
@@ -48,7 +48,7 @@ def test_a_package_that_is_missing_points_to_the_set_up() -> None:
     assert python.sound and not missing.sound and missing.mend == "make setup"
 
 
-def test_the_processor_is_described_by_what_makes_it_quick() -> None:
+def test_the_processor_is_described_by_cores_and_fast_instructions() -> None:
     cpu = describe_cpu("flags\t: fpu avx2 amx_bf16 amx_tile\nbugs : bf16\n", 2)
     assert cpu.found == "2 cores, avx2 amx_bf16"
     assert "no bf16" in describe_cpu("", 1).found
@@ -74,7 +74,7 @@ def test_a_machine_without_anything_gets_a_whole_report(monkeypatch: pytest.Monk
     assert "mend it:" in doctor.in_words(report)
 
 
-def test_opengl_without_a_driver_is_told_in_one_line(tmp_path: Path) -> None:
+def test_opengl_without_a_driver_is_reported_without_a_traceback(tmp_path: Path) -> None:
     environment = {**os.environ, "MUJOCO_GL": "egl", "__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path)}
     command = [sys.executable, "-m", "madviz", "doctor", "--json", "-"]
     asked = subprocess.run(command, env=environment, capture_output=True, text=True)

@@ -81,7 +81,7 @@ def test_what_only_a_file_names_is_not_imported(tmp_path, monkeypatch):
     assert "not_mine" not in sys.modules
 
 
-def test_several_names_and_who_hears_them(monkeypatch):
+def test_tasks_are_allowed_by_the_variable_and_by_allow_task(monkeypatch):
     monkeypatch.setenv("MADVIZ_TASKS", " a:make ,, nonsense, b:make")
     allow_task("b:make")
     allow_task("metaworld/hammer")
@@ -91,7 +91,7 @@ def test_several_names_and_who_hears_them(monkeypatch):
     assert own_tasks() == ("a:make", "b:make", "c:make")
 
 
-def test_what_is_no_environment_says_what_it_lacks(tmp_path, monkeypatch):
+def test_the_error_for_what_is_no_environment_names_what_is_missing(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     parts = "reset = step = view = pose = move_camera = bodies = body_poses = hand = expert"
     for name, lines, said in (

@@ -66,7 +66,7 @@ def test_every_cell_was_run_and_none_failed(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_it_reads_well_where_it_is_only_shown(name: str) -> None:
+def test_widgets_have_html_where_there_is_no_kernel(name: str) -> None:
     notebook = saved(name)
     shown = [output.data for cell in notebook.cells for output in cell.get("outputs", [])
              if "data" in output]  # fmt: skip
@@ -221,8 +221,8 @@ def test_without_the_switch_nothing_is_trained_on_hammer() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_after_run_all_the_widgets_of_a_lesson_are_alive(name: str) -> None:
-    """What a cell closes is dead by the time somebody wants to play with it."""
+def test_no_cell_closes_a_widget(name: str) -> None:
+    """A cell that closes its widget leaves the reader nothing to use."""
     cells = BUILD["from_text"](name).cells
     assert not [c.source for c in cells if c.cell_type == "code" and ".close()" in c.source]
 

@@ -27,13 +27,13 @@ def samples(memory, threads=None, processes=None) -> list[Sample]:
     ]
 
 
-def test_what_grows_during_warm_up_is_no_leak():
+def test_growth_during_warm_up_is_no_leak():
     result = judged(samples([300, 400, 450, 460, 461, 459, 462, 460, 461]))
     assert result["kept"]
     assert result["memory_mb"]["after_warm_up"] == 460.5 and result["memory_mb"]["end"] == 460.5
 
 
-def test_what_grows_afterwards_is_one():
+def test_growth_after_warm_up_is_a_leak():
     assert not judged(samples([460 + 5 * n for n in range(9)]))["kept"]
     assert not judged(samples([460] * 9, threads=[20 + 2 * n for n in range(9)]))["kept"]
     assert not judged(samples([460] * 9, processes=[1, 1, 1, 1, 1, 1, 1, 2, 2]))["kept"]
@@ -64,7 +64,7 @@ def test_a_sample_counts_threads_and_memory():
     assert sample(2**22 + 1).memory_mb == 0.0
 
 
-def test_settling_waits_for_a_thread_that_still_has_to_go():
+def test_settling_waits_for_a_thread_that_has_not_ended():
     calm = sample(os.getpid()).threads
     thread = threading.Timer(2.5, lambda: None)
     thread.start()
@@ -72,7 +72,7 @@ def test_settling_waits_for_a_thread_that_still_has_to_go():
     assert settled(os.getpid(), calm).threads == calm and not thread.is_alive()
 
 
-def test_nonsense_is_refused():
+def test_zero_minutes_are_refused():
     with pytest.raises(UserError, match="minutes above 0"):
         soak(SoakConfig(minutes=0))
 
@@ -101,8 +101,8 @@ def test_visitors_leave_neither_threads_nor_processes():
         app.stop()
 
 
-def test_a_simulation_is_forgotten_without_waiting_for_the_next_one_to_end():
-    """The call that closes a page holds on to it; somebody must tidy up after that call."""
+def test_a_simulation_is_freed_as_soon_as_its_visitor_has_left():
+    """The call that closes a page has a reference to it; it must be freed after that call."""
     app = fake_app("toy-mad", limits=Limits(visitors=2))
     try:
         with Visitor(app.url) as visitor:
@@ -121,13 +121,13 @@ def wait_until(true) -> None:
         time.sleep(0.05)
 
 
-def test_three_minutes_leave_nothing():
+def test_a_server_does_not_grow_in_three_minutes_of_visits():
     result = soak(SoakConfig(minutes=3.0, policy="tests.fakes:FakePolicy"))
     assert result["errors"] == []
     assert result["ok"], result
 
 
-def test_watchers_are_counted_at_the_wire():
+def test_updates_of_watchers_are_counted_by_visitors_without_browsers():
     result = watched(LiveConfig(policy="tests.fakes:FakePolicy", seconds=1.0, watchers=2))
     assert result["count"] == len(result["updates_per_s"]) == 2
     assert 0 < result["least"] <= min(result["updates_per_s"]) and result["owner"] > 0

@@ -90,7 +90,7 @@ def test_the_same_time_step_with_a_failed_camera() -> None:
     assert late.stack[2, 6:].tolist() == now.stack[2, 3:6].tolist()
 
 
-def test_moments_refuse_what_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_beyond_the_episode_and_unsupported_subsets_are_refused() -> None:
     with pytest.raises(UserError, match="over before that"):
         teaching.moment_at(FakePolicy(), step=26)
     with pytest.raises(UserError, match="cannot act on 'first'"):
@@ -118,7 +118,7 @@ def test_pictures_of_a_moment_differ_where_the_world_does() -> None:
     assert feature_sheet(now).pixels.shape[0] == 168 + LABEL
 
 
-def test_what_draws_itself_does() -> None:
+def test_figures_and_tables_have_svg_html_and_plain_text() -> None:
     figure = bars("a title", ["x", "y"], {"s": [(8, 10), 0.5]})
     ElementTree.fromstring(figure._repr_svg_())
     assert "a title" in figure.html
@@ -217,7 +217,7 @@ def test_a_report_is_whole_and_loads_nothing(tmp_path) -> None:
     assert "http://" not in shown.replace("http://www.w3.org", "")
 
 
-def test_a_small_training_is_there_the_second_time(
+def test_a_small_training_is_not_repeated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[TrainConfig] = []
@@ -241,7 +241,7 @@ def test_a_small_training_is_there_the_second_time(
     assert other.folder != first.folder, "another size is another run"
 
 
-def test_a_training_that_was_stopped_goes_on(
+def test_a_training_that_was_stopped_is_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[TrainConfig] = []

@@ -77,7 +77,7 @@ def test_a_click_takes_a_camera_away_in_the_same_picture(explorer: Explorer) -> 
     assert ">first+third_b<" in explorer.table.value
 
 
-def test_an_occlusion_is_no_drop(explorer: Explorer) -> None:
+def test_an_occluded_camera_stays_in_the_mask(explorer: Explorer) -> None:
     switch(explorer, "third_b")[1].value = "black"
     until(lambda: "sends black" in explorer.words.value)
     assert explorer.frame.mask.all() and explorer.frame.world.arrived["third_b"].max() == 0
@@ -115,7 +115,7 @@ def test_modalities_that_a_policy_lacks_are_not_offered(explorer: Explorer) -> N
         assert both.table.value.count("<tr>") == ROWS + 1
 
 
-def test_it_is_shown_where_there_are_no_widgets(explorer: Explorer) -> None:
+def test_there_is_html_where_there_are_no_widgets(explorer: Explorer) -> None:
     bundle = explorer._repr_mimebundle_()
     assert "application/vnd.jupyter.widget-view+json" in bundle
     assert bundle["text/html"].count("<img") == 1 and ">all<" in bundle["text/html"]
@@ -137,7 +137,7 @@ def test_closing_ends_both_threads_and_says_so() -> None:
     until(lambda: not threads() - before)
 
 
-def test_a_cell_that_is_run_again_and_again_keeps_no_simulation_for_each(
+def test_too_many_explorers_end_the_oldest(
     explorer: Explorer,
 ) -> None:
     later = [Explorer(FakePolicy()) for _ in range(MOST)]
@@ -149,7 +149,7 @@ def test_a_cell_that_is_run_again_and_again_keeps_no_simulation_for_each(
     assert not Explorer.running
 
 
-def test_a_broken_start_is_told_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_start_raises_and_leaves_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither a thread nor, when the unfinished widget is deleted, an error."""
 
     def broken(*_: object):
@@ -243,7 +243,7 @@ def test_a_recording_is_served_by_this_machine(tmp_path: Path) -> None:
     assert not answers(viewer.url)
 
 
-def test_a_viewer_that_does_not_start_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_viewer_that_does_not_start_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(widgets_page, "rerun_program", lambda: "false")
     with pytest.raises(UserError, match="found none"):
         Viewer(Path("nothing.rrd"))
