@@ -20,11 +20,10 @@ from madviz.app.panels.subsets import SubsetsPanel, distances, presence, subset_
 from madviz.app.panels.success import (
     Curve,
     SuccessPanel,
-    WordsPanel,
     bars_html,
-    sentence,
     strip_html,
 )
+from madviz.app.panels.words import WordsPanel, sentence
 from madviz.app.rates import Rates
 from madviz.app.scene.scene import ScenePanel
 from madviz.app.screen import Screen

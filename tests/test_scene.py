@@ -14,9 +14,10 @@ import trimesh
 import viser
 
 from madviz.app.panel import apply
+from madviz.app.pictures import picture
 from madviz.app.scene.bodies import glb, linear
 from madviz.app.scene.fitted_view import FittedView
-from madviz.app.scene.scene import MOVE, MOVE_AT_FULL_SPEED, ScenePanel, picture
+from madviz.app.scene.scene import MOVE, MOVE_AT_FULL_SPEED, ScenePanel
 from madviz.drawing.viewpoint import FOV, MARGIN, first_view, nearest_place
 from madviz.envs import shapes
 from madviz.envs.registry import make_env

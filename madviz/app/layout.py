@@ -27,9 +27,10 @@ from madviz.app.panels.saliency import SaliencyPanel
 from madviz.app.panels.save import SavePanel
 from madviz.app.panels.shapley import ShapleyPanel
 from madviz.app.panels.subsets import SubsetsPanel
-from madviz.app.panels.success import SuccessPanel, WordsPanel
+from madviz.app.panels.success import SuccessPanel
 from madviz.app.panels.timeline import TimelinePanel
 from madviz.app.panels.training import TrainingPanel
+from madviz.app.panels.words import WordsPanel
 from madviz.app.rates import Rates
 from madviz.app.refresh import FASTEST, Refresh, TimedPanel
 from madviz.app.scene.arrows import ArrowsPanel

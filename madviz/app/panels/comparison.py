@@ -5,24 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from html import escape
 
-import cv2
-import numpy as np
 import viser
 
 from madviz.app.panel import Assign
 from madviz.app.panels.policy import PolicyChoice, verdict
 from madviz.app.panels.subsets import subset_label
-from madviz.app.scene.scene import picture
+from madviz.app.pictures import strip_html
 from madviz.app.toolkit import Cell, WidgetPanel, on_press, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, NOTE
-from madviz.drawing.jpeg import jpeg_url
 from madviz.evaluation.statistics import Paired
 from madviz.session.commands import Command, SetTwin
 from madviz.session.comparison import tally
 from madviz.session.frame import Frame
 
-TILE = 84
-"""Pixels of a camera's picture on B's side."""
 INTRODUCTION = (
     "A is the page. <b>Start B</b> keeps the cameras as they are now, on the same seeds, with "
     "the policy you choose here. Then switch A's cameras, or give A another policy, and see how "
@@ -86,16 +81,11 @@ def comparison_html(frame: Frame) -> str:
         '<tr class="dim"><td></td><td>policy</td><td>gets</td><td class="num">Q</td>'
         '<td class="num">reward</td><td></td></tr>'
     )
-    tiles = [
-        cv2.resize(picture(frame.twin, camera.name), (TILE, TILE), interpolation=cv2.INTER_NEAREST)
-        for camera in frame.twin.world.env.cameras
-    ]
-    strip = np.concatenate(tiles, axis=1)
     return (
         f'<div class="mv mv-comparison"><table>{head}{rows}</table>'
         '<div style="display:flex;gap:12px;margin-top:6px;align-items:center">'
-        f'<div><div class="dim">B, step {frame.twin.world.step}</div><img width="{strip.shape[1]}" '
-        f'height="{TILE}" src="{jpeg_url(strip)}" alt="the cameras of B"></div>'
+        f'<div><div class="dim">B, step {frame.twin.world.step}</div>'
+        f"{strip_html(frame.twin, 'the cameras of B')}</div>"
         f"<div>{_tally(frame)}</div></div></div>"
     )
 

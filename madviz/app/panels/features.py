@@ -19,10 +19,11 @@ from viser import uplot
 
 from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import METHODS
+from madviz.app.markup import dot
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import MODALITY_WORDS
 from madviz.app.toolkit import WidgetPanel
-from madviz.drawing.colours import MERGED, NOTE, camera_colours, heat
+from madviz.drawing.colours import MERGED, camera_colours, heat
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array
@@ -167,7 +168,7 @@ def features_html(frame: Frame) -> str:
     whole = "100 %" if np.isfinite(shares).all() else ""
     numbers = (f"{probe.merged_norm(row):.1f}", "", whole)
     rows.append(_row(MERGED, merged_words(frame), _bins(merged) / top, numbers, False))
-    note = f'<div style="border-left:3px solid {NOTE};padding-left:8px">{NO_VIEWS}</div>'
+    note = f'<div class="boxed">{NO_VIEWS}</div>'
     return f'<div class="mv">{note if alone else ""}<table>{_HEAD}{"".join(rows)}</table></div>'
 
 
@@ -184,7 +185,7 @@ def _row(colour: str, label: str, strip: Array, numbers: tuple[str, ...], faded:
     style = "opacity:0.45" if faded else ""
     cells = "".join(f'<td class="num">{number}</td>' for number in numbers)
     return (
-        f'<tr style="{style}"><td><span class="dot" style="background:{colour}"></span>'
+        f'<tr style="{style}"><td>{dot(colour)}'
         f'{label}</td><td><img class="strip" src="{strip_uri(strip)}"></td>{cells}</tr>'
     )
 

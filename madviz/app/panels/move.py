@@ -13,6 +13,7 @@ from html import escape
 
 import viser
 
+from madviz.app.markup import dot
 from madviz.app.panel import Assign
 from madviz.app.scene.gizmo import Gizmo
 from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
@@ -170,7 +171,7 @@ def move_html(frame: Frame) -> str:
         )
     colours, moves = camera_colours(frame.world.env.cameras), frame.world.ablation.moves
     rows = "".join(
-        f'<div><span class="dot" style="background:{colours[camera.name]}"></span>'
+        f"<div>{dot(colours[camera.name])}"
         f"<b>{escape(camera.label)}</b> {escape(moves[camera.name].words())}</div>"
         for camera in frame.world.env.cameras
         if camera.name in moves

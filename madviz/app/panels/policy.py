@@ -10,10 +10,11 @@ import numpy as np
 import viser
 
 from madviz.agent.methods import METHODS
+from madviz.app.markup import progress_bar
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import action_bars
 from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
-from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
+from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.session.commands import (
     Command,
     Pause,
@@ -174,15 +175,13 @@ def _value(q: float) -> str:
 def _progress(frame: Frame) -> str:
     """The verdict, how far the episode is, the pace, and a bar."""
     word, colour = verdict(frame)
-    done = 100 * frame.world.step / frame.world.env.horizon
     big = f"background:{colour};font-size:15px;padding:1px 9px"
-    bar = f"height:4px;width:{done:.0f}%;background:{colour}"
     return (
         '<div style="margin-top:6px;display:flex;gap:8px;align-items:center;white-space:nowrap">'
         f'<span class="tag mv-verdict" style="{big}">{word}</span>'
         f'<span class="num">step <b>{frame.world.step}</b>/{frame.world.env.horizon}</span>'
         f'<span class="num" style="margin-left:auto">{_pace(frame)}</span></div>'
-        f'<div style="height:4px;background:{FAINT};margin:5px 0"><div style="{bar}"></div></div>'
+        f"{progress_bar(frame.world.step / frame.world.env.horizon, colour)}"
     )
 
 
@@ -219,7 +218,7 @@ def _error(frame: Frame) -> str:
         return ""
     first, _, rest = frame.pace.error.partition("\n")
     return (
-        f'<div class="mv-error" style="border-left:3px solid {NOTE};padding-left:8px">'
+        f'<div class="mv-error boxed">'
         f"<b>Paused: {escape(first)}</b><pre>{escape(rest.strip())}</pre>"
         "Press again to restart the episode, or play to try once more.</div>"
     )

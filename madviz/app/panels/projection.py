@@ -16,11 +16,12 @@ import numpy as np
 import viser
 
 from madviz.analysis.projection import DECISIONS, Atlas, Basis
+from madviz.app.markup import progress_bar
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_VIEWS, stream_label
 from madviz.app.rates import key_of
 from madviz.app.toolkit import WidgetPanel
-from madviz.drawing.colours import FAINT, MERGED, MUTED, camera_colours
+from madviz.drawing.colours import MERGED, MUTED, camera_colours
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array
@@ -100,8 +101,7 @@ def waiting_html(progress: float) -> str:
         '<div class="mv mv-map"><div>The map is made of the first '
         f"{DECISIONS} time steps that are seen of this policy, and then stays as it is. "
         f"So far {done} %.</div>"
-        f'<div style="height:4px;background:{FAINT};margin:6px 0">'
-        f'<div style="height:4px;width:{done}%;background:{MUTED}"></div></div></div>'
+        f"{progress_bar(progress, MUTED)}</div>"
     )
 
 

@@ -21,6 +21,7 @@ from madviz.analysis.shapley import (
     success_interval,
     success_worth,
 )
+from madviz.app.markup import band, dot, track
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import subset_label
 from madviz.app.rates import Rates
@@ -163,10 +164,7 @@ def _row(frame: Frame, camera: str, index: int, columns: list[Column]) -> str:
     label = escape(frame.world.env.camera(camera).label) + ("" if present else " · dropped")
     cells = "".join(f"<td>{_cell(column, index, colour)}</td>" for column in columns)
     style = "" if present else ' style="opacity:0.45"'
-    return (
-        f'<tr{style}><td><span class="dot" style="background:{colour}"></span>{label}</td>'
-        f"{cells}</tr>"
-    )
+    return f"<tr{style}><td>{dot(colour)}{label}</td>{cells}</tr>"
 
 
 def _cell(column: Column, index: int, colour: str) -> str:
@@ -176,19 +174,16 @@ def _cell(column: Column, index: int, colour: str) -> str:
     values = column.worth.cameras
     low, high = min(0.0, float(values.min())), max(0.0, float(values.max()))
     span = max(high - low, 1e-9)
-    value = round(float(values[index]), column.digits) + 0.0  # No minus zero.
-    zero = 100 * -low / span
-    width = 100 * abs(value) / span
+    value = float(values[index])
+    number = round(value, column.digits) + 0.0  # No minus zero.
+    zero, width = 100 * -low / span, 100 * abs(value) / span
     left = zero if value >= 0 else zero - width
+    bars = band(left, width, colour) + band(zero, 0, MUTED, "width:1px")
     doubt = ""
     if column.doubt is not None:
         doubt = f'<span class="dim" style="font-size:11px">±{column.doubt[index]:.2f}</span>'
     return (
         '<div style="display:flex;gap:5px;align-items:center">'
-        '<div style="position:relative;flex:1;height:13px;background:#2a2c30">'
-        f'<div style="position:absolute;left:{left:.1f}%;width:{width:.1f}%;height:100%;'
-        f'background:{colour}"></div>'
-        f'<div style="position:absolute;left:{zero:.1f}%;width:1px;height:100%;'
-        f'background:{MUTED}"></div></div>'
-        f'<span class="num" style="min-width:3.1em">{value:+.{column.digits}f}</span>{doubt}</div>'
+        f"{track(bars, 13)}"
+        f'<span class="num" style="min-width:3.1em">{number:+.{column.digits}f}</span>{doubt}</div>'
     )

@@ -8,6 +8,7 @@ import numpy as np
 import viser
 
 from madviz.analysis.shapley import camera_masks
+from madviz.app.markup import band, track
 from madviz.app.panel import Assign, apply
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import NOTE, camera_colours
@@ -147,11 +148,6 @@ def action_bars(action: np.ndarray) -> str:
     for value in action:
         width = abs(float(value)) * MIDDLE
         left = MIDDLE if value >= 0 else MIDDLE - width
-        cells += (
-            '<div style="position:relative;flex:1;height:15px;background:#33363b">'
-            f'<div style="position:absolute;left:{left:.0f}%;width:{width:.0f}%;height:100%;'
-            'background:#5b6b80"></div>'
-            '<div style="position:absolute;left:0;right:0;text-align:center;font-size:11px;'
-            f'line-height:15px" class="num">{value:+.2f}</div></div>'
-        )
+        number = f'<div class="num">{value:+.2f}</div>'
+        cells += track(band(left, width, "#5b6b80") + number, 15)
     return f'<div style="display:flex;gap:3px">{cells}</div>'

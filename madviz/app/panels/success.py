@@ -10,6 +10,7 @@ import numpy as np
 import viser
 from viser import uplot
 
+from madviz.app.markup import band, dot, track
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_POINTS, small_axes
 from madviz.app.panels.subsets import is_trained, presence, subset_label
@@ -17,7 +18,7 @@ from madviz.app.rates import NOTHING, Rates
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.evaluation.statistics import SuccessRate
-from madviz.session.frame import Change, Frame, Outcome, Setting, words
+from madviz.session.frame import Frame, Outcome, Setting
 from madviz.subsets import mask_of, name_of, single_streams
 from madviz.types import PolicySpec
 
@@ -177,8 +178,7 @@ def bars_html(frame: Frame, rates: Rates) -> str:
         live = rates.live(spec, setting)
         rows.append(_bar_row(frame, setting, shipped, live, 20 if len(settings) < 10 else 17))
     key = (
-        f'<span class="dot" style="background:{MUTED};height:5px"></span>shipped'
-        f'<span class="dot" style="background:{GOOD};height:5px;margin-left:8px"></span>'
+        f"{dot(MUTED, 'height:5px')}shipped{dot(GOOD, 'height:5px;margin-left:8px')}"
         f'here · † not trained on · <b style="color:{NOTE}">▸</b> now'
     )
     return (
@@ -199,20 +199,14 @@ def _bar_row(
     dagger = "" if is_trained(frame, mask) else "† "
     joined = live if live.n >= shipped.n else shipped
     number = f"<b>{joined.value:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"
-    style, now = "border-left:3px solid transparent", ""
-    if setting == frame.setting:
-        style = f"border-left:3px solid {NOTE};background:rgba(255,209,102,0.12)"
-        now = f'<b style="color:{NOTE}">▸</b>'
+    here = setting == frame.setting
+    now = f'<b style="color:{NOTE}">▸</b>' if here else ""
     title = escape(f"{label}: {_in_words(shipped, 'shipped')}; {_in_words(live, 'measured here')}")
-    style += f";height:{height}px"
+    intervals = _interval(shipped, MUTED, 0) + _interval(live, GOOD, 6)
     return (
-        f'<div title="{title}" style="display:flex;align-items:center;gap:4px;{style};'
-        'padding-left:3px;margin-left:-6px;white-space:nowrap">'
+        f'<div title="{title}" class="rate{" now" if here else ""}" style="height:{height}px">'
         f"<span>{presence(frame, mask)}</span>"
-        '<span style="width:104px;overflow:hidden;text-overflow:ellipsis;font-size:12px">'
-        f"{now}{dagger}{escape(short)}</span>"
-        '<div style="position:relative;flex:1;height:12px;background:#33363b;border-radius:2px">'
-        f"{_interval(shipped, MUTED, 0)}{_interval(live, GOOD, 6)}</div>"
+        f'<span class="name">{now}{dagger}{escape(short)}</span>{track(intervals, 12)}'
         f'<span class="num" style="width:82px">{number}</span></div>'
     )
 
@@ -233,12 +227,9 @@ def _interval(rate: SuccessRate, colour: str, top: int) -> str:
     if not rate.n:
         return ""
     low, high = rate.interval
-    at = 97 * rate.value
-    return (
-        f'<div style="position:absolute;top:{top}px;height:6px;left:{100 * low:.1f}%;'
-        f'width:{100 * (high - low):.1f}%;background:{colour};opacity:0.5"></div>'
-        f'<div style="position:absolute;top:{top}px;height:6px;left:{at:.1f}%;width:3px;'
-        f'background:{colour}"></div>'
+    place = f"top:{top}px;height:6px"
+    return band(100 * low, 100 * (high - low), colour, f"{place};opacity:0.5") + band(
+        97 * rate.value, 0, colour, f"{place};width:3px"
     )
 
 
@@ -261,65 +252,14 @@ def _outcome(frame: Frame, outcome: Outcome) -> str:
     for camera, wrong in outcome.cameras.items():
         fill = colours[camera] if wrong == "off" else "transparent"
         edge = colours[camera] if wrong else FAINT
-        dots += (
-            f'<div style="width:5px;height:5px;border-radius:3px;background:{fill};'
-            f'border:1px solid {edge}"></div>'
-        )
+        dots += f'<div style="background:{fill};border-color:{edge}"></div>'
     mark, colour = ("✔", GOOD) if outcome.success else ("✘", BAD)
     style = f"background:{colour};color:#15171a" if outcome.success else f"color:{colour}"
-    hurt = [f"{camera} {wrong}" for camera, wrong in outcome.cameras.items() if wrong]
+    failed = [f"{camera} {wrong}" for camera, wrong in outcome.cameras.items() if wrong]
     title = f"seed {outcome.seed}: {'success' if outcome.success else 'fail'}; " + (
-        ", ".join(hurt) or "all cameras worked"
+        ", ".join(failed) or "all cameras worked"
     )
     return (
-        f'<div title="{escape(title)}"><div style="width:12px;height:16px;font-size:10px;'
-        f'line-height:16px;text-align:center;border-radius:2px;border:1px solid {colour};{style}">'
-        f'{mark}</div><div style="display:flex;justify-content:center;margin-top:2px;'
-        f'flex-direction:column;align-items:center;gap:1px">{dots}</div></div>'
+        f'<div title="{escape(title)}"><div class="outcome" style="border-color:{colour};{style}">'
+        f'{mark}</div><div class="outcome-dots">{dots}</div></div>'
     )
-
-
-class WordsPanel(WidgetPanel):
-    """One line that says what just happened, in plain words."""
-
-    HINT = (
-        "Take a camera away: press <b>off</b> under its picture, its number key, or click it in "
-        "the scene. <b>Off</b> leaves it out of the sum; <b>black</b> sends a black picture."
-    )
-
-    def __init__(self, gui: viser.GuiApi, frame: Frame, rates: Rates) -> None:
-        self._rates = rates
-        self._last: tuple[Change, PolicySpec] | None = None
-        self._line = gui.add_html(self._html(frame))
-        self.handles = [self._line]
-
-    def update(self, frame: Frame) -> list[Assign]:
-        if frame.world.change is not None:
-            self._last = (frame.world.change, frame.world.policy)
-        return [Assign(self._line, "content", self._html(frame))]
-
-    def _html(self, frame: Frame) -> str:
-        if self._last is None or self._last[1] != frame.world.policy:
-            said = f'<span class="dim">{self.HINT}</span>'
-        else:
-            said = escape(sentence(self._last[0], frame, self._rates))
-        return (
-            f'<div class="mv mv-words" style="border-left:3px solid {NOTE};margin:0 10px 4px;'
-            f'padding:2px 8px;min-height:36px">{said}</div>'
-        )
-
-
-def sentence(change: Change, frame: Frame, rates: Rates) -> str:
-    """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8; success so far 0.94 → 0.81
-    (n=16)``."""
-    line = words(change, frame.world.env)
-    if change.setting_before == change.setting_after:
-        return line
-    before = rates.best(frame.world.policy, change.setting_before)
-    after = rates.best(frame.world.policy, change.setting_after)
-    if not after.n:
-        tail = f"success so far {before.value:.2f} → not measured yet" if before.n else ""
-    else:
-        start = f"{before.value:.2f} → " if before.n else ""
-        tail = f"success so far {start}{after.value:.2f} (n={after.n})"
-    return f"{line}; {tail}" if tail else line

@@ -10,15 +10,13 @@ import time
 from collections.abc import Callable, Sequence
 from html import escape
 
-import cv2
 import numpy as np
 import viser
 
 from madviz.app.panel import Assign
-from madviz.app.scene.scene import picture
+from madviz.app.pictures import strip_html
 from madviz.app.toolkit import Cell, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
-from madviz.drawing.jpeg import jpeg_url
 from madviz.session.commands import Command, Fork, Scrub
 from madviz.session.frame import Frame, Moment
 
@@ -26,8 +24,6 @@ WIDTH, LANE, LEFT, TOP = 600, 40, 44, 14
 """Pixels of the drawing, of a lane, left of the lanes and above them."""
 AFTER_DRAG = 1.0
 """Seconds in which a slider that is being dragged is left alone."""
-TILE = 84
-"""Pixels of a camera's picture in the original run."""
 HINTS = {
     "step": "Drag back to see everything as it was at an earlier step.",
     "fork": "Go on from the step that is shown, with the cameras as they were then. "
@@ -226,11 +222,6 @@ def _first(frame: Frame) -> str:
     if frame.branch is None or frame.past:
         return ""
     other, story, horizon = frame.branch.frame, frame.branch.story, frame.world.env.horizon
-    tiles = [
-        cv2.resize(picture(other, camera.name), (TILE, TILE), interpolation=cv2.INTER_NEAREST)
-        for camera in other.world.env.cameras
-    ]
-    strip = np.concatenate(tiles, axis=1)
     rows = [
         ("original run", str(other.setting), other.world.total_reward, _outcome(story, horizon)),
         ("now", str(frame.setting), frame.world.total_reward, _outcome(frame.story, horizon)),
@@ -244,8 +235,8 @@ def _first(frame: Frame) -> str:
     return (
         '<div style="display:flex;gap:10px;margin-top:4px;align-items:center">'
         f'<div><div class="dim">the original run, step {other.world.step}</div>'
-        f'<img width="{strip.shape[1]}" height="{TILE}" src="{jpeg_url(strip)}" '
-        f'alt="the original run"></div><table style="width:auto">{head}{table}</table></div>'
+        f"{strip_html(other, 'the original run')}</div>"
+        f'<table style="width:auto">{head}{table}</table></div>'
     )
 
 

@@ -15,6 +15,7 @@ from html import escape
 import viser
 
 from madviz.agent.methods import METHODS
+from madviz.app.markup import progress_bar
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, WidgetPanel, guarded, notify, on_value, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
@@ -159,10 +160,9 @@ def _progress(status: JobStatus) -> str:
         return ""
     left = status.seconds_left
     said = f"{left / 60:.0f} min left" if math.isfinite(left) else "time left not known yet"
-    bar = f"width:{100 * status.done:.0f}%;height:4px;background:{GOOD}"
     return (
         f'<span class="dim num">{100 * status.done:.0f} % · {said}</span>'
-        f'<div style="background:{FAINT};height:4px;margin:4px 0"><div style="{bar}"></div></div>'
+        f"{progress_bar(status.done, GOOD)}"
     )
 
 

@@ -21,12 +21,13 @@ import numpy as np
 import viser
 
 from madviz.app.panel import Assign
+from madviz.app.pictures import picture
 from madviz.app.scene.bodies import Bodies
 from madviz.app.scene.fitted_view import FittedView
-from madviz.drawing.colours import NOTE, camera_colours, rgb
+from madviz.drawing.colours import camera_colours, rgb
 from madviz.drawing.viewpoint import WIDTH, WIDTH_ON_BODY, extent, first_view
 from madviz.session.frame import Frame
-from madviz.types import Array, CameraPose
+from madviz.types import CameraPose
 
 PERIOD, PERIOD_AT_FULL_SPEED = 0.5, 2.0
 """Seconds between two times that pictures change; at full speed, one of them."""
@@ -180,29 +181,6 @@ class ScenePanel:
         )
         self._frusta[name] = frustum
         self._nodes += [label, frustum]
-
-
-def picture(frame: Frame, camera: str) -> Array:
-    """(H, W, 3) uint8: what arrives of the camera's colour, in a striped frame if it is occluded;
-    dim and grey where it is dropped."""
-    raw, state = frame.world.views[camera].rgb, frame.camera(camera)
-    if state.input == "off":
-        return (0.25 * raw.mean(axis=2, keepdims=True)).astype(np.uint8).repeat(3, axis=2)
-    seen = raw
-    for name in (camera, f"{camera}.rgb"):
-        seen = frame.world.arrived.get(name, seen)
-    return seen if state.occlusion.kind == "none" else striped(seen)
-
-
-def striped(seen: Array) -> Array:
-    """A copy of ``seen`` (H, W, 3) whose outer twelfth is diagonal stripes."""
-    height, width = seen.shape[:2]
-    rows, columns = np.mgrid[:height, :width]
-    edge = min(height, width) // 12
-    inside = (rows >= edge) & (rows < height - edge) & (columns >= edge) & (columns < width - edge)
-    bright = ((rows + columns) // max(edge, 1)) % 2 == 0
-    stripes = np.where(bright[..., None], np.array(rgb(NOTE), np.uint8), np.uint8(30))
-    return np.where(inside[..., None], seen, stripes).astype(np.uint8)
 
 
 def _same(pose: CameraPose, before: CameraPose) -> bool:

@@ -1,0 +1,60 @@
+"""The line under the pictures that says what a visitor has just changed, and what came of it."""
+
+from __future__ import annotations
+
+from html import escape
+
+import viser
+
+from madviz.app.panel import Assign
+from madviz.app.rates import Rates
+from madviz.app.toolkit import WidgetPanel
+from madviz.drawing.colours import NOTE
+from madviz.session.frame import Change, Frame, words
+from madviz.types import PolicySpec
+
+
+class WordsPanel(WidgetPanel):
+    """See the module."""
+
+    HINT = (
+        "Take a camera away: press <b>off</b> under its picture, its number key, or click it in "
+        "the scene. <b>Off</b> leaves it out of the sum; <b>black</b> sends a black picture."
+    )
+
+    def __init__(self, gui: viser.GuiApi, frame: Frame, rates: Rates) -> None:
+        self._rates = rates
+        self._last: tuple[Change, PolicySpec] | None = None
+        self._line = gui.add_html(self._html(frame))
+        self.handles = [self._line]
+
+    def update(self, frame: Frame) -> list[Assign]:
+        if frame.world.change is not None:
+            self._last = (frame.world.change, frame.world.policy)
+        return [Assign(self._line, "content", self._html(frame))]
+
+    def _html(self, frame: Frame) -> str:
+        if self._last is None or self._last[1] != frame.world.policy:
+            said = f'<span class="dim">{self.HINT}</span>'
+        else:
+            said = escape(sentence(self._last[0], frame, self._rates))
+        return (
+            f'<div class="mv mv-words" style="border-left:3px solid {NOTE};margin:0 10px 4px;'
+            f'padding:2px 8px;min-height:36px">{said}</div>'
+        )
+
+
+def sentence(change: Change, frame: Frame, rates: Rates) -> str:
+    """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8; success so far 0.94 → 0.81
+    (n=16)``."""
+    line = words(change, frame.world.env)
+    if change.setting_before == change.setting_after:
+        return line
+    before = rates.best(frame.world.policy, change.setting_before)
+    after = rates.best(frame.world.policy, change.setting_after)
+    if not after.n:
+        tail = f"success so far {before.value:.2f} → not measured yet" if before.n else ""
+    else:
+        start = f"{before.value:.2f} → " if before.n else ""
+        tail = f"success so far {start}{after.value:.2f} (n={after.n})"
+    return f"{line}; {tail}" if tail else line
