@@ -18,17 +18,15 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from tqdm import tqdm
 
 from madviz.errors import UserError, unknown
-from madviz.evaluation.episodes import FIRST_SEED, Finished, Job, Runner, unsupported
-from madviz.evaluation.evaluate import run_anywhere
+from madviz.evaluation.episodes import FIRST_SEED, Job, Runner, unsupported
+from madviz.evaluation.evaluate import adopted, run_anywhere
 from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.displacement import Displacement, along
 from madviz.plots import Line, lines
@@ -136,25 +134,17 @@ def displace(
     if episodes < 1 or seed < 0:
         raise UserError(f"expected episodes >= 1 and seed >= 0, found {episodes} and {seed}")
     here = Runner()
-    if isinstance(policy, str | Path):
-        reference, loaded = str(policy), checkpoint.load_policy(policy)
-    else:
-        reference, loaded, workers = "", policy, 0
-    here.adopt(reference, loaded)
+    reference, loaded = adopted(policy, here)
     subset = _checked(loaded, subset, camera)
-    jobs = {
-        Job(reference, loaded.spec.digest, subset, (), number, _moves(camera, move)): at
-        for at, move in moves.items()
-        for number in range(seed, seed + episodes)
-    }
+    jobs: dict[Job, float] = {}
+    for at, move in moves.items():
+        moved = () if move.is_none else ((camera, move),)
+        for number in range(seed, seed + episodes):
+            jobs[Job(reference, loaded.spec.digest, subset, (), number, moved)] = at
     found = {at: 0 for at in moves}
-    for job, (result, _) in _watched(run_anywhere([*jobs], workers, here), len(jobs), progress):
+    for job, (result, _) in run_anywhere(list(jobs), workers, here, progress):
         found[jobs[job]] += result.success
     return tuple(Point(at, SuccessRate.of(successes, episodes)) for at, successes in found.items())
-
-
-def _moves(camera: str, move: Displacement) -> tuple[tuple[str, Displacement], ...]:
-    return () if move.is_none else ((camera, move),)
 
 
 def _checked(policy: Policy, subset: str, camera: str) -> str:
@@ -167,12 +157,6 @@ def _checked(policy: Policy, subset: str, camera: str) -> str:
     if camera not in present:
         raise unknown(f"camera to move under the subset {subset!r}:", camera, list(present))
     return name_of(mask, streams)
-
-
-def _watched(
-    finished: Iterator[tuple[Job, Finished]], total: int, show: bool
-) -> Iterable[tuple[Job, Finished]]:
-    return tqdm(finished, total=total, unit="episode", disable=None if show else True)
 
 
 # --- The command ----------------------------------------------------------------------------
@@ -270,14 +254,3 @@ def picture(result: dict[str, Any]) -> str:
             )
     title = f"{result['policy']}: {result['camera']} moved, n={points[0]['n']} at each place"
     return lines(title, unit, {result["along"]: curves})
-
-
-__all__ = [
-    "DisplaceConfig",
-    "Point",
-    "displace",
-    "displacement_table",
-    "places",
-    "run_displace",
-    "table_csv",
-]

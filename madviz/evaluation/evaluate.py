@@ -30,11 +30,9 @@ from madviz.evaluation.episodes import (
     claimed_definition,
     occlusion_key,
     relevant,
-    run_episode,
     unsupported,
 )
-from madviz.evaluation.live import Evaluator, Tally
-from madviz.evaluation.statistics import wilson
+from madviz.evaluation.statistics import SuccessRate
 from madviz.evaluation.store import EpisodeResult, Store
 from madviz.observation.ablation import Occlusion, by_sides
 from madviz.policies import checkpoint
@@ -43,20 +41,6 @@ from madviz.policies.measured import EpisodeRow, EvaluationFile, SubsetRow
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json
 from madviz.types import Array, Policy, PolicySpec
-
-__all__ = [
-    "EpisodeResult",
-    "EvalConfig",
-    "Evaluation",
-    "Evaluator",
-    "Tally",
-    "default_subsets",
-    "evaluate",
-    "run_episode",
-    "run_eval",
-    "trained_names",
-    "wilson",
-]
 
 
 @dataclass(frozen=True)
@@ -76,12 +60,12 @@ class Evaluation:
         table: dict[str, SubsetRow] = {}
         for subset in dict.fromkeys(e.subset for e in self.episodes):
             mine = [e for e in self.episodes if e.subset == subset]
-            successes = sum(e.success for e in mine)
+            rate = SuccessRate.of(sum(e.success for e in mine), len(mine))
             table[subset] = {
-                "success": successes / len(mine),
+                "success": rate.value,
                 "success_any": sum(e.success_any for e in mine) / len(mine),
-                "n": len(mine),
-                "ci95": list(wilson(successes, len(mine))),
+                "n": rate.n,
+                "ci95": list(rate.interval),
                 "trained": subset in trained_names(self.spec),
             }
         return table
@@ -150,13 +134,9 @@ def evaluate(
     if episodes < 1 or seed < 0:
         raise UserError(f"expected episodes >= 1 and seed >= 0, found {episodes} and {seed}")
     here, occluded = Runner(), occlusions or {}
-    if isinstance(policy, str | Path):
-        reference, loaded = str(policy), checkpoint.load_policy(policy)
-    else:
-        reference, loaded, workers = "", policy, 0
+    reference, loaded = adopted(policy, here)
     if not checkpoint.is_folder(reference):
         store = None  # Whether a user's own code is still the same cannot be known.
-    here.adopt(reference, loaded)
     spec = loaded.spec
     for camera in occluded:
         if camera not in cameras_of(spec.streams):
@@ -168,7 +148,7 @@ def evaluate(
     ]
     done = _remembered(store, spec, jobs)
     missing = [job for job in jobs if job not in done]
-    for job, finished in _progress(run_anywhere(missing, workers, here), len(missing), progress):
+    for job, finished in run_anywhere(missing, workers, here, progress):
         done[job] = finished
         if store is not None:
             store.put(job.key(spec, finished[1]), finished[0])
@@ -200,17 +180,29 @@ def _remembered(store: Store | None, spec: PolicySpec, jobs: list[Job]) -> dict[
     return {job: (result, definition) for job, result in known if result is not None}
 
 
+def adopted(policy: str | Path | Policy, here: Runner) -> tuple[str, Policy]:
+    """What jobs call ``policy``, and the policy itself, loaded, which ``here`` now knows. An object
+    is called '': no other process can load it."""
+    reference = str(policy) if isinstance(policy, str | Path) else ""
+    loaded = checkpoint.load_policy(policy) if isinstance(policy, str | Path) else policy
+    here.adopt(reference, loaded)
+    return reference, loaded
+
+
 def run_anywhere(
-    jobs: list[Job], workers: int | None, here: Runner
+    jobs: list[Job], workers: int | None, here: Runner, progress: bool
 ) -> Iterator[tuple[Job, Finished]]:
-    """Every job with its result, in no order: by ``workers`` processes, by default one per core, or
-    in this one, ``here``, where it is 0. Closes ``here`` at the end."""
+    """Every job with its result, in no order: by ``workers`` processes, by default one per core; or
+    in this one, ``here``, where it is 0 or the policy is an object. Closes ``here`` at the end.
+    ``progress`` shows a bar on standard error, if that is a terminal."""
     count = (os.cpu_count() or 1) if workers is None else workers
+    if any(not job.policy for job in jobs):
+        count = 0
+    found: Iterator[tuple[Job, Finished]] = ((job, here.run(job)) for job in jobs)
+    if count and jobs:
+        found = run_jobs(jobs, Workers(min(count, len(jobs)), niceness=5))
     try:
-        if count == 0:
-            yield from ((job, here.run(job)) for job in jobs)
-        elif jobs:
-            yield from run_jobs(jobs, Workers(min(count, len(jobs)), niceness=5))
+        yield from tqdm(found, total=len(jobs), unit="episode", disable=None if progress else True)
     finally:
         here.close()
 
@@ -237,13 +229,6 @@ def run_jobs(jobs: list[Job], workers: Workers) -> Iterator[tuple[Job, Finished]
             workers.renew(workers.generation)
     finally:
         workers.close()
-
-
-def _progress(
-    finished: Iterator[tuple[Job, Finished]], total: int, show: bool
-) -> Iterable[tuple[Job, Finished]]:
-    """A bar on standard error, if that is a terminal."""
-    return tqdm(finished, total=total, unit="episode", disable=None if show else True)
 
 
 # --- The command ----------------------------------------------------------------------------
