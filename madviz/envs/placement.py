@@ -6,6 +6,7 @@ the camera back.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -27,28 +28,37 @@ def drawn_cameras(
     return given
 
 
-def camera_pose(position: Array, rotation: Rotation, fovy: float) -> CameraPose:
-    """Of a camera at ``position`` (3,) metres, whose ``rotation`` has OpenGL axes."""
-    turned = rotation * Rotation.from_euler("x", np.pi)  # OpenCV's: half a turn about x.
-    return CameraPose(position, turned.as_quat(scalar_first=True), fovy)
+class PlacedCameras(ABC):
+    """The cameras of an environment that draws from anywhere: the base of its class."""
 
-
-class Placements:
-    """The moved cameras of one environment."""
-
-    def __init__(self, bodies: Sequence[str]) -> None:
-        """``bodies`` are those that a camera can ride on."""
-        self._bodies = tuple(bodies)
+    def __init__(self, spec: EnvSpec, bodies: Sequence[str]) -> None:
+        """``bodies`` are those that a camera can ride on. Raises UserError for a camera of ``spec``
+        on another."""
+        self.spec = spec
+        self._rideable = bodies
         self._moved: dict[str, CameraSpec] = {}
+        for camera in spec.cameras:
+            self._check_body(camera)
 
-    def check(self, camera: CameraSpec) -> None:
-        """Raises UserError for a camera on a body that is not there."""
-        if camera.body is not None and camera.body not in self._bodies:
-            raise unknown(f"body of the camera {camera.name}", camera.body, list(self._bodies))
+    @abstractmethod
+    def in_world(self, camera: CameraSpec) -> tuple[Array, Rotation]:
+        """Position (3,), metres, and orientation with OpenGL axes, both in the world."""
 
-    def move(self, spec: EnvSpec, camera: str, to: CameraSpec | None) -> None:
-        """See ``Environment.move_camera``."""
-        own = spec.camera(camera)
+    def placed(self, camera: str) -> CameraSpec:
+        """The camera as it is now. Raises UserError for an unknown one."""
+        own = self.spec.camera(camera)
+        return self._moved.get(camera, own)
+
+    def pose(self, camera: str) -> CameraPose:
+        """Where one camera is now. Raises UserError for an unknown one."""
+        placed = self.placed(camera)
+        position, rotation = self.in_world(placed)
+        turned = rotation * Rotation.from_euler("x", np.pi)  # OpenCV's axes: half a turn about x.
+        return CameraPose(position, turned.as_quat(scalar_first=True), placed.fovy)
+
+    def move_camera(self, camera: str, to: CameraSpec | None) -> None:
+        """See ``madviz.types.Environment``."""
+        own = self.spec.camera(camera)
         if to is None:
             self._moved.pop(camera, None)
             return
@@ -64,14 +74,9 @@ class Placements:
                 f"{to.fovy:g}; choose one between"
             )
         placed = replace(own, position=to.position, wxyz=to.wxyz, fovy=to.fovy, body=to.body)
-        self.check(placed)
+        self._check_body(placed)
         self._moved[camera] = placed
 
-    def moved(self, camera: str) -> bool:
-        """Whether ``camera`` stands elsewhere than in the spec."""
-        return camera in self._moved
-
-    def of(self, spec: EnvSpec, camera: str) -> CameraSpec:
-        """The camera as it stands now. Raises UserError naming the known ones."""
-        own = spec.camera(camera)
-        return self._moved.get(camera, own)
+    def _check_body(self, camera: CameraSpec) -> None:
+        if camera.body is not None and camera.body not in self._rideable:
+            raise unknown(f"body of the camera {camera.name}", camera.body, list(self._rideable))

@@ -19,9 +19,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from madviz.envs.checks import check_action, resized_cameras
-from madviz.envs.placement import Placements
-from madviz.errors import unknown
-from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, Part, TimeStep, View
+from madviz.envs.placement import PlacedCameras
+from madviz.types import Array, Body, CameraSpec, EnvSpec, Part, TimeStep, View
 
 STEP = 0.12
 """Metres the hand moves for an action of 1."""
@@ -42,7 +41,7 @@ _NOTHING, _FAR = 40, 10.0
 """Grey value and metres of what is not there."""
 
 
-class ToyReach:
+class ToyReach(PlacedCameras):
     """A ``madviz.types.Environment``. State: hand x, y now and the two before; action: x, y."""
 
     setting_cameras: Mapping[str, tuple[CameraSpec, ...]] = {}
@@ -60,7 +59,7 @@ class ToyReach:
     ) -> None:
         """``task`` and ``render_profile`` are those of ``make_env``; there is one picture for both
         profiles. Raises UserError for ``cameras`` that are not its own in other sizes."""
-        self.spec = EnvSpec(
+        spec = EnvSpec(
             f"toy/{task}",
             resized_cameras(f"toy/{task}", CAMERAS, cameras),
             state_dim=6,
@@ -68,10 +67,10 @@ class ToyReach:
             horizon=25,
             success=f"the hand is within {RADIUS} m of the target",
         )
+        super().__init__(spec, ("hand",))
         self._hand = self._target = np.zeros(2)
         self._history: list[Array] = []
         self._step = 0
-        self._placements = Placements(("hand",))
 
     def reset(self, seed: int) -> TimeStep:
         rng = np.random.default_rng(seed)
@@ -92,9 +91,9 @@ class ToyReach:
         return TimeStep(self._state(), 1.0 - np.tanh(2 * distance), self._near(), last)
 
     def view(self, camera: str, size: int | None = None) -> View:
-        spec = self._placements.of(self.spec, camera)
+        spec = self.placed(camera)
         size = size or spec.size
-        if self._placements.moved(camera):
+        if spec is not self.spec.camera(camera):
             return self._seen_from(spec, size)
         rgb = np.empty((size, size, 3), np.uint8)
         rgb[:] = _TABLE
@@ -107,15 +106,11 @@ class ToyReach:
             rgb[inside], depth[inside] = colour, top - height
         return View(rgb, depth)
 
-    def pose(self, camera: str) -> CameraPose:
-        spec = self._placements.of(self.spec, camera)
-        offset = np.array([*self._hand, 0.0]) if spec.body else np.zeros(3)
-        w, x, y, z = spec.wxyz
-        # OpenGL axes to OpenCV axes is half a turn about x: right-multiplied by (0, 1, 0, 0).
-        return CameraPose(np.array(spec.position) + offset, np.array([-x, w, z, -y]), spec.fovy)
-
-    def move_camera(self, camera: str, to: CameraSpec | None) -> None:
-        self._placements.move(self.spec, camera, to)
+    def in_world(self, camera: CameraSpec) -> tuple[Array, Rotation]:
+        offset = np.array([*self._hand, 0.0]) if camera.body else np.zeros(3)
+        return np.array(camera.position) + offset, Rotation.from_quat(
+            camera.wxyz, scalar_first=True
+        )
 
     def bodies(self) -> tuple[Body, ...]:
         return _bodies()
@@ -149,9 +144,8 @@ class ToyReach:
         axis = ((np.arange(size) + 0.5) / size * 2 - 1) * np.tan(np.radians(spec.fovy) / 2)
         right, up = np.meshgrid(axis, -axis)
         rays = np.stack([right, up, -np.ones_like(right)], -1).reshape(-1, 3)
-        turn = Rotation.from_quat(spec.wxyz, scalar_first=True)
+        eye, turn = self.in_world(spec)
         rays = turn.apply(rays).reshape(size, size, 3)
-        eye = np.array(spec.position) + (np.array([*self._hand, 0.0]) if spec.body else 0.0)
         rgb, depth = np.full((size, size, 3), _NOTHING, np.uint8), np.full((size, size), _FAR)
         for centre, (radius, height), colour in [(None, (0, 0.0), _TABLE), *self._discs()]:
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -169,8 +163,6 @@ class ToyReach:
 
     def _pixels_in_world(self, camera: str, size: int) -> tuple[Array, Array]:
         """World x and y (H, W), metres, under every pixel's centre."""
-        if camera not in _HALF_WIDTH:
-            raise unknown("camera", camera, list(_HALF_WIDTH))
         axis = ((np.arange(size) + 0.5) / size * 2 - 1) * _HALF_WIDTH[camera]
         right, up = np.meshgrid(axis, -axis)
         if camera == "first":

@@ -24,9 +24,9 @@ from madviz.envs.checks import check_action
 from madviz.envs.maniskill.experts import ManiSkillExpert
 from madviz.envs.maniskill.tasks import STATE_DIM, build, position, states
 from madviz.envs.maniskill.vulkan import renderer
-from madviz.envs.placement import Placements, camera_pose, drawn_cameras
+from madviz.envs.placement import PlacedCameras, drawn_cameras
 from madviz.envs.tasks import MANISKILL_SUCCESS
-from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, TimeStep, View
+from madviz.types import Array, Body, CameraSpec, EnvSpec, TimeStep, View
 
 HORIZON = 50
 
@@ -69,7 +69,7 @@ def cameras_of(task: str) -> tuple[CameraSpec, ...]:
     return (_FIRST, _POKE_A, _THIRD_B) if task == "poke-cube" else CAMERAS
 
 
-class ManiSkill:
+class ManiSkill(PlacedCameras):
     """One task, a ``madviz.types.Environment``. Only the thread that makes it may use it.
 
     ``simulation`` is ManiSkill's own environment, physics only.
@@ -84,7 +84,7 @@ class ManiSkill:
         """``cameras`` as in ``make_env``. Raises UserError where SAPIEN finds no Vulkan that it can
         draw with, and for a camera on a body that is not there."""
         renderer()
-        self.spec = EnvSpec(
+        spec = EnvSpec(
             f"maniskill/{task}",
             drawn_cameras(cameras_of(task), cameras),
             state_dim=STATE_DIM.get(task, 28),
@@ -95,9 +95,7 @@ class ManiSkill:
         )
         self._task, self._expert = task, ManiSkillExpert(task)
         self.simulation = build(task)
-        self._placements = Placements(list(self.simulation.agent.robot.links_map))
-        for camera in self.spec.cameras:
-            self._placements.check(camera)
+        super().__init__(spec, list(self.simulation.agent.robot.links_map))
         self._step, self._stale = 0, True
         self._copy: Any = None  # Made on the first view: many uses never draw.
 
@@ -116,17 +114,19 @@ class ManiSkill:
         return TimeStep(self._state(info), float(reward[0]), success, last)
 
     def view(self, camera: str, size: int | None = None) -> View:
-        spec = self._placements.of(self.spec, camera)
-        place, rotation = self._placed(spec)
+        spec = self.placed(camera)
+        place, rotation = self.in_world(spec)
         wxyz = rotation.as_quat(scalar_first=True)
         return self._drawn().draw(camera, place, wxyz, spec.fovy, size or spec.size)
 
-    def pose(self, camera: str) -> CameraPose:
-        spec = self._placements.of(self.spec, camera)
-        return camera_pose(*self._placed(spec), spec.fovy)
-
-    def move_camera(self, camera: str, to: CameraSpec | None) -> None:
-        self._placements.move(self.spec, camera, to)
+    def in_world(self, camera: CameraSpec) -> tuple[Array, Rotation]:
+        place = np.asarray(camera.position, float)
+        rotation = Rotation.from_quat(camera.wxyz, scalar_first=True)
+        if camera.body is None:
+            return place, rotation
+        body = self.simulation.agent.robot.links_map[camera.body].pose.sp
+        turned = Rotation.from_quat(body.q, scalar_first=True)
+        return turned.apply(place) + body.p, turned * rotation
 
     def bodies(self) -> tuple[Body, ...]:
         return self._drawn().bodies.bodies
@@ -155,16 +155,6 @@ class ManiSkill:
             self._copy.follow(self.simulation)
             self._stale = False
         return self._copy
-
-    def _placed(self, spec: CameraSpec) -> tuple[Array, Rotation]:
-        """Position, metres, and orientation with OpenGL axes, both in the world."""
-        place = np.asarray(spec.position, float)
-        rotation = Rotation.from_quat(spec.wxyz, scalar_first=True)
-        if spec.body is None:
-            return place, rotation
-        body = self.simulation.agent.robot.links_map[spec.body].pose.sp
-        turned = Rotation.from_quat(body.q, scalar_first=True)
-        return turned.apply(place) + body.p, turned * rotation
 
     def _state(self, info: dict[str, Any]) -> Array:
         return states(self._task, self.simulation, info)[0]
