@@ -131,7 +131,7 @@ def test_loading_keeps_the_fast_memory_format(folder):
     assert weight.is_contiguous(memory_format=torch.channels_last)
 
 
-def test_only_the_acting_part_is_kept_and_small(folder):
+def test_only_the_acting_part_is_saved_and_small(folder):
     names = load_file(folder / "weights.safetensors")
     assert {name.split(".")[0] for name in names} == {"encoder", "actor", "critic"}
     assert {tensor.dtype for tensor in names.values()} == {torch.float16}

@@ -1,4 +1,4 @@
-"""The live evaluator: who is served next, what is kept, and what happens when processes die.
+"""The live evaluator: who is served next, what is stored, and what happens when processes die.
 
 Jobs of the fake workers wait until a test says how they end, so nothing here depends on time; one
 test at the end uses real processes.
@@ -218,7 +218,7 @@ def test_nothing_starts_after_close(live):
     assert workers.jobs == []
 
 
-def test_results_of_policy_folders_are_kept_in_the_store(monkeypatch, tmp_path):
+def test_results_of_policy_folders_go_into_the_store(monkeypatch, tmp_path):
     monkeypatch.setattr(checkpoint, "is_folder", lambda policy: True)
     spec = FakePolicy().spec
     config = make_config(definition="at the last step: near")

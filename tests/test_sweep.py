@@ -17,7 +17,7 @@ from madviz import cli
 from madviz.errors import UserError
 from madviz.sweep import sweep
 from madviz.sweep.plan import read_plan
-from madviz.sweep.run import Outcome, Run, carry_out, claimed, expected_seconds
+from madviz.sweep.run import Run, RunOutcome, carry_out, claimed, expected_seconds
 from madviz.sweep.sweep import LocalBackend, Watch, carry_all_out, run_sweep
 from tests.sweeps import assert_done_once, config, lines, stand_in, sweep_file, wait_for
 
@@ -129,11 +129,11 @@ def test_a_run_that_somebody_else_works_on_waits_its_turn(
     with claimed(folder) as claim:
         assert claim is not None
         assert carry_out(plan.runs[0], tmp_path / "out", program).state == "busy"
-        kept = os.dup(claim)
+        held = os.dup(claim)
 
     def release() -> None:
         wait_for(lambda: len(list((tmp_path / "out").glob("*/result.json"))) == 3)
-        os.close(kept)
+        os.close(held)
 
     somebody = threading.Thread(target=release)
     somebody.start()
@@ -149,7 +149,7 @@ def test_the_time_left_counts_what_runs_and_what_waits() -> None:
     first, second = Run("a", (), ()), Run("b", (), ())
     watch.began(first)
     assert watch.seconds_left() is None
-    watch.ended(first, Outcome("finished", seconds=100.0))
+    watch.ended(first, RunOutcome("finished", seconds=100.0))
     watch.tick(slots=2)
     clock.time = 10.0
     watch.began(second)

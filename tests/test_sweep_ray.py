@@ -16,7 +16,7 @@ import pytest
 from madviz.envs.custom import VARIABLE, own_tasks
 from madviz.errors import UserError
 from madviz.sweep.ray import RayBackend
-from madviz.sweep.run import Outcome, Run
+from madviz.sweep.run import Run, RunOutcome
 from madviz.sweep.sweep import SweepConfig, run_sweep
 from tests.sweeps import assert_done_once, config, stand_in, wait_for
 
@@ -77,7 +77,7 @@ class FakeRay:
     def wait(self, references: list[int], num_returns: int, timeout: float) -> Any:
         return references[:num_returns], references[num_returns:]
 
-    def get(self, reference: int) -> Outcome:
+    def get(self, reference: int) -> RunOutcome:
         if reference == 1:
             raise self.exceptions.RayError("the node died\nand more")
         return self.function(*self.calls[reference])
@@ -143,14 +143,14 @@ def test_on_ray_a_killed_node_costs_nothing_that_was_finished(
     work.start()
     wait_for(lambda: len(list(out.glob("*/policy/steps.txt"))) == 2, seconds=60)
     wait_for(lambda: len(list(out.glob("*/result.json"))) == 2, seconds=60)
-    kept = {file: file.stat().st_mtime_ns for file in out.glob("*/result.json")}
+    before = {file: file.stat().st_mtime_ns for file in out.glob("*/result.json")}
     wait_for(lambda: len(list(out.glob("*/policy/steps.txt"))) == 4, seconds=60)
     time.sleep(0.5)
     both, second = cluster
     both.remove_node(second, allow_graceful=False)
     work.join(120)
     assert results and results[0]["finished"] == 4
-    assert {file: file.stat().st_mtime_ns for file in kept} == kept
+    assert {file: file.stat().st_mtime_ns for file in before} == before
     assert_done_once(out, rounds=40)
     logs = "".join(file.read_text() for file in out.glob("*/log.txt"))
     assert logs.count("--resume") == 1  # The run that was cut off, and no other.

@@ -57,7 +57,7 @@ class Grid(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """More options of ``madviz train``; a list is one more axis."""
 
 
-class Evaluation(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
+class EvalOptions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
     """The table ``[eval]``: options of ``madviz eval``."""
 
     episodes: int | None = None
@@ -69,7 +69,7 @@ class SweepFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """The whole file."""
 
     grid: Grid | Annotated[list[Grid], msgspec.Meta(min_length=1)]
-    eval: Evaluation = Evaluation()
+    eval: EvalOptions = EvalOptions()
 
 
 @dataclass(frozen=True)

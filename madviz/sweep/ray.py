@@ -15,7 +15,7 @@ from typing import Any
 
 from madviz.envs.custom import allow_task, own_tasks
 from madviz.errors import UserError
-from madviz.sweep.run import Outcome, Run, carry_out
+from madviz.sweep.run import Run, RunOutcome, carry_out
 
 RETRIES = 20
 """How many deaths of workers or nodes a run may survive within one sweep."""
@@ -54,7 +54,7 @@ class RayBackend:
     def submit(self, run: Run) -> None:
         self._running[self._task.remote(run, *self._arguments)] = run
 
-    def collect(self, seconds: float) -> list[tuple[Run, Outcome]]:
+    def collect(self, seconds: float) -> list[tuple[Run, RunOutcome]]:
         done, _ = self._ray.wait(list(self._running), num_returns=1, timeout=seconds)
         return [(self._running.pop(reference), self._outcome(reference)) for reference in done]
 
@@ -65,12 +65,12 @@ class RayBackend:
         if self._mine:
             self._ray.shutdown()
 
-    def _outcome(self, reference: Any) -> Outcome:
+    def _outcome(self, reference: Any) -> RunOutcome:
         try:
             return self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
             reason = str(error).strip().splitlines()[0]
-            return Outcome("failed", f"Ray gave the run up ({type(error).__name__}): {reason}")
+            return RunOutcome("failed", f"Ray gave the run up ({type(error).__name__}): {reason}")
 
     def _connect(self, address: str | None, cpus: int) -> None:
         quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "warning"}
@@ -101,7 +101,7 @@ class RayBackend:
 
 def _on_node(
     run: Run, tasks: Sequence[str], out: Path, program: Sequence[str], cpus: int
-) -> Outcome:
+) -> RunOutcome:
     """``carry_out`` in a process that does not know the driver's own tasks yet: nodes
     have the environment variables that they were started with."""
     for task in tasks:

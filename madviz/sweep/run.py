@@ -65,7 +65,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """How an attempt at a run ended."""
 
     state: State
@@ -100,7 +100,7 @@ def carry_out(
     program: Sequence[str] = (),
     workers: int | None = None,
     stop: threading.Event | None = None,
-) -> Outcome:
+) -> RunOutcome:
     """Does what is left of ``run`` in ``out/run.name``. Never raises for what goes wrong inside.
 
     ``program`` stands for ``madviz`` (by default this Python's), ``workers`` for the processes of
@@ -111,18 +111,18 @@ def carry_out(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if finished(folder):
-            return Outcome("finished")
+            return RunOutcome("finished")
         with claimed(folder) as claim:
             if claim is None:
-                return Outcome("busy")
+                return RunOutcome("busy")
             if not finished(folder):
                 commands = _Commands(folder, program, claim, stop or threading.Event())
                 _work(run, folder, commands, workers)
     except _Stopped:
-        return Outcome("stopped", seconds=time.monotonic() - began)
+        return RunOutcome("stopped", seconds=time.monotonic() - began)
     except (UserError, OSError) as error:
-        return Outcome("failed", str(error), time.monotonic() - began)
-    return Outcome("finished", seconds=time.monotonic() - began)
+        return RunOutcome("failed", str(error), time.monotonic() - began)
+    return RunOutcome("finished", seconds=time.monotonic() - began)
 
 
 @contextmanager

@@ -36,8 +36,8 @@ from madviz.errors import UserError
 from madviz.sweep.plan import SweepPlan, read_plan
 from madviz.sweep.run import (
     RESULT,
-    Outcome,
     Run,
+    RunOutcome,
     carry_out,
     check_same,
     expected_seconds,
@@ -84,7 +84,7 @@ class Backend(Protocol):
 
     def submit(self, run: Run) -> None: ...
 
-    def collect(self, seconds: float) -> list[tuple[Run, Outcome]]:
+    def collect(self, seconds: float) -> list[tuple[Run, RunOutcome]]:
         """What ended since the last call; waits up to ``seconds`` for something."""
         ...
 
@@ -101,13 +101,13 @@ class LocalBackend:
         self._out, self._program, self._stop = out, program, threading.Event()
         self._workers = max((os.cpu_count() or 1) // jobs, 1)
         self._pool = ThreadPoolExecutor(jobs)
-        self._running: dict[Future[Outcome], Run] = {}
+        self._running: dict[Future[RunOutcome], Run] = {}
 
     def submit(self, run: Run) -> None:
         arguments = (run, self._out, self._program, self._workers, self._stop)
         self._running[self._pool.submit(carry_out, *arguments)] = run
 
-    def collect(self, seconds: float) -> list[tuple[Run, Outcome]]:
+    def collect(self, seconds: float) -> list[tuple[Run, RunOutcome]]:
         done, _ = wait(self._running, seconds, FIRST_COMPLETED)
         return [(self._running.pop(future), future.result()) for future in done]
 
@@ -162,9 +162,9 @@ def carry_all_out(
     backend: Backend,
     watch: Watch,
     now: Callable[[], float] = time.monotonic,
-) -> dict[str, Outcome]:
+) -> dict[str, RunOutcome]:
     """Every run's last outcome, by name. A busy run goes to the end of the queue."""
-    waiting, running, outcomes = deque(runs), 0, dict[str, Outcome]()
+    waiting, running, outcomes = deque(runs), 0, dict[str, RunOutcome]()
     earliest: dict[str, float] = {}
     while waiting or running:
         for _ in range(len(waiting)):
@@ -234,7 +234,7 @@ class Watch:
     def began(self, run: Run) -> None:
         self._begun[run] = self._now()
 
-    def ended(self, run: Run, outcome: Outcome) -> None:
+    def ended(self, run: Run, outcome: RunOutcome) -> None:
         del self._begun[run]
         if outcome.state in ("busy", "stopped"):
             return
@@ -307,7 +307,7 @@ def duration(seconds: float) -> str:
 
 
 def _summary(
-    plan: SweepPlan, out: Path, config: SweepConfig, outcomes: dict[str, Outcome]
+    plan: SweepPlan, out: Path, config: SweepConfig, outcomes: dict[str, RunOutcome]
 ) -> dict[str, Any]:
     """What ``--json`` writes. Results are read from the folders, whoever put them there."""
     runs: list[dict[str, Any]] = []
