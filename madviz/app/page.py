@@ -85,7 +85,7 @@ class Page:
         self._wake.set()
 
     def close(self) -> None:
-        """Lets go of session and thread; the browser may be gone already."""
+        """Lets go of session and thread; the browser may have left already."""
         with self._beginning:
             self._closing.set()
         self.session.unsubscribe(self.show)

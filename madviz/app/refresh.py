@@ -17,7 +17,7 @@ FASTEST = 1 / 40
 """Seconds between two frames that are shown: more would be wasted on a browser."""
 AFTER = 0.1
 """Seconds after which tables, curves and the scene follow when something was touched; at full speed
-they keep to their own times, or they would be in the way of the next touch."""
+they follow at their own times, or they would delay the next touch."""
 SHORTEST_WAIT = 0.01
 
 

@@ -227,11 +227,11 @@ def saved_episode(config: ExploreConfig) -> tuple[KeptEpisode | None, dict[str, 
     first. Says what is known to be different here. Raises UserError for a file that won't do."""
     if config.replay is None:
         return None, {}
-    kept = read_kept(config.replay)
-    script = kept.episode(config.episode)
+    saved = read_kept(config.replay)
+    script = saved.episode(config.episode)
     find = finder(() if config.policy is None else (config.policy,))
     check_policies(script, find)
-    for difference in differences(script, kept, find):
+    for difference in differences(script, saved, find):
         print(f"madviz: it may come out differently: {difference}", file=sys.stderr)
     return script, {policy.name: find(policy) for policy in script.policies}
 

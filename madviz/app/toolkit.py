@@ -73,7 +73,7 @@ def commands(
 
 def guarded(client: viser.ClientHandle, work: Callable[[], None]) -> None:
     """Runs ``work``; a value that the page should not have sent becomes a note on the page. What a
-    page cannot send, somebody else has sent in its name, so nothing of it is taken for granted."""
+    page cannot send was sent by a program that imitates one, so nothing of it is trusted."""
     try:
         work()
     except UserError as error:

@@ -1,4 +1,4 @@
-"""Two minutes for somebody who never heard of any of this, and help for everybody else.
+"""A tour of two minutes for newcomers, and help for everybody.
 
 A tour is a list of steps. Each one says something in plain words and does it on the page at the
 same time, with the commands that a visitor's click would send, so that the page itself is the
@@ -123,7 +123,7 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
     yield Step(
         "Your turn",
         "Press off under any picture, or the keys 1, 2, 3; space stops and goes on. Which camera "
-        "can this robot do without, and when? The button help, keys tells the rest.",
+        "can this robot do without, and when? The button help, keys has the rest.",
         (Play(), *whole(frame)),
     )
 

@@ -9,7 +9,7 @@ twentieth of the time between two.
 
     written    0   40   80  120  160  ...   ms
     comes      0  100  101  125  165
-    in effect  0  100  138  175  213  ...   and still 50 ms late: 30 messages until that is gone
+    in effect  0  100  138  175  213  ...   and still 50 ms late: 30 messages until it is not
 
 That is right for an animation that shall be smooth. It is wrong for a camera that a visitor has
 just dropped. The page holds back nothing that was written more than 0.1 s after the message before

@@ -1,8 +1,8 @@
 """A box dragged on a camera's picture becomes a patch that covers it.
 
-The problem: viser tells nobody where a visitor clicks in a picture, and a script of ours cannot
-talk to Python by itself. The idea: it speaks through a text field that nobody sees. The script
-writes a line into it as if somebody had typed, and viser carries that home like any other text:
+The problem: viser does not report where a visitor clicks in a picture, and a script of ours has no
+connection to Python. The idea: a hidden text field. The script writes a line into it as if somebody
+had typed, and viser sends that like any other text:
 
     drag ─► rubber band ─► "7 1 0.4200 0.5500 0.2000 0.1000" ─► hidden field ─► SetCamera(patch)
                             │ │ └ middle, width and height, parts of the tile

@@ -37,9 +37,9 @@ class SavePanel(WidgetPanel):
             return
 
         def save() -> None:
-            kept = self._keep().last() if last else self._keep()
-            content = kept.to_json().encode()
-            client.send_file_download(file_name(kept), content, save_immediately=True)
+            saved = self._keep().last() if last else self._keep()
+            content = saved.to_json().encode()
+            client.send_file_download(file_name(saved), content, save_immediately=True)
 
         guarded(client, save)
 
@@ -47,11 +47,11 @@ class SavePanel(WidgetPanel):
         return [Assign(self._words, "content", save_html(frame))]
 
 
-def file_name(kept: KeptSession) -> str:
+def file_name(saved: KeptSession) -> str:
     """``hammer-seed2003.json``; of several episodes ``hammer-20-episodes.json``."""
-    last = kept.episodes[-1]
+    last = saved.episodes[-1]
     task = re.sub(r"[^a-z0-9-]", "", last.task.split("/")[-1]) or "session"
-    count = len(kept.episodes)
+    count = len(saved.episodes)
     return f"{task}-{count}-episodes.json" if count > 1 else f"{task}-seed{last.seed}.json"
 
 

@@ -3,7 +3,7 @@
 Lines from the gripper along the first three numbers of each subset's action: Meta-World's and
 ManiSkill's actions are displacements along the axes of the world (the toy has two numbers, and
 its arrows are flat). How long an arrow is says how much it would move, not how far in metres: an
-action of length 1 is drawn as ``REACH`` of the scene's size, or nobody would see it.
+action of length 1 is drawn as ``REACH`` of the scene's size, or it would be too small to see.
 
 Gripper, table and objects would hide most of them. Lines have no way to be drawn on top; but a
 point moved along the line of sight stays where it is on the screen. So every point is moved towards

@@ -1,11 +1,11 @@
 """Where it happens: robot, table and objects, moving, and the cameras with what they send.
 
 Everything in the scene costs a browser without a GPU some 40 ms whenever any of it changes, and
-pictures on frusta are the dearest: each new one makes it stop until everything before is drawn. So
+pictures on frusta cost most: each new one makes it stop until everything before is drawn. So
 bodies and frusta move at most ten times a second, and pictures follow twice a second, or when their
-camera is touched. At full speed, when the machine is wanted elsewhere, things move three times a
-second, and one picture changes every two seconds, those that were touched first. When an episode
-stands still, nothing waits. Colours follow at once.
+camera is touched. At full speed, when simulator and policy need the machine, things move three
+times a second, and one picture changes every two seconds, those that were touched first. When an
+episode stands still, nothing waits. Colours follow at once.
 
 A frustum stands where its camera does, moved or not, in the camera's own colour and with what
 arrives of it. Dropped, it is grey and its picture dim. Occluded, its picture has a striped frame:
@@ -119,7 +119,7 @@ class ScenePanel:
         if not (waited or still or (stale and not hurried)):
             return []
         self._drawn = now
-        if hurried:  # One only, and first those that look different from what is the case.
+        if hurried:  # One only, and first those whose state has changed.
             self._next = (self._next + (not stale)) % len(states)
             stale = stale[:1] or [list(states)[self._next]]
         elif not stale or still:
@@ -184,6 +184,6 @@ class ScenePanel:
 
 
 def _same(pose: CameraPose, before: CameraPose) -> bool:
-    """Whether nobody could tell the two poses apart."""
+    """Whether the two poses cannot be distinguished in the scene."""
     near = np.abs(np.subtract(pose.position, before.position)).max() < 0.0005
     return bool(near and np.abs(np.subtract(pose.wxyz, before.wxyz)).max() < 0.002)
