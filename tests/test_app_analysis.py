@@ -153,7 +153,7 @@ def test_a_map_is_made_while_an_episode_runs_and_then_stays(server: viser.ViserS
         session.tick(0.0)
         apply(panel.update(shown(session)))
     assert gui.html != before
-    apply(panel.update(replace(frame, story=shown(session).story)))
+    apply(panel.update(replace(frame, history=shown(session).history)))
     assert circles(gui.html) == circles(before), "the same step at the same place"
     panel.remove()
 

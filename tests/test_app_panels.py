@@ -33,7 +33,7 @@ from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.policies.checkpoint import load_policy
 from madviz.session.commands import Pause, SetCamera, SetPolicy, StepOnce
-from madviz.session.frame import Frame, Setting
+from madviz.session.frame import Condition, Frame
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import browser, recorded, use
@@ -236,9 +236,9 @@ def test_a_policy_without_a_critic_has_no_value():
 def test_success_bars_tell_shipped_from_measured(server):
     rates = Rates(lambda spec: {"all": {"success": 0.94, "n": 100}})
     frame = frame_with(SetCamera("third_a", OFF))
-    assert rates.best(frame.world.policy, Setting("all")) == SuccessRate.of(94, 100)
-    rates.add(frame.world.policy, frame.setting, {2000: True, 2001: False})
-    rates.add(frame.world.policy, frame.setting, {2001: False})
+    assert rates.best(frame.world.policy, Condition("all")) == SuccessRate.of(94, 100)
+    rates.add(frame.world.policy, frame.condition, {2000: True, 2001: False})
+    rates.add(frame.world.policy, frame.condition, {2001: False})
     html = bars_html(frame, rates)
     assert "shipped 0.94 [0.88, 0.97], n=100; nothing measured here" in html
     assert "nothing shipped; measured here 0.50 [0.09, 0.91], n=2" in html
@@ -253,8 +253,8 @@ def test_rates_tell_their_listeners_only_news():
     rates = Rates()
     rates.subscribe(lambda: told.append(1))
     spec = FakePolicy().spec
-    rates.add(spec, Setting("all"), {1: True})
-    rates.add(spec, Setting("all"), {1: True})
+    rates.add(spec, Condition("all"), {1: True})
+    rates.add(spec, Condition("all"), {1: True})
     assert told == [1]
 
 
@@ -266,7 +266,7 @@ def test_words_join_effect_and_success():
     assert line.startswith("Third A dropped: action changed by ")
     assert line.endswith("; success so far 0.94 → not measured yet")
     outcomes = {seed: seed % 16 > 2 for seed in range(16)}
-    rates.add(frame.world.policy, frame.setting, outcomes)
+    rates.add(frame.world.policy, frame.condition, outcomes)
     assert sentence(frame.world.change, frame, rates).endswith("0.94 → 0.81 (n=16)")
 
 
@@ -283,10 +283,10 @@ def test_words_stay_until_something_else_happens(server):
 
 def test_curve_marks_changes():
     curve, spec = Curve(), FakePolicy().spec
-    assert curve.add(spec, Setting("all"), SuccessRate.of(1, 1))
-    assert not curve.add(spec, Setting("all"), SuccessRate.of(1, 1))
-    assert curve.add(spec, Setting("first"), SuccessRate.of(0, 0))
-    assert curve.add(spec, Setting("first"), SuccessRate.of(0, 1))
+    assert curve.add(spec, Condition("all"), SuccessRate.of(1, 1))
+    assert not curve.add(spec, Condition("all"), SuccessRate.of(1, 1))
+    assert curve.add(spec, Condition("first"), SuccessRate.of(0, 0))
+    assert curve.add(spec, Condition("first"), SuccessRate.of(0, 1))
     x, low, _, success, change = curve.data()
     assert list(x) == [1, 1.5, 1.5, 1.5, 2]
     assert list(change) == [-1, -1, 1, -1, -1], "seen only while it rises to 1"
@@ -394,7 +394,7 @@ def test_panels_leave_nothing(server):
 
 def test_an_ablation_of_cameras_that_are_off_is_no_other_setting():
     black = CameraState("off", Occlusion("black"))
-    assert frame_with(SetCamera("first", black)).setting == Setting("third_a+third_b")
+    assert frame_with(SetCamera("first", black)).condition == Condition("third_a+third_b")
     assert Ablation({"first": black}).key() != ""
 
 

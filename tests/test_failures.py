@@ -244,13 +244,13 @@ def test_the_panel_starts_a_scenario_and_says_what_comes_next() -> None:
         server.stop()
 
 
-def test_the_keep_panel_hands_out_what_was_lived() -> None:
+def test_the_save_panel_hands_out_what_was_played() -> None:
     one = session()
     run(one, 5)
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
         assert isinstance(one.latest, Frame)
-        panel = SavePanel(server.gui, one.keep, one.latest)
+        panel = SavePanel(server.gui, one.save, one.latest)
         sent: list[tuple[str, bytes]] = []
         client = SimpleNamespace(
             send_file_download=lambda name, content, **_: sent.append((name, content)),
@@ -261,7 +261,7 @@ def test_the_keep_panel_hands_out_what_was_lived() -> None:
         assert name == "reach-seed3.json"
         assert parse(content, name).episodes[-1].steps >= 5
         assert "madviz replay reach-seed3.json" in panel.update(one.latest)[0].value
-        empty = SavePanel(server.gui, Journal().kept, one.latest)
+        empty = SavePanel(server.gui, Journal().saved, one.latest)
         empty._download(client, last=False)  # type: ignore[arg-type]
         assert sent[-1] == ("That did not work", b"")
         panel.remove()

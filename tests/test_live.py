@@ -23,7 +23,7 @@ from madviz.evaluation.store import MEMORY, EpisodeResult, Store
 from madviz.observation.ablation import Ablation, Occlusion
 from madviz.observation.displacement import Displacement
 from madviz.policies import checkpoint
-from madviz.session.frame import setting_of
+from madviz.session.frame import condition_of
 from tests.fakes import FakePolicy
 from tests.test_checkpoint import make_config
 
@@ -301,5 +301,5 @@ def test_what_workers_measure_of_a_moved_camera_is_where_the_page_looks_for_it()
     moved = Ablation({}, {"first": Displacement(pan=5)})
     rates.want("ann", policy.spec, mask, moved)
     made[0].finish()
-    assert rates.live(policy.spec, setting_of(moved, policy.spec.streams)).n == 1
-    assert rates.live(policy.spec, setting_of(Ablation(), policy.spec.streams)).n == 0
+    assert rates.live(policy.spec, condition_of(moved, policy.spec.streams)).n == 1
+    assert rates.live(policy.spec, condition_of(Ablation(), policy.spec.streams)).n == 0

@@ -75,7 +75,7 @@ def test_both_modalities_share_a_tile_and_depth_has_a_scale_in_metres():
 
 def test_depth_under_an_rgb_policy_is_shown_and_said_to_be_unused():
     frame = frame_with(SetCamera("first", CameraState("depth")))
-    assert frame.setting.subset == "third_a+third_b"
+    assert frame.condition.subset == "third_a+third_b"
     assert "does not reach it" in unused_note(frame)
     assert unused_note(frame_with()) == ""
     assert unused_note(frame_with(policy=policies("toy-rgbd"))) == ""

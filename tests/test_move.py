@@ -25,9 +25,9 @@ from madviz.observation.displacement import (
     trained_axes,
     turned,
 )
-from madviz.session.commands import Fork, Pause, Reset, Scrub, SetCamera, SetPolicy, SetTwin
-from madviz.session.frame import Frame, setting_of, words
-from madviz.session.replay import live_again
+from madviz.session.commands import Compare, Fork, Pause, Reset, Scrub, SetCamera, SetPolicy
+from madviz.session.frame import Frame, condition_of, words
+from madviz.session.replay import replay_episode
 from madviz.session.session import Session
 from madviz.session.session_reader import parse
 from madviz.types import CameraSpec
@@ -117,10 +117,10 @@ def test_a_moved_camera_is_a_setting_of_its_own_and_old_keys_stay():
     moved = still.move("third_a", Displacement(right=0.1))
     assert still.key() == "first:black,strength=1,x=0.5,y=0.5,size=0.4"
     assert moved.key() == f"{still.key()};third_a:moved,right=0.1"
-    assert setting_of(moved, streams) != setting_of(still, streams)
+    assert condition_of(moved, streams) != condition_of(still, streams)
     dropped = moved.replace("third_a", CameraState("off"))  # What is not there cannot be moved.
     gone = still.replace("third_a", CameraState("off"))
-    assert setting_of(dropped, streams) == setting_of(gone, streams)
+    assert condition_of(dropped, streams) == condition_of(gone, streams)
     assert moved.move("third_a", None) == still == moved.move("third_a", Displacement())
 
 
@@ -135,7 +135,7 @@ def test_a_move_is_seen_at_once_and_put_back_also_while_paused():
     assert not np.array_equal(frame.action, before.action)
     shift = frame.world.poses["third_a"].position - before.world.poses["third_a"].position
     assert np.linalg.norm(shift) == pytest.approx(0.3)
-    assert frame.setting.occlusions == "third_a:moved,right=0.3"
+    assert frame.condition.occlusions == "third_a:moved,right=0.3"
     assert frame.world.change is not None
     assert words(frame.world.change, frame.world.env).startswith(
         "Third A moved: 0.30 m to the right: action"
@@ -152,7 +152,7 @@ def test_a_moved_camera_stays_moved_over_steps_occlusions_and_resets():
     frame = live.steps(3)
     assert frame.world.ablation.moves == {"third_a": ASIDE.move}
     again = live.ask(Reset())
-    assert again.world.step == 0 and again.setting.occlusions.endswith("third_a:moved,right=0.3")
+    assert again.world.step == 0 and again.condition.occlusions.endswith("third_a:moved,right=0.3")
 
 
 def test_only_whole_episodes_under_one_place_count_for_it():
@@ -160,10 +160,10 @@ def test_only_whole_episodes_under_one_place_count_for_it():
     live.steps(3)
     live.ask(ASIDE)
     first = live.steps(22).world.outcomes[-1]
-    assert first.setting is None and first.cameras["third_a"] == "moved"
+    assert first.condition is None and first.cameras["third_a"] == "moved"
     live.ask(Reset())
     second = live.steps(26).world.outcomes[-1]
-    assert second.setting is not None and "third_a:moved" in second.setting.occlusions
+    assert second.condition is not None and "third_a:moved" in second.condition.occlusions
 
 
 def test_going_back_puts_cameras_where_they_were_then():
@@ -199,13 +199,13 @@ def test_a_moved_camera_is_kept_and_lives_again_to_the_bit():
     live.steps(2)
     live.ask(Reset())
     live.steps(3)
-    kept = parse(live.keep().to_json().encode(), "a file")
-    assert kept.episodes == live.keep().episodes and len(kept.episodes) == 2
+    kept = parse(live.save().to_json().encode(), "a file")
+    assert kept.episodes == live.save().episodes and len(kept.episodes) == 2
     assert kept.episodes[1].ablation.moves == {"first": Displacement(zoom=1.5)}
     moves = [one for one in kept.episodes[0].commands if isinstance(one.command, MoveCamera)]
     assert [one.step for one in moves] == [2, 5, 5]
     for episode in kept.episodes:
-        assert live_again(episode, lambda wanted: policies(wanted.name)) == episode
+        assert replay_episode(episode, lambda wanted: policies(wanted.name)) == episode
 
 
 @pytest.mark.parametrize("value", [2, float("inf"), None, "0.1"])
@@ -213,7 +213,7 @@ def test_a_kept_move_is_believed_only_in_range(value):
     live = Live()
     live.ask(ASIDE)
     live.steps(1)
-    document = json.loads(live.keep().to_json())
+    document = json.loads(live.save().to_json())
     document["episodes"][0]["commands"][0]["move"]["right"] = value
     with pytest.raises(UserError, match="right|JSON"):
         parse(json.dumps(document).encode(), "a file")
@@ -221,9 +221,9 @@ def test_a_kept_move_is_believed_only_in_range(value):
 
 def test_a_twin_begins_with_moved_cameras_and_another_policy_keeps_them():
     live = Live()
-    frame = live.ask(ASIDE, SetTwin("toy-other", Ablation(moves={"third_a": RIGHT})))
-    assert frame.twin is not None
-    assert np.array_equal(frame.twin.world.views["third_a"].rgb, frame.world.views["third_a"].rgb)
+    frame = live.ask(ASIDE, Compare("toy-other", Ablation(moves={"third_a": RIGHT})))
+    assert frame.second is not None
+    assert np.array_equal(frame.second.world.views["third_a"].rgb, frame.world.views["third_a"].rgb)
     assert live.ask(SetPolicy("toy-rgbd")).world.ablation.moves == {"third_a": ASIDE.move}
 
 

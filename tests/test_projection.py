@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from madviz.analysis.projection import Atlas, fit
+from madviz.analysis.projection import FeatureMaps, fit
 from madviz.errors import UserError
 
 
@@ -50,7 +50,7 @@ def test_features_on_a_line_have_one_axis() -> None:
 
 
 def test_a_map_is_made_once_and_never_moves() -> None:
-    atlas, rows = Atlas(decisions=4), cloud(60, 10)
+    atlas, rows = FeatureMaps(decisions=4), cloud(60, 10)
     for step in range(4):
         assert atlas.map("p") is None and atlas.progress("p") == step / 4
         atlas.collect("p", rows[3 * step : 3 * step + 3])
@@ -63,7 +63,7 @@ def test_a_map_is_made_once_and_never_moves() -> None:
 
 
 def test_every_policy_has_a_map_of_its_own_width() -> None:
-    atlas = Atlas(decisions=2)
+    atlas = FeatureMaps(decisions=2)
     for _ in range(2):
         atlas.collect("wide", cloud(3, 10))
         atlas.collect("narrow", cloud(3, 5))
@@ -73,7 +73,7 @@ def test_every_policy_has_a_map_of_its_own_width() -> None:
 
 
 def test_broken_features_make_no_map() -> None:
-    atlas = Atlas(decisions=1)
+    atlas = FeatureMaps(decisions=1)
     atlas.collect("p", np.full((3, 4), np.nan))
     assert atlas.map("p") is None and atlas.progress("p") == 0
     for rows in (np.zeros((1, 4)), np.full((3, 4), np.inf)):

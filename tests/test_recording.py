@@ -27,7 +27,7 @@ from madviz.recording.rerun import ASPECT, FOV
 from madviz.session.commands import SetSchedule
 from madviz.session.frame import Frame
 from madviz.session.session import Session
-from madviz.session.session_reader import read_kept
+from madviz.session.session_reader import read_session
 from tests.fakes import FakePolicy, NanPolicy, policies
 
 CAMERAS = ("first", "third_a", "third_b")
@@ -248,7 +248,7 @@ def test_a_recording_from_the_command_line_and_the_same_from_a_saved_session(
     assert record(tmp_path, *words, "--keep", str(saved)) == 0
     first = out.read_text()
     assert f"{out}: 25 decisions of toy-mad, seed 7" in capsys.readouterr().out
-    assert len(read_kept(saved).episodes[0].commands) == 3
+    assert len(read_session(saved).episodes[0].commands) == 3
     assert record(tmp_path, "--replay", str(saved), "--out", str(out), "--json", "-") == 0
     assert '"same": true' in capsys.readouterr().out
 

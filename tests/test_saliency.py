@@ -114,13 +114,13 @@ def test_nothing_is_due_before_somebody_asks() -> None:
     live = LiveSaliency()
     assert not live.due("now", ALL, 0.0, moving=False, full_speed=False)
     with pytest.raises(UserError, match="ask for q or action"):
-        live.look(policy_with(), pictures(), STATE, ALL, "now", 0.0)
+        live.update(policy_with(), pictures(), STATE, ALL, "now", 0.0)
 
 
 def test_maps_come_twice_a_second_at_once_when_paused_and_never_at_full_speed() -> None:
     live, policy = asked(), policy_with()
     assert live.due("a", ALL, 10.0, moving=True, full_speed=False)
-    live.look(policy, pictures(), STATE, ALL, "a", 10.0)
+    live.update(policy, pictures(), STATE, ALL, "a", 10.0)
     assert live.maps is not None and list(live.maps) == list(STREAMS)
     assert not live.due("b", ALL, 10.3, moving=True, full_speed=False)
     assert live.due("b", ALL, 10.5, moving=True, full_speed=False)
@@ -134,21 +134,21 @@ def test_maps_come_twice_a_second_at_once_when_paused_and_never_at_full_speed() 
 
 def test_dropping_a_stream_is_another_instant_though_nothing_was_encoded() -> None:
     live, less = asked(), ALL & (np.arange(3) > 0)
-    live.look(policy_with(), pictures(), STATE, ALL, "a", 0.0)
+    live.update(policy_with(), pictures(), STATE, ALL, "a", 0.0)
     assert live.due("a", less, 0.0, moving=False, full_speed=False)
     assert not live.due("a", less, 0.1, moving=True, full_speed=False)
 
 
 def test_switching_off_takes_the_maps_away() -> None:
     live = asked()
-    live.look(policy_with(), pictures(), STATE, ALL, "a", 0.0)
+    live.update(policy_with(), pictures(), STATE, ALL, "a", 0.0)
     live.ask(None, lambda: None)
     assert live.maps is None and not live.due("b", ALL, 9.0, moving=False, full_speed=False)
 
 
 def test_another_episode_is_looked_at_without_waiting() -> None:
     live = asked()
-    live.look(policy_with(), pictures(), STATE, ALL, "a", 10.0)
+    live.update(policy_with(), pictures(), STATE, ALL, "a", 10.0)
     live.forget()
     assert live.maps is None and live.due("b", ALL, 10.1, moving=True, full_speed=False)
 
@@ -156,7 +156,7 @@ def test_another_episode_is_looked_at_without_waiting() -> None:
 def test_asking_for_the_same_again_keeps_what_there_is() -> None:
     """What was loaded in the background asks again, and must not take a first map away."""
     live = asked()
-    live.look(policy_with(), pictures(), STATE, ALL, "a", 0.0)
+    live.update(policy_with(), pictures(), STATE, ALL, "a", 0.0)
     maps = live.maps
     live.ask("q", lambda: None)
     assert live.maps is maps is not None
@@ -166,7 +166,7 @@ def test_asking_for_the_same_again_keeps_what_there_is() -> None:
 
 def test_a_policy_without_torch_leaves_no_maps() -> None:
     live = asked()
-    live.look(FakePolicy(), pictures(), STATE, ALL, "a", 0.0)
+    live.update(FakePolicy(), pictures(), STATE, ALL, "a", 0.0)
     assert live.maps is None
     assert not live.due("a", ALL, 9.0, moving=False, full_speed=False), (
         "asking again would not help"

@@ -33,7 +33,7 @@ def test_first_tick_starts_an_episode(session: Recorder):
     )
     assert set(frame.world.views) == {"first", "third_a", "third_b"}
     assert frame.world.probe.masks.shape == (8, 3)
-    assert frame.setting.subset == "all"
+    assert frame.condition.subset == "all"
 
 
 def test_steps_come_at_the_asked_pace(session: Recorder):
@@ -69,7 +69,7 @@ def test_an_ended_episode_holds_then_the_next_seed_starts(session: Recorder):
     assert (session.frames[-1].world.seed, session.frames[-1].world.step) == (FIRST_SEED + 1, 0)
     outcome = session.frames[-1].world.outcomes[0]
     assert outcome.seed == FIRST_SEED
-    assert outcome.setting is not None and outcome.setting.subset == "all"
+    assert outcome.condition is not None and outcome.condition.subset == "all"
     assert set(outcome.cameras.values()) == {""}
 
 
@@ -108,7 +108,7 @@ def test_a_dropped_camera_leaves_the_sum_at_once(session: Recorder):
     before = session.frames[-1]
     after = session.ask(SetCamera("third_a", OFF))
     assert after.world.step == before.world.step and after.pace.number > before.pace.number
-    assert after.setting.subset == "first+third_b"
+    assert after.condition.subset == "first+third_b"
     kept = after.world.probe.features[[0, 2]].sum(0)
     np.testing.assert_allclose(after.world.probe.readout.merged[after.row], kept, rtol=1e-5)
     np.testing.assert_array_equal(after.world.arrived["third_a"], before.world.arrived["third_a"])
@@ -126,7 +126,7 @@ def test_black_is_not_dropped(session: Recorder):
     dropped = session.ask(SetCamera("third_a", OFF))
     session.ask(SetCamera("third_a", CameraState("rgb")))
     black = session.ask(SetCamera("third_a", BLACK))
-    assert black.setting.subset == "all" and "third_a:black" in black.setting.occlusions
+    assert black.condition.subset == "all" and "third_a:black" in black.condition.occlusions
     assert (black.world.arrived["third_a"] == 0).all()
     assert dropped.world.arrived["third_a"].any()
     assert black.world.change is not None
@@ -148,8 +148,8 @@ def test_camera_commands_are_served_between_renders():
     session.at(0.0)
     session.at(0.1)
     preview, arrived = session.frames[-2:]
-    assert (preview.world.step, preview.setting.subset) == (0, "third_a+third_b")
-    assert (arrived.world.step, arrived.setting.subset) == (1, "third_a+third_b")
+    assert (preview.world.step, preview.condition.subset) == (0, "third_a+third_b")
+    assert (arrived.world.step, arrived.condition.subset) == (1, "third_a+third_b")
     assert arrived.pace.phase == "playing"
     session.at(0.11)
     assert session.frames[-1].pace.phase == "paused"
@@ -203,7 +203,7 @@ def test_outcomes_remember_what_was_wrong(session: Recorder):
     session.steps(30)
     outcome = session.frames[-1].world.outcomes[0]
     assert outcome.cameras == {"first": "off", "third_a": "", "third_b": "occluded"}
-    assert outcome.setting is None
+    assert outcome.condition is None
 
 
 def test_nan_action_pauses_with_a_traceback_and_reset_recovers(session: Recorder):

@@ -25,8 +25,13 @@ def test_the_past_is_shown_as_it_was(session: Recorder):
     session.steps(4)
     live = session.frames[-1]
     then = session.ask(Scrub(6))
-    assert (then.world.step, then.past, then.pace.phase, len(then.story)) == (6, True, "paused", 11)
-    assert then.setting.subset == "third_a+third_b"  # What the step ended with.
+    assert (then.world.step, then.past, then.pace.phase, len(then.history)) == (
+        6,
+        True,
+        "paused",
+        11,
+    )
+    assert then.condition.subset == "third_a+third_b"  # What the step ended with.
     assert np.array_equal(then.world.views["first"].rgb, before.world.views["first"].rgb)
     assert session.tick(1e9) is None  # Nothing moves while somebody looks back.
     back = session.ask(Scrub(None))
@@ -64,14 +69,14 @@ def test_touching_a_camera_in_the_past_begins_another_future(session: Recorder):
     session.ask(Scrub(4))
     frame = session.ask(SetCamera("first", OFF))
     assert (frame.world.step, frame.past, frame.pace.phase) == (4, False, "paused")
-    assert frame.world.change is not None and len(frame.story) == 5
+    assert frame.world.change is not None and len(frame.history) == 5
     session.ask(Play())
     later = session.steps(3)
     assert later.branch is not None
-    assert len(later.branch.story) == 13 and later.branch.at == 4
+    assert len(later.branch.history) == 13 and later.branch.at == 4
     assert later.branch.frame.world.step == later.world.step
     assert not np.array_equal(later.action, first[later.world.step].action)
-    assert later.setting.subset == "third_a+third_b"
+    assert later.condition.subset == "third_a+third_b"
 
 
 def test_a_preview_leaves_no_trace_in_the_past(session: Recorder):
@@ -80,8 +85,8 @@ def test_a_preview_leaves_no_trace_in_the_past(session: Recorder):
     session.send(SetCamera("first", OFF))
     session.steps(2)  # The command came first thing in a tick, and counts from step 3 on.
     then = session.ask(Scrub(2))
-    assert then.setting.subset == "all" and plain.setting.subset == "all"
-    assert session.ask(Scrub(3)).setting.subset == "third_a+third_b"
+    assert then.condition.subset == "all" and plain.condition.subset == "all"
+    assert session.ask(Scrub(3)).condition.subset == "third_a+third_b"
 
 
 def test_forking_needs_a_past(session: Recorder):

@@ -13,18 +13,18 @@ from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.commands import (
+    Compare,
     Pause,
     Play,
     SetAutoNext,
     SetCamera,
     SetPolicy,
     SetSpeed,
-    SetTwin,
     StepOnce,
 )
-from madviz.session.frame import Failure
+from madviz.session.frame import NoFrame
 from madviz.session.session import Session
-from madviz.session.simulation import Simulation, inhabited
+from madviz.session.simulation import Simulation, open_simulation
 from tests.fakes import AllOrNothing, FakePolicy, policies
 from tests.sessions import OFF, Recorder
 
@@ -44,11 +44,11 @@ def test_policies_swap_in_mid_episode_and_camera_settings_stay(session: Recorder
     before = session.steps(5)
     after = session.ask(SetPolicy("toy-other"))
     assert (after.world.policy.name, after.world.step) == ("toy-other", before.world.step)
-    assert after.setting.subset == "first+third_b"
+    assert after.condition.subset == "first+third_b"
     np.testing.assert_array_equal(after.world.arrived["first"], before.world.arrived["first"])
     six = session.ask(SetPolicy("toy-rgbd"))
     assert six.world.probe.masks.shape == (64, 6)
-    assert six.setting.subset == "first+third_b"
+    assert six.condition.subset == "first+third_b"
     assert session.steps(2).world.step == before.world.step + 2
 
 
@@ -68,7 +68,7 @@ def test_a_policy_may_come_by_its_name():
 def test_a_name_that_nobody_knows_is_said_and_another_policy_helps():
     session = Recorder("nonsense")
     session.at(0.0)
-    assert isinstance(session.latest, Failure) and "unknown policy" in session.latest.error
+    assert isinstance(session.latest, NoFrame) and "unknown policy" in session.latest.error
     session.ask(SetPolicy("toy-other"))
     assert session.frames[-1].world.policy.name == "toy-other"
 
@@ -82,10 +82,10 @@ def test_a_policy_of_another_world_is_refused_and_the_old_one_stays():
     session = Recorder()
     session.at(0.0)
     session._stage._load = odd
-    for command in (SetPolicy("toy-other"), SetTwin("toy-other")):
+    for command in (SetPolicy("toy-other"), Compare("toy-other")):
         frame = session.ask(command)
         assert "state numbers = 24, this environment has 6" in frame.pace.error
-        assert frame.world.policy.name == "toy-mad" and frame.twin is None
+        assert frame.world.policy.name == "toy-mad" and frame.second is None
 
 
 def test_a_swapped_policy_gets_the_past_it_would_have_had():
@@ -117,7 +117,7 @@ def test_a_simulator_that_cannot_start_is_reported_and_can_be_retried():
 
     session = Recorder(env_factory=factory)
     assert session.at(0.0) is None
-    assert isinstance(session.latest, Failure) and "no OpenGL here" in session.latest.error
+    assert isinstance(session.latest, NoFrame) and "no OpenGL here" in session.latest.error
     assert session.at(1.0) is None and len(attempts) == 1
     assert session.ask(Play()).world.step == 0
 
@@ -194,7 +194,7 @@ def test_what_cannot_be_shown_still_ends_with_its_environment_closed(monkeypatch
     session.subscribe(lambda _: told.set())
     session.start()
     assert told.wait(60)
-    assert isinstance(session.latest, Failure) and "no picture today" in session.latest.error
+    assert isinstance(session.latest, NoFrame) and "no picture today" in session.latest.error
     session.send(Play())
     session.close()
     assert session._thread is not None and not session._thread.is_alive()
@@ -213,5 +213,5 @@ def test_a_policy_that_cannot_live_in_its_environment_leaves_none_open(monkeypat
 
     monkeypatch.setattr(Simulation, "_adopt", broken)
     with pytest.raises(RuntimeError, match="no place for it"):
-        inhabited(Closing(), FakePolicy(), Ablation())
+        open_simulation(Closing(), FakePolicy(), Ablation())
     assert closed == [True]

@@ -23,7 +23,7 @@ from madviz.session.commands import (
     SetSaliency,
     SetSpeed,
 )
-from madviz.session.frame import Failure, Frame
+from madviz.session.frame import Frame, NoFrame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies
 
@@ -46,7 +46,7 @@ class Clocked:
         self.frames: list[Frame] = []
         self.session.subscribe(self.keep)
 
-    def keep(self, frame: Frame | Failure) -> None:
+    def keep(self, frame: Frame | NoFrame) -> None:
         assert isinstance(frame, Frame)
         self.frames.append(frame)
 

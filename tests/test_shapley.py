@@ -9,14 +9,14 @@ import pytest
 
 from madviz.analysis.probes import Probe
 from madviz.analysis.shapley import (
-    action_worth,
+    action_shapley,
     camera_masks,
-    q_worth,
+    q_shapley,
     set_names,
     shapley,
     shares,
     success_interval,
-    success_worth,
+    success_shapley,
 )
 from madviz.errors import UserError
 from madviz.subsets import every_mask, mask_of
@@ -76,10 +76,10 @@ def test_equal_cameras_get_equal_worth_and_idle_ones_nothing() -> None:
 
 
 def test_the_example_of_the_module() -> None:
-    worth = success_worth(HALF, ("first", "third_a"))
+    worth = success_shapley(HALF, ("first", "third_a"))
     assert worth is not None
     np.testing.assert_allclose(worth.cameras, [0.3, 0.7], atol=1e-12)
-    assert (worth.nothing, worth.everything) == (0.0, 1.0)
+    assert (worth.empty, worth.full) == (0.0, 1.0)
 
 
 def test_a_camera_is_one_player_with_all_its_streams() -> None:
@@ -88,32 +88,32 @@ def test_a_camera_is_one_player_with_all_its_streams() -> None:
     np.testing.assert_array_equal(masks[:, 0::2], masks[:, 1::2])
     probe = probe_of(RGBD)
     values = np.array([probe.readout.q[probe.row(mask)] for mask in masks], np.float64)
-    worth = q_worth(probe, RGBD)
+    worth = q_shapley(probe, RGBD)
     np.testing.assert_allclose(worth.cameras, by_orders(values), atol=1e-9)
 
 
 def test_a_dropped_camera_is_worth_nothing_and_the_rest_share_what_is_left() -> None:
     probe, present = probe_of(THREE), mask_of("first+third_b", THREE)
-    worth = q_worth(probe, THREE, present)
+    worth = q_shapley(probe, THREE, present)
     assert worth.cameras[1] == 0
-    assert worth.everything == pytest.approx(float(probe.readout.q[probe.row(present)]))
-    assert worth.nothing + worth.cameras.sum() == pytest.approx(worth.everything)
+    assert worth.full == pytest.approx(float(probe.readout.q[probe.row(present)]))
+    assert worth.empty + worth.cameras.sum() == pytest.approx(worth.full)
 
 
 def test_a_dropped_stream_leaves_its_camera_the_other_one() -> None:
     present = mask_of("rgb", RGBD)
     masks = camera_masks(RGBD, present)
     assert not masks[:, 1::2].any() and masks[0, 0::2].all()
-    assert np.abs(q_worth(probe_of(RGBD), RGBD, present).cameras).min() > 0
+    assert np.abs(q_shapley(probe_of(RGBD), RGBD, present).cameras).min() > 0
 
 
 def test_the_action_is_shared_from_blind_to_seeing() -> None:
     probe = probe_of(THREE)
     action = probe.readout.action.astype(np.float64)
     values = -np.linalg.norm(action - action[0], axis=1)
-    worth = action_worth(probe, THREE)
+    worth = action_shapley(probe, THREE)
     np.testing.assert_allclose(worth.cameras, by_orders(values), atol=1e-9)
-    assert worth.everything == 0
+    assert worth.full == 0
     assert worth.cameras.sum() == pytest.approx(np.linalg.norm(action[-1] - action[0]))
 
 
@@ -123,18 +123,18 @@ def test_a_camera_that_never_changes_the_action_is_worth_nothing() -> None:
         twin = mask.copy()
         twin[2] = True
         probe.readout.action[row] = probe.readout.action[probe.row(twin)]
-    assert action_worth(probe, THREE).cameras[2] == pytest.approx(0, abs=1e-12)
+    assert action_shapley(probe, THREE).cameras[2] == pytest.approx(0, abs=1e-12)
 
 
 def test_no_worth_where_the_policy_cannot_act_on_every_set() -> None:
     probe = probe_of(THREE, blind=True)
-    assert np.isnan(q_worth(probe, THREE).cameras).all()
-    assert np.isnan(action_worth(probe, THREE).cameras).all()
+    assert np.isnan(q_shapley(probe, THREE).cameras).all()
+    assert np.isnan(action_shapley(probe, THREE).cameras).all()
 
 
 def test_success_needs_every_set_of_cameras() -> None:
-    assert success_worth({"all": 1.0, "none": 0.0, "first": 0.5}, ("first", "third_a")) is None
-    assert success_worth({**HALF, "first": float("nan")}, ("first", "third_a")) is None
+    assert success_shapley({"all": 1.0, "none": 0.0, "first": 0.5}, ("first", "third_a")) is None
+    assert success_shapley({**HALF, "first": float("nan")}, ("first", "third_a")) is None
     assert set_names(THREE) == (
         *("all", "first+third_a", "first+third_b", "first"),
         *("third_a+third_b", "third_a", "third_b", "none"),
@@ -143,7 +143,7 @@ def test_success_needs_every_set_of_cameras() -> None:
 
 def test_fewer_sets_are_needed_while_a_camera_is_dropped() -> None:
     rates = {"first+third_a": 1.0, "first": 0.2, "third_a": 0.6, "none": 0.0}
-    worth = success_worth(rates, THREE, mask_of("first+third_a", THREE))
+    worth = success_shapley(rates, THREE, mask_of("first+third_a", THREE))
     assert worth is not None
     np.testing.assert_allclose(worth.cameras, [0.3, 0.7, 0.0], atol=1e-12)
 

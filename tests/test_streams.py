@@ -80,7 +80,7 @@ def test_a_late_camera_sends_what_it_saw_then() -> None:
         arrived.append(newest_first(stack)[0])
         assert stack.newest["third_a"].mean() == 10 + step
     assert arrived == [10, 10, 10, 10, 10, 11, 12, 13]  # 0.4 x 10 = 4 decisions late.
-    saved = stack.saved()
+    saved = stack.snapshot()
     stack.replace_last(Ablation())
     assert newest_first(stack) == [17, 12, 11]
     stack.push(views(90), Ablation(), 0, 8)
@@ -93,7 +93,7 @@ def test_what_was_seen_last_can_be_exchanged() -> None:
     stack = StreamStack(SPEC, THREE)
     for step in range(3):
         stack.push(views(10 + step), Ablation(), 0, step)
-    stack.see_again("first", views(50)["first"])
+    stack.replace_view("first", views(50)["first"])
     stack.replace_last(Ablation())
     assert newest_first(stack) == [50, 11, 10]
     assert stack.newest["third_a"].mean() == 12

@@ -53,7 +53,7 @@ def server() -> Iterator[viser.ViserServer]:
 
 def test_marks_are_where_cameras_or_the_policy_changed() -> None:
     frame = Played()(3, SetCamera("first", OFF), 2, SetPolicy("toy-other"), 1)
-    assert marks(frame.story) == [(3, "third_a+third_b"), (5, "toy-other")]
+    assert marks(frame.history) == [(3, "third_a+third_b"), (5, "toy-other")]
 
 
 def test_the_drawing_has_a_point_for_every_step_and_the_branch() -> None:

@@ -78,7 +78,7 @@ def test_every_step_does_what_it_says(table: Table, server: viser.ViserServer):
             table.tick()
         tour.next()
         seen.append(table.tick())
-    settings = [str(frame.setting) for frame in seen]
+    settings = [str(frame.condition) for frame in seen]
     assert settings[0] == settings[2] == settings[7] == "all"
     assert settings[1] == "first+third_b"
     assert settings[3].startswith("all · third_b:black")

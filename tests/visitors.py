@@ -21,7 +21,7 @@ from madviz.session.commands import (
 )
 from madviz.session.frame import Frame
 from madviz.session.session import Session
-from madviz.session.session_file import KeptPolicy, KeptSession
+from madviz.session.session_file import SavedPolicy, SavedSession
 from madviz.types import CameraSpec, Policy, View
 from tests.fakes import FakePolicy, policies
 
@@ -30,7 +30,7 @@ NAMES = ("toy-mad", "toy-rgbd", "toy-other")
 KINDS = get_args(OcclusionKind)
 
 
-def find(policy: KeptPolicy) -> Policy:
+def find(policy: SavedPolicy) -> Policy:
     return policies(policy.name)
 
 
@@ -81,7 +81,7 @@ def random_command(rng: np.random.Generator, step: int) -> Any:
     return Fork() if draw < 0.98 else Reset(next_seed=bool(rng.integers(2)))
 
 
-def lived(seed: int, steps: int) -> KeptSession:
+def played(seed: int, steps: int) -> SavedSession:
     """A session with a wild visitor, who also clicks while pictures are drawn."""
     rng, world = np.random.default_rng(seed), []
     session = session_with(world, seed=seed)
@@ -97,7 +97,7 @@ def lived(seed: int, steps: int) -> KeptSession:
             session.send(random_command(rng, step))
         session.send(Play())
         session.tick(float(tick))
-    return session.keep()
+    return session.save()
 
 
 def put(document: dict[str, Any], path: str, value: Any) -> dict[str, Any]:

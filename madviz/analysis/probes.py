@@ -1,8 +1,8 @@
-"""What a policy makes of one instant, under every subset of its streams at once.
+"""What a policy makes of one time step, under every subset of its streams at once.
 
 Each stream is encoded once. Every subset's merged feature is a masked sum of those rows, so reading
 all of them is one batch through the heads: with three streams 8 rows, with six 64. Switching a
-camera off is then a look-up in this table, and no network runs for it.
+camera off then reads a row of this table, and no network runs for it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Merged = Literal["sum", "mean", "other", "no views"]
 
 @dataclass(frozen=True)
 class Probe:
-    """The features of one instant and what every subset of them would do."""
+    """The features of one time step and what every subset of them would do."""
 
     features: Array
     """(V, Z) one row per stream."""
@@ -37,31 +37,31 @@ class Probe:
 
     @property
     def norms(self) -> Array:
-        """(V,) lengths of the stream features."""
+        """(V,) norms of the stream features."""
         return np.linalg.norm(self.features, axis=1)
 
     def merged(self, row: int) -> Array:
-        """(Z,) float32 merged feature; what a timeline keeps may be rounded to half of that."""
+        """(Z,) float32 merged feature; a timeline's past may be rounded to half of that."""
         return self.readout.merged[row].astype(np.float32, copy=False)
 
     def merged_norm(self, row: int) -> float:
         return float(np.linalg.norm(self.merged(row)))
 
     def cosines(self, row: int) -> Array:
-        """(V,) cosine of every stream's feature to the merged one; NaN where one has no length."""
+        """(V,) cosine of every stream's feature to the merged one; NaN where one has norm 0."""
         merged = self.merged(row)
-        lengths = self.norms * np.linalg.norm(merged)
+        norms = self.norms * np.linalg.norm(merged)
         if merged.shape != self.features.shape[1:]:
             return np.full(len(self.features), np.nan)
         dots = self.features @ merged
-        return np.divide(dots, lengths, out=np.full(len(dots), np.nan), where=lengths > 1e-12)
+        return np.divide(dots, norms, out=np.full(len(dots), np.nan), where=norms > 1e-12)
 
     def shares(self, row: int) -> Array:
         """(V,) how much of the merged feature M of ``row`` each stream explains, V_i . M / |M|^2.
 
         Where M is a sum they add up to 1, because the V_i . M add up to M . M; for a mean each is
         divided by the number of streams, and they do so, too. 0 for an absent stream; NaN where M
-        has no length or is no sum and no mean.
+        has norm 0 or is no sum and no mean.
         """
         kind, mask = self.merged_kind(), self.masks[row]
         merged = self.merged(row)
@@ -71,7 +71,7 @@ class Probe:
         return parts / mask.sum() if kind == "mean" else parts
 
     def merged_kind(self) -> Merged:
-        """What the merged feature is, told from the numbers themselves: policies of one method may
+        """What the merged feature is, found from the numbers themselves: policies of one method may
         merge differently. ``no views``: no stream has a feature of its own."""
         if not self.features.any():
             return "no views"

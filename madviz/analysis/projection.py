@@ -5,8 +5,9 @@ is on the page now would turn and stretch with every frame, and nobody could tel
 from a moving map.
 
 The idea: collect features for a while, compute the two directions in which they differ most, once,
-and keep them. From then on a point is (feature - mean) @ axes, and its way over the map is what the
-policy sees changing. The sign of an axis is arbitrary; here its greatest entry is positive.
+and store them. From then on a point is (feature - mean) @ axes, and its path over the map shows
+how the policy's features change. The sign of an axis is arbitrary; here its greatest entry is
+positive.
 
 Worked: of 40 decisions and three views come 120 rows of 3136. Their directions are those of a
 120 x 120 table of dot products (8 ms), so the 3136 x 3136 covariance is never formed.
@@ -22,7 +23,7 @@ from madviz.errors import UserError
 from madviz.types import Array
 
 DECISIONS = 40
-"""Instants a map is made of."""
+"""Time steps a map is made of."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Basis:
     mean: Array
     """(Z,) where the map's origin is."""
     axes: Array
-    """(2, Z) of length 1, at right angles; zeros where features differ in fewer directions."""
+    """(2, Z) of norm 1, at right angles; zeros where features differ in fewer directions."""
     share: float
     """Of the variance of what it was made of, in [0, 1], that the two axes show."""
     low: Array
@@ -68,8 +69,8 @@ def fit(features: Array) -> Basis:
     return Basis(mean, axes, share, points.min(0), points.max(0))
 
 
-class Atlas:
-    """A map per policy, made of the first ``DECISIONS`` instants of it that were seen, and kept."""
+class FeatureMaps:
+    """A map per policy, made of the first ``DECISIONS`` time steps of it, and then fixed."""
 
     def __init__(self, decisions: int = DECISIONS) -> None:
         self._decisions = decisions
@@ -77,7 +78,7 @@ class Atlas:
         self._maps: dict[str, Basis] = {}
 
     def collect(self, key: str, features: Array) -> None:
-        """Takes the features (V, Z) of one more instant of the policy ``key``."""
+        """Takes the features (V, Z) of one more time step of the policy ``key``."""
         if key in self._maps or not np.isfinite(features).all():
             return
         seen = self._seen.setdefault(key, [])

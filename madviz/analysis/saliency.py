@@ -1,7 +1,7 @@
-"""Where a policy looks: which pixels its Q, or its action, hangs on. The only importer of captum.
+"""Which pixels a policy's Q, or its action, depends on. The only importer of captum.
 
 The question is a derivative. Let s be one number that the policy makes of its pictures, Q or the
-length of its action; |ds/dx| says how much s moves when pixel x changes by one grey level. One
+norm of its action; |ds/dx| says how much s moves when pixel x changes by one grey level. One
 picture's derivative is grainy, because a network of ReLUs is piecewise linear and every pixel sits
 near some crease. So it is averaged over a few copies with noise on them (SmoothGrad: Smilkov and
 others, arXiv 1706.03825; the derivative itself: Simonyan and others, arXiv 1312.6034).
@@ -40,7 +40,7 @@ PERIOD = 0.5
 def saliency(
     policy: Policy, views: Array, state: Array, mask: Array, target: Target = "q"
 ) -> Array | None:
-    """(V, H, W) float32 in [0, 1]: how much ``target`` hangs on each place of each stream.
+    """(V, H, W) float32 in [0, 1]: how much ``target`` depends on each place of each stream.
 
     ``views`` (V, C, H, W) uint8, ``state`` (S,), ``mask`` (V,) bool. The same input has the same
     map. None for a policy without torch networks, and where it cannot act on ``mask``.
@@ -101,7 +101,7 @@ class LiveSaliency:
         self.maps: dict[str, Array] | None = None
         """(H, W) in [0, 1] by stream; None while there are none."""
         self._of: tuple[object, bytes]
-        """The instant and the mask that the maps belong to."""
+        """The time step and the mask that the maps belong to."""
         self._done: float
         self._ready = False
         self.forget()
@@ -125,27 +125,27 @@ class LiveSaliency:
         """Another policy or episode: what is known is of no use, the next map is due at once."""
         self.maps, self._of, self._done = None, (None, b""), -1e9
 
-    def due(self, instant: object, mask: Array, now: float, moving: bool, full_speed: bool) -> bool:
-        """Whether ``instant``, whatever object stands for what is shown, should be looked at now:
+    def due(self, shown: object, mask: Array, now: float, moving: bool, full_speed: bool) -> bool:
+        """Whether ``shown``, whatever object stands for what is shown, needs a new map now:
         at once while nothing moves, twice a second while it does, never at full speed."""
         if moving and full_speed:
             self.forget()
         elif self.target is not None and self._ready:
-            known = instant is self._of[0] and np.asarray(mask, bool).tobytes() == self._of[1]
+            known = shown is self._of[0] and np.asarray(mask, bool).tobytes() == self._of[1]
             return not known and (not moving or now - self._done >= PERIOD)
         return False
 
-    def look(
+    def update(
         self,
         policy: Policy,
         views: Array,
         state: Array,
         mask: Array,
-        instant: object,
+        shown: object,
         now: float,
     ) -> None:
-        """Makes the maps of ``instant``; see ``saliency`` for the rest."""
-        self._of, self._done = (instant, np.asarray(mask, bool).tobytes()), now
+        """Makes the maps of ``shown``; see ``saliency`` for the rest."""
+        self._of, self._done = (shown, np.asarray(mask, bool).tobytes()), now
         if self.target is None:
             raise UserError("expected a target, found none; ask for q or action first")
         maps = saliency(policy, views, state, mask, self.target)

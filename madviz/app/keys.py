@@ -14,7 +14,7 @@ from madviz.session.commands import (
     SetSpeed,
     StepOnce,
 )
-from madviz.session.frame import Failure, Frame, untouched
+from madviz.session.frame import Frame, NoFrame, untouched
 
 
 class Keys:
@@ -23,7 +23,7 @@ class Keys:
     def __init__(
         self,
         send: Callable[[Command], None] | None,
-        newest: Callable[[], Frame | Failure | None],
+        newest: Callable[[], Frame | NoFrame | None],
         frame: Frame,
     ) -> None:
         """``send`` is None for a visitor who only watches, and has none."""

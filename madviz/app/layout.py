@@ -38,7 +38,7 @@ from madviz.app.scene.scene import ScenePanel, extent
 from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
 from madviz.app.tour import Tour
 from madviz.session.commands import SetSaliency
-from madviz.session.frame import Failure, Frame
+from madviz.session.frame import Frame, NoFrame
 from madviz.session.session import Session
 from madviz.training.job import TrainingJob
 
@@ -62,7 +62,7 @@ class Panels:
         session: Session,
         shared: Shared,
         frame: Frame,
-        newest: Callable[[], Frame | Failure | None],
+        newest: Callable[[], Frame | NoFrame | None],
         *,
         wide: bool,
         readonly: bool,
@@ -128,7 +128,7 @@ class Panels:
             ("A/B", [(lambda: ComparisonPanel(gui, send, frame, shared.choices), 0.5)]),
             ("Failures", [(lambda: FailuresPanel(gui, send, frame), 0.5)]),
             ("Train", [(lambda: TrainingPanel(gui, send, frame, shared.training), 1.0)]),
-            ("Save", [(lambda: SavePanel(gui, self._session.keep, frame), 1.0)]),
+            ("Save", [(lambda: SavePanel(gui, self._session.save, frame), 1.0)]),
         ]
         built = []
         for name, panels in table:

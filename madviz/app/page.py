@@ -21,7 +21,7 @@ import viser
 from madviz.app.layout import Panels, Shared
 from madviz.app.panel import apply
 from madviz.app.toolkit import window_is_wide
-from madviz.session.frame import Change, Failure, Frame
+from madviz.session.frame import Change, Frame, NoFrame
 from madviz.session.session import Session
 
 log = logging.getLogger(__name__)
@@ -50,7 +50,7 @@ class Page:
         self._drawing = threading.Lock()
         self._urgent = threading.Event()
         """Somebody has touched a camera and waits for ``_drawing``."""
-        self._newest: Frame | Failure | None = None
+        self._newest: Frame | NoFrame | None = None
         self._wake, self._closing = threading.Event(), threading.Event()
         self._beginning = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="madviz-page", daemon=True)
@@ -65,7 +65,7 @@ class Page:
             self.session.subscribe(self.show)
             self._shared.rates.subscribe(self.poke)
 
-    def show(self, frame: Frame | Failure) -> None:
+    def show(self, frame: Frame | NoFrame) -> None:
         """Takes a frame, from any thread; an older one that was not shown yet is left out. If it is
         the first one since its visitor touched a camera, it is on its way before this returns."""
         self._newest = frame
@@ -148,10 +148,10 @@ class Page:
             log.error("a frame could not be shown\n%s", error)
             self._waiting.content = waiting_html("A frame could not be shown.", error)
 
-    def _push(self, frame: Frame | Failure, now: float) -> float | None:
+    def _push(self, frame: Frame | NoFrame, now: float) -> float | None:
         """Shows ``frame``. Returns in how many seconds a panel that was left out is due."""
         assert self._waiting is not None
-        if isinstance(frame, Failure):
+        if isinstance(frame, NoFrame):
             self._waiting.content = waiting_html("The simulator could not start.", frame.error)
             return None
         wanted = (frame.world.env.task, frame.world.env.cameras)

@@ -15,7 +15,7 @@ from typing import Any
 from madviz.evaluation.live import Evaluator, Tally
 from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.ablation import Ablation, CameraState
-from madviz.session.frame import Setting
+from madviz.session.frame import Condition
 from madviz.types import Array, PolicySpec
 
 Shipped = Callable[[PolicySpec], Mapping[str, Mapping[str, Any]]]
@@ -40,11 +40,11 @@ class Rates:
         self._evaluator = make_evaluator(self._hear) if make_evaluator else None
         self._keys: dict[str, str] = {}
         """By reference: the key of that policy here."""
-        self._errors: dict[tuple[str, Setting], str] = {}
+        self._errors: dict[tuple[str, Condition], str] = {}
         self._lock = threading.Lock()
         """Between writers: pages and the evaluator add episodes, and pages come and go."""
         self._shipped: dict[str, dict[str, SuccessRate]] = {}
-        self._live: dict[tuple[str, Setting], dict[int, bool]] = {}
+        self._live: dict[tuple[str, Condition], dict[int, bool]] = {}
         self._listeners: tuple[Callable[[], None], ...] = ()
 
     def shipped(self, spec: PolicySpec) -> dict[str, SuccessRate]:
@@ -58,22 +58,24 @@ class Rates:
             self._shipped = {**self._shipped, key: table}
         return self._shipped[key]
 
-    def live(self, spec: PolicySpec, setting: Setting) -> SuccessRate:
+    def live(self, spec: PolicySpec, setting: Condition) -> SuccessRate:
         """What was measured here."""
         seen = self._live.get((key_of(spec), setting), {})
         return SuccessRate.of(sum(seen.values()), len(seen))
 
-    def best(self, spec: PolicySpec, setting: Setting) -> SuccessRate:
+    def best(self, spec: PolicySpec, setting: Condition) -> SuccessRate:
         """Whichever says more. They are not added up: workers begin with the shipped seeds."""
         known = NOTHING if setting.occlusions else self.shipped(spec).get(setting.subset, NOTHING)
         live = self.live(spec, setting)
         return live if live.n >= known.n else known
 
-    def add(self, spec: PolicySpec, setting: Setting, outcomes: Mapping[int, bool]) -> None:
+    def add(self, spec: PolicySpec, setting: Condition, outcomes: Mapping[int, bool]) -> None:
         """Takes outcomes by seed; calls the listeners if one of them is new."""
         self._add((key_of(spec), setting), outcomes)
 
-    def _add(self, key: tuple[str, Setting], outcomes: Mapping[int, bool], error: str = "") -> None:
+    def _add(
+        self, key: tuple[str, Condition], outcomes: Mapping[int, bool], error: str = ""
+    ) -> None:
         with self._lock:
             before = self._live.get(key, {})
             news = not outcomes.items() <= before.items() or self._errors.get(key, "") != error
@@ -101,7 +103,7 @@ class Rates:
         if self._evaluator is not None:
             self._evaluator.forget(visitor)
 
-    def error(self, spec: PolicySpec, setting: Setting) -> str:
+    def error(self, spec: PolicySpec, setting: Condition) -> str:
         """Why a setting cannot be measured; empty while it can."""
         return self._errors.get((key_of(spec), setting), "")
 
@@ -112,7 +114,8 @@ class Rates:
 
     def _hear(self, tally: Tally) -> None:
         occluded = {camera: CameraState(occlusion=o) for camera, o in tally.request.occlusions}
-        setting = Setting(tally.request.subset, Ablation(occluded, dict(tally.request.moves)).key())
+        ablation = Ablation(occluded, dict(tally.request.moves))
+        setting = Condition(tally.request.subset, ablation.key())
         outcomes = {result.seed: result.success for result in tally.results}
         self._add((self._keys[tally.request.policy], setting), outcomes, tally.error)
 

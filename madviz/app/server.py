@@ -29,8 +29,8 @@ from madviz.policies import checkpoint
 from madviz.policies.listing import list_policies
 from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session import Session
-from madviz.session.session_file import KeptEpisode
-from madviz.session.session_reader import read_kept
+from madviz.session.session_file import SavedEpisode
+from madviz.session.session_reader import read_session
 from madviz.system.processes import limit_heaps
 from madviz.types import CameraSpec, Environment, Policy, PolicySpec
 
@@ -222,12 +222,12 @@ def gate_for(config: ExploreConfig) -> Gate:
     return Gate(new_token() if guarded else None, new_token() if config.present else None, local)
 
 
-def saved_episode(config: ExploreConfig) -> tuple[KeptEpisode | None, dict[str, Policy]]:
+def saved_episode(config: ExploreConfig) -> tuple[SavedEpisode | None, dict[str, Policy]]:
     """The episode to replay, if there is one, and all its policies by name, the first one
     first. Says what is known to be different here. Raises UserError for a file that won't do."""
     if config.replay is None:
         return None, {}
-    saved = read_kept(config.replay)
+    saved = read_session(config.replay)
     script = saved.episode(config.episode)
     find = finder(() if config.policy is None else (config.policy,))
     check_policies(script, find)

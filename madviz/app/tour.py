@@ -24,7 +24,7 @@ from madviz.app.panels.policy import PolicyChoice
 from madviz.app.toolkit import Cell, guarded, place, theme
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.session.commands import Command, Play, Reset, Scrub, SetCamera, SetPolicy, SetSpeed
-from madviz.session.frame import Failure, Frame, untouched
+from madviz.session.frame import Frame, NoFrame, untouched
 from madviz.types import PolicySpec
 
 WIDTH = 300
@@ -155,7 +155,7 @@ class Tour:
         self,
         client: viser.ClientHandle,
         send: Callable[[Command], None] | None,
-        newest: Callable[[], Frame | Failure | None],
+        newest: Callable[[], Frame | NoFrame | None],
         choices: Sequence[PolicyChoice],
         keys: Sequence[tuple[str, str]],
     ) -> None:

@@ -1,6 +1,6 @@
 """What can happen to a camera: small frozen values with a pure ``apply``.
 
-Two things look alike and are not. A *dropped* stream leaves the sum: the policy's merged feature
+Two things are easily confused. A *dropped* stream leaves the sum: the policy's merged feature
 loses the term f(o_i). An *occluded* stream stays in the sum, but its camera sends black, noise or
 an old picture, so that the sum holds f(black), an input nobody trained it on. ``CameraInput``
 decides the first, an ``Occlusion`` the second. A third thing is a camera that was *moved*: its

@@ -11,12 +11,12 @@ that do. A schedule is a few events, each the state of one camera from one step 
                             a patch of strength 1; its middle from the left and the top, its width
                             and its height follow, as shares of the picture
 
-Step 20 is the instant after 20 decisions; the 21st is the first one taken without the camera. An
+Step 20 is the time step after 20 decisions; the 21st is the first one taken without the camera. An
 event at step 0 holds for the first picture already. Where several events meet in one camera at one
 step, cameras come back first, and of the others the last one counts.
 
 A scenario says the same for cameras by their position and for steps as parts of the episode, so
-that it fits every task: with a horizon of 100, a spell from 0.2 to 0.4 lasts from step 20 to 40.
+that it fits every task: with a horizon of 100, a failure from 0.2 to 0.4 lasts from step 20 to 40.
 """
 
 from __future__ import annotations
@@ -144,11 +144,11 @@ def _spelled(occlusion: Occlusion) -> str:
 
 
 @dataclass(frozen=True)
-class Spell:
+class FailureSpan:
     """One failure of a scenario."""
 
     camera: int
-    """Its place among the environment's cameras, from 0; the spell is left out where there is no
+    """Its place among the environment's cameras, from 0; the failure is left out where there is no
     such camera."""
     what: str
     """``off``, or an occlusion with its strength: ``noise:0.5``."""
@@ -160,12 +160,12 @@ class Spell:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Failures that make a story."""
+    """Failures with a name that belong together."""
 
     name: str
     words: str
     """One line for somebody who sees the page for the first time."""
-    spells: tuple[Spell, ...]
+    spells: tuple[FailureSpan, ...]
 
     def schedule(self, env: EnvSpec) -> Schedule:
         """The events for the cameras and the horizon of ``env``."""
@@ -183,47 +183,51 @@ SCENARIOS = (
     Scenario(
         "blackout one by one",
         "One camera after another is lost; the first one stays to the end.",
-        tuple(Spell(place, "off", 0.05 + 0.15 * place) for place in _PLACES[1:]),
+        tuple(FailureSpan(place, "off", 0.05 + 0.15 * place) for place in _PLACES[1:]),
     ),
     Scenario(
         "taking turns",
         "Every camera is lost for a while, never two at once.",
-        tuple(Spell(p, "off", 0.1 + 0.2 * p, 0.3 + 0.2 * p) for p in _PLACES[:4]),
+        tuple(FailureSpan(p, "off", 0.1 + 0.2 * p, 0.3 + 0.2 * p) for p in _PLACES[:4]),
     ),
     Scenario(
         "flickering",
         "The second camera drops out and comes back, again and again.",
-        tuple(Spell(1, "off", 0.1 + 0.08 * n, 0.14 + 0.08 * n) for n in range(10)),
+        tuple(FailureSpan(1, "off", 0.1 + 0.08 * n, 0.14 + 0.08 * n) for n in range(10)),
     ),
     Scenario(
         "lens covered",
         "Something hangs before the first camera: it sends black, and the policy believes it.",
-        (Spell(0, "black", 0.2, 0.7),),
+        (FailureSpan(0, "black", 0.2, 0.7),),
     ),
     Scenario(
         "bad cable",
-        "The second camera's picture gets noisier, then is gone.",
-        (Spell(1, "noise:0.3", 0.1), Spell(1, "noise:0.7", 0.3), Spell(1, "off", 0.5)),
+        "The second camera's picture gets noisier, then the camera drops out.",
+        (
+            FailureSpan(1, "noise:0.3", 0.1),
+            FailureSpan(1, "noise:0.7", 0.3),
+            FailureSpan(1, "off", 0.5),
+        ),
     ),
     Scenario(
         "weak radio link",
         "Every camera loses most of its pictures; the last one that came stays.",
-        tuple(Spell(place, "dropout:0.8", 0.1) for place in _PLACES),
+        tuple(FailureSpan(place, "dropout:0.8", 0.1) for place in _PLACES),
     ),
     Scenario(
         "slow network",
         "Every camera's picture comes half a second late at normal speed.",
-        tuple(Spell(place, "delay:0.5", 0.1) for place in _PLACES),
+        tuple(FailureSpan(place, "delay:0.5", 0.1) for place in _PLACES),
     ),
     Scenario(
         "stuck picture",
         "The third camera freezes, and nobody notices.",
-        (Spell(2, "freeze", 0.15),),
+        (FailureSpan(2, "freeze", 0.15),),
     ),
     Scenario(
         "fog",
         "All cameras are blurred for the middle of the episode.",
-        tuple(Spell(place, "blur:0.4", 0.25, 0.75) for place in _PLACES),
+        tuple(FailureSpan(place, "blur:0.4", 0.25, 0.75) for place in _PLACES),
     ),
 )
 

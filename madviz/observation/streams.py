@@ -86,17 +86,17 @@ class StreamStack:
         """Lets the newest frames arrive again, under another ablation."""
         first = self._noise_key[1] == 0
         arrived = self._arrived(None if first else self._frames[-2], ablation)
-        kept = [arrived] * self.length if first else self._frames[:-1]
-        self._frames = [*kept, arrived]
+        before = [arrived] * self.length if first else self._frames[:-1]
+        self._frames = [*before, arrived]
 
-    def see_again(self, camera: str, view: View) -> None:
+    def replace_view(self, camera: str, view: View) -> None:
         """Exchanges what ``camera`` saw last, as if it had always been so; ``replace_last`` lets it
         arrive."""
         streams = [stream for stream in self.streams if camera_of(stream) == camera]
         fresh = {stream: stream_frame(view, stream, self.env) for stream in streams}
         self._seen = [*self._seen[:-1], {**self._seen[-1], **fresh}]
 
-    def saved(self) -> tuple:
+    def snapshot(self) -> tuple:
         """What ``restore`` needs to stand here again; pictures are shared, not copied."""
         return tuple(self._frames), tuple(self._seen), self._noise_key
 
@@ -125,6 +125,6 @@ class StreamStack:
             frame = self._seen[max(-1 - occlusion.late, -len(self._seen))][stream]
             # A lost frame is lost in colour and depth together; grains of noise are not shared.
             drawn_for = camera_of(stream) if occlusion.kind == "dropout" else stream
-            luck = noise_generator(*self._noise_key, drawn_for)
-            arrived[stream] = occlusion.apply(frame, before[stream] if before else None, luck)
+            rng = noise_generator(*self._noise_key, drawn_for)
+            arrived[stream] = occlusion.apply(frame, before[stream] if before else None, rng)
         return arrived

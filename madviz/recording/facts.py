@@ -29,7 +29,7 @@ def headline(frame: Frame, facts: Facts) -> str:
 
 def condition_words(frame: Frame) -> str:
     """Which streams count and which cameras fail how: ``first+third_b, First person is frozen``."""
-    parts = [frame.setting.subset]
+    parts = [frame.condition.subset]
     for name, occlusion in sorted(frame.world.ablation.occlusions().items()):
         if frame.camera(name).input != "off":
             parts.append(f"{frame.world.env.camera(name).label} {occlusion_words(occlusion)}")

@@ -141,7 +141,7 @@ class HtmlWriter:
 
 
 def _changed(before: Frame, now: Frame) -> bool:
-    return (before.setting, before.world.policy.name) != (now.setting, now.world.policy.name)
+    return (before.condition, before.world.policy.name) != (now.condition, now.world.policy.name)
 
 
 def _outcome(last: Frame) -> str:

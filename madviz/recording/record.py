@@ -28,11 +28,11 @@ from madviz.observation.schedule import Schedule, in_order, in_words, parse_sche
 from madviz.policies import checkpoint
 from madviz.recording.facts import Facts
 from madviz.session.commands import Play, SetSchedule
-from madviz.session.frame import Failure, Frame
-from madviz.session.replay import Finder, check_horizon, check_policies, failures_of, finder
+from madviz.session.frame import Frame, NoFrame
+from madviz.session.replay import Finder, check_horizon, check_policies, failure_words, finder
 from madviz.session.session import Session
-from madviz.session.session_file import KeptEpisode
-from madviz.session.session_reader import read_kept
+from madviz.session.session_file import SavedEpisode
+from madviz.session.session_reader import read_session
 from madviz.system.files import replacing, written_to
 from madviz.types import Environment, Policy
 
@@ -132,7 +132,7 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     check_out(config.out)
     if config.keep is not None:
         written_to(config.keep, "--keep")
-    script = read_kept(config.replay).episode(config.episode) if config.replay else None
+    script = read_session(config.replay).episode(config.episode) if config.replay else None
     find = finder(() if config.policy is None else (config.policy,))
     policy = find(script.policy) if script else checkpoint.load_policy(str(config.policy))
     world = script or policy.spec
@@ -140,12 +140,12 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         session = _session(env, policy, config.seed, script, find)
         schedule = _schedule(config, env)
         session.send(SetSchedule(schedule))
-        failures = failures_of(script) if script else in_words(schedule)
+        failures = failure_words(script) if script else in_words(schedule)
         facts = Facts(command_of(config), tuple(failures), config.fps, config.tile)
         steps = script.steps if script else config.steps
         last, size = write_all(config.out, facts, frames(session, steps))
     if config.keep is not None:
-        session.keep().last().write(config.keep)
+        session.save().last().write(config.keep)
     end = last.world
     return {
         "schema": 1,
@@ -159,7 +159,7 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         "success": end.success,
         "success_any": end.success_any,
         "return": end.total_reward,
-        "same": session.keep().episodes[-1].sha256 == script.sha256 if script else None,
+        "same": session.save().episodes[-1].sha256 == script.sha256 if script else None,
     }
 
 
@@ -212,7 +212,7 @@ def _schedule(config: RecordConfig, env: Environment) -> Schedule:
 
 
 def _session(
-    env: Environment, policy: Policy, seed: int, script: KeptEpisode | None, find: Finder
+    env: Environment, policy: Policy, seed: int, script: SavedEpisode | None, find: Finder
 ) -> Session:
     """A session in ``env`` that runs as fast as it can."""
     if script is not None:
@@ -232,15 +232,15 @@ def _session(
 def frames(session: Session, steps: int | None) -> Iterator[Frame]:
     """The frames of one episode, from step 0 to its end or to step ``steps``: of every step the
     last one, after whatever came by itself. Raises UserError where the session stops."""
-    arrived: deque[Frame | Failure] = deque()
+    arrived: deque[Frame | NoFrame] = deque()
     session.subscribe(arrived.append)
     newest: Frame | None = None
     while newest is None or not (newest.ended or newest.world.step == steps):
         session.tick(0.0)
         while arrived:
             frame = arrived.popleft()
-            error = frame.error if isinstance(frame, Failure) else frame.pace.error
-            if error or isinstance(frame, Failure):
+            error = frame.error if isinstance(frame, NoFrame) else frame.pace.error
+            if error or isinstance(frame, NoFrame):
                 raise UserError(f"the episode stopped: {error.strip().splitlines()[0]}")
             if newest is not None and frame.world.step > newest.world.step:
                 yield newest

@@ -48,9 +48,9 @@ class VideoWriter:
                 macro_block_size=2,
                 ffmpeg_log_level="error",
             )
-        if self._setting not in (None, frame.setting):
+        if self._setting not in (None, frame.condition):
             self._marks.append(frame.world.step)
-        self._setting = frame.setting
+        self._setting = frame.condition
         self._q.append(frame.q)
         self._last = self._picture(frame)
         self._film.append_data(self._last)

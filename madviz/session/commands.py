@@ -93,7 +93,7 @@ class Scrub:
 
 
 @dataclass(frozen=True)
-class SetTwin:
+class Compare:
     """Start B beside this simulation, on the same seeds: another policy or the same one, under
     ``ablation`` from now on. None ends it."""
 
@@ -103,7 +103,7 @@ class SetTwin:
 
 @dataclass(frozen=True)
 class Fork:
-    """Go on from the earlier step that is shown, as if what came after had not happened."""
+    """Go on from the earlier step that is shown, without what came after."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class SetSaliency:
 class SetSchedule:
     """Failures that come by themselves, in this episode from here on and in all that follow, until
     there is another schedule; an empty one ends them, and its cameras work again. Events whose step
-    has passed wait for the next episode. A reset keeps it: the same failures with the same seed."""
+    has passed wait for the next episode. A reset starts the same failures again."""
 
     events: Schedule = ()
 
@@ -135,7 +135,7 @@ Command = (
     | SetAutoNext
     | Scrub
     | Fork
-    | SetTwin
+    | Compare
     | SetSchedule
     | SetSaliency
 )

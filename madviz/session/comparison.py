@@ -1,13 +1,13 @@
 """A second simulation in lock-step with the first: two policies or two camera settings, one seed.
 
-Two success rates from different seeds differ by luck alone: at n = 20, by 0.3 one time in twenty.
+Two success rates from different seeds differ by chance alone: at n = 20, by 0.3 one time in twenty.
 The same seeds for both take the scenes out of the comparison, and then only the pairs that came out
 differently count (McNemar):
 
     A   reset(2007)  step  step  ...  last step, SUCCESS  ┐
     B   reset(2007)  step  step  ...  last step, FAIL     ┘  one pair, for A
 
-A pair counts if neither side was touched from its first step to its last.
+A pair counts if no camera of either side was touched from its first step to its last.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from collections.abc import Callable
 from madviz.evaluation.statistics import Paired, pair
 from madviz.observation.ablation import Ablation
 from madviz.session.frame import Outcome, Pair
-from madviz.session.simulation import inhabited
+from madviz.session.simulation import open_simulation
 from madviz.types import CameraSpec, Environment, Policy
 
 MOST_PAIRS = 1000
-"""Pairs that are remembered."""
+"""Pairs that stay."""
 
 
 def tally(pairs: tuple[Pair, ...], sides: tuple[tuple[str, str], tuple[str, str]]) -> Paired:
@@ -33,7 +33,7 @@ def tally(pairs: tuple[Pair, ...], sides: tuple[tuple[str, str], tuple[str, str]
     )
 
 
-class Twin:
+class SecondSimulation:
     """B. Belongs to the thread that has A."""
 
     def __init__(
@@ -44,7 +44,7 @@ class Twin:
     ) -> None:
         spec = policy.spec
         env = make_env(spec.task, spec.render_profile, spec.cameras)
-        self.simulation = inhabited(env, policy, ablation)
+        self.simulation = open_simulation(env, policy, ablation)
         self._whole = False
 
     def begin(self, seed: int) -> None:
@@ -58,15 +58,15 @@ class Twin:
             self.simulation.step(lambda: None)
 
     def part(self) -> None:
-        """A has gone another way, to an earlier step: this episode pairs with nothing."""
+        """A has gone back to an earlier step: this episode makes no pair."""
         self._whole = False
 
     def concluded(self, first: Outcome) -> Pair | None:
-        """The pair of A's ended episode and this one, if both were left alone."""
+        """The pair of A's ended episode and this one, if nobody touched either."""
         if not (self._whole and self.simulation.ended and self.simulation.outcomes):
             return None
         second = self.simulation.outcomes[-1]
-        if first.seed != second.seed or first.setting is None or second.setting is None:
+        if first.seed != second.seed or first.condition is None or second.condition is None:
             return None
         return Pair(first, second)
 

@@ -1,7 +1,7 @@
 """What comes out of a session: frames, all frozen, and the words for what changed.
 
 A page never touches a simulation. It sends commands (``commands.py``); it gets a ``Frame``, a
-complete picture of one instant that nobody changes afterwards, so that no lock is needed anywhere.
+complete picture of one time step that nobody changes afterwards, so that no lock is needed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Phase = Literal["playing", "paused", "ended"]
 
 
 @dataclass(frozen=True)
-class Setting:
+class Condition:
     """What the policy was given: which streams, and which cameras fail how."""
 
     subset: str
@@ -32,25 +32,25 @@ class Setting:
         return f"{self.subset} · {self.occlusions}" if self.occlusions else self.subset
 
 
-def setting_of(ablation: Ablation, streams: tuple[str, ...]) -> Setting:
+def condition_of(ablation: Ablation, streams: tuple[str, ...]) -> Condition:
     """What a policy with ``streams`` gets under ``ablation``; how a dropped camera fails is no part
     of it."""
     mask = ablation.mask(streams)
     present = {camera_of(stream) for stream, on in zip(streams, mask, strict=True) if on}
     noticed = {name: state for name, state in ablation.cameras.items() if name in present}
     moved = {name: move for name, move in ablation.moves.items() if name in present}
-    return Setting(name_of(mask, streams), Ablation(noticed, moved).key())
+    return Condition(name_of(mask, streams), Ablation(noticed, moved).key())
 
 
 @dataclass(frozen=True)
 class Change:
-    """What a visitor just did to a camera, and what came of it at that instant."""
+    """What a visitor just did to a camera, and what came of it at that time step."""
 
     camera: str
     before: CameraState
     after: CameraState
-    setting_before: Setting
-    setting_after: Setting
+    condition_before: Condition
+    condition_after: Condition
     action_change: float
     """Euclidean distance between the two actions."""
     q_before: float
@@ -72,8 +72,8 @@ class Outcome:
     total_reward: float
     cameras: dict[str, str]
     """By camera: ``''`` if all was well, else the worst of ``off``, ``occluded``, ``moved``."""
-    setting: Setting | None
-    """The setting, if it and the policy were the same from the first step to the last."""
+    condition: Condition | None
+    """The condition, if it and the policy were the same from the first step to the last."""
 
 
 @dataclass(frozen=True)
@@ -85,21 +85,21 @@ class Pair:
 
     @property
     def sides(self) -> tuple[tuple[str, str], tuple[str, str]]:
-        """Who was compared: policy and setting, of A and of B."""
+        """Who was compared: policy and condition, of A and of B."""
         return _side(self.first), _side(self.second)
 
 
 def _side(outcome: Outcome) -> tuple[str, str]:
-    return outcome.policy.name, str(outcome.setting)
+    return outcome.policy.name, str(outcome.condition)
 
 
-class Moment(NamedTuple):
+class TimelinePoint(NamedTuple):
     """What a timeline draws of one step."""
 
     q: float
     reward: float
     success: bool
-    setting: Setting
+    condition: Condition
     policy: str
 
 
@@ -109,14 +109,14 @@ class Branch:
 
     at: int
     """The step both futures share last."""
-    story: tuple[Moment, ...]
+    history: tuple[TimelinePoint, ...]
     frame: Frame
     """At the same step as the frame that holds this branch, or at the branch's last one."""
 
 
 @dataclass(frozen=True)
-class Failure:
-    """A session that could not even start: there is no frame to show."""
+class NoFrame:
+    """There is no frame to show, for a simulation could not be started or drawn."""
 
     error: str
 
@@ -177,10 +177,10 @@ class Frame:
 
     world: World
     pace: SessionPace
-    story: tuple[Moment, ...] = ()
+    history: tuple[TimelinePoint, ...] = ()
     """By step, all of this episode so far, also where an earlier step of it is shown."""
     branch: Branch | None = None
-    twin: Frame | None = None
+    second: Frame | None = None
     """B's side, at the same step."""
     pairs: tuple[Pair, ...] = ()
     """The last seeds that A and B both finished."""
@@ -210,8 +210,8 @@ class Frame:
         return float(self.world.probe.readout.q[self.row])
 
     @property
-    def setting(self) -> Setting:
-        return setting_of(self.world.ablation, self.world.policy.streams)
+    def condition(self) -> Condition:
+        return condition_of(self.world.ablation, self.world.policy.streams)
 
     @property
     def ended(self) -> bool:
@@ -220,7 +220,7 @@ class Frame:
     @property
     def past(self) -> bool:
         """Whether this is an earlier step of the episode, shown again."""
-        return self.world.step < len(self.story) - 1
+        return self.world.step < len(self.history) - 1
 
     @property
     def behind(self) -> bool:

@@ -1,7 +1,7 @@
-"""What happened in the present episode and the last ones, as far as it matters to live them again.
+"""What happened in the present episode and the last ones, as far as it takes to replay them.
 
-A simulation tells its journal of every command and every decision; a page asks it, from another
-thread, for a kept session. Two rules make its steps exact:
+A simulation writes every command and every decision into its journal; a page asks it, from another
+thread, for a saved session. Two rules make its steps exact:
 
     A camera touched while step t+1 is being drawn counts at t+1: the decision that led there was
     taken already. One touched between two decisions counts at the step that is shown.
@@ -9,7 +9,7 @@ thread, for a kept session. Two rules make its steps exact:
     every command; so a slider that is dragged leaves one line. Not across a change of policy: that
     rebuilds what went before under the states of that moment.
 
-An episode that broke off with an exception may stand between two steps. It is never kept.
+An episode that broke off with an exception may stand between two steps. It is never saved.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import SetCamera
 from madviz.session.session_file import (
     STREAMS,
-    KeptCommand,
-    KeptEpisode,
-    KeptPolicy,
-    KeptSession,
+    SavedCommand,
+    SavedEpisode,
+    SavedPolicy,
+    SavedSession,
     hashes,
     trace_of,
     versions_here,
@@ -37,9 +37,9 @@ from madviz.session.session_file import (
 from madviz.types import Array, EnvSpec, PolicySpec, TimeStep
 
 EPISODES = 20
-"""Episodes that are remembered besides the present one."""
+"""Episodes that stay besides the present one."""
 MOST_COMMANDS = 5000
-"""In one episode; somebody who swaps policies more often than that has no episode to keep."""
+"""In one episode; somebody who swaps policies more often than that has no episode to save."""
 
 
 @dataclass(frozen=True)
@@ -47,16 +47,16 @@ class Mark:
     """A step of the present episode, to come back to."""
 
     steps: int
-    commands: tuple[KeptCommand, ...]
+    commands: tuple[SavedCommand, ...]
 
 
 @dataclass
 class _Present:
-    policy: KeptPolicy
+    policy: SavedPolicy
     env: EnvSpec
     seed: int
     start: tuple[SetCamera | MoveCamera, ...]
-    commands: list[KeptCommand] = field(default_factory=list)
+    commands: list[SavedCommand] = field(default_factory=list)
     streams: dict[str, list[bytes]] = field(default_factory=lambda: {s: [] for s in STREAMS})
     broken: bool = False
 
@@ -64,13 +64,17 @@ class _Present:
     def steps(self) -> int:
         return len(self.streams["actions"])
 
-    def kept(self) -> KeptEpisode | None:
-        """None where there is nothing that could be lived again."""
+    def saved(self) -> SavedEpisode | None:
+        """None where there is nothing that could be replayed."""
         if self.broken or not self.steps:
             return None
         success = b"".join(self.streams["success"])
-        return KeptEpisode(
-            *(self.policy, self.env.task, self.env.render_profile, self.env.cameras, self.seed),
+        return SavedEpisode(
+            policy=self.policy,
+            task=self.env.task,
+            render_profile=self.env.render_profile,
+            cameras=self.env.cameras,
+            seed=self.seed,
             start=self.start,
             # A camera may be touched while its step is still to come.
             commands=tuple(one for one in self.commands if one.step <= self.steps),
@@ -84,21 +88,21 @@ class _Present:
 
 
 class Journal:
-    """See the module. A simulation writes; ``kept`` is for every thread."""
+    """See the module. A simulation writes; ``saved`` is for every thread."""
 
     def __init__(self) -> None:
-        self._past: deque[KeptEpisode] = deque(maxlen=EPISODES)
+        self._past: deque[SavedEpisode] = deque(maxlen=EPISODES)
         self._present: _Present | None = None
         self._lock = threading.Lock()
 
-    def kept(self) -> KeptSession:
+    def saved(self) -> SavedSession:
         """The last episodes and the present one so far. Raises UserError if there is no step."""
         with self._lock:
-            now = self._present.kept() if self._present else None
+            now = self._present.saved() if self._present else None
             episodes = (*self._past, *((now,) if now else ()))
         if not episodes:
-            raise UserError("expected an episode with a step to keep, found none; let it run first")
-        return KeptSession(episodes, versions_here())
+            raise UserError("expected an episode with a step to save, found none; let it run first")
+        return SavedSession(episodes, versions_here())
 
     def begin(self, policy: PolicySpec, env: EnvSpec, seed: int, ablation: Ablation) -> None:
         start = (
@@ -107,19 +111,19 @@ class Journal:
         )
         with self._lock:
             self._file()
-            self._present = _Present(KeptPolicy.of(policy), env, seed, start)
+            self._present = _Present(SavedPolicy.of(policy), env, seed, start)
 
     def camera(self, step: int, command: SetCamera | MoveCamera) -> None:
         """A camera was set or moved when ``step`` had arrived, or while it was drawn."""
         with self._lock:
             if self._present is not None:
-                self._add(self._present, KeptCommand(step, command))
+                self._add(self._present, SavedCommand(step, command))
 
     def policy(self, step: int, spec: PolicySpec) -> None:
         """Another policy took over at ``step``."""
         with self._lock:
             if self._present is not None:
-                self._add(self._present, KeptCommand(step, KeptPolicy.of(spec)))
+                self._add(self._present, SavedCommand(step, SavedPolicy.of(spec)))
 
     def decided(self, step: int, action: Array, moment: TimeStep) -> None:
         """The decision taken at ``step``, and what the environment made of it."""
@@ -146,8 +150,8 @@ class Journal:
             return Mark(present.steps, tuple(present.commands)) if present else Mark(0, ())
 
     def back(self, mark: Mark) -> None:
-        """The present episode stands where it stood at ``mark``; what came after is kept as an
-        episode of its own."""
+        """The present episode stands where it stood at ``mark``; what came after becomes
+        an episode of its own."""
         with self._lock:
             present = self._present
             if present is None:
@@ -160,18 +164,18 @@ class Journal:
 
     def _file(self) -> None:
         """Puts the present episode among the past ones."""
-        kept = self._present.kept() if self._present else None
-        if kept is not None:
-            self._past.append(kept)
+        saved = self._present.saved() if self._present else None
+        if saved is not None:
+            self._past.append(saved)
 
-    def _add(self, present: _Present, new: KeptCommand) -> None:
+    def _add(self, present: _Present, new: SavedCommand) -> None:
         present.broken |= len(present.commands) >= MOST_COMMANDS
         if present.broken:
             return
-        if not isinstance(new.command, KeptPolicy):
+        if not isinstance(new.command, SavedPolicy):
             for index in reversed(range(len(present.commands))):
                 old = present.commands[index]
-                if old.step != new.step or isinstance(old.command, KeptPolicy):
+                if old.step != new.step or isinstance(old.command, SavedPolicy):
                     break
                 same = type(old.command) is type(new.command)
                 if same and old.command.camera == new.command.camera:

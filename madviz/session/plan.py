@@ -1,8 +1,8 @@
-"""What a session does by itself: the commands of a kept episode, and a schedule of failures.
+"""What a session does by itself: the commands of a saved episode, and a schedule of failures.
 
-Both say what happens when a step arrives, before the next decision. A kept episode is lived again
-once, and is over with its own episode; a schedule stays for all episodes until there is another.
-Nothing is ticked off: what is due at a step is due again if an episode is forked before it.
+Both say what happens when a step arrives, before the next decision. A saved episode is replayed
+once, and is over when its own episode is; a schedule stays for all episodes until there is another.
+What is due at a step is due again if an episode is forked before it.
 """
 
 from __future__ import annotations
@@ -11,36 +11,36 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event, Schedule, reached
 from madviz.session.commands import SetCamera, SetPolicy
 from madviz.session.frame import untouched
-from madviz.session.session_file import KeptEpisode, KeptPolicy
+from madviz.session.session_file import SavedEpisode, SavedPolicy
 from madviz.session.simulation import Simulation
 
 
-class Plan:
+class SessionPlan:
     """See the module. Belongs to the thread of its session."""
 
-    def __init__(self, script: KeptEpisode | None = None) -> None:
+    def __init__(self, script: SavedEpisode | None = None) -> None:
         self.waiting = script
-        """The episode to live again, until it begins."""
-        self._script: KeptEpisode | None = None
+        """The episode to replay, until it begins."""
+        self._script: SavedEpisode | None = None
         self.schedule: Schedule = ()
 
     def begin(self) -> None:
-        """An episode begins: the one to live again, or an ordinary one."""
+        """An episode begins: the one to replay, or an ordinary one."""
         self._script, self.waiting = self.waiting, None
 
     def due(self, simulation: Simulation) -> list[SetCamera | MoveCamera | SetPolicy]:
-        """What to obey now that the simulation has come to a step, in order."""
+        """The commands to carry out now that the simulation has come to a step, in order."""
         step, script = simulation.now.step, self._script
+        commands = [one.command for one in (script.commands if script else ()) if one.step == step]
         scripted: list[SetCamera | MoveCamera | SetPolicy] = [
-            SetPolicy(kept.command.name) if isinstance(kept.command, KeptPolicy) else kept.command
-            for kept in (script.commands if script else ())
-            if kept.step == step
+            SetPolicy(one.name) if isinstance(one, SavedPolicy) else one for one in commands
         ]
         return [*scripted, *self._failures(self.schedule, step, simulation)]
 
     def reschedule(self, schedule: Schedule, simulation: Simulation | None) -> list[SetCamera]:
-        """Takes another schedule; what to obey at once: cameras of the old one work again, and
-        those of the new one that fail at this very step do. Raises UserError for an unknown camera.
+        """Takes another schedule. Returns the commands to carry out at once: cameras of the old one
+        work again, and those of the new one that fail at this very step do. Raises UserError for an
+        unknown camera.
         """
         old = self.schedule
         if simulation is None:

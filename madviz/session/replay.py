@@ -1,4 +1,4 @@
-"""``madviz replay FILE``: lives kept episodes again, without a page, and compares to the bit.
+"""``madviz replay FILE``: replays saved episodes, without a page, and compares to the bit.
 
 An episode depends on its seed and on which commands came at which step, so with the same policy,
 the same packages and the same machine every action comes out the same. Where one does not, the
@@ -24,23 +24,23 @@ from madviz.session.commands import SetCamera
 from madviz.session.session_file import (
     STREAMS,
     TRACE,
-    KeptEpisode,
-    KeptPolicy,
-    KeptSession,
+    SavedEpisode,
+    SavedPolicy,
+    SavedSession,
     versions_here,
 )
-from madviz.session.session_reader import read_kept
+from madviz.session.session_reader import read_session
 from madviz.session.simulation import Simulation
 from madviz.types import Environment, Policy
 
 EnvFactory = Callable[..., Environment]
-Finder = Callable[[KeptPolicy], Policy]
+Finder = Callable[[SavedPolicy], Policy]
 """The policy that is meant; any of that name, where the digest is another."""
 
 
 @dataclass(frozen=True)
 class ReplayConfig:
-    """Lives kept episodes again and says whether they come out the same, to the bit."""
+    """Replays saved episodes and says whether they come out the same, to the bit."""
 
     file: Path
     """What the page's button saved, or `madviz record --keep`."""
@@ -53,28 +53,29 @@ class ReplayConfig:
 
 
 def run_replay(config: ReplayConfig) -> dict[str, Any]:
-    """Lives the episodes of a file again. Raises UserError for a file, policy or task that won't
-    do. ``same`` is whether all actions, rewards and successes are."""
-    kept = read_kept(config.file)
-    chosen = kept.episodes if config.episode is None else (kept.episode(config.episode),)
+    """Replays the episodes of a file. Raises UserError for an unusable file, policy
+    or task. ``same`` is whether all actions, rewards and successes are."""
+    saved = read_session(config.file)
+    chosen = saved.episodes if config.episode is None else (saved.episode(config.episode),)
     find = finder(config.policy)
-    episodes = [replay_row(episode, kept, find) for episode in chosen]
+    episodes = [replay_row(episode, saved, find) for episode in chosen]
     return {
-        **{"schema": 1, "file": str(config.file)},
+        "schema": 1,
+        "file": str(config.file),
         "same": all(episode["same"] for episode in episodes),
         "episodes": episodes,
     }
 
 
 def finder(references: tuple[str, ...] = ()) -> Finder:
-    """Loads policies by the plain names that kept files have, each once. ``references`` are looked
+    """Loads policies by the plain names that files have, each once. ``references`` are looked
     at first; only they, which the user typed, may be paths or modules."""
     given = [checkpoint.load_policy(reference) for reference in references]
-    loaded: dict[KeptPolicy, Policy] = {}
+    loaded: dict[SavedPolicy, Policy] = {}
 
-    def find(wanted: KeptPolicy) -> Policy:
-        fitting = [policy for policy in given if KeptPolicy.of(policy.spec) == wanted]
-        fitting += [policy for policy in given if KeptPolicy.of(policy.spec).name == wanted.name]
+    def find(wanted: SavedPolicy) -> Policy:
+        fitting = [policy for policy in given if SavedPolicy.of(policy.spec) == wanted]
+        fitting += [policy for policy in given if SavedPolicy.of(policy.spec).name == wanted.name]
         if fitting:
             return fitting[0]
         if wanted not in loaded:
@@ -90,9 +91,9 @@ def finder(references: tuple[str, ...] = ()) -> Finder:
     return find
 
 
-def live_again(
-    episode: KeptEpisode, find: Finder, env_factory: EnvFactory = make_env
-) -> KeptEpisode:
+def replay_episode(
+    episode: SavedEpisode, find: Finder, env_factory: EnvFactory = make_env
+) -> SavedEpisode:
     """The episode as it comes out here. Raises UserError where it cannot: another horizon, a task,
     camera or policy that is not here, a policy that cannot act on what is left."""
     first = find(episode.policy)
@@ -106,7 +107,7 @@ def live_again(
         for step in range(episode.steps + 1):
             while commands and commands[0].step == step:
                 command = commands.pop(0).command
-                if isinstance(command, KeptPolicy):
+                if isinstance(command, SavedPolicy):
                     simulation.swap(find(command))
                 elif isinstance(command, MoveCamera):
                     simulation.move_camera(command)
@@ -114,22 +115,22 @@ def live_again(
                     simulation.set_camera(command)
             if step < episode.steps:
                 simulation.step(lambda: None)
-    return simulation.journal.kept().episodes[-1]
+    return simulation.journal.saved().episodes[-1]
 
 
-def check_horizon(episode: KeptEpisode, env: Environment) -> None:
+def check_horizon(episode: SavedEpisode, env: Environment) -> None:
     """Raises UserError where the episode is longer than its task."""
     horizon = env.spec.horizon
     if episode.steps > horizon or episode.ended != (episode.steps == horizon):
         state = "ended" if episode.ended else "unfinished"
         raise UserError(
             f"expected {horizon} decisions in an episode of {episode.task}, found {state} after "
-            f"{episode.steps}; keep the session again, with this version of madviz"
+            f"{episode.steps}; save the session again, with this version of madviz"
         )
 
 
-def check_policies(episode: KeptEpisode, find: Finder, env: Environment | None = None) -> None:
-    """Raises UserError where one of its policies was made for another world; where there is an
+def check_policies(episode: SavedEpisode, find: Finder, env: Environment | None = None) -> None:
+    """Raises UserError where one of its policies was made for another task; where there is an
     ``env``, also for cameras that it does not draw."""
     for policy in episode.policies:
         spec = find(policy).spec
@@ -143,18 +144,23 @@ def check_policies(episode: KeptEpisode, find: Finder, env: Environment | None =
 
 
 def replay_row(
-    episode: KeptEpisode, kept: KeptSession, find: Finder, env_factory: EnvFactory = make_env
+    episode: SavedEpisode, saved: SavedSession, find: Finder, env_factory: EnvFactory = make_env
 ) -> dict[str, Any]:
     """What became of one episode, as JSON has it."""
-    again = live_again(episode, find, env_factory)
+    again = replay_episode(episode, find, env_factory)
     same = {name: again.sha256[name] == episode.sha256[name] for name in STREAMS}
     return {
-        **{"policy": episode.policy.name, "task": episode.task, "seed": episode.seed},
-        **{"steps": episode.steps, "commands": len(episode.start) + len(episode.commands)},
-        **{"success": episode.success, "success_here": again.success, "same_bits": same},
+        "policy": episode.policy.name,
+        "task": episode.task,
+        "seed": episode.seed,
+        "steps": episode.steps,
+        "commands": len(episode.start) + len(episode.commands),
+        "success": episode.success,
+        "success_here": again.success,
+        "same_bits": same,
         "same": all(same.values()),
         "first_difference": first_difference(episode.trace, again.trace),
-        "reasons": [] if all(same.values()) else _reasons(episode, kept, find),
+        "reasons": [] if all(same.values()) else _reasons(episode, saved, find),
     }
 
 
@@ -166,12 +172,12 @@ def first_difference(one: str, other: str) -> int | None:
     return None
 
 
-def _reasons(episode: KeptEpisode, kept: KeptSession, find: Finder) -> list[str]:
-    known = differences(episode, kept, find)
+def _reasons(episode: SavedEpisode, saved: SavedSession, find: Finder) -> list[str]:
+    known = differences(episode, saved, find)
     return known or ["another machine, or a file that was changed"]
 
 
-def differences(episode: KeptEpisode, kept: KeptSession, find: Finder) -> list[str]:
+def differences(episode: SavedEpisode, saved: SavedSession, find: Finder) -> list[str]:
     """What is known to be different here: policies and versions."""
     found = []
     for policy in episode.policies:
@@ -181,8 +187,8 @@ def differences(episode: KeptEpisode, kept: KeptSession, find: Finder) -> list[s
                 f"{policy.name} had the digest {policy.digest[:12]}, here it has {digest[:12]}"
             )
     for package, version in versions_here().items():
-        if kept.versions.get(package, version) != version:
-            found.append(f"{package} was {kept.versions[package]}, here it is {version}")
+        if saved.versions.get(package, version) != version:
+            found.append(f"{package} was {saved.versions[package]}, here it is {version}")
     return found
 
 
@@ -208,14 +214,14 @@ def _verdict(row: dict[str, Any]) -> str:
     return f"{' and '.join(different)} DIFFER{start}: {'; '.join(row['reasons'])}"
 
 
-def failures_of(episode: KeptEpisode) -> list[str]:
+def failure_words(episode: SavedEpisode) -> list[str]:
     """What happened to cameras, in the language of schedules, for a caption; moves have no words
     in it."""
     commands = [(0, command) for command in episode.start if isinstance(command, SetCamera)]
     commands += [
-        (kept.step, kept.command)
-        for kept in episode.commands
-        if isinstance(kept.command, SetCamera)
+        (saved.step, saved.command)
+        for saved in episode.commands
+        if isinstance(saved.command, SetCamera)
     ]
     events = [
         Event(step, one.camera, one.state.input == "off", one.state.occlusion)

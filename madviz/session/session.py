@@ -11,8 +11,8 @@ that touch a camera are served between the camera renders of a step, too:
                                                 └─ re-read, emit             (about 5 ms each)
 
 Pacing, with 10 decisions a second: the step at 3.20 s makes the next one due at 3.30 s. If the
-machine gets there at 3.34 s the next is due at 3.40 s; later than a whole period, the debt is
-forgiven, and the page says which rate was achieved.
+machine gets there at 3.34 s the next is due at 3.40 s; if a step is more than one period late, the
+schedule restarts from now. The page says which rate was achieved.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import (
     Command,
+    Compare,
     Fork,
     Pause,
     Play,
@@ -42,11 +43,10 @@ from madviz.session.commands import (
     SetSchedule,
     SetSeed,
     SetSpeed,
-    SetTwin,
     StepOnce,
 )
-from madviz.session.frame import Failure, Frame, Phase, SessionPace
-from madviz.session.session_file import KeptEpisode, KeptSession
+from madviz.session.frame import Frame, NoFrame, Phase, SessionPace
+from madviz.session.session_file import SavedEpisode, SavedSession
 from madviz.session.stage import EnvFactory, Stage
 from madviz.system.processes import lower_thread_priority
 from madviz.types import Policy
@@ -58,11 +58,11 @@ FIRST_SEED = 2000
 HOLD = 2.0
 """Seconds an ended episode stays on the page before the next one starts; none at full speed."""
 NICENESS = 10
-"""Of the simulating thread, on a scale where 19 is the most modest; workers are at 15."""
+"""Of the simulating thread, on a scale where 19 yields to all others; workers are at 15."""
 RATE_WINDOW = 20
 """Decisions over which the achieved rate is measured."""
 
-Listener = Callable[[Frame | Failure], None]
+Listener = Callable[[Frame | NoFrame], None]
 
 
 class Session:
@@ -77,16 +77,16 @@ class Session:
         *,
         seed: int = FIRST_SEED,
         speed: float | None = 10.0,
-        script: KeptEpisode | None = None,
+        script: SavedEpisode | None = None,
     ) -> None:
         """``policy``: one that is there, or the name of one that the session's thread shall load.
-        ``script``: an episode to live again, once played; it begins with ``policy``."""
+        ``script``: an episode to replay, once played; it begins with ``policy``."""
         self._stage = Stage(make_env, policy, load_policy, seed, script)
         self._inbox: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
         self._backlog: deque[Command] = deque()
         self._listeners: tuple[Listener, ...] = ()
         self._lock = threading.Lock()
-        """Between those who come to listen and those who go."""
+        """Guards ``_listeners``."""
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         self._speed, self._auto_next = speed, True
@@ -95,10 +95,10 @@ class Session:
         self._intervals: deque[float] = deque(maxlen=RATE_WINDOW)
         self._stepped: float | None = None
         self._number, self._error = 0, ""
-        self.latest: Frame | Failure | None = None
+        self.latest: Frame | NoFrame | None = None
 
     def send(self, command: Command) -> None:
-        """Queues a command; the session obeys it within one camera render, a step at most."""
+        """Queues a command; the session carries it out within one camera render, a step at most."""
         self._inbox.put(command)
 
     def subscribe(self, listener: Listener) -> None:
@@ -109,9 +109,9 @@ class Session:
         if self.latest is not None:
             listener(self.latest)
 
-    def keep(self) -> KeptSession:
-        """The last episodes, to be lived again. Raises UserError if there is no step yet."""
-        return self._stage.journal.kept()
+    def save(self) -> SavedSession:
+        """The last episodes, to be replayed. Raises UserError if there is no step yet."""
+        return self._stage.journal.saved()
 
     def unsubscribe(self, listener: Listener) -> None:
         with self._lock:
@@ -138,7 +138,7 @@ class Session:
             while not self._closing.is_set():
                 due = self.tick(time.monotonic())
                 if self._closing.is_set():
-                    break  # The word that would end the wait below may have come in mid-tick.
+                    break  # What would end the wait below may have come during the tick.
                 wait = None if due is None else max(0.0, due - time.monotonic())
                 try:
                     command = self._inbox.get(block=wait != 0.0, timeout=wait)
@@ -150,14 +150,14 @@ class Session:
             self._stage.shut()
 
     def tick(self, now: float) -> float | None:
-        """Obeys what has come, and takes a step or starts an episode if one is due. Returns when to
-        call again; None if nothing happens before the next command."""
+        """Carries out what has come, and takes a step or starts an episode if one is due. Returns
+        when to call again; None if nothing happens before the next command."""
         if not self._stage.is_open and not self._error:
             self._guarded(lambda: self._open(now))
         self._collect()
         while self._backlog and not self._closing.is_set():
             command = self._backlog.popleft()
-            self._guarded(lambda command=command: self._obey(command, now))
+            self._guarded(lambda command=command: self._carry_out(command, now))
         if self._moving() and now >= self._due and not self._closing.is_set():
             self._guarded(lambda: self._advance(now))
         self._guarded(lambda: self._explain(now))
@@ -174,7 +174,7 @@ class Session:
         return self._stage.is_open and (self._phase == "playing" or waiting)
 
     def _guarded(self, work: Callable[[], None]) -> None:
-        """A failure pauses the session and shows on the page; the session lives on. The one place
+        """An error pauses the session and shows on the page; the session goes on. The one place
         that catches everything: whatever a policy or a simulator throws, a visitor must see it."""
         try:
             work()
@@ -187,7 +187,7 @@ class Session:
             try:
                 self._emit(keep=False)
             except Exception:  # Not even a picture of it can be had, but the words can.
-                self._tell(Failure(self._error))
+                self._tell(NoFrame(self._error))
 
     # What happens.
 
@@ -253,7 +253,7 @@ class Session:
             self._stage.move_camera(command)
             self._emit()
 
-    def _obey(self, command: Command, now: float) -> None:
+    def _carry_out(self, command: Command, now: float) -> None:
         match command:
             case SetCamera():
                 self._set_camera(command)
@@ -286,13 +286,13 @@ class Session:
                 self._stage.reschedule(events)
                 self._emit()
             case Scrub(step):
-                self._stage.look_back(step)
+                self._stage.show_step(step)
                 self._halt()
             case Fork():
                 self._stage.fork()
                 self._play(now)
                 self._due = now + self._period
-            case SetTwin(name, ablation):
+            case Compare(name, ablation):
                 self._stage.compare(name, ablation)
                 self._began(now)
 
@@ -306,7 +306,7 @@ class Session:
             self._begin(seed, now)
 
     def _play(self, now: float) -> None:
-        self._stage.look_back(None)
+        self._stage.show_step(None)
         if not self._stage.is_open:
             self._open(now)
         elif self._stage.ended:
@@ -324,7 +324,7 @@ class Session:
 
     def _step_once(self, now: float) -> None:
         self._error = ""
-        self._stage.look_back(None)
+        self._stage.show_step(None)
         if not self._stage.is_open:
             self._open(now)
         else:
@@ -358,9 +358,9 @@ class Session:
             error=self._error,
         )
         frame = self._stage.frame(keep, pace)
-        self._tell(frame or Failure(self._error))
+        self._tell(frame or NoFrame(self._error))
 
-    def _tell(self, news: Frame | Failure) -> None:
+    def _tell(self, news: Frame | NoFrame) -> None:
         """To everybody. A listener that fails must not take the session from the others."""
         self.latest = news
         for listener in self._listeners:

@@ -1,6 +1,6 @@
-"""A kept session: what it takes to live an episode again, in a small file.
+"""A saved session: what it takes to replay an episode, in a small file.
 
-An episode is a function of its seed and of which commands came at which step, so keeping it is
+An episode is a function of its seed and of which commands came at which step, so saving it is
 writing these down: a file of some 2 KB instead of the pictures. A hammer episode in which third_a
 was dropped after 20 decisions:
 
@@ -11,10 +11,10 @@ was dropped after 20 decisions:
       "steps": 100, "ended": true, "success": true, "success_any": true,
       "sha256": {"actions": "...", "rewards": "...", "success": "..."}, "trace": "0a1f..."}]}
 
-The hashes are there to check: whoever lives it again gets the same actions, rewards and success to
-the bit, or is told so. ``trace`` has four hexadecimal digits for every step, hence says where two
-episodes part. Files come from anybody, so ``kept_reader`` believes nothing in them; and a policy is
-a plain name in them, never a path or a module that loading would import.
+The hashes are there to check: whoever replays it gets the same actions, rewards and success to the
+bit, or learns that they differ. ``trace`` has four hexadecimal digits for every step, so it shows
+where two episodes part. Files come from anybody, so ``session_reader`` checks all that is in them;
+and a policy is a plain name in them, never a path or a module that loading would import.
 """
 
 from __future__ import annotations
@@ -43,32 +43,32 @@ TRACE = 4
 
 
 @dataclass(frozen=True)
-class KeptPolicy:
+class SavedPolicy:
     """A policy by name, and the digest of the weights and config that acted under it."""
 
     name: str
     digest: str
 
     @staticmethod
-    def of(spec: PolicySpec) -> KeptPolicy:
+    def of(spec: PolicySpec) -> SavedPolicy:
         """Names that would be a path or a module lose what makes them one."""
         name = re.sub(r"[/\\:\x00-\x1f\x7f]", "-", spec.name).strip(" .")[:120]
-        return KeptPolicy(name or "policy", spec.digest)
+        return SavedPolicy(name or "policy", spec.digest)
 
 
 @dataclass(frozen=True)
-class KeptCommand:
+class SavedCommand:
     """A camera or a policy that was set when ``step`` had arrived, before the next decision."""
 
     step: int
-    command: SetCamera | MoveCamera | KeptPolicy
+    command: SetCamera | MoveCamera | SavedPolicy
 
 
 @dataclass(frozen=True)
-class KeptEpisode:
+class SavedEpisode:
     """One episode, from its first step to the last one that was taken."""
 
-    policy: KeptPolicy
+    policy: SavedPolicy
     """Who acted first."""
     task: str
     render_profile: str
@@ -77,13 +77,13 @@ class KeptEpisode:
     seed: int
     start: tuple[SetCamera | MoveCamera, ...]
     """How cameras were set when the episode began; those that are not named were intact."""
-    commands: tuple[KeptCommand, ...]
+    commands: tuple[SavedCommand, ...]
     """In the order in which they were obeyed."""
     steps: int
     ended: bool
     """Whether ``steps`` is the horizon; otherwise somebody left earlier."""
     success: bool
-    """At the last kept step."""
+    """At the last saved step."""
     success_any: bool
     sha256: dict[str, str]
     """Of ``actions`` (float32), ``rewards`` (float64), ``success`` (one byte), step after step."""
@@ -101,26 +101,26 @@ class KeptEpisode:
         return ablation
 
     @property
-    def policies(self) -> tuple[KeptPolicy, ...]:
+    def policies(self) -> tuple[SavedPolicy, ...]:
         """All that acted, each once, in order."""
-        swapped = [one.command for one in self.commands if isinstance(one.command, KeptPolicy)]
+        swapped = [one.command for one in self.commands if isinstance(one.command, SavedPolicy)]
         return tuple(dict.fromkeys([self.policy, *swapped]))
 
 
 @dataclass(frozen=True)
-class KeptSession:
-    """Episodes in the order in which they were lived."""
+class SavedSession:
+    """Episodes in the order in which they were played."""
 
-    episodes: tuple[KeptEpisode, ...]
+    episodes: tuple[SavedEpisode, ...]
     versions: dict[str, str]
     """Of the packages that it was made with; with others, the last bits may differ."""
 
-    def last(self) -> KeptSession:
+    def last(self) -> SavedSession:
         """The last episode alone."""
-        return KeptSession(self.episodes[-1:], self.versions)
+        return SavedSession(self.episodes[-1:], self.versions)
 
     def to_json(self) -> str:
-        """As a file has it; ``kept_reader.parse`` is the way back."""
+        """As a file has it; ``session_reader.parse`` is the way back."""
         return pretty(
             {
                 **{"schema": SCHEMA, "versions": self.versions},
@@ -131,7 +131,7 @@ class KeptSession:
     def write(self, path: Path) -> None:
         write_bytes(path, self.to_json().encode())
 
-    def episode(self, number: int | None) -> KeptEpisode:
+    def episode(self, number: int | None) -> SavedEpisode:
         """Episode ``number``, from 1; None: the last. Raises UserError where there is none."""
         count = len(self.episodes)
         if number is not None and not 1 <= number <= count:
@@ -162,7 +162,7 @@ def trace_of(streams: dict[str, list[bytes]]) -> str:
     return "".join(hashlib.sha256(b"".join(step)).hexdigest()[:TRACE] for step in steps)
 
 
-def _episode_fields(episode: KeptEpisode) -> dict[str, Any]:
+def _episode_fields(episode: SavedEpisode) -> dict[str, Any]:
     fields = {name: getattr(episode, name) for name in episode.__dataclass_fields__}
     return {
         **fields,
@@ -173,15 +173,15 @@ def _episode_fields(episode: KeptEpisode) -> dict[str, Any]:
     }
 
 
-def _command_fields(kept: KeptCommand) -> dict[str, Any]:
-    if isinstance(kept.command, KeptPolicy):
-        return {"step": kept.step, "policy": kept.command.name, "digest": kept.command.digest}
-    return {"step": kept.step, **_camera_fields(kept.command)}
+def _command_fields(saved: SavedCommand) -> dict[str, Any]:
+    if isinstance(saved.command, SavedPolicy):
+        return {"step": saved.step, "policy": saved.command.name, "digest": saved.command.digest}
+    return {"step": saved.step, **_camera_fields(saved.command)}
 
 
 def _camera_fields(command: SetCamera | MoveCamera) -> dict[str, Any]:
     """The occlusion is left out where it is none; one that is off may still have a strength, as a
-    slider left it, and that is kept: equal means equal."""
+    slider left it, and that is saved: equal means equal."""
     if isinstance(command, MoveCamera):
         return {"camera": command.camera, "move": asdict(command.move) if command.move else None}
     state: CameraState = command.state

@@ -1,8 +1,8 @@
-"""Reads kept sessions that anybody may have written, and believes nothing in them.
+"""Reads saved sessions that anybody may have written, and checks all that is in them.
 
 Every value is checked for its type and range before anything is made of it; keys that nobody knows
 are refused, because a misspelt command that is passed over would make another episode. What is left
-to whoever lives the episode again: whether task, policies and cameras exist here, and whether the
+to whoever replays the episode: whether task, policies and cameras exist here, and whether the
 episode is as long as it says.
 """
 
@@ -22,17 +22,17 @@ from madviz.session.session_file import (
     SCHEMA,
     STREAMS,
     TRACE,
-    KeptCommand,
-    KeptEpisode,
-    KeptPolicy,
-    KeptSession,
+    SavedCommand,
+    SavedEpisode,
+    SavedPolicy,
+    SavedSession,
 )
 from madviz.types import CameraSpec
 
 LONGEST = 4_000_000
 """Bytes in a file."""
 MOST_EPISODES, MOST_CAMERAS, MOST_COMMANDS, MOST_STEPS = 100, 16, 10_000, 10_000
-NEXT = "keep the session again, or mend the file"
+NEXT = "save the session again, or mend the file"
 
 _CAMERA = r"[a-z][a-z0-9_]{0,23}"
 _POLICY = r"[^/\\:\x00-\x1f\x7f. ][^/\\:\x00-\x1f\x7f]{0,119}"
@@ -41,22 +41,22 @@ _TASK = r"[a-z0-9]{1,20}/[a-z0-9-]{1,60}|[A-Za-z0-9_.]{1,120}:[A-Za-z0-9_]{1,60}
 _SHORT = r"[^\x00-\x1f\x7f]{1,60}"
 
 
-def read_kept(path: str | Path) -> KeptSession:
-    """The kept session in a file. Raises UserError, in one line, for anything amiss with it."""
+def read_session(path: str | Path) -> SavedSession:
+    """The saved session in a file. Raises UserError, in one line, for anything amiss with it."""
     try:
         with Path(path).open("rb") as file:
             content = file.read(LONGEST + 1)
     except OSError as error:
         raise UserError(
-            f"{path}: expected a kept session, found none ({error.strerror}); check the name"
+            f"{path}: expected a saved session, found none ({error.strerror}); check the name"
         ) from error
     if len(content) > LONGEST:
         raise UserError(f"{path}: expected at most {LONGEST} bytes, found more; {NEXT}")
     return parse(content, str(path))
 
 
-def parse(content: bytes, where: str) -> KeptSession:
-    """The kept session in ``content``; ``where`` is how errors call it."""
+def parse(content: bytes, where: str) -> SavedSession:
+    """The saved session in ``content``; ``where`` is how errors call it."""
     try:
         document = json.loads(
             content.decode(), parse_constant=_refuse, object_pairs_hook=_each_once
@@ -128,11 +128,11 @@ class _Value:
             raise self.fail("true or false")
         return self.found
 
-    # What a kept session is made of.
+    # What a saved session is made of.
 
-    def session(self) -> KeptSession:
+    def session(self) -> SavedSession:
         if not isinstance(self.found, dict) or self.found.get("schema") != SCHEMA:
-            raise self.fail(f"a kept session of schema {SCHEMA}")
+            raise self.fail(f"a saved session of schema {SCHEMA}")
         fields = self.fields("schema", "versions", "episodes")
         fields["schema"].whole(SCHEMA, SCHEMA)
         versions = fields["versions"]
@@ -140,7 +140,7 @@ class _Value:
             raise versions.fail("an object with at most 20 versions")
         for name in versions.found:
             _Value(name, self.file, "a package's name").text(_SHORT, "a short text")
-        return KeptSession(
+        return SavedSession(
             tuple(one.episode() for one in fields["episodes"].items(MOST_EPISODES, 1)),
             {
                 name: _Value(version, self.file, f"versions.{name}").text(_SHORT, "a short text")
@@ -148,8 +148,8 @@ class _Value:
             },
         )
 
-    def episode(self) -> KeptEpisode:
-        fields = self.fields(*KeptEpisode.__dataclass_fields__)
+    def episode(self) -> SavedEpisode:
+        fields = self.fields(*SavedEpisode.__dataclass_fields__)
         steps = fields["steps"].whole(1, MOST_STEPS)
         cameras = tuple(one.camera() for one in fields["cameras"].items(MOST_CAMERAS, 1))
         names = [camera.name for camera in cameras]
@@ -160,7 +160,7 @@ class _Value:
             raise fields["commands"].fail("in the order of their steps")
         policy = fields["policy"].fields("name", "digest")
         sha256 = fields["sha256"].fields(*STREAMS)
-        return KeptEpisode(
+        return SavedEpisode(
             policy=_policy(policy["name"], policy["digest"]),
             task=fields["task"].text(_TASK, "a task such as metaworld/hammer"),
             render_profile=fields["render_profile"].text("fast|full", "fast or full"),
@@ -181,14 +181,14 @@ class _Value:
             ),
         )
 
-    def command(self, cameras: list[str], steps: int) -> KeptCommand:
+    def command(self, cameras: list[str], steps: int) -> SavedCommand:
         if isinstance(self.found, dict) and "policy" in self.found:
             fields = self.fields("step", "policy", "digest")
             command = _policy(fields["policy"], fields["digest"])
         else:
             command = self.switch(cameras, ("step",))
             fields = {"step": _Value(self.found["step"], self.file, f"{self.path}.step")}
-        return KeptCommand(fields["step"].whole(0, steps), command)
+        return SavedCommand(fields["step"].whole(0, steps), command)
 
     def switch(self, cameras: list[str], beside: tuple[str, ...] = ()) -> SetCamera | MoveCamera:
         """How a camera is set, or where it is moved to."""
@@ -234,7 +234,7 @@ class _Value:
         if near >= far:
             raise fields["depth_range"].fail("[near, far] with near < far")
         if not 0.9 < math.hypot(*wxyz) < 1.1:
-            raise fields["wxyz"].fail("of length 1")
+            raise fields["wxyz"].fail("of norm 1")
         body = fields["body"]
         return CameraSpec(
             name=fields["name"].text(_CAMERA, "a name of small letters, digits and _"),
@@ -248,8 +248,8 @@ class _Value:
         )
 
 
-def _policy(name: _Value, digest: _Value) -> KeptPolicy:
-    return KeptPolicy(
+def _policy(name: _Value, digest: _Value) -> SavedPolicy:
+    return SavedPolicy(
         name.text(_POLICY, "a policy's plain name"),
         digest.text(_DIGEST, "a digest of letters and digits"),
     )

@@ -1,14 +1,14 @@
 """One policy in one environment, with cameras that can fail at any moment. No threads, no clock.
 
 ``Simulation`` is the deterministic half of a live session: what an episode does depends on its
-seed and on which commands came at which step, on nothing else. The features of the newest frame are
-kept, with what *every* subset would do with them, so that switching a camera off is a look-up and a
-new occlusion one encoding; neither waits for a picture to be drawn.
+seed and on which commands came at which step, on nothing else. The features of the newest frame
+stay in memory, with what *every* subset would do with them, so that switching a camera off reads a
+table and a new occlusion costs one encoding; neither waits for a picture to be drawn.
 
 A camera touched while step t+1 is being drawn counts as touched when that step has arrived. What is
-shown in between is a preview of step t under the new setting, and leaves no trace, however many of
-them there are: the picture of step t keeps what it arrived under, ``_settled``. The journal counts
-steps the same way, so that an episode can be kept and lived again to the bit.
+shown in between is a preview of step t under the new condition, and leaves no trace, however many
+of them there are: the picture of step t stays as it arrived, under ``_settled``. The journal counts
+steps the same way, so that an episode can be saved and replayed to the bit.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
 from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera
-from madviz.session.frame import Change, Outcome, Setting, World, setting_of, untouched
+from madviz.session.frame import Change, Condition, Outcome, World, condition_of, untouched
 from madviz.session.journal import Journal, Mark
 from madviz.subsets import every_mask
 from madviz.types import Array, Body, CameraPose, Environment, Policy, TimeStep, View
 
 
 @dataclass(frozen=True)
-class Instant:
+class StepData:
     """What one step brought: everything that does not depend on the ablation."""
 
     time: TimeStep
@@ -47,12 +47,12 @@ class Instant:
 
 
 @dataclass(frozen=True)
-class Saved:
+class Snapshot:
     """A step of an episode, with all that it takes to go on from it; pictures are shared."""
 
     actions: tuple[Array, ...]
     """What led here from the start."""
-    recent: tuple[Instant, ...]
+    recent: tuple[StepData, ...]
     stack: tuple
     policy: Policy
     ablation: Ablation
@@ -60,7 +60,7 @@ class Saved:
     total_reward: float
     success_any: bool
     worst: dict[str, str]
-    settings: frozenset[tuple[str, Setting]]
+    conditions: frozenset[tuple[str, Condition]]
     mark: Mark
 
 
@@ -81,10 +81,10 @@ class Simulation:
         self.episode = self.seed = 0
         self.change: Change | None = None
         self.total_reward, self.success_any = 0.0, False
-        self._recent: deque[Instant] = deque()
+        self._recent: deque[StepData] = deque()
         """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
         self._worst: dict[str, str] = {}
-        self._settings: set[tuple[str, Setting]] = set()
+        self._conditions: set[tuple[str, Condition]] = set()
         self._actions: list[Array] = []
         self._stack: StreamStack
         self.probe: Probe
@@ -94,7 +94,7 @@ class Simulation:
                 self._place(camera.name)
 
     @property
-    def now(self) -> Instant:
+    def now(self) -> StepData:
         return self._recent[-1]
 
     @property
@@ -107,8 +107,8 @@ class Simulation:
         return self._stack.newest
 
     @property
-    def setting(self) -> Setting:
-        return setting_of(self.ablation, self.policy.spec.streams)
+    def condition(self) -> Condition:
+        return condition_of(self.ablation, self.policy.spec.streams)
 
     def world(self) -> World:
         """What a ``Frame`` of this time step says of the simulation."""
@@ -136,11 +136,11 @@ class Simulation:
         )
 
     def explain(self, live: LiveSaliency, now: float, moving: bool, hurried: bool) -> bool:
-        """Looks at where the policy looks if it is time to; whether it was."""
+        """Finds the pixels that matter if a new map is due; whether it was."""
         mask = self.ablation.mask(self.policy.spec.streams)
         if not live.due(self.probe, mask, now, moving, hurried):
             return False
-        live.look(self.policy, self._stack.views, self.now.time.state, mask, self.probe, now)
+        live.update(self.policy, self._stack.views, self.now.time.state, mask, self.probe, now)
         return True
 
     def begin(self, seed: int) -> None:
@@ -149,7 +149,7 @@ class Simulation:
         self.episode, self.seed = self.episode + 1, seed
         self.total_reward, self.success_any, self.change = 0.0, moment.success, None
         self._recent.clear()
-        self._worst, self._settings, self._actions = {}, set(), []
+        self._worst, self._conditions, self._actions = {}, set(), []
         self.journal.begin(self.policy.spec, self.env.spec, seed, self.ablation)
         self._arrive(moment, self._draw(lambda: None))
 
@@ -160,7 +160,7 @@ class Simulation:
         row = self.probe.row(mask)
         if not self.probe.supported[row]:
             raise UserError(
-                f"{self.policy.spec.name} cannot act on {self.setting.subset!r}; "
+                f"{self.policy.spec.name} cannot act on {self.condition.subset!r}; "
                 "switch another camera on"
             )
         action = self.probe.readout.action[row]
@@ -188,15 +188,15 @@ class Simulation:
             command.camera,
             before.cameras.get(command.camera, untouched(self.policy.spec)),
             command.state,
-            setting_before=old[0],
-            setting_after=new[0],
+            condition_before=old[0],
+            condition_after=new[0],
             action_change=float(np.linalg.norm(new[1] - old[1])),
             q_before=old[2],
             q_after=new[2],
         )
         if not preview:
             self._settled = self.ablation
-            self._note_setting()
+            self._note_condition()
         self.journal.camera(self.now.step + preview, command)
 
     def move_camera(self, command: MoveCamera) -> None:
@@ -209,40 +209,52 @@ class Simulation:
         if self.ablation.moves == before.moves:
             return
         self._place(name)
-        self._look_again(name)
+        self._draw_again(name)
         new, state = self._reading(), before.cameras.get(name, untouched(self.policy.spec))
         to = self.ablation.moves.get(name)
         self.change = Change(
-            *(name, state, state, old[0], new[0]),
+            camera=name,
+            before=state,
+            after=state,
+            condition_before=old[0],
+            condition_after=new[0],
             action_change=float(np.linalg.norm(new[1] - old[1])),
             q_before=old[2],
             q_after=new[2],
             moved=f"moved: {to.words()}" if to else "is back in its place",
         )
-        self._note_setting()
+        self._note_condition()
         self.journal.camera(self.now.step, command)
 
     def swap(self, policy: Policy) -> None:
         """Another policy in the same episode; it gets the newest frames as its past."""
-        kept = list(self._recent)
+        past = list(self._recent)
         self._adopt(policy)
         self._recent.clear()
-        for instant in kept[-policy.spec.frame_stack - 1 :]:
-            self._push(instant)
+        for data in past[-policy.spec.frame_stack - 1 :]:
+            self._push(data)
         self._read()
         self.change = None
-        self._note_setting()
+        self._note_condition()
         self.journal.policy(self.now.step, policy.spec)
 
-    def save(self) -> Saved:
+    def snapshot(self) -> Snapshot:
         """The present step, for ``return_to``."""
-        return Saved(
-            *(tuple(self._actions), tuple(self._recent), self._stack.saved()),
-            *(self.policy, self.ablation, self.probe, self.total_reward, self.success_any),
-            *(dict(self._worst), frozenset(self._settings), self.journal.mark()),
+        return Snapshot(
+            actions=tuple(self._actions),
+            recent=tuple(self._recent),
+            stack=self._stack.snapshot(),
+            policy=self.policy,
+            ablation=self.ablation,
+            probe=self.probe,
+            total_reward=self.total_reward,
+            success_any=self.success_any,
+            worst=dict(self._worst),
+            conditions=frozenset(self._conditions),
+            mark=self.journal.mark(),
         )
 
-    def return_to(self, saved: Saved) -> None:
+    def return_to(self, saved: Snapshot) -> None:
         """Stands at an earlier step of this episode again. An episode is its seed and its actions,
         so the simulator takes those once more, without drawing anything.
 
@@ -266,7 +278,7 @@ class Simulation:
         self._stack.restore(saved.stack)
         self._actions, self.probe = list(saved.actions), saved.probe
         self.total_reward, self.success_any = saved.total_reward, saved.success_any
-        self._worst, self._settings = dict(saved.worst), set(saved.settings)
+        self._worst, self._conditions = dict(saved.worst), set(saved.conditions)
         self._settled, self.change = saved.ablation, None
         self.journal.back(saved.mark)
 
@@ -282,7 +294,7 @@ class Simulation:
         spec, to = self.env.spec.camera(camera), self.ablation.moves.get(camera)
         self.env.move_camera(camera, to.placed(spec) if to else None)
 
-    def _look_again(self, camera: str) -> None:
+    def _draw_again(self, camera: str) -> None:
         """Draws a camera anew, and lets its picture arrive instead of the newest one."""
         now, view = self.now, self.env.view(camera)
         self._recent[-1] = replace(
@@ -290,7 +302,7 @@ class Simulation:
             views={**now.views, camera: view},
             poses={**now.poses, camera: self.env.pose(camera)},
         )
-        self._stack.see_again(camera, view)
+        self._stack.replace_view(camera, view)
         self._stack.replace_last(self.ablation)
         self._read()
 
@@ -306,26 +318,26 @@ class Simulation:
         step = self.now.step + 1 if self._recent else 0
         poses = {camera.name: self.env.pose(camera.name) for camera in self.env.spec.cameras}
         env = self.env
-        self._push(Instant(moment, step, views, poses, env.bodies(), env.body_poses(), env.hand()))
+        self._push(StepData(moment, step, views, poses, env.bodies(), env.body_poses(), env.hand()))
         self._read()
-        self._note_setting()
+        self._note_condition()
 
-    def _push(self, instant: Instant) -> None:
-        self._stack.push(instant.views, self.ablation, self.seed, instant.step)
+    def _push(self, data: StepData) -> None:
+        self._stack.push(data.views, self.ablation, self.seed, data.step)
         self._settled = self.ablation
-        self._recent.append(instant)
+        self._recent.append(data)
 
     def _read(self) -> None:
         encoded = self.policy.encode(self._stack.views, self.now.time.state)
         self.probe = probe(self.policy, encoded, self._masks)
 
-    def _reading(self) -> tuple[Setting, Array, float]:
-        """The present setting, and the action and Q under it."""
+    def _reading(self) -> tuple[Condition, Array, float]:
+        """The present condition, and the action and Q under it."""
         row = self.probe.row(self.ablation.mask(self.policy.spec.streams))
-        return self.setting, self.probe.readout.action[row], float(self.probe.readout.q[row])
+        return self.condition, self.probe.readout.action[row], float(self.probe.readout.q[row])
 
-    def _note_setting(self) -> None:
-        self._settings.add((self.policy.spec.name, self.setting))
+    def _note_condition(self) -> None:
+        self._conditions.add((self.policy.spec.name, self.condition))
         for camera in self.env.spec.cameras:
             state = self.ablation.camera(camera.name)
             if state.input == "off":
@@ -336,8 +348,8 @@ class Simulation:
                 self._worst.setdefault(camera.name, "moved")
 
     def _conclude(self, moment: TimeStep) -> None:
-        # What was touched in the very last instant never reached a decision, but it is part of how
-        # the episode looks on the page, so it counts as touched.
+        # What was touched at the very last step never reached a decision, but it is part of how
+        # the episode is shown on the page, so it counts as touched.
         names = [camera.name for camera in self.env.spec.cameras]
         self.outcomes.append(
             Outcome(
@@ -347,16 +359,16 @@ class Simulation:
                 self.success_any,
                 self.total_reward,
                 {name: self._worst.get(name, "") for name in names},
-                self.setting if len(self._settings) == 1 else None,
+                self.condition if len(self._conditions) == 1 else None,
             )
         )
 
 
-def inhabited(
+def open_simulation(
     env: Environment, policy: Policy, ablation: Ablation, journal: Journal | None = None
 ) -> Simulation:
-    """``policy`` at work in an ``env`` made for it. Raises what is wrong with the two, and then the
-    environment is closed: nobody else has it."""
+    """The simulation of ``policy`` in an ``env`` made for it. Where they do not fit, the error is
+    raised and the environment closed."""
     try:
         check_environment(policy.spec, env.spec)
         return Simulation(env, policy, ablation, journal)

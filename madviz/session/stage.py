@@ -1,4 +1,4 @@
-"""What a session shows, without its pace: a simulation, its past, its failures, its twin.
+"""What a session shows, without its pace: a simulation, its past, its failures, and a second one.
 
 The session knows when something happens and who asked; the stage knows what happens. Everything
 here is a function of the policy, the seeds and the order of calls, so a test needs no clock.
@@ -6,8 +6,8 @@ here is a function of the policy, the seeds and the order of calls, so a test ne
     session: inbox, pace, phase, errors  ──►  stage ─┬─ simulation   one policy, one environment
                                                      ├─ timeline     every step of it, and a branch
                                                      ├─ plan         what comes at a step by itself
-                                                     ├─ journal      what it takes to live it again
-                                                     └─ twin         another simulation, lock-step
+                                                     ├─ journal      what it takes to replay it
+                                                     └─ second       another simulation, lock-step
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Schedule
 from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera, SetPolicy
-from madviz.session.comparison import MOST_PAIRS, Twin
+from madviz.session.comparison import MOST_PAIRS, SecondSimulation
 from madviz.session.frame import Frame, Pair, SessionPace
 from madviz.session.journal import Journal
-from madviz.session.plan import Plan
-from madviz.session.session_file import KeptEpisode
-from madviz.session.simulation import Simulation, inhabited
+from madviz.session.plan import SessionPlan
+from madviz.session.session_file import SavedEpisode
+from madviz.session.simulation import Simulation, open_simulation
 from madviz.session.timeline import Timeline
 from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec
 
@@ -45,15 +45,15 @@ class Stage:
         policy: Policy | str,
         load_policy: Callable[[str], Policy] | None,
         seed: int,
-        script: KeptEpisode | None,
+        script: SavedEpisode | None,
     ) -> None:
         """``policy``: one that is there, or a name that ``load_policy`` knows, for ``open``."""
         self._make_env, self._load = make_env, load_policy
         self._policy, self.seed = policy, seed
-        self.journal, self._timeline, self._plan = Journal(), Timeline(), Plan(script)
+        self.journal, self._timeline, self._plan = Journal(), Timeline(), SessionPlan(script)
         self.simulation: Simulation | None = None
         self.saliency = LiveSaliency()
-        self._twin: Twin | None = None
+        self._second: SecondSimulation | None = None
         self._pairs: deque[Pair] = deque(maxlen=MOST_PAIRS)
 
     @property
@@ -80,11 +80,11 @@ class Stage:
         world = script or self._policy.spec
         env = self._make_env(world.task, world.render_profile, world.cameras)
         ablation = script.ablation if script else Ablation()
-        self.simulation = inhabited(env, self._policy, ablation, self.journal)
+        self.simulation = open_simulation(env, self._policy, ablation, self.journal)
         self.begin(script.seed if script else self.seed)
 
     def shut(self) -> None:
-        """Closes the environment and the twin's."""
+        """Closes the environment, and B's."""
         self.compare(None)
         if self.simulation is not None:
             self.simulation.env.close()
@@ -96,19 +96,19 @@ class Stage:
         self.seed, self._timeline = seed, Timeline()
         self.saliency.forget()
         self._plan.begin()
-        if self._twin is not None:
-            self._twin.begin(seed)
+        if self._second is not None:
+            self._second.begin(seed)
         self._follow()
 
     def step(self, between: Callable[[], None]) -> None:
         """One decision, on both sides if there are two; ``between`` as in ``Simulation.step``."""
         live = self._live
         live.step(between)
-        if self._twin is not None:
-            self._twin.step()
+        if self._second is not None:
+            self._second.step()
         self._follow()
-        if live.ended and self._twin is not None:
-            paired = self._twin.concluded(live.outcomes[-1])
+        if live.ended and self._second is not None:
+            paired = self._second.concluded(live.outcomes[-1])
             self._pairs.extend([paired] if paired else [])
 
     def set_camera(self, command: SetCamera, preview: bool = False) -> None:
@@ -136,13 +136,13 @@ class Stage:
             live.swap(policy)
             self.saliency.forget()
             return
-        self._policy, kept = policy, live.ablation if live else Ablation()
+        self._policy, before = policy, live.ablation if live else Ablation()
         self.open()
         here = {camera.name for camera in self._live.env.spec.cameras}
-        for camera, state in kept.cameras.items():
+        for camera, state in before.cameras.items():
             if camera in here:
                 self._live.set_camera(SetCamera(camera, state))
-        for camera, move in kept.moves.items():
+        for camera, move in before.moves.items():
             if camera in here:
                 self._live.move_camera(MoveCamera(camera, move))
 
@@ -158,10 +158,10 @@ class Stage:
             return False
         return live.explain(self.saliency, now, moving, hurried)
 
-    def look_back(self, step: int | None) -> None:
+    def show_step(self, step: int | None) -> None:
         """Shows an earlier step from now on; None: the newest one."""
         if step is not None:
-            self._live.save()  # Where nothing is open there is no past either.
+            self._live.snapshot()  # Where nothing is open there is no past either.
         self._timeline.show(step)
 
     def fork(self) -> None:
@@ -171,15 +171,15 @@ class Stage:
         live = self._live
         live.return_to(self._timeline.fork())
         self._policy = live.policy
-        if self._twin is not None:
-            self._twin.part()
+        if self._second is not None:
+            self._second.part()
 
     def compare(self, name: str | None, ablation: Ablation | None = None) -> None:
         """Starts B, and the episode again for both; None ends B. Raises UserError if B's policy
         belongs to another task: there would be nothing to compare."""
-        if self._twin is not None:
-            self._twin.close()
-            self._twin = None
+        if self._second is not None:
+            self._second.close()
+            self._second = None
         self._pairs.clear()
         if name is None:
             return
@@ -189,7 +189,7 @@ class Stage:
                 f"expected a policy for {live.env.spec.task} on B's side, found {name!r} for "
                 f"{policy.spec.task}; choose one of the same task"
             )
-        self._twin = Twin(self._make_env, policy, ablation or Ablation())
+        self._second = SecondSimulation(self._make_env, policy, ablation or Ablation())
         self.begin(self.seed)
 
     def reschedule(self, events: Schedule) -> None:
@@ -206,14 +206,14 @@ class Stage:
         frame = Frame(
             live.world(),
             pace,
-            twin=Frame(self._twin.simulation.world(), pace) if self._twin else None,
+            second=Frame(self._second.simulation.world(), pace) if self._second else None,
             pairs=tuple(self._pairs),
             schedule=self._plan.schedule,
             saliency=self.saliency.maps,
         )
         frame = self._timeline.live(frame)
         if keep:
-            self._timeline.keep(frame, live.save())
+            self._timeline.keep(frame, live.snapshot())
         return frame if self._timeline.shown is None else self._timeline.again(frame)
 
     def _loaded(self, name: str) -> Policy:
@@ -222,7 +222,7 @@ class Stage:
         return self._load(name)
 
     def _follow(self) -> None:
-        """Obeys what comes by itself at the step that has arrived."""
+        """Carries out what comes by itself at the step that has arrived."""
         for command in self._plan.due(self._live):
             if isinstance(command, SetPolicy):
                 self.swap(command.name)

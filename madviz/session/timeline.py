@@ -1,15 +1,15 @@
 """An episode's past: every step as it was shown, and another future from any of them.
 
-The problem: what a camera was worth is often decided long before an episode fails, and a live page
-is gone when one thinks so. The idea: frames are frozen, so remembering an episode is keeping them;
+The problem: which camera mattered is often decided long before an episode fails, and a live page
+has moved on by then. The idea: frames are frozen, so an episode's past is a list of them;
 and an episode is its seed and its actions, so going back is taking these once more, without
 drawing (``Simulation.return_to``). Hammer's step 60 is there again in 0.2 s.
 
-    0 ──── 20 ──── 40 ──── 60 ──── 80 ── 100    the first future, kept as a ``Branch``
+    0 ──── 20 ──── 40 ──── 60 ──── 80 ── 100    the first future, now a ``Branch``
                     └───── 60 ─ ·               forked at 40: the live one now
 
 Memory: a step of three 84-pixel RGB cameras takes 0.35 MB, an episode and its branch some 70 MB. A
-policy with many streams has its merged features kept in half precision, for the page alone.
+policy with many streams has its past merged features rounded to half precision, for the page alone.
 """
 
 from __future__ import annotations
@@ -19,35 +19,37 @@ from dataclasses import replace
 import numpy as np
 
 from madviz.analysis.probes import Probe
-from madviz.session.frame import Branch, Frame, Moment
-from madviz.session.simulation import Saved
+from madviz.session.frame import Branch, Frame, TimelinePoint
+from madviz.session.simulation import Snapshot
 
 MOST_ROWS = 16
-"""Subsets above which kept merged features are rounded."""
+"""Subsets above which merged features of the past are rounded."""
 
 
 class Timeline:
     """What happened in the present episode, and what had happened before it was forked."""
 
     def __init__(self) -> None:
-        self._story: list[Moment] = []
-        self._past: list[tuple[Frame, Saved]] = []
-        self._branch: tuple[int, tuple[Frame, ...], tuple[Moment, ...]] | None = None
+        self._history: list[TimelinePoint] = []
+        self._past: list[tuple[Frame, Snapshot]] = []
+        self._branch: tuple[int, tuple[Frame, ...], tuple[TimelinePoint, ...]] | None = None
         self.shown: int | None = None
         """The earlier step that is shown; None: the newest one."""
 
-    def keep(self, frame: Frame, saved: Saved) -> None:
-        """Remembers the newest step; a step that comes again replaces itself and all after it."""
+    def keep(self, frame: Frame, saved: Snapshot) -> None:
+        """Takes in the newest step; a step that comes again replaces itself and all after it."""
         world = replace(frame.world, probe=_thin(frame.world.probe))
-        kept = replace(frame, world=world, twin=None, saliency=None)
-        self._past[world.step :] = [(kept, saved)]
+        past = replace(frame, world=world, second=None, saliency=None)
+        self._past[world.step :] = [(past, saved)]
 
     def live(self, frame: Frame) -> Frame:
-        """``frame``, the newest one, with the story up to it."""
+        """``frame``, the newest one, with the history up to it."""
         world = frame.world
-        now = Moment(frame.q, world.reward, world.success, frame.setting, world.policy.name)
-        self._story[world.step :] = [now]
-        return self._told(frame)
+        now = TimelinePoint(
+            frame.q, world.reward, world.success, frame.condition, world.policy.name
+        )
+        self._history[world.step :] = [now]
+        return self._with_past(frame)
 
     def show(self, step: int | None) -> None:
         """Chooses what ``again`` shows, at most the last step there is."""
@@ -57,26 +59,26 @@ class Timeline:
     def again(self, like: Frame) -> Frame:
         """The step that is shown, with the number, pace and outcomes of the live frame."""
         assert self.shown is not None
-        kept = self._past[self.shown][0]
-        world = replace(kept.world, outcomes=like.world.outcomes)
-        return self._told(replace(kept, world=world, pace=like.pace))
+        past = self._past[self.shown][0]
+        world = replace(past.world, outcomes=like.world.outcomes)
+        return self._with_past(replace(past, world=world, pace=like.pace))
 
-    def fork(self) -> Saved:
+    def fork(self) -> Snapshot:
         """Makes the step that is shown the newest one; what came after becomes the branch."""
         assert self.shown is not None
         at, self.shown = self.shown, None
         frames = tuple(frame for frame, _ in self._past)
-        self._branch = (at, frames, tuple(self._story))
+        self._branch = (at, frames, tuple(self._history))
         saved = self._past[at][1]
-        del self._past[at + 1 :], self._story[at + 1 :]
+        del self._past[at + 1 :], self._history[at + 1 :]
         return saved
 
-    def _told(self, frame: Frame) -> Frame:
+    def _with_past(self, frame: Frame) -> Frame:
         branch = None
         if self._branch is not None:
-            at, frames, story = self._branch
-            branch = Branch(at, story, frames[min(frame.world.step, len(frames) - 1)])
-        return replace(frame, story=tuple(self._story), branch=branch)
+            at, frames, history = self._branch
+            branch = Branch(at, history, frames[min(frame.world.step, len(frames) - 1)])
+        return replace(frame, history=tuple(self._history), branch=branch)
 
 
 def _thin(probe: Probe) -> Probe:

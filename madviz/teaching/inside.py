@@ -14,8 +14,9 @@ from statistics import fmean
 
 import numpy as np
 
+from madviz.analysis import shapley
 from madviz.analysis.saliency import Target, saliency
-from madviz.analysis.shapley import Worth, action_worth, success_interval, success_worth
+from madviz.analysis.shapley import ShapleyValues, action_shapley, success_interval
 from madviz.drawing.colours import MERGED_ON_WHITE, colours_on_white, heat
 from madviz.errors import UserError
 from madviz.evaluation.statistics import wilson
@@ -74,7 +75,7 @@ def shapley_curves(episode: Sequence[Moment]) -> Figure:
     """Shapley values of the cameras for the action, over an episode: by how much each brings it
     nearer to the action on all."""
     streams = episode[0].policy.spec.streams
-    values = [action_worth(m.probe, streams).cameras for m in episode]
+    values = [action_shapley(m.probe, streams).cameras for m in episode]
     cameras = dict.fromkeys(map(camera_of, streams))
     series = {name: [float(w[i]) for w in values] for i, name in enumerate(cameras)}
     return _drawn("Shapley values for the action", series, episode)
@@ -88,11 +89,11 @@ def _drawn(title: str, series: Mapping[str, Sequence[float]], episode: Sequence[
 
 def success_shapley(
     measured: Mapping[str, tuple[int, int]], streams: tuple[str, ...]
-) -> tuple[Worth, TextTable]:
+) -> tuple[ShapleyValues, TextTable]:
     """Shapley values of the cameras for the success rate, which was counted for every subset of
     them: the numbers, and a table with their intervals. Raises UserError where one is missing."""
     rates = {name: successes / n for name, (successes, n) in measured.items()}
-    values = success_worth(rates, streams)
+    values = shapley.success_shapley(rates, streams)
     if values is None:
         raise UserError(
             "expected success for every subset of the cameras; measure the missing ones"

@@ -33,7 +33,7 @@ from madviz.errors import UserError
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.policies import checkpoint
 from madviz.session.commands import Command, Pause, Play, Reset, SetCamera, SetSpeed, StepOnce
-from madviz.session.frame import Failure, Frame
+from madviz.session.frame import Frame, NoFrame
 from madviz.session.session import EnvFactory, Session
 from madviz.subsets import modality_of
 from madviz.teaching import begin
@@ -121,7 +121,7 @@ class Explorer(StaticBox):
         """The newest time step. Raises UserError with the session's own words if there is none."""
         latest = self.session.latest
         if not isinstance(latest, Frame):
-            found = latest.error if isinstance(latest, Failure) else "nothing yet"
+            found = latest.error if isinstance(latest, NoFrame) else "nothing yet"
             raise UserError(f"expected a running episode, found: {found.splitlines()[0]}")
         return latest
 
@@ -188,7 +188,7 @@ class Explorer(StaticBox):
             latest = self.session.latest
             if isinstance(latest, Frame):
                 self.paint(latest)
-            elif isinstance(latest, Failure):
+            elif isinstance(latest, NoFrame):
                 self.words.value = f"<pre>{escape(latest.error)}</pre>"
             self._closing.wait(max(0.0, 1 / PICTURES - (time.monotonic() - began)))
 
@@ -197,7 +197,7 @@ class Explorer(StaticBox):
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
             latest = self.session.latest
-            if isinstance(latest, Failure):
+            if isinstance(latest, NoFrame):
                 break
             if latest is not None and (playing or latest.pace.phase == "paused"):
                 break

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import madviz
 from madviz import teaching
-from madviz.analysis.shapley import action_worth
+from madviz.analysis.shapley import action_shapley
 from madviz.teaching.inside import (
     mean_gap,
     norm_curves,
@@ -103,7 +103,7 @@ saliency_sheet(teaching.moment_at(mad, seed=2000, step=20))
 # showed that all eight are computed at every time step anyway.
 
 # %%
-source(action_worth)
+source(action_shapley)
 
 # %%
 shapley_curves(episode)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from madviz.app.server import App
 from madviz.session.commands import Pause, Reset, StepOnce
-from madviz.session.session_reader import read_kept
+from madviz.session.session_reader import read_session
 from tests.e2e.conftest import PATIENCE, Visitor
 
 
@@ -123,5 +123,5 @@ def test_a_session_is_saved_as_a_file_that_replays(visitor: Visitor, app: App, t
         visitor.page.get_by_role("button", name="save this episode").click()
     path = tmp_path / download.value.suggested_filename
     download.value.save_as(path)
-    (episode,) = read_kept(path).episodes
+    (episode,) = read_session(path).episodes
     assert (episode.task, episode.steps) == ("toy/reach", 4)

@@ -14,7 +14,7 @@ from madviz.app.pictures import strip_html
 from madviz.app.toolkit import Cell, WidgetPanel, on_press, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, NOTE
 from madviz.evaluation.statistics import Paired
-from madviz.session.commands import Command, SetTwin
+from madviz.session.commands import Command, Compare
 from madviz.session.comparison import tally
 from madviz.session.frame import Frame
 
@@ -60,9 +60,9 @@ class ComparisonPanel(WidgetPanel):
         stop = gui.add_button("end B", hint=HINTS["stop"])
 
         def begin() -> None:
-            send(SetTwin(self._names[picker.value], self._frame.world.ablation))
+            send(Compare(self._names[picker.value], self._frame.world.ablation))
 
-        for button, work in ((start, begin), (stop, lambda: send(SetTwin(None)))):
+        for button, work in ((start, begin), (stop, lambda: send(Compare(None)))):
             on_press(button, work)
         cells = [Cell(picker, 1, 6, "1.2em"), Cell(start, 7, 2), Cell(stop, 9, 2)]
         self.handles = place(gui, "versus", 10, cells)
@@ -74,9 +74,9 @@ class ComparisonPanel(WidgetPanel):
 
 def comparison_html(frame: Frame) -> str:
     """Both sides in a table, B's cameras, and the tally under them."""
-    if frame.twin is None:
+    if frame.second is None:
         return f'<div class="mv mv-comparison">{INTRODUCTION}</div>'
-    rows = "".join(_side(name, side) for name, side in (("A", frame), ("B", frame.twin)))
+    rows = "".join(_side(name, side) for name, side in (("A", frame), ("B", frame.second)))
     head = (
         '<tr class="dim"><td></td><td>policy</td><td>gets</td><td class="num">Q</td>'
         '<td class="num">reward</td><td></td></tr>'
@@ -84,8 +84,8 @@ def comparison_html(frame: Frame) -> str:
     return (
         f'<div class="mv mv-comparison"><table>{head}{rows}</table>'
         '<div style="display:flex;gap:12px;margin-top:6px;align-items:center">'
-        f'<div><div class="dim">B, step {frame.twin.world.step}</div>'
-        f"{strip_html(frame.twin, 'the cameras of B')}</div>"
+        f'<div><div class="dim">B, step {frame.second.world.step}</div>'
+        f"{strip_html(frame.second, 'the cameras of B')}</div>"
         f"<div>{_tally(frame)}</div></div></div>"
     )
 
@@ -101,14 +101,14 @@ def _side(name: str, frame: Frame) -> str:
 
 
 def _gets(frame: Frame) -> str:
-    label = subset_label(frame, frame.setting.subset)
-    return f"{label} · {frame.setting.occlusions}" if frame.setting.occlusions else label
+    label = subset_label(frame, frame.condition.subset)
+    return f"{label} · {frame.condition.occlusions}" if frame.condition.occlusions else label
 
 
 def _tally(frame: Frame) -> str:
     """Pairs of the two sides as they stand now, and what they say."""
-    assert frame.twin is not None
-    sides = tuple((side.world.policy.name, str(side.setting)) for side in (frame, frame.twin))
+    assert frame.second is not None
+    sides = tuple((side.world.policy.name, str(side.condition)) for side in (frame, frame.second))
     counted = tally(frame.pairs, sides)  # type: ignore[arg-type]
     if counted.n == 0:
         return (

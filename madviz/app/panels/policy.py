@@ -154,7 +154,7 @@ def status_html(frame: Frame) -> str:
     """The episode at a glance. The attributes are there for those who measure the page."""
     attributes = (
         f'data-episode="{frame.world.episode}" data-step="{frame.world.step}" '
-        f'data-phase="{frame.pace.phase}" data-setting="{escape(str(frame.setting))}"'
+        f'data-phase="{frame.pace.phase}" data-setting="{escape(str(frame.condition))}"'
     )
     seed = f'<span class="plain num" style="float:right">seed {frame.world.seed}</span>'
     return (

@@ -15,7 +15,7 @@ from html import escape
 import numpy as np
 import viser
 
-from madviz.analysis.projection import DECISIONS, Atlas, Basis
+from madviz.analysis.projection import DECISIONS, Basis, FeatureMaps
 from madviz.app.markup import progress_bar
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_VIEWS, stream_label
@@ -46,7 +46,7 @@ class ProjectionPanel(WidgetPanel):
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, height: int = 190) -> None:
         self._height = height
-        self._atlas = Atlas()
+        self._atlas = FeatureMaps()
         self._trail: list[Place] = []
         self._of: tuple[str, int] = ("", -1)
         """Policy and episode of the trail."""

@@ -11,7 +11,7 @@ import viser
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, WidgetPanel, guarded, place
 from madviz.session.frame import Frame
-from madviz.session.session_file import KeptSession
+from madviz.session.session_file import SavedSession
 
 HINTS = {
     "one": "Downloads the episode that is running: its seed, and what you did at which step.",
@@ -22,7 +22,7 @@ HINTS = {
 class SavePanel(WidgetPanel):
     """Two buttons, and what to do with what they save. Watchers may save, too: it only reads."""
 
-    def __init__(self, gui: viser.GuiApi, keep: Callable[[], KeptSession], frame: Frame) -> None:
+    def __init__(self, gui: viser.GuiApi, keep: Callable[[], SavedSession], frame: Frame) -> None:
         self._keep = keep
         one = gui.add_button("save this episode", icon=viser.Icon.DOWNLOAD, hint=HINTS["one"])
         several = gui.add_button("save the last 20", hint=HINTS["all"])
@@ -47,7 +47,7 @@ class SavePanel(WidgetPanel):
         return [Assign(self._words, "content", save_html(frame))]
 
 
-def file_name(saved: KeptSession) -> str:
+def file_name(saved: SavedSession) -> str:
     """``hammer-seed2003.json``; of several episodes ``hammer-20-episodes.json``."""
     last = saved.episodes[-1]
     task = re.sub(r"[^a-z0-9-]", "", last.task.split("/")[-1]) or "session"

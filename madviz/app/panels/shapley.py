@@ -14,12 +14,12 @@ import numpy as np
 import viser
 
 from madviz.analysis.shapley import (
-    Worth,
-    action_worth,
-    q_worth,
+    ShapleyValues,
+    action_shapley,
+    q_shapley,
     set_names,
     success_interval,
-    success_worth,
+    success_shapley,
 )
 from madviz.app.markup import band, dot, track
 from madviz.app.panel import Assign
@@ -27,7 +27,7 @@ from madviz.app.panels.subsets import subset_label
 from madviz.app.rates import Rates
 from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import FAINT, MUTED, NOTE, camera_colours
-from madviz.session.frame import Frame, Setting
+from madviz.session.frame import Condition, Frame
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array
 
@@ -48,7 +48,7 @@ class Column(NamedTuple):
     """One game, ready to be drawn."""
 
     title: str
-    worth: Worth | None
+    worth: ShapleyValues | None
     digits: int
     total: str
     """What the cameras share, in numbers."""
@@ -88,7 +88,7 @@ def shapley_html(frame: Frame, rates: Rates) -> str:
 
 def q_column(frame: Frame) -> Column:
     """Shares in the critic's forecast."""
-    worth = q_worth(frame.world.probe, frame.world.policy.streams, frame.mask)
+    worth = q_shapley(frame.world.probe, frame.world.policy.streams, frame.mask)
     words = (
         "<b>Q</b> is the policy's own forecast of the reward still to come; of sets it was "
         "not trained on, it may be far from the truth."
@@ -97,19 +97,19 @@ def q_column(frame: Frame) -> Column:
         return Column("Q now", None, 1, "–", "<b>Q</b>: no forecast here, so nothing to share.")
     if not np.isfinite(worth.cameras).all():
         return Column("Q now", None, 1, "–", f"<b>Q</b>: {_undefined(frame)}")
-    return Column("Q now", worth, 1, f"{worth.nothing:.1f} → {worth.everything:.1f}", words)
+    return Column("Q now", worth, 1, f"{worth.empty:.1f} → {worth.full:.1f}", words)
 
 
 def action_column(frame: Frame) -> Column:
     """Shares in the way from the action without cameras to the present one."""
-    worth = action_worth(frame.world.probe, frame.world.policy.streams, frame.mask)
+    worth = action_shapley(frame.world.probe, frame.world.policy.streams, frame.mask)
     if not np.isfinite(worth.cameras).all():
         return Column("action now", None, 2, "–", f"<b>Action</b>: {_undefined(frame)}")
     words = (
         "<b>Action</b>: how much nearer a camera brings the action to the one taken now; below 0, "
         "it pulls away from it."
     )
-    total = f"{-worth.nothing:.2f} → 0.00 apart"
+    total = f"{-worth.empty:.2f} → 0.00 apart"
     return Column("action now", worth, 2, total, words)
 
 
@@ -117,19 +117,19 @@ def success_column(frame: Frame, rates: Rates) -> Column:
     """Shares in the success measured with each set of cameras, without occlusions."""
     streams, title = frame.world.policy.streams, "success, measured"
     names = set_names(streams, frame.mask)
-    found = {name: rates.best(frame.world.policy, Setting(name)) for name in dict.fromkeys(names)}
-    worth = success_worth({name: rate.value for name, rate in found.items()}, streams, frame.mask)
+    found = {name: rates.best(frame.world.policy, Condition(name)) for name in dict.fromkeys(names)}
+    worth = success_shapley({name: rate.value for name, rate in found.items()}, streams, frame.mask)
     if worth is None:
         return Column(title, None, 2, "–", _missing(frame, [n for n in found if not found[n].n]))
     bounded = {name: (rate.value, *rate.interval) for name, rate in found.items()}
     low, high = success_interval(bounded, streams, frame.mask)
     least = min(rate.n for rate in found.values())
-    clean = " Measured with clean pictures." if frame.setting.occlusions else ""
+    clean = " Measured with clean pictures." if frame.condition.occlusions else ""
     words = (
         "<b>Success</b>: the success rate that a camera adds, ± 95 % interval "
         f"({least} or more episodes for each set).{clean}"
     )
-    total = f"{worth.nothing:.2f} → {worth.everything:.2f}"
+    total = f"{worth.empty:.2f} → {worth.full:.2f}"
     return Column(title, worth, 2, total, words, (high - low) / 2)
 
 

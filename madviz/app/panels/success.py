@@ -18,7 +18,7 @@ from madviz.app.rates import NOTHING, Rates
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.evaluation.statistics import SuccessRate
-from madviz.session.frame import Frame, Outcome, Setting
+from madviz.session.frame import Condition, Frame, Outcome
 from madviz.subsets import mask_of, name_of, single_streams
 from madviz.types import PolicySpec
 
@@ -44,7 +44,7 @@ class SuccessPanel(WidgetPanel):
     ) -> None:
         """``visitor`` has the present setting measured; None only watches."""
         self._rates, self._visitor = rates, visitor
-        self._wanted: tuple[PolicySpec, Setting] | None = None
+        self._wanted: tuple[PolicySpec, Condition] | None = None
         self._known: tuple[Outcome, ...] = ()
         self._curve = Curve()
         self._bars = gui.add_html(bars_html(frame, rates))
@@ -75,7 +75,7 @@ class SuccessPanel(WidgetPanel):
         if self._visitor is not None:
             self._keep(frame)
             self._want(frame)
-        setting = frame.setting
+        setting = frame.condition
         moved = self._curve.add(
             frame.world.policy, setting, self._rates.live(frame.world.policy, setting)
         )
@@ -93,7 +93,7 @@ class SuccessPanel(WidgetPanel):
 
     def _want(self, frame: Frame) -> None:
         """Has the setting of this moment measured, if it is not the one that already is."""
-        wanted = (frame.world.policy, frame.setting)
+        wanted = (frame.world.policy, frame.condition)
         measuring = self._switch is not None and self._switch.value
         if measuring and wanted != self._wanted and frame.world.probe.supported[frame.row]:
             self._wanted = wanted
@@ -109,9 +109,9 @@ class SuccessPanel(WidgetPanel):
         fresh = [one for one in frame.world.outcomes if one not in self._known]
         self._known = frame.world.outcomes
         for outcome in fresh:
-            if outcome.setting is not None and outcome.policy == frame.world.policy:
+            if outcome.condition is not None and outcome.policy == frame.world.policy:
                 self._rates.add(
-                    frame.world.policy, outcome.setting, {outcome.seed: outcome.success}
+                    frame.world.policy, outcome.condition, {outcome.seed: outcome.success}
                 )
 
 
@@ -120,10 +120,10 @@ class Curve:
 
     def __init__(self) -> None:
         self._points: deque[tuple[float, ...]] = deque(maxlen=HISTORY)
-        self._key: tuple[PolicySpec, Setting] | None = None
+        self._key: tuple[PolicySpec, Condition] | None = None
         self._n, self._episodes = 0, 0
 
-    def add(self, policy: PolicySpec, setting: Setting, rate: SuccessRate) -> bool:
+    def add(self, policy: PolicySpec, setting: Condition, rate: SuccessRate) -> bool:
         """Whether there is something new to draw."""
         key, before = (policy, setting), self._key
         if key != before:
@@ -153,7 +153,7 @@ def rate_point(rate: SuccessRate) -> tuple[float, float, float]:
     return (*rate.interval, rate.value) if rate.n else (BELOW, BELOW, BELOW)
 
 
-def bar_rows(frame: Frame, rates: Rates) -> list[Setting]:
+def bar_rows(frame: Frame, rates: Rates) -> list[Condition]:
     """The settings that get a bar: all, the trained and the shipped ones, each stream alone, no
     camera; and the present one."""
     spec = frame.world.policy
@@ -163,8 +163,8 @@ def bar_rows(frame: Frame, rates: Rates) -> list[Setting]:
     singles = single_streams(spec.streams)
     names = ["all", *trained, *rates.shipped(spec), *singles, "none"]
     names.sort(key=lambda name: name == "none")
-    rows = [Setting(name) for name in dict.fromkeys(names)]
-    return rows if frame.setting in rows else [*rows, frame.setting]
+    rows = [Condition(name) for name in dict.fromkeys(names)]
+    return rows if frame.condition in rows else [*rows, frame.condition]
 
 
 def bars_html(frame: Frame, rates: Rates) -> str:
@@ -183,12 +183,12 @@ def bars_html(frame: Frame, rates: Rates) -> str:
     )
     return (
         f'<div class="mv"><h4>Success at the last step</h4><div class="dim">{key}'
-        f"</div>{''.join(rows)}{_trouble(rates.error(spec, frame.setting))}</div>"
+        f"</div>{''.join(rows)}{_trouble(rates.error(spec, frame.condition))}</div>"
     )
 
 
 def _bar_row(
-    frame: Frame, setting: Setting, shipped: SuccessRate, live: SuccessRate, height: int
+    frame: Frame, setting: Condition, shipped: SuccessRate, live: SuccessRate, height: int
 ) -> str:
     mask = mask_of(setting.subset, frame.world.policy.streams)
     label = subset_label(frame, setting.subset)
@@ -199,7 +199,7 @@ def _bar_row(
     dagger = "" if is_trained(frame, mask) else "† "
     joined = live if live.n >= shipped.n else shipped
     number = f"<b>{joined.value:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"
-    here = setting == frame.setting
+    here = setting == frame.condition
     now = f'<b style="color:{NOTE}">▸</b>' if here else ""
     title = escape(f"{label}: {_in_words(shipped, 'shipped')}; {_in_words(live, 'measured here')}")
     intervals = _interval(shipped, MUTED, 0) + _interval(live, GOOD, 6)

@@ -18,7 +18,7 @@ from madviz.app.pictures import strip_html
 from madviz.app.toolkit import Cell, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.session.commands import Command, Fork, Scrub
-from madviz.session.frame import Frame, Moment
+from madviz.session.frame import Frame, TimelinePoint
 
 WIDTH, LANE, LEFT, TOP = 600, 40, 44, 14
 """Pixels of the drawing, of a lane, left of the lanes and above them."""
@@ -96,8 +96,8 @@ class TimelinePanel(WidgetPanel):
 def timeline_html(frame: Frame) -> str:
     """Both lanes and what stands under them."""
     lanes = [
-        ("reward", [moment.reward for moment in frame.story], _branch(frame, "reward")),
-        ("Q", [moment.q for moment in frame.story], _branch(frame, "q")),
+        ("reward", [moment.reward for moment in frame.history], _branch(frame, "reward")),
+        ("Q", [moment.q for moment in frame.history], _branch(frame, "q")),
     ]
     drawn = "".join(
         _lane(label, index, live, first, frame.world.env.horizon)
@@ -112,20 +112,20 @@ def timeline_html(frame: Frame) -> str:
     return f'<div class="mv mv-timeline">{svg}<div>{_words(frame)}</div>{_first(frame)}</div>'
 
 
-def marks(story: Sequence[Moment]) -> list[tuple[int, str]]:
+def marks(history: Sequence[TimelinePoint]) -> list[tuple[int, str]]:
     """The steps at which a visitor changed what the policy gets, or the policy, and to what."""
     found = []
-    for step in range(1, len(story)):
-        before, now = story[step - 1], story[step]
+    for step in range(1, len(history)):
+        before, now = history[step - 1], history[step]
         if now.policy != before.policy:
             found.append((step, now.policy))
-        elif now.setting != before.setting:
-            found.append((step, str(now.setting)))
+        elif now.condition != before.condition:
+            found.append((step, str(now.condition)))
     return found
 
 
 def _branch(frame: Frame, name: str) -> list[float]:
-    return [getattr(moment, name) for moment in frame.branch.story] if frame.branch else []
+    return [getattr(moment, name) for moment in frame.branch.history] if frame.branch else []
 
 
 def _x(step: float, horizon: int) -> float:
@@ -163,7 +163,7 @@ def _lane(
 def _marks(frame: Frame, height: int) -> str:
     """Changes as dashed lines, the fork as a yellow one, goal met as a blue floor, the cursor."""
     horizon, parts = frame.world.env.horizon, []
-    for step, text in marks(frame.story):
+    for step, text in marks(frame.history):
         x = _x(step, horizon)
         parts.append(
             f'<line x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{height - 16}" stroke="{MUTED}" '
@@ -173,7 +173,7 @@ def _marks(frame: Frame, height: int) -> str:
     if frame.branch:
         x = _x(frame.branch.at, horizon)
         parts.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{height - 16}" stroke="{NOTE}"/>')
-    for step, moment in enumerate(frame.story):
+    for step, moment in enumerate(frame.history):
         if moment.success:
             parts.append(
                 f'<rect x="{_x(step - 0.5, horizon):.1f}" y="{height - 18}" height="3" '
@@ -203,7 +203,7 @@ def _short(text: str) -> str:
 def _words(frame: Frame) -> str:
     goal = f'<span style="color:{GOOD}">▂</span> goal met'
     if frame.past:
-        newest = len(frame.story) - 1
+        newest = len(frame.history) - 1
         return (
             f'<b style="color:{NOTE}">Looking back: step {frame.world.step} of {newest}.</b> '
             "Switch a camera here, or fork, and another run begins. Play goes on from the "
@@ -221,10 +221,15 @@ def _first(frame: Frame) -> str:
     """The original run's cameras at the same step, and how the two compare."""
     if frame.branch is None or frame.past:
         return ""
-    other, story, horizon = frame.branch.frame, frame.branch.story, frame.world.env.horizon
+    other, history, horizon = frame.branch.frame, frame.branch.history, frame.world.env.horizon
     rows = [
-        ("original run", str(other.setting), other.world.total_reward, _outcome(story, horizon)),
-        ("now", str(frame.setting), frame.world.total_reward, _outcome(frame.story, horizon)),
+        (
+            "original run",
+            str(other.condition),
+            other.world.total_reward,
+            _outcome(history, horizon),
+        ),
+        ("now", str(frame.condition), frame.world.total_reward, _outcome(frame.history, horizon)),
     ]
     table = "".join(
         f"<tr><td><b>{who}</b></td><td>{escape(_short(what))}</td>"
@@ -240,9 +245,9 @@ def _first(frame: Frame) -> str:
     )
 
 
-def _outcome(story: Sequence[Moment], horizon: int) -> str:
+def _outcome(history: Sequence[TimelinePoint], horizon: int) -> str:
     """How a run ended, or how far it came; success counts at the last step."""
-    if len(story) <= horizon:
-        return f'<span class="dim">up to step {len(story) - 1}</span>'
-    word, colour = ("✔ SUCCESS", GOOD) if story[-1].success else ("✘ FAIL", BAD)
+    if len(history) <= horizon:
+        return f'<span class="dim">up to step {len(history) - 1}</span>'
+    word, colour = ("✔ SUCCESS", GOOD) if history[-1].success else ("✘ FAIL", BAD)
     return f'<b style="color:{colour}">{word}</b>'

@@ -48,10 +48,10 @@ def sentence(change: Change, frame: Frame, rates: Rates) -> str:
     """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8; success so far 0.94 → 0.81
     (n=16)``."""
     line = words(change, frame.world.env)
-    if change.setting_before == change.setting_after:
+    if change.condition_before == change.condition_after:
         return line
-    before = rates.best(frame.world.policy, change.setting_before)
-    after = rates.best(frame.world.policy, change.setting_after)
+    before = rates.best(frame.world.policy, change.condition_before)
+    after = rates.best(frame.world.policy, change.condition_after)
     if not after.n:
         tail = f"success so far {before.value:.2f} → not measured yet" if before.n else ""
     else:

@@ -1,4 +1,4 @@
-"""Kept sessions that come as files from anybody are not believed."""
+"""Saved sessions that come as files from anybody are checked."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import (
     SetCamera,
 )
-from madviz.session.replay import live_again
-from madviz.session.session_reader import LONGEST, parse, read_kept
-from tests.visitors import find, lived, put
+from madviz.session.replay import replay_episode
+from madviz.session.session_reader import LONGEST, parse, read_session
+from tests.visitors import find, played, put
 
 
 @cache
 def document() -> dict[str, Any]:
-    return json.loads(lived(2, 20).last().to_json())
+    return json.loads(played(2, 20).last().to_json())
 
 
 @pytest.mark.parametrize(
@@ -58,9 +58,9 @@ def document() -> dict[str, Any]:
 def test_a_file_that_will_not_do_is_refused_in_one_line(path: str, value: Any) -> None:
     content = json.dumps(put(document(), path, value)).encode()
     with pytest.raises(UserError) as refused:
-        parse(content, "kept.json")
+        parse(content, "saved.json")
     line = str(refused.value)
-    assert line.startswith("kept.json: expected") and "found" in line and ";" in line
+    assert line.startswith("saved.json: expected") and "found" in line and ";" in line
     assert "\n" not in line and len(line) < 400
 
 
@@ -81,7 +81,7 @@ def test_a_file_from_before_patches_had_two_sides_has_squares() -> None:
         parse(json.dumps(put(document(), "episodes.0.start", start)).encode(), "old.json")
 
 
-def test_files_that_are_no_kept_session_at_all(tmp_path: Path) -> None:
+def test_files_that_are_no_saved_session_at_all(tmp_path: Path) -> None:
     for content in (b"", b"\xff\xfe", b"[" * 100_000, b"NaN", b"5", b'{"schema": 1, "schema": 1}'):
         with pytest.raises(UserError):
             parse(content, "x")
@@ -89,7 +89,7 @@ def test_files_that_are_no_kept_session_at_all(tmp_path: Path) -> None:
     long.write_bytes(b" " * (LONGEST + 1))
     for path in (long, tmp_path, tmp_path / "none.json"):
         with pytest.raises(UserError) as refused:
-            read_kept(path)
+            read_session(path)
         assert "\n" not in str(refused.value)
 
 
@@ -102,7 +102,7 @@ def test_files_that_are_no_kept_session_at_all(tmp_path: Path) -> None:
         ("episodes.0.cameras.0.fovy", 33, "toy/reach has the cameras"),
     ],
 )
-def test_a_file_that_cannot_be_lived_here_says_why(path: str, value: Any, words: str) -> None:
-    kept = parse(json.dumps(put(document(), path, value)).encode(), "x")
+def test_a_file_that_cannot_be_replayed_here_says_why(path: str, value: Any, words: str) -> None:
+    saved = parse(json.dumps(put(document(), path, value)).encode(), "x")
     with pytest.raises(UserError, match=words):
-        live_again(kept.episodes[0], find)
+        replay_episode(saved.episodes[0], find)

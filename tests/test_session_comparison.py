@@ -8,9 +8,9 @@ import numpy as np
 
 from madviz.app.panels.comparison import comparison_html
 from madviz.observation.ablation import Ablation, CameraState
-from madviz.session.commands import Scrub, SetCamera, SetPolicy, SetTwin
+from madviz.session.commands import Compare, Scrub, SetCamera, SetPolicy
 from madviz.session.comparison import tally
-from madviz.session.frame import Outcome, Pair, Setting
+from madviz.session.frame import Condition, Outcome, Pair
 from tests.fakes import FakePolicy
 from tests.test_timeline import Played
 
@@ -20,46 +20,46 @@ FIRST_OFF = Ablation({"first": OFF})
 
 def test_both_sides_play_the_same_seed_step_by_step() -> None:
     play = Played()
-    frame = play(3, SetTwin("toy-mad"))
-    assert frame.twin is not None and (frame.world.step, frame.twin.world.step) == (0, 0)
+    frame = play(3, Compare("toy-mad"))
+    assert frame.second is not None and (frame.world.step, frame.second.world.step) == (0, 0)
     for _ in range(5):
         frame = play(1)
-        assert frame.twin is not None and frame.twin.world.step == frame.world.step
-        np.testing.assert_array_equal(frame.twin.action, frame.action)
+        assert frame.second is not None and frame.second.world.step == frame.world.step
+        np.testing.assert_array_equal(frame.second.action, frame.action)
     frame = play(20)
     assert frame.ended and len(frame.pairs) == 1
     assert frame.pairs[0].first.success == frame.pairs[0].second.success
     play(2)  # The page holds an ended episode for two seconds.
     frame = play(1)
-    assert frame.twin is not None and frame.world.seed == frame.twin.world.seed
+    assert frame.second is not None and frame.world.seed == frame.second.world.seed
 
 
 def test_what_happens_to_a_does_not_happen_to_b() -> None:
     play = Played()
-    frame = play(SetTwin("toy-other", FIRST_OFF), 2, SetCamera("third_a", OFF), 1)
-    assert frame.twin is not None
-    assert frame.setting.subset == "first+third_b"
-    assert (frame.twin.world.policy.name, frame.twin.setting.subset) == (
+    frame = play(Compare("toy-other", FIRST_OFF), 2, SetCamera("third_a", OFF), 1)
+    assert frame.second is not None
+    assert frame.condition.subset == "first+third_b"
+    assert (frame.second.world.policy.name, frame.second.condition.subset) == (
         "toy-other",
         "third_a+third_b",
     )
-    assert not np.array_equal(frame.twin.action, frame.action)
+    assert not np.array_equal(frame.second.action, frame.action)
 
 
 def test_only_untouched_episodes_make_a_pair() -> None:
     play = Played()
-    assert play(SetTwin("toy-mad"), 25).pairs
+    assert play(Compare("toy-mad"), 25).pairs
     touched = Played()
-    assert not touched(SetTwin("toy-mad"), 5, SetCamera("first", OFF), 20).pairs
+    assert not touched(Compare("toy-mad"), 5, SetCamera("first", OFF), 20).pairs
     forked = Played()
-    assert not forked(SetTwin("toy-mad"), 9, Scrub(4), SetPolicy("toy-mad"), 1, 25).pairs
+    assert not forked(Compare("toy-mad"), 9, Scrub(4), SetPolicy("toy-mad"), 1, 25).pairs
 
 
 def test_ending_b_and_starting_another_forgets_the_pairs() -> None:
     play = Played()
-    assert play(SetTwin("toy-mad"), 25).pairs
-    frame = play(SetTwin(None))
-    assert frame.twin is None and not frame.pairs
+    assert play(Compare("toy-mad"), 25).pairs
+    frame = play(Compare(None))
+    assert frame.second is None and not frame.pairs
     assert "Start B" in comparison_html(frame)
 
 
@@ -67,16 +67,16 @@ def test_a_policy_of_another_task_has_nothing_to_compare(monkeypatch) -> None:
     play = Played()
     stranger = FakePolicy("stranger", task="metaworld/hammer")
     monkeypatch.setattr(play.session._stage, "_load", lambda name: stranger)
-    frame = play(SetTwin("stranger"))
-    assert frame.pace.error.startswith("expected a policy for toy/reach") and frame.twin is None
+    frame = play(Compare("stranger"))
+    assert frame.pace.error.startswith("expected a policy for toy/reach") and frame.second is None
 
 
 def test_the_tally_counts_each_seed_once_and_one_comparison_only() -> None:
     spec = FakePolicy().spec
-    blank = Outcome(spec, 0, True, True, 0.0, {}, Setting("all"))
+    blank = Outcome(spec, 0, True, True, 0.0, {}, Condition("all"))
 
-    def ended(seed: int, first: bool, second: bool, setting: str = "all") -> Pair:
-        a = replace(blank, seed=seed, success=first, setting=Setting(setting))
+    def ended(seed: int, first: bool, second: bool, subset: str = "all") -> Pair:
+        a = replace(blank, seed=seed, success=first, condition=Condition(subset))
         return Pair(a, replace(blank, seed=seed, success=second))
 
     pairs = (
@@ -89,8 +89,8 @@ def test_the_tally_counts_each_seed_once_and_one_comparison_only() -> None:
 
 
 def test_the_panel_says_what_the_pairs_say() -> None:
-    frame = Played()(SetTwin("toy-mad"), 3)
+    frame = Played()(Compare("toy-mad"), 3)
     assert "None yet" in comparison_html(frame)
-    frame = Played()(SetTwin("toy-mad"), 25)
+    frame = Played()(Compare("toy-mad"), 25)
     html = comparison_html(frame)
     assert "n = 1 pairs" in html and "Every pair came out alike." in html

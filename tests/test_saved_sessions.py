@@ -1,4 +1,4 @@
-"""Kept sessions: what a journal writes is lived again to the bit."""
+"""Saved sessions: what a journal writes is replayed to the bit."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from madviz.session.commands import (
     SetSeed,
 )
 from madviz.session.frame import Frame
-from madviz.session.replay import failures_of, live_again, replay_row, replay_words
+from madviz.session.replay import failure_words, replay_episode, replay_row, replay_words
 from madviz.session.session import Session
-from madviz.session.session_file import KeptEpisode, KeptPolicy, KeptSession
+from madviz.session.session_file import SavedEpisode, SavedPolicy, SavedSession
 from madviz.session.session_reader import parse
 from madviz.session.simulation import Simulation
 from tests.fakes import FakePolicy, policies
@@ -34,7 +34,7 @@ from tests.visitors import (
     CAMERAS,
     Interrupted,
     find,
-    lived,
+    played,
     put,
     session_with,
 )
@@ -43,7 +43,7 @@ OFF = CameraState("off")
 HAMMER = "metaworld-hammer-mad-light"
 
 
-def same(one: KeptEpisode, other: KeptEpisode) -> bool:
+def same(one: SavedEpisode, other: SavedEpisode) -> bool:
     return (one.sha256, one.trace, one.success, one.ended, one.steps) == (
         *(other.sha256, other.trace, other.success, other.ended),
         other.steps,
@@ -51,22 +51,22 @@ def same(one: KeptEpisode, other: KeptEpisode) -> bool:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_whatever_a_visitor_did_is_lived_again_to_the_bit(seed: int) -> None:
-    kept = lived(seed, 50)
-    read = parse(kept.to_json().encode(), "here")
-    assert read == kept and sum(episode.steps for episode in read.episodes) >= 20
+def test_whatever_a_visitor_did_is_replayed_to_the_bit(seed: int) -> None:
+    saved = played(seed, 50)
+    read = parse(saved.to_json().encode(), "here")
+    assert read == saved and sum(episode.steps for episode in read.episodes) >= 20
     for episode in read.episodes:
-        assert same(live_again(episode, find), episode)
+        assert same(replay_episode(episode, find), episode)
 
 
 def test_commands_matter_and_so_do_their_steps() -> None:
     """Or the test above would pass with a journal that forgets."""
-    episode = max(lived(0, 50).episodes, key=lambda one: len(one.commands))
+    episode = max(played(0, 50).episodes, key=lambda one: len(one.commands))
     missed = 0
     for index in range(0, len(episode.commands), 3):
         fields = {**vars(episode)}
         fields["commands"] = episode.commands[:index] + episode.commands[index + 1 :]
-        missed += not same(live_again(KeptEpisode(**fields), find), episode)
+        missed += not same(replay_episode(SavedEpisode(**fields), find), episode)
     assert missed >= 2
 
 
@@ -89,7 +89,7 @@ def test_previews_leave_no_trace_however_many_there_are() -> None:
     plain.begin(5)
     for _ in range(9):
         plain.step(lambda: None)
-    assert session.keep().episodes[-1].sha256 == plain.journal.kept().episodes[-1].sha256
+    assert session.save().episodes[-1].sha256 == plain.journal.saved().episodes[-1].sha256
 
 
 def test_a_dragged_slider_leaves_one_line() -> None:
@@ -99,7 +99,7 @@ def test_a_dragged_slider_leaves_one_line() -> None:
         session.send(SetCamera("first", CameraState("rgb", Occlusion("noise", float(strength)))))
     session.send(Play())
     session.tick(1.0)
-    (episode,) = session.keep().episodes
+    (episode,) = session.save().episodes
     assert [one.command for one in episode.commands] == [
         SetCamera("first", CameraState("rgb", Occlusion("noise", 1.0)))
     ]
@@ -111,20 +111,20 @@ def test_settings_that_outlive_an_episode_are_in_the_next_ones_start() -> None:
         session.send(command)
         session.tick(0.0)
     session.tick(1.0)
-    episode = session.keep().episodes[-1]
+    episode = session.save().episodes[-1]
     assert (episode.seed, episode.commands) == (9, ())
     assert episode.start == (SetCamera("third_b", OFF),)
-    assert same(live_again(episode, find), episode)
+    assert same(replay_episode(episode, find), episode)
 
 
-def test_the_journal_forgets_the_oldest_and_keeps_no_broken_episode() -> None:
+def test_the_journal_forgets_the_oldest_and_saves_no_broken_episode() -> None:
     session = session_with([], seed=0)
     for tick in range(30):
         session.send(SetSeed(tick))
         session.tick(float(tick))
-    kept = session.keep()
-    assert [episode.seed for episode in kept.episodes] == list(range(9, 30))
-    assert [episode.seed for episode in kept.last().episodes] == [29]
+    saved = session.save()
+    assert [episode.seed for episode in saved.episodes] == list(range(9, 30))
+    assert [episode.seed for episode in saved.last().episodes] == [29]
 
     broken = session_with(world := [], seed=0)
 
@@ -138,11 +138,11 @@ def test_the_journal_forgets_the_oldest_and_keeps_no_broken_episode() -> None:
     broken.send(Play())
     broken.tick(3.0)
     with pytest.raises(UserError, match="let it run first"):
-        broken.keep()
+        broken.save()
 
 
-def test_a_session_follows_a_kept_episode_then_is_the_visitors() -> None:
-    original = lived(4, 60).episodes[0]
+def test_a_session_follows_a_saved_episode_then_is_the_visitors() -> None:
+    original = played(4, 60).episodes[0]
     first = policies(original.policy.name)
     session = Session(make_env, first, policies, speed=None, script=original)
     session.tick(0.0)
@@ -154,21 +154,21 @@ def test_a_session_follows_a_kept_episode_then_is_the_visitors() -> None:
     session.send(Play())
     for tick in range(original.steps + 1):
         session.tick(float(tick))
-    again = session.keep().episodes[0]
+    again = session.save().episodes[0]
     assert again.trace[: len(original.trace)] == original.trace
     session.send(SetSeed(77))
     session.tick(99.0)
     session.tick(100.0)
-    assert not session.keep().episodes[-1].commands
+    assert not session.save().episodes[-1].commands
 
 
 def test_a_difference_is_found_and_explained() -> None:
-    kept = lived(1, 40)
-    episode = kept.episodes[0]
-    fields = {**vars(episode), "policy": KeptPolicy("toy-mad", "older")}
+    saved = played(1, 40)
+    episode = saved.episodes[0]
+    fields = {**vars(episode), "policy": SavedPolicy("toy-mad", "older")}
     fields["trace"] = episode.trace[:8] + "0000" + episode.trace[12:]
     fields["sha256"] = {**episode.sha256, "actions": "0" * 64}
-    other = KeptSession((KeptEpisode(**fields),), {**kept.versions, "numpy": "0.1"})
+    other = SavedSession((SavedEpisode(**fields),), {**saved.versions, "numpy": "0.1"})
     row = replay_row(other.episodes[0], other, find)
     assert not row["same"] and row["first_difference"] == 3
     assert row["same_bits"] == {"actions": False, "rewards": True, "success": True}
@@ -182,7 +182,7 @@ def test_failures_of_an_episode_in_words() -> None:
     session.send(SetSchedule(parse_schedule(["third_a@2-4", "first=black@3"], CAMERAS)))
     for tick in range(7):
         session.tick(float(tick))
-    assert failures_of(session.keep().episodes[0]) == ["third_a@2-4", "first=black@3"]
+    assert failure_words(session.save().episodes[0]) == ["third_a@2-4", "first=black@3"]
 
 
 # --- In another process -----------------------------------------------------------------------
@@ -208,8 +208,8 @@ def hammer(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 simulation.set_camera(SetCamera("first", noisy))
             simulation.step(lambda: None)
     env.close()
-    path = tmp_path_factory.mktemp("kept") / "hammer.json"
-    simulation.journal.kept().write(path)
+    path = tmp_path_factory.mktemp("saved") / "hammer.json"
+    simulation.journal.saved().write(path)
     return path
 
 
@@ -218,7 +218,7 @@ def replay(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True)
 
 
-def test_another_process_lives_it_again_to_the_bit(hammer: Path) -> None:
+def test_another_process_replays_it_to_the_bit(hammer: Path) -> None:
     asked = replay(str(hammer), "--json", "-")
     assert asked.returncode == 0, asked.stderr
     (row,) = json.loads(asked.stdout)["episodes"]
