@@ -19,7 +19,7 @@ def test_both_sides_are_measured_on_the_same_frames(monkeypatch: pytest.MonkeyPa
     result = bench_buffer(config)
     json.dumps(result)
     assert result["instants"] == 52 and result["streams"] == ["first", "third_a", "third_b"]
-    # 26 instants for 25 transitions of three 84 x 84 x 3 frames and 45 bytes of numbers.
+    # 26 time steps for 25 transitions of three 84 x 84 x 3 frames and 45 bytes of numbers.
     plain = result["plain"]
     assert plain["bytes_per_transition"] == round((3 * 84 * 84 * 3 + 45) * 26 / 25)
     assert plain["gb_at_500k"] == pytest.approx(33.05, abs=0.01)

@@ -57,9 +57,9 @@ def test_every_command_explains_its_options(
 ) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main([*command.split(), "--help"])
-    told = capsys.readouterr().out
-    assert ended.value.code == 0 and f"usage: madviz {command}" in told
-    assert cli.COMMANDS[command].summary[:40] in told
+    printed = capsys.readouterr().out
+    assert ended.value.code == 0 and f"usage: madviz {command}" in printed
+    assert cli.COMMANDS[command].summary[:40] in printed
 
 
 def without_words(config: Any) -> list[str]:

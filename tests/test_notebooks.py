@@ -108,10 +108,10 @@ def test_what_it_imports_is_there_and_functions_are_short(file: Path) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_code_that_a_lesson_shows_is_the_code_that_ships(name: str) -> None:
-    kept = {cell.source: cell for cell in saved(name).cells if cell.cell_type == "code"}
+    cells = {cell.source: cell for cell in saved(name).cells if cell.cell_type == "code"}
     for text, code in BUILD["shown_code"](BUILD["from_text"](name)).items():
         now = repr(code)
-        assert kept[text].outputs[0].data["text/plain"] == now, "run: notebooks/build.py --text"
+        assert cells[text].outputs[0].data["text/plain"] == now, "run: notebooks/build.py --text"
 
 
 def test_old_code_in_a_lesson_is_replaced() -> None:
@@ -132,8 +132,8 @@ def test_unchanged_cells_keep_their_outputs() -> None:
     text, before = BUILD["from_text"](QUICK), saved(QUICK)
     text.cells[3].source = "1 + 1"
     BUILD["keep_outputs"](text, before)
-    kept = [cell.get("outputs") for cell in text.cells]
-    assert kept[3] in (None, []) and kept[4:] == [c.get("outputs") for c in before.cells[4:]]
+    cells = [cell.get("outputs") for cell in text.cells]
+    assert cells[3] in (None, []) and cells[4:] == [c.get("outputs") for c in before.cells[4:]]
 
 
 def test_a_notebook_runs_from_top_to_bottom() -> None:

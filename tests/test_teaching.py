@@ -197,8 +197,8 @@ def test_saliency_is_dark_where_a_camera_is_not_in_the_sum() -> None:
 def test_shapley_values_for_success_add_up_to_it() -> None:
     streams = ("first", "third_a")
     counted = {"all": (10, 10), "first": (2, 10), "third_a": (6, 10), "none": (0, 10)}
-    worth, shown = success_shapley(counted, streams)
-    assert worth.cameras == pytest.approx([0.3, 0.7])
+    values, shown = success_shapley(counted, streams)
+    assert values.cameras == pytest.approx([0.3, 0.7])
     assert [row[1] for row in shown.rows] == ["+0.30", "+0.70", "+1.00"]
     with pytest.raises(UserError, match="every subset"):
         success_shapley({"all": (1, 2)}, streams)

@@ -156,7 +156,7 @@ def test_a_failed_start_raises_and_leaves_no_thread(monkeypatch: pytest.MonkeyPa
         raise UserError("expected a simulator, found none")
 
     before, unraisable = threads(), []
-    monkeypatch.setattr(sys, "unraisablehook", lambda told: unraisable.append(str(told.exc_value)))
+    monkeypatch.setattr(sys, "unraisablehook", lambda x: unraisable.append(str(x.exc_value)))
     with pytest.raises(UserError, match="expected a simulator, found none"):
         Explorer(FakePolicy(), env_factory=broken)
     assert threads() == before

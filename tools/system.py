@@ -45,8 +45,8 @@ def deb822_backports(text: str, suite: str, backports: str) -> str | None:
         if not usable or suite not in fields.get("suites", []):
             continue
         replaced = {"types": "deb", "suites": backports, "components": "main"}
-        kept = [line for line in lines if line.split(":")[0].lower() not in replaced]
-        return "\n".join([f"{k.title()}: {v}" for k, v in replaced.items()] + kept) + "\n"
+        others = [line for line in lines if line.split(":")[0].lower() not in replaced]
+        return "\n".join([f"{k.title()}: {v}" for k, v in replaced.items()] + others) + "\n"
     return None
 
 

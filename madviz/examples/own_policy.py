@@ -37,7 +37,7 @@ class Finder:
         recipe="by hand",
         streams=tuple(camera.name for camera in CAMERAS),
         trained_subsets=("all", *(camera.name for camera in CAMERAS)),
-        digest="finder-1",  # Name another whenever it acts otherwise: results are kept under it.
+        digest="finder-1",  # Name another whenever it acts otherwise: results are stored under it.
     )
 
     def encode(self, views: Array, state: Array) -> Encoded:
