@@ -1,6 +1,6 @@
-"""The words every other file speaks: observations, cameras, policies. NumPy and nothing else.
+"""The words every other file speaks: observations, cameras, policies. NumPy, and jaxtyping for shapes.
 
-Axis letters, used in every shape comment of the package:
+Axis letters, used in every shape of the package:
 
     B  batch            V  streams (a camera in one modality)     N  subsets of streams
     C  channels         H, W  image rows, columns                 S  proprioceptive state
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 import numpy as np
+from jaxtyping import Float, UInt8
 
 from madviz.errors import unknown
 
@@ -89,8 +90,8 @@ class EnvSpec:
 class TimeStep:
     """What one decision led to; pixels are asked for separately with ``Environment.view``."""
 
-    state: Array
-    """(S,) float32 proprioception."""
+    state: Float[Array, " S"]
+    """Proprioception."""
     reward: float
     success: bool
     """The task's condition at this very step."""
@@ -102,10 +103,10 @@ class TimeStep:
 class View:
     """What one camera sees now."""
 
-    rgb: Array
-    """(H, W, 3) uint8, upright, not mirrored."""
-    depth: Array
-    """(H, W) float32, metres along the optical axis."""
+    rgb: UInt8[Array, "H W 3"]
+    """Upright, not mirrored."""
+    depth: Float[Array, "H W"]
+    """Metres along the optical axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,10 +186,9 @@ class Environment(Protocol):
 class Encoded:
     """The features of all streams at one time step, before a subset is chosen."""
 
-    features: Array
-    """(V, Z) float32, one row per stream."""
-    state: Array
-    """(S,) float32."""
+    features: Float[Array, "V Z"]
+    """One row per stream."""
+    state: Float[Array, " S"]
     private: Any = None
     """Whatever else this policy needs in ``read``; nobody else looks inside."""
 
@@ -197,12 +197,12 @@ class Encoded:
 class Readout:
     """What a policy would do under each of N subsets."""
 
-    merged: Array
-    """(N, Z) float32 merged feature."""
-    action: Array
-    """(N, A) float32 in [-1, 1], the deterministic action."""
-    q: Array
-    """(N,) float32, min of the two critics for that action; NaN where a policy has no critic."""
+    merged: Float[Array, "N Z"]
+    """The merged feature."""
+    action: Float[Array, "N A"]
+    """In [-1, 1], the deterministic action."""
+    q: Float[Array, " N"]
+    """Min of the two critics for that action; NaN where a policy has no critic."""
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,12 @@ from __future__ import annotations
 import os
 
 import pytest
+from jaxtyping import install_import_hook
+
+from tests.shapes import MODULES
+
+# Before anything imports them.
+install_import_hook(MODULES, "tests.shapes.checked")
 
 # Set before anything imports MuJoCo, which reads it only then; the command line does the same.
 os.environ.setdefault("MUJOCO_GL", "egl")

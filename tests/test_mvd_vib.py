@@ -272,7 +272,7 @@ def test_an_update_adds_ten_times_the_cost_to_the_critics_loss() -> None:
     row = representation(slots, noise)[None]
     m, s = (torch.cat([x[:, part] for x in slots[1:]]) for part in (slice(L), slice(L, None)))
     cost = 10 * ((m**2 + torch.exp(s) ** 2 - 1) / 2 - s).sum() / (B * 2 * L)
-    loss = critic_losses(other, row, batch, target)[0] + cost
+    loss = critic_losses(other, row, batch.state, batch.action, target)[0] + cost
     names, parameters = zip(*other.encoder.named_parameters(), strict=True)
     found = dict(agent.encoder.named_parameters())
     for name, grad in zip(names, torch.autograd.grad(loss, parameters), strict=True):

@@ -319,7 +319,7 @@ def test_gradients_go_where_the_paper_says() -> None:
     rows = rows_of(agent, batch)
     target = td_target(agent, rows[:1], batch, noise[:1])
     assert not target.requires_grad
-    critic_losses(agent, rows, batch, target).sum().backward()
+    critic_losses(agent, rows, batch.state, batch.action, target).sum().backward()
     assert reached(agent) == {"encoder", "critic"}
     agent.zero_grad()
     losses, log_prob = actor_losses(agent, rows, batch, noise, rows[:1])

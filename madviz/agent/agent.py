@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float, Shaped, UInt8
 from torch import Tensor, nn
 
 from madviz.agent.merges.base import MergeFunctions, Noise
@@ -45,17 +46,22 @@ class Agent(nn.Module):
         """The functions of this agent's merge; by name, so that an agent can go to a worker."""
         return merge_functions(self.merge_name)
 
-    def encode(self, views: Tensor) -> Tensor:
-        """(B, V, C, H, W) uint8 -> features; (B, V, Z) for a sum, else the merge's own layout."""
+    def encode(self, views: UInt8[Tensor, "B V C H W"]) -> Float[Tensor, "B ..."]:
+        """Pixels to features: (B, V, Z) for a sum, else the merge's own layout."""
         return self.merge.encode(self.encoder, views)
 
-    def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
-        """Features, (N, V) masks -> (N, B, width): what the heads read under each subset."""
+    def rows(
+        self, features: Float[Tensor, "B ..."], masks: Shaped[Tensor, "N V"], noise: Noise = None
+    ) -> Float[Tensor, "N B ..."]:
+        """What the heads read under each subset; ``masks`` are 0 and 1."""
         return self.merge.rows(self.encoder, features, masks, noise)
 
     def encode_and_merge(
-        self, views: Tensor, masks: Tensor, noise: Noise = None
-    ) -> tuple[Tensor, Tensor]:
+        self,
+        views: UInt8[Tensor, "B V C H W"],
+        masks: Shaped[Tensor, "N V"],
+        noise: Noise = None,
+    ) -> tuple[Tensor, Float[Tensor, "N B ..."]]:
         """``encode`` and ``rows`` in one, for learning: features, and the rows from them. A merge
         that draws its views encodes no others, and its rows are all the features there are."""
         return self.merge.encode_and_merge(self.encoder, views, masks, noise)
@@ -80,10 +86,9 @@ class TorchPolicy:
         self._reward_scale = reward_scale
 
     @torch.inference_mode()
-    def encode(self, views: Array, state: Array) -> Encoded:
-        """Every stream through the networks, once: ``views`` (V, C, H, W) uint8, ``state`` (S,).
-        ``private`` holds the merge's own features and its noise, where the rows of ``features``
-        are not all there is."""
+    def encode(self, views: UInt8[Array, "V C H W"], state: Shaped[Array, " S"]) -> Encoded:
+        """Every stream through the networks, once. ``private`` holds the merge's own features and
+        its noise, where the rows of ``features`` are not all there is."""
         agent, merge = self.agent, self.agent.merge
         pictures = torch.from_numpy(views)[None]
         features, noise = merge.encode_to_act(agent.encoder, pictures), merge.noise_to_act(pictures)
@@ -92,9 +97,9 @@ class TorchPolicy:
         return Encoded(shown.float().numpy(), np.asarray(state, np.float32), private)
 
     @torch.inference_mode()
-    def read(self, encoded: Encoded, masks: Array) -> Readout:
-        """``masks`` (N, V) bool, in one pass. Raises UserError for a subset that this policy does
-        not support."""
+    def read(self, encoded: Encoded, masks: Bool[Array, "*N V"]) -> Readout:
+        """All N subsets in one pass. Raises UserError for one that this policy does not
+        support."""
         masks = np.atleast_2d(masks)
         for mask in masks:
             if not self.supports(mask):

@@ -24,6 +24,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from madviz.agent.agent import Agent
@@ -34,23 +35,22 @@ from madviz.agent.networks import squash
 class Batch:
     """Transitions, as the replay buffer gives them."""
 
-    views: Tensor
-    """(B, V, C, H, W) uint8."""
-    state: Tensor
-    """(B, S) float32."""
-    action: Tensor
-    """(B, A) in [-1, 1]."""
-    reward: Tensor
-    """(B,)."""
-    discount: Tensor
-    """(B,) gamma, or 0 where nothing follows that may be bootstrapped from."""
-    next_views: Tensor
-    next_state: Tensor
+    views: UInt8[Tensor, "B V C H W"]
+    state: Float[Tensor, "B S"]
+    action: Float[Tensor, "B A"]
+    """In [-1, 1]."""
+    reward: Float[Tensor, " B"]
+    discount: Float[Tensor, " B"]
+    """Gamma, or 0 where nothing follows that may be bootstrapped from."""
+    next_views: UInt8[Tensor, "B V C H W"]
+    next_state: Float[Tensor, "B S"]
 
 
 @torch.no_grad()
-def td_target(agent: Agent, reads: Tensor, batch: Batch, noise: Tensor) -> Tensor:
-    """y (R, B) from the next step's ``reads``; ``noise`` (R, B, A) draws a' from the actor."""
+def td_target(
+    agent: Agent, reads: Float[Tensor, "R B ..."], batch: Batch, noise: Float[Tensor, "R B A"]
+) -> Float[Tensor, "R B"]:
+    """y from the next step's ``reads``; ``noise`` draws a' from the actor."""
     state = _tile(batch.next_state, len(reads))
     mean, log_std = agent.actor(reads, state)
     action, log_prob = squash(mean, log_std, noise)
@@ -59,20 +59,29 @@ def td_target(agent: Agent, reads: Tensor, batch: Batch, noise: Tensor) -> Tenso
     return batch.reward + batch.discount * value
 
 
-def critic_losses(agent: Agent, rows: Tensor, batch: Batch, target: Tensor) -> Tensor:
-    """(N,) squared errors of ``rows`` (N, B, Z) against ``target`` (R, B): summed over the twins,
-    mean over B."""
+def critic_losses(
+    agent: Agent,
+    rows: Float[Tensor, "N B ..."],
+    state: Float[Tensor, "B S"],
+    action: Float[Tensor, "B A"],
+    target: Float[Tensor, "R B"],
+) -> Float[Tensor, " N"]:
+    """Squared errors of ``rows`` against ``target``: summed over the twins, mean over B."""
     count = len(rows)
-    q1, q2 = agent.critic(rows, _tile(batch.state, count), _tile(batch.action, count))
+    q1, q2 = agent.critic(rows, _tile(state, count), _tile(action, count))
     return ((q1 - target).square() + (q2 - target).square()).mean(1)
 
 
 def actor_losses(
-    agent: Agent, rows: Tensor, batch: Batch, noise: Tensor, reads: Tensor
-) -> tuple[Tensor, Tensor]:
-    """(N,) T log pi(a|row) - min Q(read, a), mean over B; and log pi (N, B).
+    agent: Agent,
+    rows: Float[Tensor, "N B ..."],
+    batch: Batch,
+    noise: Float[Tensor, "N B A"],
+    reads: Float[Tensor, "R B ..."],
+) -> tuple[Float[Tensor, " N"], Float[Tensor, "N B"]]:
+    """T log pi(a|row) - min Q(read, a), mean over B; and log pi.
 
-    Features are taken as data: the encoder learns from the critic alone. ``noise`` is (N, B, A).
+    Features are taken as data: the encoder learns from the critic alone.
     """
     state = _tile(batch.state, len(rows))
     mean, log_std = agent.actor(rows.detach(), state)
@@ -85,23 +94,23 @@ def actor_losses(
     return (temperature * log_prob - q).mean(1), log_prob
 
 
-def temperature_losses(agent: Agent, log_prob: Tensor) -> Tensor:
-    """(N,) T (-log pi - H), mean over B, with target entropy H = -A; log pi (N, B) is data."""
+def temperature_losses(agent: Agent, log_prob: Float[Tensor, "N B"]) -> Float[Tensor, " N"]:
+    """T (-log pi - H), mean over B, with target entropy H = -A; log pi is data."""
     target_entropy = -agent.config.action_dim
     return (agent.log_temperature.exp() * (-log_prob.detach() - target_entropy)).mean(1)
 
 
-def merged(losses: Tensor) -> Tensor:
+def merged(losses: Float[Tensor, " N"]) -> Float[Tensor, ""]:
     """The paper's UnAug term: the merged row's."""
     return losses[0]
 
 
-def singular(losses: Tensor) -> Tensor:
+def singular(losses: Float[Tensor, " N"]) -> Float[Tensor, ""]:
     """The paper's Aug terms, 1/n of each: the mean over the singular rows."""
     return losses[1:].mean()
 
 
-def every(losses: Tensor) -> Tensor:
+def every(losses: Float[Tensor, " N"]) -> Float[Tensor, ""]:
     """Not the paper's formulation: the mean over all rows, merged or not (Naive Both)."""
     return losses.mean()
 
@@ -109,8 +118,8 @@ def every(losses: Tensor) -> Tensor:
 TERMS = {"merged": merged, "singular": singular, "every": every}
 
 
-def weighted(losses: Tensor, weights: Mapping[str, float]) -> Tensor:
-    """The objective: (N,) losses of the rows to one number, by a method's ``weights``."""
+def weighted(losses: Float[Tensor, " N"], weights: Mapping[str, float]) -> Float[Tensor, ""]:
+    """The objective: losses of the rows to one number, by a method's ``weights``."""
     return torch.stack([weight * TERMS[name](losses) for name, weight in weights.items()]).sum()
 
 

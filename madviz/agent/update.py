@@ -140,7 +140,9 @@ class Learner:
         with self._autocast():
             noise = draw.merge_noise[0]
             features, rows = self.agent.encode_and_merge(batch.views, self._masks, noise)
-            critic = weighted(critic_losses(self.agent, rows, batch, target), self.weights)
+            critic = weighted(
+                critic_losses(self.agent, rows, batch.state, batch.action, target), self.weights
+            )
         penalty = self.agent.merge.penalty(self.agent.encoder, features)
         loss = critic if penalty is None else critic + self.config.kl_weight * penalty
         self._step(loss, "critic", "encoder")

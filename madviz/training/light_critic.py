@@ -21,7 +21,7 @@ from torch import Tensor
 from madviz.agent.agent import Agent, autocast
 from madviz.agent.merges.base import Noise
 from madviz.agent.methods import Method
-from madviz.agent.objectives import Batch, critic_losses, weighted
+from madviz.agent.objectives import critic_losses, weighted
 from madviz.training.demonstrations import Dataset
 from madviz.types import Array
 
@@ -74,10 +74,9 @@ def fit_critic(
         drawn = agent.noise(_BATCH, generator)
         next_value = _value(agent, features[ahead[rows]], state[ahead[rows]], reads, drawn)
         y = torch.from_numpy(sums[rows]) + torch.from_numpy(discount[rows]) * next_value
-        batch = _batch(state[rows], action[rows])
         with autocast():
             merged = agent.rows(features[rows], masks, drawn)
-            loss = weighted(critic_losses(agent, merged, batch, y), weights)
+            loss = weighted(critic_losses(agent, merged, state[rows], action[rows], y), weights)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
@@ -109,9 +108,3 @@ def _encode(agent: Agent, data: Dataset, index: Array) -> Tensor:
         with autocast():
             chunks.append(agent.encode(data.views(index[start : start + 64])))
     return torch.cat(chunks)
-
-
-def _batch(state: Tensor, action: Tensor) -> Batch:
-    # The critic's loss reads states and actions; targets are computed here, so the rest is empty.
-    none = torch.empty(0)
-    return Batch(none, state, action, none, none, none, none)
