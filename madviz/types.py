@@ -1,4 +1,4 @@
-"""The words every other file speaks: observations, cameras, policies. NumPy, and jaxtyping for shapes.
+"""The words every other file speaks: observations, cameras, policies. NumPy and shapes alone.
 
 Axis letters, used in every shape of the package:
 
