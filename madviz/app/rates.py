@@ -120,10 +120,12 @@ class Rates:
         self._add((self._keys[tally.request.policy], setting), outcomes, tally.error)
 
     def subscribe(self, listener: Callable[[], None]) -> None:
+        """``listener`` is called whenever something was added, in whatever thread did it."""
         with self._lock:
             self._listeners = (*self._listeners, listener)
 
     def unsubscribe(self, listener: Callable[[], None]) -> None:
+        """Does nothing for a listener that is none."""
         with self._lock:
             self._listeners = tuple(one for one in self._listeners if one != listener)
 

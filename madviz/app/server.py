@@ -135,6 +135,7 @@ class App:
         }
 
     def stop(self) -> None:
+        """Frees the port, every simulation, workers and a training's process."""
         self.users.close()
         self.server.stop()
         self.shared.rates.close()

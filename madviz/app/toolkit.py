@@ -173,6 +173,7 @@ class SyncedInput:
         self.handle, self._last = handle, handle.value
 
     def show(self, value: Any, force: bool = False) -> list[Assign]:
+        """What has to change where ``value`` is another than the last one; always if ``force``."""
         if value == self._last and not force:
             return []
         self._last = value

@@ -95,6 +95,7 @@ class Users:
 
     @property
     def watchers(self) -> int:
+        """Pages that show somebody else's simulation."""
         with self._lock:
             return sum(not visit.owner for visit in self._visits.values())
 

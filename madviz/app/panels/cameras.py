@@ -64,14 +64,17 @@ class CameraControls:
         self._gui = gui
 
     def add_input(self) -> None:
+        """Buttons: what the policy gets of this camera."""
         self.input = Choice(self._gui, "Input", INPUTS, self._on_input, HINTS["input"])
 
     def add_occlusion(self) -> None:
+        """Buttons: how the camera fails."""
         self.occlusion = Choice(
             self._gui, "Occlude", OCCLUSIONS, self._on_occlusion, HINTS["occlusion"]
         )
 
     def add_slider(self, field: str) -> None:
+        """One fraction of an occlusion; see ``SLIDERS``."""
         handle = self._gui.add_slider(
             field,
             0.0,
@@ -86,11 +89,13 @@ class CameraControls:
         self.sliders[field], self._shown[field] = handle, SyncedInput(handle)
 
     def style(self) -> str:
+        """CSS that marks the active buttons."""
         return self.input.style(self._state.input) + self.occlusion.style(
             self._state.occlusion.kind
         )
 
     def show(self, state: CameraState) -> list[Assign]:
+        """What has to change to show ``state``; a slider that is being dragged stays."""
         self._state = state
         changes = []
         for field, handle in self.sliders.items():
