@@ -23,7 +23,7 @@ from madviz.app.panels.shapley import (
     shapley_html,
     success_column,
 )
-from madviz.app.rates import Rates
+from madviz.app.rates import SuccessRates
 from madviz.app.scene.arrows import NEAR, ArrowsPanel, arrows, towards
 from madviz.drawing import mosaic
 from madviz.drawing.colours import CAMERA_COLOURS, NOTE, rgb
@@ -65,11 +65,11 @@ def text(html: str) -> str:
 
 def test_a_camera_has_a_row_with_its_value_in_every_game() -> None:
     frame = frame_with()
-    rates = Rates(lambda spec: {**MEASURED, "all": {"success": 1.0, "n": 100}})
+    rates = SuccessRates(lambda spec: {**MEASURED, "all": {"success": 1.0, "n": 100}})
     html = shapley_html(frame, rates)
     for column in (q_column(frame), action_column(frame), success_column(frame, rates)):
-        assert column.worth is not None
-        for value in column.worth.cameras:
+        assert column.values is not None
+        for value in column.values.cameras:
             assert f">{round(float(value), column.digits) + 0.0:+.{column.digits}f}</span>" in html
     assert "0.00 → 1.00" in html and "±" in html
     assert all(label in html for label in ("First person", "Third A", "Third B"))
@@ -78,56 +78,60 @@ def test_a_camera_has_a_row_with_its_value_in_every_game() -> None:
 
 def test_values_on_the_page_sum_to_its_last_row() -> None:
     frame = frame_with()
-    q, action = q_column(frame).worth, action_column(frame).worth
+    q, action = q_column(frame).values, action_column(frame).values
     assert q is not None and action is not None
     readout = frame.world.probe.readout
     assert q.cameras.sum() == pytest.approx(float(readout.q[0] - readout.q[-1]), abs=1e-4)
     distance = float(np.linalg.norm(readout.action[0] - readout.action[-1]))
     assert action.cameras.sum() == pytest.approx(distance, abs=1e-5)
-    assert f"{distance:.2f} → 0.00 apart" in shapley_html(frame, Rates())
+    assert f"{distance:.2f} → 0.00 apart" in shapley_html(frame, SuccessRates())
 
 
 def test_success_says_what_is_not_measured_yet() -> None:
-    column = success_column(frame_with(), Rates(lambda spec: {"all": {"success": 1, "n": 9}}))
-    assert column.worth is None
+    column = success_column(
+        frame_with(), SuccessRates(lambda spec: {"all": {"success": 1, "n": 9}})
+    )
+    assert column.values is None
     assert "First person + Third A" in column.words and "3 more" in column.words
 
 
 def test_a_dropped_camera_has_no_value_and_half_the_sets_will_do() -> None:
     frame = frame_with(SetCamera("third_b", OFF))
     known = ("first+third_a", "first", "third_a", "none")
-    column = success_column(frame, Rates(lambda spec: {name: MEASURED[name] for name in known}))
-    assert column.worth is not None and column.worth.cameras[2] == 0
-    html = shapley_html(frame, Rates())
+    column = success_column(
+        frame, SuccessRates(lambda spec: {name: MEASURED[name] for name in known})
+    )
+    assert column.values is not None and column.values.cameras[2] == 0
+    html = shapley_html(frame, SuccessRates())
     assert "Third B · dropped" in html and "opacity:0.45" in html
 
 
 def test_occlusions_are_no_part_of_the_measured_success() -> None:
     black = SetCamera("first", CameraState("rgb", Occlusion("black")))
-    column = success_column(frame_with(black), Rates(lambda spec: MEASURED))
-    assert column.worth is not None and "clean pictures" in column.words
+    column = success_column(frame_with(black), SuccessRates(lambda spec: MEASURED))
+    assert column.values is not None and "clean pictures" in column.words
 
 
 def test_a_policy_that_cannot_do_without_cameras_has_no_values_and_says_why() -> None:
     frame = frame_with(policy=AllOrNothing("toy-stack"))
-    assert q_column(frame).worth is None and action_column(frame).worth is None
-    words = text(shapley_html(frame, Rates()))
+    assert q_column(frame).values is None and action_column(frame).values is None
+    words = text(shapley_html(frame, SuccessRates()))
     assert "cannot act on First person + Third A, First person + Third B, First person" in words
     assert "4 more" in words
     broken = action_column(frame_with(policy=NanPolicy("toy-nan")))
-    assert broken.worth is None and "not finite" in broken.words
+    assert broken.values is None and "not finite" in broken.words
 
 
 def test_a_policy_without_a_critic_has_no_value_in_q() -> None:
     frame = frame_with()
     blind = replace(frame.world.probe.readout, q=np.full(8, np.nan, np.float32))
     column = q_column(with_world(frame, probe=replace(frame.world.probe, readout=blind)))
-    assert column.worth is None and "no forecast" in column.words
+    assert column.values is None and "no forecast" in column.words
 
 
 def test_the_panel_follows_another_policy(server: viser.ViserServer) -> None:
     gui = recorded(server.gui)
-    panel = ShapleyPanel(gui, frame_with(), Rates())
+    panel = ShapleyPanel(gui, frame_with(), SuccessRates())
     apply(panel.update(frame_with(SetPolicy("toy-rgbd"))))
     assert "Third B" in gui.html
     panel.remove()

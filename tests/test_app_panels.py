@@ -24,7 +24,7 @@ from madviz.app.panels.success import (
     strip_html,
 )
 from madviz.app.panels.words import WordsPanel, sentence
-from madviz.app.rates import Rates
+from madviz.app.rates import SuccessRates
 from madviz.app.scene.scene import ScenePanel
 from madviz.app.screen import Screen
 from madviz.drawing.viewpoint import focus
@@ -234,7 +234,7 @@ def test_a_policy_without_a_critic_has_no_value():
 
 
 def test_success_bars_tell_shipped_from_measured(server):
-    rates = Rates(lambda spec: {"all": {"success": 0.94, "n": 100}})
+    rates = SuccessRates(lambda spec: {"all": {"success": 0.94, "n": 100}})
     frame = frame_with(SetCamera("third_a", OFF))
     assert rates.best(frame.world.policy, Condition("all")) == SuccessRate.of(94, 100)
     rates.add(frame.world.policy, frame.condition, {2000: True, 2001: False})
@@ -250,7 +250,7 @@ def test_success_bars_tell_shipped_from_measured(server):
 
 def test_rates_tell_their_listeners_only_news():
     told = []
-    rates = Rates()
+    rates = SuccessRates()
     rates.subscribe(lambda: told.append(1))
     spec = FakePolicy().spec
     rates.add(spec, Condition("all"), {1: True})
@@ -260,7 +260,7 @@ def test_rates_tell_their_listeners_only_news():
 
 def test_words_join_effect_and_success():
     frame = frame_with(SetCamera("third_a", OFF))
-    rates = Rates(lambda spec: {"all": {"success": 0.94, "n": 100}})
+    rates = SuccessRates(lambda spec: {"all": {"success": 0.94, "n": 100}})
     assert frame.world.change is not None
     line = sentence(frame.world.change, frame, rates)
     assert line.startswith("Third A dropped: action changed by ")
@@ -273,7 +273,7 @@ def test_words_join_effect_and_success():
 def test_words_stay_until_something_else_happens(server):
     frame = frame_with(SetCamera("third_a", OFF))
     gui = recorded(server.gui)
-    panel = WordsPanel(gui, frame_with(), Rates())
+    panel = WordsPanel(gui, frame_with(), SuccessRates())
     assert "Take a camera away" in gui.html
     apply(panel.update(frame))
     apply(panel.update(frame_with()))
@@ -377,7 +377,7 @@ def test_lines_of_sight_meet_on_the_table():
 
 
 def test_panels_leave_nothing(server):
-    gui, frame, rates = recorded(server.gui), frame_with(), Rates()
+    gui, frame, rates = recorded(server.gui), frame_with(), SuccessRates()
     panels = [
         CamerasPanel(gui, lambda command: None, frame, 622),
         FeaturesPanel(gui, frame),

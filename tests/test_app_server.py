@@ -20,7 +20,7 @@ from madviz.app.page import Page
 from madviz.app.panel import Assign
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.panels.training import TrainingPanel
-from madviz.app.rates import Rates
+from madviz.app.rates import SuccessRates
 from madviz.app.refresh import AFTER, FASTEST, Refresh, TimedPanel
 from madviz.app.server import ExploreConfig, explore, first_choice
 from madviz.app.users import Limits, Users
@@ -107,7 +107,7 @@ class Lobby:
         self.leave(self.present.pop(number))
 
 
-class Heard(Rates):
+class Heard(SuccessRates):
     """Success rates that know who listens to them."""
 
     def __init__(self) -> None:

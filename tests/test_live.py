@@ -15,7 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 import numpy as np
 import pytest
 
-from madviz.app.rates import Rates
+from madviz.app.rates import SuccessRates
 from madviz.errors import UserError
 from madviz.evaluation.episodes import Runner, Workers
 from madviz.evaluation.live import Evaluator
@@ -297,7 +297,7 @@ def test_what_workers_measure_of_a_moved_camera_is_where_the_page_looks_for_it()
         return evaluator
 
     policy, mask = FakePolicy(), np.ones(3, bool)
-    rates = Rates(make_evaluator=make, reference=lambda spec: POLICY)
+    rates = SuccessRates(make_evaluator=make, reference=lambda spec: POLICY)
     moved = Ablation({}, {"first": Displacement(pan=5)})
     rates.want("ann", policy.spec, mask, moved)
     made[0].finish()

@@ -31,7 +31,7 @@ from madviz.app.panels.success import SuccessPanel
 from madviz.app.panels.timeline import TimelinePanel
 from madviz.app.panels.training import TrainingPanel
 from madviz.app.panels.words import WordsPanel
-from madviz.app.rates import Rates
+from madviz.app.rates import SuccessRates
 from madviz.app.refresh import FASTEST, Refresh, TimedPanel
 from madviz.app.scene.arrows import ArrowsPanel
 from madviz.app.scene.scene import ScenePanel, extent
@@ -48,7 +48,7 @@ class Shared:
     """What all visitors of a server have in common."""
 
     choices: Sequence[PolicyChoice]
-    rates: Rates = field(default_factory=Rates)
+    rates: SuccessRates = field(default_factory=SuccessRates)
     training: TrainingJob = field(default_factory=lambda: TrainingJob(Path("runs")))
     """Trainings from the page get folders in its own."""
 

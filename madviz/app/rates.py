@@ -25,7 +25,7 @@ Shipped = Callable[[PolicySpec], Mapping[str, Mapping[str, Any]]]
 NOTHING = SuccessRate.of(0, 0)
 
 
-class Rates:
+class SuccessRates:
     """Shared by all visitors: success is a fact about a policy and a setting, not a person."""
 
     def __init__(

@@ -16,7 +16,7 @@ from madviz.app.access import Gate, new_token, stays_here
 from madviz.app.address import Address, check_port, reached_at, with_token
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice
-from madviz.app.rates import Rates
+from madviz.app.rates import SuccessRates
 from madviz.app.toolkit import theme
 from madviz.app.users import Limits, Users
 from madviz.app.viser_patches import patch_sender
@@ -180,7 +180,7 @@ def open_app(config: ExploreConfig) -> App:
     def evaluator(listener: Callable[[Tally], None]) -> Evaluator:
         return Evaluator(config.workers, Store(), listener)
 
-    rates = Rates(shipped_rates, evaluator if config.workers else None, policies.name_of)
+    rates = SuccessRates(shipped_rates, evaluator if config.workers else None, policies.name_of)
     return App(
         new_session,
         Shared(choices, rates),

@@ -14,7 +14,7 @@ from playwright import sync_api as playwright_api
 from madviz.app.access import Gate
 from madviz.app.address import Address
 from madviz.app.layout import Shared
-from madviz.app.rates import Rates
+from madviz.app.rates import SuccessRates
 from madviz.app.server import App
 from madviz.app.users import Limits
 from madviz.envs.registry import make_env
@@ -79,7 +79,7 @@ def app() -> Iterator[App]:
 def toy_app(visitors: int, gate: Gate | None = None) -> App:
     """The page on the toy task with fake policies, on a free port."""
     names = ("toy-mad", "toy-other", "toy-rgbd", "toy-nan")
-    rates = Rates(lambda spec: SHIPPED if spec.name == "toy-mad" else {})
+    rates = SuccessRates(lambda spec: SHIPPED if spec.name == "toy-mad" else {})
     training = TrainingJob(Path(tempfile.mkdtemp(prefix="madviz-runs-")))
 
     def new_session() -> Session:

@@ -24,7 +24,7 @@ from madviz.analysis.shapley import (
 from madviz.app.markup import band, dot, track
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import subset_label
-from madviz.app.rates import Rates
+from madviz.app.rates import SuccessRates
 from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import FAINT, MUTED, NOTE, camera_colours
 from madviz.session.frame import Condition, Frame
@@ -48,7 +48,7 @@ class Column(NamedTuple):
     """One game, ready to be drawn."""
 
     title: str
-    worth: ShapleyValues | None
+    values: ShapleyValues | None
     digits: int
     total: str
     """What the cameras share, in numbers."""
@@ -61,7 +61,7 @@ class Column(NamedTuple):
 class ShapleyPanel(WidgetPanel):
     """A table with a row per camera and a column per game; below it, what the numbers mean."""
 
-    def __init__(self, gui: viser.GuiApi, frame: Frame, rates: Rates) -> None:
+    def __init__(self, gui: viser.GuiApi, frame: Frame, rates: SuccessRates) -> None:
         self._rates = rates
         self._table = gui.add_html(shapley_html(frame, rates))
         self.handles = [self._table]
@@ -70,7 +70,7 @@ class ShapleyPanel(WidgetPanel):
         return [Assign(self._table, "content", shapley_html(frame, self._rates))]
 
 
-def shapley_html(frame: Frame, rates: Rates) -> str:
+def shapley_html(frame: Frame, rates: SuccessRates) -> str:
     """A row per camera with a signed bar for each game, and what they share in the last row."""
     columns = [q_column(frame), action_column(frame), success_column(frame, rates)]
     cameras = cameras_of(frame.world.policy.streams)
@@ -88,38 +88,39 @@ def shapley_html(frame: Frame, rates: Rates) -> str:
 
 def q_column(frame: Frame) -> Column:
     """Shares in the critic's forecast."""
-    worth = q_shapley(frame.world.probe, frame.world.policy.streams, frame.mask)
+    values = q_shapley(frame.world.probe, frame.world.policy.streams, frame.mask)
     words = (
         "<b>Q</b> is the policy's own forecast of the reward still to come; of sets it was "
         "not trained on, it may be far from the truth."
     )
     if not np.isfinite(frame.q):
         return Column("Q now", None, 1, "–", "<b>Q</b>: no forecast here, so nothing to share.")
-    if not np.isfinite(worth.cameras).all():
+    if not np.isfinite(values.cameras).all():
         return Column("Q now", None, 1, "–", f"<b>Q</b>: {_undefined(frame)}")
-    return Column("Q now", worth, 1, f"{worth.empty:.1f} → {worth.full:.1f}", words)
+    return Column("Q now", values, 1, f"{values.empty:.1f} → {values.full:.1f}", words)
 
 
 def action_column(frame: Frame) -> Column:
     """Shares in the way from the action without cameras to the present one."""
-    worth = action_shapley(frame.world.probe, frame.world.policy.streams, frame.mask)
-    if not np.isfinite(worth.cameras).all():
+    values = action_shapley(frame.world.probe, frame.world.policy.streams, frame.mask)
+    if not np.isfinite(values.cameras).all():
         return Column("action now", None, 2, "–", f"<b>Action</b>: {_undefined(frame)}")
     words = (
         "<b>Action</b>: how much nearer a camera brings the action to the one taken now; below 0, "
         "it pulls away from it."
     )
-    total = f"{-worth.empty:.2f} → 0.00 apart"
-    return Column("action now", worth, 2, total, words)
+    total = f"{-values.empty:.2f} → 0.00 apart"
+    return Column("action now", values, 2, total, words)
 
 
-def success_column(frame: Frame, rates: Rates) -> Column:
+def success_column(frame: Frame, rates: SuccessRates) -> Column:
     """Shares in the success measured with each set of cameras, without occlusions."""
     streams, title = frame.world.policy.streams, "success, measured"
     names = set_names(streams, frame.mask)
     found = {name: rates.best(frame.world.policy, Condition(name)) for name in dict.fromkeys(names)}
-    worth = success_shapley({name: rate.value for name, rate in found.items()}, streams, frame.mask)
-    if worth is None:
+    means = {name: rate.value for name, rate in found.items()}
+    values = success_shapley(means, streams, frame.mask)
+    if values is None:
         return Column(title, None, 2, "–", _missing(frame, [n for n in found if not found[n].n]))
     bounded = {name: (rate.value, *rate.interval) for name, rate in found.items()}
     low, high = success_interval(bounded, streams, frame.mask)
@@ -129,8 +130,8 @@ def success_column(frame: Frame, rates: Rates) -> Column:
         "<b>Success</b>: the success rate that a camera adds, ± 95 % interval "
         f"({least} or more episodes for each set).{clean}"
     )
-    total = f"{worth.empty:.2f} → {worth.full:.2f}"
-    return Column(title, worth, 2, total, words, (high - low) / 2)
+    total = f"{values.empty:.2f} → {values.full:.2f}"
+    return Column(title, values, 2, total, words, (high - low) / 2)
 
 
 def _undefined(frame: Frame) -> str:
@@ -169,12 +170,12 @@ def _row(frame: Frame, camera: str, index: int, columns: list[Column]) -> str:
 
 def _cell(column: Column, index: int, colour: str) -> str:
     """A bar from the place of 0, to the right for what a camera adds; its number beside it."""
-    if column.worth is None:
+    if column.values is None:
         return '<div class="dim" style="text-align:center">–</div>'
-    values = column.worth.cameras
-    low, high = min(0.0, float(values.min())), max(0.0, float(values.max()))
+    shares = column.values.cameras
+    low, high = min(0.0, float(shares.min())), max(0.0, float(shares.max()))
     span = max(high - low, 1e-9)
-    value = float(values[index])
+    value = float(shares[index])
     number = round(value, column.digits) + 0.0  # No minus zero.
     zero, width = 100 * -low / span, 100 * abs(value) / span
     left = zero if value >= 0 else zero - width

@@ -14,7 +14,7 @@ from madviz.app.markup import band, dot, track
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_POINTS, small_axes
 from madviz.app.panels.subsets import is_trained, presence, subset_label
-from madviz.app.rates import NOTHING, Rates
+from madviz.app.rates import NOTHING, SuccessRates
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.evaluation.statistics import SuccessRate
@@ -40,7 +40,7 @@ class SuccessPanel(WidgetPanel):
     """Bars (shipped above, measured here below), a curve that marks every change, a strip."""
 
     def __init__(
-        self, gui: viser.GuiApi, frame: Frame, rates: Rates, visitor: Hashable | None
+        self, gui: viser.GuiApi, frame: Frame, rates: SuccessRates, visitor: Hashable | None
     ) -> None:
         """``visitor`` has the present setting measured; None only watches."""
         self._rates, self._visitor = rates, visitor
@@ -153,7 +153,7 @@ def rate_point(rate: SuccessRate) -> tuple[float, float, float]:
     return (*rate.interval, rate.value) if rate.n else (BELOW, BELOW, BELOW)
 
 
-def bar_rows(frame: Frame, rates: Rates) -> list[Condition]:
+def bar_rows(frame: Frame, rates: SuccessRates) -> list[Condition]:
     """The settings that get a bar: all, the trained and the shipped ones, each stream alone, no
     camera; and the present one."""
     spec = frame.world.policy
@@ -167,7 +167,7 @@ def bar_rows(frame: Frame, rates: Rates) -> list[Condition]:
     return rows if frame.condition in rows else [*rows, frame.condition]
 
 
-def bars_html(frame: Frame, rates: Rates) -> str:
+def bars_html(frame: Frame, rates: SuccessRates) -> str:
     """One bar per setting: rate, interval and count, shipped above, measured here below."""
     spec = frame.world.policy
     rows = []

@@ -7,7 +7,7 @@ from html import escape
 import viser
 
 from madviz.app.panel import Assign
-from madviz.app.rates import Rates
+from madviz.app.rates import SuccessRates
 from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import NOTE
 from madviz.session.frame import Change, Frame, words
@@ -22,7 +22,7 @@ class WordsPanel(WidgetPanel):
         "the scene. <b>Off</b> leaves it out of the sum; <b>black</b> sends a black picture."
     )
 
-    def __init__(self, gui: viser.GuiApi, frame: Frame, rates: Rates) -> None:
+    def __init__(self, gui: viser.GuiApi, frame: Frame, rates: SuccessRates) -> None:
         self._rates = rates
         self._last: tuple[Change, PolicySpec] | None = None
         self._line = gui.add_html(self._html(frame))
@@ -44,7 +44,7 @@ class WordsPanel(WidgetPanel):
         )
 
 
-def sentence(change: Change, frame: Frame, rates: Rates) -> str:
+def sentence(change: Change, frame: Frame, rates: SuccessRates) -> str:
     """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8; success so far 0.94 → 0.81
     (n=16)``."""
     line = words(change, frame.world.env)
