@@ -96,6 +96,7 @@ def relevant(occlusions: dict[str, Occlusion], mask: Array, streams: tuple[str, 
 
 
 def unsupported(spec: PolicySpec, mask: Array) -> UserError:
+    """The error for a subset ``mask`` (V,) bool that a policy cannot act on."""
     return UserError(
         f"{spec.name} cannot act on {name_of(mask, spec.streams)!r}; "
         f"it was trained on: {', '.join(spec.trained_subsets)}"
@@ -151,6 +152,7 @@ class Runner:
         return self._environment(policy), policy
 
     def run(self, job: Job) -> Finished:
+        """Plays the job's episode. Raises UserError if its policy's files have changed meanwhile."""
         env, policy = self.opened(job)
         self._place(env, dict(job.moves))
         mask = mask_of(job.subset, policy.spec.streams)
@@ -172,6 +174,7 @@ class Runner:
         self._policies[reference, policy.spec.digest] = policy
 
     def close(self) -> None:
+        """Closes the environment."""
         if self._env:
             self._env[1].close()
         self._env, self._moved = None, set()

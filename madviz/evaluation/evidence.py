@@ -73,6 +73,7 @@ class Evidence:
 
     @property
     def first_seed(self) -> int:
+        """Of all episodes."""
         return min(seed for found in self.outcomes.values() for seed in found)
 
     @property

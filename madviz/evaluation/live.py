@@ -56,6 +56,7 @@ class Request:
     moves: Moves = ()
 
     def job(self, seed: int) -> Job:
+        """The episode ``seed`` of this request."""
         return Job(self.policy, self.digest, self.subset, self.occlusions, seed, self.moves)
 
 
@@ -71,6 +72,7 @@ class Tally:
 
     @property
     def n(self) -> int:
+        """Episodes so far."""
         return len(self.results)
 
     @property
@@ -124,6 +126,7 @@ class Evaluator:
         moves: dict[str, Displacement] | None = None,
     ) -> Tally:
         """From now on ``visitor`` wants this and nothing else. Returns what is known of it already.
+        ``mask`` is (V,) bool, the streams that are present.
 
         Raises UserError for an unknown policy or camera.
         """
@@ -142,7 +145,7 @@ class Evaluator:
     def tally(
         self, policy: str | Path, mask: Array, occlusions: dict[str, Occlusion] | None = None
     ) -> Tally:
-        """What is known of a request, without wanting more of it."""
+        """What is known already of the streams ``mask`` (V,) bool, without measuring more."""
         request = self._as_request(policy, mask, occlusions)
         with self._lock:
             return self._tally(request)

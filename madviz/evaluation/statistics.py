@@ -43,6 +43,7 @@ class SuccessRate:
 
     @property
     def successes(self) -> int:
+        """Of ``n`` episodes."""
         return round(self.value * self.n) if self.n else 0
 
     def __str__(self) -> str:
@@ -85,6 +86,7 @@ class Paired:
 
     @property
     def n(self) -> int:
+        """Seeds."""
         return self.both + self.first_only + self.second_only + self.neither
 
     @property

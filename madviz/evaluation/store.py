@@ -106,6 +106,7 @@ class Store:
         }
 
     def close(self) -> None:
+        """Closes the file; the store answers no more."""
         with self._lock:
             self._db.close()
 

@@ -61,6 +61,7 @@ class Run:
     """The words after ``madviz eval``, without ``--policy``."""
 
     def words(self) -> dict[str, Any]:
+        """What run.json holds."""
         return {"train": list(self.train), "eval": list(self.evaluate)}
 
 

@@ -82,7 +82,9 @@ class Backend(Protocol):
         """How many runs it takes at a time, now."""
         ...
 
-    def submit(self, run: Run) -> None: ...
+    def submit(self, run: Run) -> None:
+        """Begins a run; call it only while there is a free slot."""
+        ...
 
     def collect(self, seconds: float) -> list[tuple[Run, RunOutcome]]:
         """What ended since the last call; waits up to ``seconds`` for something."""
@@ -232,9 +234,11 @@ class Watch:
         self._bar.stop()
 
     def began(self, run: Run) -> None:
+        """Takes note of a run that was submitted."""
         self._begun[run] = self._now()
 
     def ended(self, run: Run, outcome: RunOutcome) -> None:
+        """Takes note of how a run came out, and prints a line."""
         del self._begun[run]
         if outcome.state in ("busy", "stopped"):
             return
@@ -273,6 +277,7 @@ class Watch:
         return f"; {duration(left)} left" if left and self._left else ""
 
     def say(self, line: str) -> None:
+        """Prints a line on standard error."""
         self._said = self._now()
         # Through the bar where there is one, so that their lines do not mix.
         if self._bar.disable:
