@@ -152,7 +152,7 @@ class Runner:
         return self._environment(policy), policy
 
     def run(self, job: Job) -> Finished:
-        """Plays the job's episode. Raises UserError if its policy's files have changed meanwhile."""
+        """Plays the job's episode. Raises UserError if its policy's files changed meanwhile."""
         env, policy = self.opened(job)
         self._place(env, dict(job.moves))
         mask = mask_of(job.subset, policy.spec.streams)
