@@ -22,11 +22,11 @@ from madviz.evaluation.evaluate import (
     EvalConfig,
     default_subsets,
     evaluate,
-    parse_occlusions,
     run_eval,
 )
 from madviz.evaluation.store import MEMORY, Store
 from madviz.observation.ablation import Ablation, Occlusion
+from madviz.observation.grammar import parse_occlusions
 from madviz.policies import checkpoint
 from madviz.policies.config import TrainingRecord, policy_config
 from madviz.types import PolicySpec
@@ -325,24 +325,6 @@ def test_a_card_is_not_written_about_occluded_cameras_or_somebodys_own_code(fold
     ):
         with pytest.raises(UserError, match="drop --occlude or --card"):
             run_eval(config)
-
-
-def test_occlusions_are_written_as_camera_kind_and_details():
-    strip = "third_b=patch,y=0.9,width=1,height=0.2"
-    assert parse_occlusions(["first=black", "third_a=noise,strength=0.5,size=0.1", strip]) == {
-        "first": Occlusion("black"),
-        "third_a": Occlusion("noise", strength=0.5, width=0.1, height=0.1),
-        "third_b": Occlusion("patch", y=0.9, width=1.0, height=0.2),
-    }
-    for wrong in (
-        "first",
-        "first=fog",
-        "first=noise,strength=2",
-        "first=noise,strong",
-        "a=noise,b=1",
-    ):
-        with pytest.raises(UserError, match="expected an occlusion like"):
-            parse_occlusions([wrong])
 
 
 def test_the_public_name_is_callable_before_and_after_its_module_is_imported():

@@ -34,7 +34,8 @@ from madviz.evaluation.episodes import (
 )
 from madviz.evaluation.statistics import SuccessRate
 from madviz.evaluation.store import EpisodeResult, Store
-from madviz.observation.ablation import Occlusion, by_sides
+from madviz.observation.ablation import Occlusion
+from madviz.observation.grammar import parse_occlusions
 from madviz.policies import checkpoint
 from madviz.policies.card import write_card
 from madviz.policies.measured import EpisodeRow, EvaluationFile, SubsetRow
@@ -250,8 +251,8 @@ class EvalConfig:
     workers: int | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
     occlude: tuple[str, ...] = ()
-    """Cameras that fail, for example ``first=black third_a=noise,strength=0.5`` or
-    ``third_b=patch,x=0.5,y=0.8,width=1,height=0.4``."""
+    """Cameras that fail, for example ``first=black third_a=noise:0.5`` or, with its middle, width
+    and height, ``third_b=patch:1:0.5:0.8:1:0.4``."""
     json: str | None = None
     """Where to write the result; - is standard output."""
     card: bool = False
@@ -295,20 +296,3 @@ def joined(known: EvaluationFile | None, new: EvaluationFile) -> EvaluationFile:
         "subsets": {**before, **new["subsets"]},
         "episodes": [*episodes, *new["episodes"]],
     }
-
-
-def parse_occlusions(texts: Iterable[str]) -> dict[str, Occlusion]:
-    """``first=patch,x=0.2,width=0.6,height=0.1`` -> occlusions by camera; for a square ``size=0.3``
-    will do. Raises UserError."""
-    found = {}
-    for text in texts:
-        camera, equals, words = text.partition("=")
-        kind, *details = words.split(",")
-        try:
-            values = {name: float(value) for name, _, value in (d.partition("=") for d in details)}
-            found[camera] = Occlusion(kind, **by_sides(values))  # type: ignore[arg-type]
-        except (TypeError, ValueError) as error:
-            raise UserError(
-                f"expected an occlusion like first=noise,strength=0.5, found {text!r}: {error}"
-            ) from error
-    return found

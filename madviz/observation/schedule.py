@@ -1,15 +1,8 @@
-"""When cameras fail: a small language of schedules, and scenarios with a name.
+"""When cameras fail: schedules of events, and scenarios with a name.
 
 A visitor's clicks never come twice at the same step, so a comparison of two policies needs failures
-that do. A schedule is a few events, each the state of one camera from one step on:
-
-    third_a@20              dropped from step 20 on
-    third_a@20-40           dropped at step 20, back at step 40
-    third_a=black@20        occluded: it stays in the sum, and sends black
-    third_b=noise:0.5@10-30 noise of strength 0.5 for 20 decisions
-    first=patch:1:0.3:0.5:0.4:0.2@5
-                            a patch of strength 1; its middle from the left and the top, its width
-                            and its height follow, as shares of the picture
+that do. A schedule is a few events, each the state of one camera from one step on; ``grammar.py``
+has the words for them.
 
 Step 20 is the time step after 20 decisions; the 21st is the first one taken without the camera. An
 event at step 0 holds for the first picture already. Where several events meet in one camera at one
@@ -21,20 +14,16 @@ that it fits every task: with a horizon of 100, a failure from 0.2 to 0.4 lasts 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import get_args
 
 from madviz.errors import UserError, unknown
-from madviz.observation.ablation import PLACE, CameraState, Occlusion, OcclusionKind
+from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.grammar import CameraFailure, failure_text, parse_failure, parse_what
 from madviz.types import EnvSpec
 
 LATEST = 100_000
 """The last step that a schedule may name; no task here has as many."""
-DROPPED = "off"
-"""What ``third_a@20`` means when spelled out: ``third_a=off@20``."""
-HOW = "camera@step, camera@from-to or camera=black@step, for example third_b=noise:0.5@10-30"
 
 
 @dataclass(frozen=True)
@@ -69,78 +58,36 @@ def in_order(events: Sequence[Event]) -> Schedule:
     return tuple(sorted(events, key=lambda event: (event.step, not event.works)))
 
 
-def events_of(camera: str, what: str, begin: int, end: int | None) -> list[Event]:
-    """A failure ``what`` (``off``, ``black``, ``noise:0.5``) from step ``begin`` on, and the return
-    of the camera at ``end``. Raises UserError if it ends before it begins."""
-    if end is not None and end <= begin:
-        raise UserError(f"expected a failure that ends after step {begin}, found {end}: swap them")
-    if what == DROPPED:
-        failing = Event(begin, camera, dropped=True)
-    else:
-        failing = Event(begin, camera, occlusion=_occlusion(what))
-    return [failing] if end is None else [failing, Event(end, camera)]
-
-
-def _occlusion(what: str) -> Occlusion:
-    """``kind``, ``kind:strength`` or, of a patch, ``kind:strength:x:y:width:height``."""
-    kind, *numbers = what.split(":")
-    known = [name for name in get_args(OcclusionKind) if name != "none"]
-    if kind not in known:
-        raise unknown("failure", kind, [DROPPED, *known])
-    most = 1 + len(PLACE) if kind == "patch" else 1
-    if len(numbers) not in (0, 1, most):
-        raise UserError(
-            f"expected a strength after {kind!r}, and of a patch its {', '.join(PLACE)}, as in "
-            f"patch:1:0.3:0.5:0.4:0.2; found {what!r:.60}"
-        )
-    shares = [_share(number, f"after {kind!r}") for number in numbers]
-    return Occlusion(kind, *shares)  # type: ignore[arg-type]
-
-
-def _share(word: str, where: str) -> float:
-    """A number in [0, 1]. Raises UserError for anything else."""
-    if not re.fullmatch(r"[01](\.\d{1,6})?|\.\d{1,6}", word) or float(word) > 1:
-        raise UserError(f"expected a number from 0 to 1 {where}, found {word!r:.20}")
-    return float(word)
+def events_of(failure: CameraFailure) -> list[Event]:
+    """The beginning of a failure, and the return of its camera."""
+    dropped, occlusion = failure.occlusion is None, failure.occlusion or Occlusion()
+    begins = Event(failure.begin, failure.camera, dropped, occlusion)
+    return [begins] if failure.end is None else [begins, Event(failure.end, failure.camera)]
 
 
 def parse_schedule(words: Sequence[str], cameras: Sequence[str]) -> Schedule:
-    """The schedule of ``words``; see the module. Raises UserError for an unknown camera or failure,
-    and for what is none of the forms."""
-    events: list[Event] = []
-    for word in words:
-        found = re.fullmatch(r"(\w+)(?:=([a-z]+[\d.:]*))?@(\d{1,6})(?:-(\d{1,6}))?", word)
-        if found is None:
-            raise UserError(f"expected a failure such as {HOW}; found {word!r:.60}")
-        camera, what, begin, end = found.groups()
-        if camera not in cameras:
-            raise unknown("camera", camera, list(cameras))
-        events += events_of(camera, what or DROPPED, int(begin), int(end) if end else None)
-    return in_order(events)
+    """The schedule of ``words``, in the grammar of ``grammar.py``. Raises UserError for an unknown
+    camera or failure, and for what is none of the forms."""
+    failures = [parse_failure(word) for word in words]
+    for failure in failures:
+        if failure.camera not in cameras:
+            raise unknown("camera", failure.camera, list(cameras))
+    return in_order([event for failure in failures for event in events_of(failure)])
 
 
-def in_words(schedule: Schedule) -> list[str]:
-    """The schedule in its own language again, one word for every event; a camera that comes back
+def schedule_words(schedule: Schedule) -> list[str]:
+    """The schedule in its own grammar again, one word for every event; a camera that comes back
     closes the word before it."""
     words: list[str] = []
     open_: dict[str, int] = {}
     for event in schedule:
         if not event.works:
-            what = "" if event.dropped else f"={_spelled(event.occlusion)}"
             open_[event.camera] = len(words)
-            words.append(f"{event.camera}{what}@{event.step}")
+            occlusion = None if event.dropped else event.occlusion
+            words.append(failure_text(event.camera, occlusion, event.step))
         elif event.camera in open_:
             words[open_.pop(event.camera)] += f"-{event.step}"
     return words
-
-
-def _spelled(occlusion: Occlusion) -> str:
-    """As briefly as it can be said."""
-    numbers = "" if occlusion.strength == 1 else f":{occlusion.strength:g}"
-    place = [round(getattr(occlusion, name), 3) for name in PLACE]
-    if occlusion.kind == "patch" and place != [getattr(Occlusion(), name) for name in PLACE]:
-        numbers = f":{occlusion.strength:g}:" + ":".join(f"{value:g}" for value in place)
-    return occlusion.kind + numbers
 
 
 @dataclass(frozen=True)
@@ -165,16 +112,17 @@ class Scenario:
     name: str
     words: str
     """One line for somebody who sees the page for the first time."""
-    spells: tuple[FailureSpan, ...]
+    spans: tuple[FailureSpan, ...]
 
     def schedule(self, env: EnvSpec) -> Schedule:
         """The events for the cameras and the horizon of ``env``."""
         events: list[Event] = []
-        for spell in self.spells:
-            if spell.camera < len(env.cameras):
-                begin = round(spell.begin * env.horizon)
-                end = None if spell.end is None else max(round(spell.end * env.horizon), begin + 1)
-                events += events_of(env.cameras[spell.camera].name, spell.what, begin, end)
+        for span in self.spans:
+            if span.camera < len(env.cameras):
+                begin = round(span.begin * env.horizon)
+                end = None if span.end is None else max(round(span.end * env.horizon), begin + 1)
+                camera, occlusion = env.cameras[span.camera].name, parse_what(span.what)
+                events += events_of(CameraFailure(camera, occlusion, begin, end))
         return in_order(events)
 
 

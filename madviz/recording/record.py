@@ -24,7 +24,7 @@ from typing import Any, Protocol
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread
-from madviz.observation.schedule import Schedule, in_order, in_words, parse_schedule, scenario
+from madviz.observation.schedule import Schedule, in_order, parse_schedule, scenario, schedule_words
 from madviz.policies import checkpoint
 from madviz.recording.facts import Facts
 from madviz.session.commands import Play, SetSchedule
@@ -50,7 +50,7 @@ class RecordConfig:
     seed: int = FIRST_SEED
     """Which episode."""
     drop: tuple[str, ...] = ()
-    """When cameras fail: third_a@20 (dropped), third_a@20-40 (comes back), third_b=noise:0.5@10."""
+    """Cameras that fail: third_a@20 (dropped), third_a@20-40 (comes back), third_b=noise:0.5@10."""
     scenario: str | None = None
     """Failures with a name, for example "lens covered"; see madviz/observation/schedule.py."""
     replay: Path | None = None
@@ -140,7 +140,7 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         session = _session(env, policy, config.seed, script, find)
         schedule = _schedule(config, env)
         session.send(SetSchedule(schedule))
-        failures = failure_words(script) if script else in_words(schedule)
+        failures = failure_words(script) if script else schedule_words(schedule)
         facts = Facts(command_of(config), tuple(failures), config.fps, config.tile)
         steps = script.steps if script else config.steps
         last, size = write_all(config.out, facts, frames(session, steps))

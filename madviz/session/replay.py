@@ -18,7 +18,7 @@ from madviz.envs.registry import make_env, sees
 from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread
 from madviz.observation.displacement import MoveCamera
-from madviz.observation.schedule import Event, in_order, in_words
+from madviz.observation.schedule import Event, in_order, schedule_words
 from madviz.policies import checkpoint
 from madviz.session.commands import SetCamera
 from madviz.session.session_file import (
@@ -227,4 +227,4 @@ def failure_words(episode: SavedEpisode) -> list[str]:
         Event(step, one.camera, one.state.input == "off", one.state.occlusion)
         for step, one in commands
     ]
-    return in_words(in_order(events))
+    return schedule_words(in_order(events))

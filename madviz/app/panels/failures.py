@@ -10,7 +10,14 @@ import viser
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, WidgetPanel, on_press, place
 from madviz.drawing.colours import NOTE
-from madviz.observation.schedule import HOW, SCENARIOS, Schedule, in_words, parse_schedule, scenario
+from madviz.observation.grammar import HOW
+from madviz.observation.schedule import (
+    SCENARIOS,
+    Schedule,
+    parse_schedule,
+    scenario,
+    schedule_words,
+)
 from madviz.session.commands import Command, Play, Reset, SetSchedule
 from madviz.session.frame import Frame
 
@@ -85,7 +92,7 @@ def failures_html(frame: Frame) -> str:
         after = f"Next, at step {first.step}: {escape(label)} {deed}."
     else:
         after = "All of it has happened in this episode."
-    words = "  ".join(in_words(frame.schedule))
+    words = "  ".join(schedule_words(frame.schedule))
     return (
         f'<div class="mv">{head} <span style="color:{NOTE}">{after}</span>'
         f'<div class="dim"><code>{escape(words)}</code></div></div>'

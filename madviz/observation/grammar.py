@@ -1,0 +1,139 @@
+"""What happens to a camera, in words: one grammar for ``eval --occlude``, ``record --drop`` and the
+page.
+
+    camera[=what][@from[-to]]
+
+    third_a                 dropped for the whole episode
+    third_a@20              dropped from step 20 on
+    third_a@20-40           dropped at step 20, back at step 40
+    third_a=black@20        occluded: it stays in the sum, and sends black
+    first=noise:0.5@10-18   noise of strength 0.5 for 8 decisions
+    first=patch:1:0.3:0.5:0.4:0.2
+                            a patch of strength 1; its middle from the left and the top, its width
+                            and its height follow, as shares of the picture
+
+An older spelling, ``first=noise,strength=0.5``, is still read, with a line that names the new one.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import get_args
+
+from madviz.errors import UserError, unknown
+from madviz.observation.ablation import PLACE, Occlusion, OcclusionKind, by_sides
+
+DROPPED = "off"
+"""What ``third_a@20`` means when spelled out: ``third_a=off@20``."""
+HOW = "camera@step, camera@from-to or camera=black@step, for example third_b=noise:0.5@10-30"
+_FAILURE = re.compile(r"(\w+)(?:=([a-z]+[\d.:]*))?(?:@(\d{1,6})(?:-(\d{1,6}))?)?")
+_OLD = re.compile(r"(\w+)=([a-z]+)((?:,[a-z]+=[\d.]+)+)")
+
+
+@dataclass(frozen=True)
+class CameraFailure:
+    """One camera that fails: dropped, or occluded."""
+
+    camera: str
+    occlusion: Occlusion | None
+    """None: dropped."""
+    begin: int = 0
+    """Step from which it fails."""
+    end: int | None = None
+    """Step at which it works again; None: never."""
+
+    def __post_init__(self) -> None:
+        if self.end is not None and self.end <= self.begin:
+            raise UserError(
+                f"expected a failure that ends after step {self.begin}, found {self.end}: swap them"
+            )
+
+
+def parse_failure(word: str) -> CameraFailure:
+    """``first=noise:0.5@10-18`` and the other forms of the module. Raises UserError."""
+    if old := _OLD.fullmatch(word):
+        return _old_spelling(word, *old.groups())
+    found = _FAILURE.fullmatch(word)
+    if found is None:
+        raise UserError(f"expected a failure such as {HOW}; found {word!r:.60}")
+    camera, what, begin, end = found.groups()
+    return CameraFailure(
+        camera, parse_what(what or DROPPED), int(begin or 0), int(end) if end else None
+    )
+
+
+def parse_what(what: str) -> Occlusion | None:
+    """``off`` (None), ``kind``, ``kind:strength`` or, of a patch,
+    ``kind:strength:x:y:width:height``. Raises UserError."""
+    if what == DROPPED:
+        return None
+    kind, *numbers = what.split(":")
+    known = [name for name in get_args(OcclusionKind) if name != "none"]
+    if kind not in known:
+        raise unknown("failure", kind, [DROPPED, *known])
+    most = 1 + len(PLACE) if kind == "patch" else 1
+    if len(numbers) not in (0, 1, most):
+        raise UserError(
+            f"expected a strength after {kind!r}, and of a patch its {', '.join(PLACE)}, as in "
+            f"patch:1:0.3:0.5:0.4:0.2; found {what!r:.60}"
+        )
+    shares = [_share(number, f"after {kind!r}") for number in numbers]
+    return Occlusion(kind, *shares)  # type: ignore[arg-type]
+
+
+def parse_occlusions(words: Iterable[str]) -> dict[str, Occlusion]:
+    """Occlusions by camera for whole episodes, as an evaluation has them. Raises UserError, also
+    for cameras that are dropped and for failures that begin or end in mid-episode."""
+    found = {}
+    for word in words:
+        failure = parse_failure(word)
+        if failure.occlusion is None:
+            raise UserError(
+                f"expected an occlusion such as first=noise:0.5, found {word!r}, a dropped camera; "
+                "leave it out of --subsets instead"
+            )
+        if "@" in word:
+            raise UserError(
+                f"expected a failure for whole episodes, found steps in {word!r}; leave out what "
+                "follows the @, or use madviz record --drop"
+            )
+        found[failure.camera] = failure.occlusion
+    return found
+
+
+def failure_text(camera: str, occlusion: Occlusion | None, begin: int | None = None) -> str:
+    """The failure in the grammar again, as briefly as it can be said; without ``begin``, for the
+    whole episode."""
+    what = "" if occlusion is None else f"={_what_text(occlusion)}"
+    return f"{camera}{what}" + ("" if begin is None else f"@{begin}")
+
+
+def _what_text(occlusion: Occlusion) -> str:
+    numbers = "" if occlusion.strength == 1 else f":{occlusion.strength:g}"
+    place = [round(getattr(occlusion, name), 3) for name in PLACE]
+    if occlusion.kind == "patch" and place != [getattr(Occlusion(), name) for name in PLACE]:
+        numbers = f":{occlusion.strength:g}:" + ":".join(f"{value:g}" for value in place)
+    return occlusion.kind + numbers
+
+
+def _old_spelling(word: str, camera: str, kind: str, details: str) -> CameraFailure:
+    """``first=patch,x=0.2,size=0.3``. Raises UserError."""
+    pairs = [detail.split("=") for detail in details.split(",")[1:]]
+    try:
+        values = by_sides({name: float(value) for name, value in pairs})
+        occlusion = Occlusion(kind, **values)  # type: ignore[arg-type]
+    except (TypeError, ValueError) as error:
+        raise UserError(f"expected a failure such as {HOW}; found {word!r:.60}: {error}") from error
+    new = failure_text(camera, occlusion)
+    print(f"note: {word!r} is an older spelling, write {new!r}", file=sys.stderr)
+    return CameraFailure(camera, occlusion)
+
+
+def _share(word: str, where: str) -> float:
+    """A number in [0, 1]. Raises UserError for anything else."""
+    if not re.fullmatch(r"[01](\.\d{1,6})?|\.\d{1,6}", word) or float(word) > 1:
+        raise UserError(f"expected a number from 0 to 1 {where}, found {word!r:.20}")
+    return float(word)
