@@ -196,7 +196,7 @@ def test_the_hammer_switch_trains_takes_cameras_away_and_compares(
     own = names["own"]
     try:
         assert own.folder.is_relative_to(tmp_path) and own.spec.task == "toy/reach"
-        assert (own.spec.method, names["hammer_explorer"].frame.policy.name) == (
+        assert (own.spec.method, names["hammer_explorer"].frame.world.policy.name) == (
             "mad",
             own.spec.name,
         )
