@@ -183,7 +183,7 @@ def test_every_subset_has_a_row_and_untrained_ones_say_so(server):
 def test_of_many_subsets_those_of_whole_cameras_are_shown_until_somebody_asks(server):
     frame = frame_with(SetCamera("first", CameraState("depth")), policy=policies("toy-rgbd"))
     html = subsets_html(frame, everything=False)
-    # Eight sets of cameras, six single streams, and the present setting, with half a camera.
+    # Eight sets of cameras, six single streams, and the present condition, with half a camera.
     assert html.count("<tr") == 1 + 8 + 6 + 1
     assert "49 sets with half a camera are not shown" in html
     gui = recorded(server.gui)

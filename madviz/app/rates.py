@@ -1,6 +1,6 @@
 """Success so far: what shipped with a policy, and what is measured here while the page is open.
 
-The setting of every visitor is measured; worker processes take turns among them.
+The condition of every visitor is measured; worker processes take turns among them.
 Episodes are stored by seed, so that the same one seen twice (by a worker and on a page, or on two
 pages) counts once. Listeners are called when something was added; tables are replaced, never
 changed, so readers need no lock.
@@ -26,7 +26,7 @@ NOTHING = SuccessRate.of(0, 0)
 
 
 class SuccessRates:
-    """Shared by all visitors: success is a fact about a policy and a setting, not a person."""
+    """Shared by all visitors: success is a fact about a policy and a condition, not a person."""
 
     def __init__(
         self,
@@ -58,20 +58,22 @@ class SuccessRates:
             self._shipped = {**self._shipped, key: table}
         return self._shipped[key]
 
-    def live(self, spec: PolicySpec, setting: Condition) -> SuccessRate:
+    def live(self, spec: PolicySpec, condition: Condition) -> SuccessRate:
         """What was measured here."""
-        seen = self._live.get((key_of(spec), setting), {})
+        seen = self._live.get((key_of(spec), condition), {})
         return SuccessRate.of(sum(seen.values()), len(seen))
 
-    def best(self, spec: PolicySpec, setting: Condition) -> SuccessRate:
+    def best(self, spec: PolicySpec, condition: Condition) -> SuccessRate:
         """Whichever says more. They are not added up: workers begin with the shipped seeds."""
-        known = NOTHING if setting.occlusions else self.shipped(spec).get(setting.subset, NOTHING)
-        live = self.live(spec, setting)
+        known = (
+            NOTHING if condition.occlusions else self.shipped(spec).get(condition.subset, NOTHING)
+        )
+        live = self.live(spec, condition)
         return live if live.n >= known.n else known
 
-    def add(self, spec: PolicySpec, setting: Condition, outcomes: Mapping[int, bool]) -> None:
+    def add(self, spec: PolicySpec, condition: Condition, outcomes: Mapping[int, bool]) -> None:
         """Takes outcomes by seed; calls the listeners if one of them is new."""
-        self._add((key_of(spec), setting), outcomes)
+        self._add((key_of(spec), condition), outcomes)
 
     def _add(
         self, key: tuple[str, Condition], outcomes: Mapping[int, bool], error: str = ""
@@ -91,7 +93,7 @@ class SuccessRates:
         return self._evaluator is not None
 
     def want(self, visitor: Hashable, spec: PolicySpec, mask: Array, ablation: Ablation) -> None:
-        """Has the setting of ``visitor`` measured from now on, and not their last one."""
+        """Has the condition of ``visitor`` measured from now on, and not their last one."""
         if self._evaluator is not None:
             reference = self._reference(spec)
             self._keys = {**self._keys, reference: key_of(spec)}
@@ -103,9 +105,9 @@ class SuccessRates:
         if self._evaluator is not None:
             self._evaluator.forget(visitor)
 
-    def error(self, spec: PolicySpec, setting: Condition) -> str:
-        """Why a setting cannot be measured; empty while it can."""
-        return self._errors.get((key_of(spec), setting), "")
+    def error(self, spec: PolicySpec, condition: Condition) -> str:
+        """Why a condition cannot be measured; empty while it can."""
+        return self._errors.get((key_of(spec), condition), "")
 
     def close(self) -> None:
         """Ends the worker processes."""
@@ -115,9 +117,9 @@ class SuccessRates:
     def _hear(self, tally: Tally) -> None:
         occluded = {camera: CameraState(occlusion=o) for camera, o in tally.request.occlusions}
         ablation = Ablation(occluded, dict(tally.request.moves))
-        setting = Condition(tally.request.subset, ablation.key())
+        condition = Condition(tally.request.subset, ablation.key())
         outcomes = {result.seed: result.success for result in tally.results}
-        self._add((self._keys[tally.request.policy], setting), outcomes, tally.error)
+        self._add((self._keys[tally.request.policy], condition), outcomes, tally.error)
 
     def subscribe(self, listener: Callable[[], None]) -> None:
         """``listener`` is called whenever something was added, in whatever thread did it."""

@@ -83,7 +83,7 @@ class FeaturesPanel(WidgetPanel):
             return
         episode, step = self._last
         if (frame.world.episode, frame.world.step) == (episode, step) and self._history:
-            self._history.pop()  # The same time step, perhaps under another setting.
+            self._history.pop()  # The same time step, perhaps under another condition.
         elif frame.world.episode == episode:
             self._time += max(1, frame.world.step - step)
         else:

@@ -178,7 +178,7 @@ def move_html(frame: Frame) -> str:
     )
     return (
         f'<div class="mv mv-moved" style="border-left:3px solid {NOTE};margin:0 10px;'
-        f'padding:2px 8px">{rows}<div class="dim">A setting of its own: its success is that of '
+        f'padding:2px 8px">{rows}<div class="dim">A condition of its own: its success is that of '
         "whole episodes with the cameras there. Success against distance: "
         f"<code>{escape(sweep(frame))}</code></div></div>"
     )

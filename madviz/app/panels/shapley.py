@@ -38,7 +38,7 @@ IDEA = (
 )
 ARROWS = (
     "<b>Arrows at the gripper:</b> where it would go next with each set of cameras. "
-    f'<b style="color:{NOTE}">Yellow</b> is the present setting, <b>white</b> all cameras, a '
+    f'<b style="color:{NOTE}">Yellow</b> is the present condition, <b>white</b> all cameras, a '
     "camera's own colour that camera alone; grey is any other set, dashed is a set it was "
     "not trained on. None at full speed."
 )

@@ -82,8 +82,8 @@ _HEAD = (
 
 
 def distances(frame: Frame, row: int) -> tuple[float, float]:
-    """Euclidean, in action units: from the action of ``row`` to the present setting's, and to that
-    of all streams. NaN where one of them cannot be had."""
+    """Euclidean, in action units: from the action of ``row`` to the one taken now, and to that of
+    all streams. NaN where one of them cannot be had."""
     action = frame.world.probe.readout.action
     to_now, to_all = (np.linalg.norm(action[row] - action[other]) for other in (frame.row, 0))
     return float(to_now), float(to_all)

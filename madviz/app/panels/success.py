@@ -23,7 +23,7 @@ from madviz.subsets import mask_of, name_of, single_streams
 from madviz.types import PolicySpec
 
 MEASURE_HINT = (
-    "Worker processes play episodes under the present setting, for the bars. Their last frames "
+    "Worker processes play episodes under the present condition, for the bars. Their last frames "
     "count as here; switch this off to give the page the whole machine."
 )
 EDGE = "rgba(77, 182, 255, 0.5)"
@@ -42,7 +42,7 @@ class SuccessPanel(WidgetPanel):
     def __init__(
         self, gui: viser.GuiApi, frame: Frame, rates: SuccessRates, visitor: Hashable | None
     ) -> None:
-        """``visitor`` has the present setting measured; None only watches."""
+        """``visitor`` has the present condition measured; None only watches."""
         self._rates, self._visitor = rates, visitor
         self._wanted: tuple[PolicySpec, Condition] | None = None
         self._known: tuple[Outcome, ...] = ()
@@ -75,9 +75,9 @@ class SuccessPanel(WidgetPanel):
         if self._visitor is not None:
             self._keep(frame)
             self._want(frame)
-        setting = frame.condition
+        condition = frame.condition
         moved = self._curve.add(
-            frame.world.policy, setting, self._rates.live(frame.world.policy, setting)
+            frame.world.policy, condition, self._rates.live(frame.world.policy, condition)
         )
         changes = [
             Assign(self._bars, "content", bars_html(frame, self._rates)),
@@ -92,7 +92,7 @@ class SuccessPanel(WidgetPanel):
         super().remove()
 
     def _want(self, frame: Frame) -> None:
-        """Has the setting of this moment measured, if it is not the one that already is."""
+        """Has the condition of this moment measured, if it is not the one that already is."""
         wanted = (frame.world.policy, frame.condition)
         measuring = self._switch is not None and self._switch.value
         if measuring and wanted != self._wanted and frame.world.probe.supported[frame.row]:
@@ -105,7 +105,7 @@ class SuccessPanel(WidgetPanel):
             self._rates.forget(self._visitor)
 
     def _keep(self, frame: Frame) -> None:
-        """Episodes seen on this page under one setting from start to end are measurements, too."""
+        """Episodes seen on this page that had one condition throughout are measurements, too."""
         fresh = [one for one in frame.world.outcomes if one not in self._known]
         self._known = frame.world.outcomes
         for outcome in fresh:
@@ -116,16 +116,16 @@ class SuccessPanel(WidgetPanel):
 
 
 class Curve:
-    """Success under the present setting, episode by episode; starts afresh at every change."""
+    """Success under the present condition, episode by episode; starts afresh at every change."""
 
     def __init__(self) -> None:
         self._points: deque[tuple[float, ...]] = deque(maxlen=HISTORY)
         self._key: tuple[PolicySpec, Condition] | None = None
         self._n, self._episodes = 0, 0
 
-    def add(self, policy: PolicySpec, setting: Condition, rate: SuccessRate) -> bool:
+    def add(self, policy: PolicySpec, condition: Condition, rate: SuccessRate) -> bool:
         """Whether there is something new to draw."""
-        key, before = (policy, setting), self._key
+        key, before = (policy, condition), self._key
         if key != before:
             self._key, self._n = key, 0
             if before is not None:
@@ -154,7 +154,7 @@ def rate_point(rate: SuccessRate) -> tuple[float, float, float]:
 
 
 def bar_rows(frame: Frame, rates: SuccessRates) -> list[Condition]:
-    """The settings that get a bar: all, the trained and the shipped ones, each stream alone, no
+    """The conditions that get a bar: all, the trained and the shipped ones, each stream alone, no
     camera; and the present one."""
     spec = frame.world.policy
     trained = [
@@ -168,15 +168,15 @@ def bar_rows(frame: Frame, rates: SuccessRates) -> list[Condition]:
 
 
 def bars_html(frame: Frame, rates: SuccessRates) -> str:
-    """One bar per setting: rate, interval and count, shipped above, measured here below."""
+    """One bar per condition: rate, interval and count, shipped above, measured here below."""
     spec = frame.world.policy
     rows = []
-    settings = bar_rows(frame, rates)
-    for setting in settings:
-        shipped = rates.shipped(spec).get(setting.subset, NOTHING)
-        shipped = NOTHING if setting.occlusions else shipped
-        live = rates.live(spec, setting)
-        rows.append(_bar_row(frame, setting, shipped, live, 20 if len(settings) < 10 else 17))
+    conditions = bar_rows(frame, rates)
+    for condition in conditions:
+        shipped = rates.shipped(spec).get(condition.subset, NOTHING)
+        shipped = NOTHING if condition.occlusions else shipped
+        live = rates.live(spec, condition)
+        rows.append(_bar_row(frame, condition, shipped, live, 20 if len(conditions) < 10 else 17))
     key = (
         f"{dot(MUTED, 'height:5px')}shipped{dot(GOOD, 'height:5px;margin-left:8px')}"
         f'here · † not trained on · <b style="color:{NOTE}">▸</b> now'
@@ -188,18 +188,18 @@ def bars_html(frame: Frame, rates: SuccessRates) -> str:
 
 
 def _bar_row(
-    frame: Frame, setting: Condition, shipped: SuccessRate, live: SuccessRate, height: int
+    frame: Frame, condition: Condition, shipped: SuccessRate, live: SuccessRate, height: int
 ) -> str:
-    mask = mask_of(setting.subset, frame.world.policy.streams)
-    label = subset_label(frame, setting.subset)
-    short = label if len(label) <= LABEL else setting.subset
-    if setting.occlusions:
-        words = " · " + ", ".join(p.split(",")[0] for p in setting.occlusions.split(";"))
+    mask = mask_of(condition.subset, frame.world.policy.streams)
+    label = subset_label(frame, condition.subset)
+    short = label if len(label) <= LABEL else condition.subset
+    if condition.occlusions:
+        words = " · " + ", ".join(p.split(",")[0] for p in condition.occlusions.split(";"))
         label, short = label + words, short + words
     dagger = "" if is_trained(frame, mask) else "† "
     joined = live if live.n >= shipped.n else shipped
     number = f"<b>{joined.value:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"
-    here = setting == frame.condition
+    here = condition == frame.condition
     now = f'<b style="color:{NOTE}">▸</b>' if here else ""
     title = escape(f"{label}: {_in_words(shipped, 'shipped')}; {_in_words(live, 'measured here')}")
     intervals = _interval(shipped, MUTED, 0) + _interval(live, GOOD, 6)
@@ -242,7 +242,7 @@ def strip_html(frame: Frame) -> str:
     return (
         '<div class="mv"><h4>Last episodes <span class="plain">● dropped, ○ occluded</span></h4>'
         f'<div style="display:flex;gap:3px;min-height:38px">{body}</div>'
-        "<h4>Success, present setting, by episode</h4></div>"
+        "<h4>Success now, by episode</h4></div>"
     )
 
 

@@ -103,7 +103,7 @@ def towards(points: Array, eye: Array) -> Array:
 
 
 def arrows(frame: Frame, size: float) -> tuple[Array, Array]:
-    """(N, 2, 3) float32 points and (N, 2, 3) uint8 colours: the present setting last, on top."""
+    """(N, 2, 3) float32 points and (N, 2, 3) uint8 colours: the present condition last, on top."""
     points, colours = [], []
     for row, colour, trained in _drawn_rows(frame):
         action = frame.world.probe.readout.action[row]
@@ -132,7 +132,7 @@ def _linear(colour: tuple[int, ...]) -> Array:
 
 def _drawn_rows(frame: Frame) -> list[tuple[int, tuple[int, ...], bool]]:
     """Row, colour, trained: every set of whole cameras, those with a colour of their own after the
-    others, and last the present setting. With half cameras, six streams would have 64 arrows."""
+    others, and last the present condition. With half cameras, six streams would have 64 arrows."""
     streams, probe, here = frame.world.policy.streams, frame.world.probe, frame.row
     own = camera_colours(frame.world.env.cameras)
     trained = {probe.row(mask_of(name, streams)) for name in frame.world.policy.trained_subsets}
