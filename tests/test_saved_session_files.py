@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,7 @@ def test_a_file_that_will_not_do_is_refused_in_one_line(path: str, value: Any) -
     with pytest.raises(UserError) as refused:
         parse(content, "saved.json")
     line = str(refused.value)
-    assert line.startswith("saved.json: expected") and "found" in line and ";" in line
+    assert re.match("saved.json: (expected .+, found .+|unknown word .+; known: .+); save", line)
     assert "\n" not in line and len(line) < 400
 
 
@@ -74,10 +75,10 @@ def test_a_file_from_before_patches_had_two_sides_has_squares() -> None:
     for wrong in ({"width": 0.3}, {"width": 0.3, "height": 2.0}, {"size": "0.3"}):
         without = {key: value for key, value in patch.items() if key != "size"}
         start[0]["occlusion"] = without | wrong
-        with pytest.raises(UserError, match="old.json: expected episodes"):
+        with pytest.raises(UserError, match=r"old.json: expected '?episodes\[0\]"):
             parse(json.dumps(put(document(), "episodes.0.start", start)).encode(), "old.json")
     start[0]["occlusion"] = patch | {"width": 0.3, "height": 0.3}
-    with pytest.raises(UserError, match="an object with kind, strength, x, y, size"):
+    with pytest.raises(UserError, match="width and height, or size"):
         parse(json.dumps(put(document(), "episodes.0.start", start)).encode(), "old.json")
 
 

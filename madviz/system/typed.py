@@ -51,6 +51,10 @@ def _mistake(message: str, value: Any, kind: type) -> str:
         words = " or ".join(KINDS.get(name, name) for name in wrong[1].split(" | ")) + wrong[2]
         named = f"{place!r} to be {words}" if place else words
         return f"expected {named}, found {_found(value, place)!r:.60}"
+    if what.startswith("Invalid enum value"):
+        here = [node for node in _at(kind, place) if isinstance(node, msgspec.inspect.LiteralType)]
+        words = " or ".join(str(value) for node in here for value in node.values)
+        return f"expected {place!r} to be {words}, found {_found(value, place)!r:.60}"
     return f"{what[0].lower()}{what[1:].replace('`', '')}" + (f" at {place!r}" if place else "")
 
 
@@ -65,12 +69,18 @@ def _steps(place: str) -> list[tuple[str, str]]:
 
 def _known(kind: type, place: str) -> list[str]:
     """The names that the table at ``place`` may hold."""
+    here = _at(kind, place)
+    structs = [node for node in here if isinstance(node, msgspec.inspect.StructType)]
+    return [field.encode_name for struct in structs for field in struct.fields]
+
+
+def _at(kind: type, place: str) -> list[msgspec.inspect.Type]:
+    """What may stand at ``place``."""
     here = _choices(msgspec.inspect.type_info(kind))
     for name, _ in _steps(place):
         inner = [each for node in here for each in _inside(node, name)]
         here = [choice for node in inner for choice in _choices(node)]
-    structs = [node for node in here if isinstance(node, msgspec.inspect.StructType)]
-    return [field.encode_name for struct in structs for field in struct.fields]
+    return here
 
 
 def _choices(node: msgspec.inspect.Type) -> list[msgspec.inspect.Type]:
