@@ -8,8 +8,8 @@ from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import CAMERAS, ToyReach
+from madviz.training.drawn_task import DrawnTask
 from madviz.training.plan import TrainingPlan
-from madviz.training.simulation import Simulation
 from madviz.types import PolicySpec
 
 THREE = SETTINGS["three"].streams
@@ -27,7 +27,7 @@ def toy_plan(
     trained = METHODS[method].trained_subsets(streams)
     return TrainingPlan(
         PolicySpec("p", "toy/reach", method, "three", recipe, streams, trained),
-        Simulation("toy/reach", "fast", CAMERAS, streams),
+        DrawnTask("toy/reach", "fast", CAMERAS, streams),
         replace(ToyReach().spec, horizon=horizon),
         NetworkConfig(6, 2, hidden_dim=hidden_dim, bottleneck_dim=6),
         METHODS[method].merge,

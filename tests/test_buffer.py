@@ -79,7 +79,7 @@ class Recorded:
 
 
 def drawn(buffer: ReplayBuffer, size: int = 4000) -> list[int]:
-    return sorted(set(buffer._draw(size, np.random.default_rng(1)).tolist()))
+    return sorted(set(buffer.draw(size, np.random.default_rng(1)).tolist()))
 
 
 @pytest.mark.parametrize("spec", [SPEC, PACKED])
@@ -140,7 +140,7 @@ def test_lanes_share_a_ring_and_never_mix() -> None:
                 else:
                     buffer.begin(state, frames)
     assert together.age == horizon and together.actions().shape == (horizon, lanes, 2)
-    index = np.unique(together._draw(2000, np.random.default_rng(1)))
+    index = np.unique(together.draw(2000, np.random.default_rng(1)))
     assert 42 <= len(index) == len(together)
     batch = together.batch(index)
     for place, number in enumerate(index.tolist()):

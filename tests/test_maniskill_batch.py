@@ -21,8 +21,8 @@ from madviz.envs.registry import MANISKILL_TASKS, make_env, setting_cameras
 from madviz.errors import UserError
 from madviz.training import vector_batch, vectorised
 from madviz.training.config import TrainConfig
+from madviz.training.drawn_task import DrawnTask
 from madviz.training.run_folder import RunFolder
-from madviz.training.simulation import Simulation
 from madviz.training.train import train
 from madviz.training.vector_batch import BatchedEnvs
 from madviz.training.vector_envs import Board, VectorEnvs
@@ -128,7 +128,7 @@ def on_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_its_lanes_are_those_of_processes(on_cpu: None) -> None:
     streams = ("first.rgb", "third_a.depth", "third_b.rgb")
     env = make_env("maniskill/pull-cube")
-    simulation = Simulation("maniskill/pull-cube", "fast", env.spec.cameras, streams)
+    simulation = DrawnTask("maniskill/pull-cube", "fast", env.spec.cameras, streams)
     one, other = (Board(1, streams, env.spec.state_dim, 4) for _ in range(2))
     batched = BatchedEnvs(simulation, env.spec, one, 1)
     others = VectorEnvs(simulation, other, 1, workers=0)
@@ -206,7 +206,7 @@ def test_many_copies_fill_their_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(vector_batch, "ManiSkillBatch", Three)
     spec = EnvSpec("maniskill/push-cube", cameras_of("push-cube"), 28, 4, 50)
     board = Board(3, ("third_a",), 28, 4)
-    simulation = Simulation("maniskill/push-cube", "fast", spec.cameras, ("third_a",))
+    simulation = DrawnTask("maniskill/push-cube", "fast", spec.cameras, ("third_a",))
     envs = BatchedEnvs(simulation, spec, board, 3)
     envs.reset([7, 8, 9])
     assert board["reward"][:, 0].tolist() == [7, 8, 9] and board["last"].all()
@@ -256,7 +256,7 @@ def test_the_gpu_is_claimed_before_anything_simulates(
         raise AssertionError("too early")
 
     monkeypatch.setattr(vectorised, "claim_gpu", claim)
-    monkeypatch.setattr("madviz.training.simulation.make_env", simulate)
+    monkeypatch.setattr("madviz.training.drawn_task.make_env", simulate)
     settings = VectorisedConfig(simulation="gpu")
     config = TrainConfig("maniskill/push-cube", "mad", "paper-vectorised", out=tmp_path / "run")
     with pytest.raises(Claimed):

@@ -33,10 +33,10 @@ from madviz.subsets import every_mask, mask_of
 from madviz.training import light
 from madviz.training.config import TrainConfig, resolve
 from madviz.training.demonstrations import Driver, Episode, Recorder, record_episode
+from madviz.training.drawn_task import DrawnTask
 from madviz.training.light import LightConfig, LightRun
 from madviz.training.paper import PaperConfig
 from madviz.training.run_folder import RunFolder
-from madviz.training.simulation import Simulation
 from madviz.training.train import train
 from madviz.types import Environment, PolicySpec
 from tests.plans import toy_plan
@@ -62,8 +62,8 @@ def short_toy() -> ToyReach:
 class InlineRecorder(Recorder):
     """Records at once, in this process."""
 
-    def __init__(self, simulation: Simulation, workers: int) -> None:
-        self.env, self.streams = short_toy(), simulation.streams
+    def __init__(self, drawn_task: DrawnTask, workers: int) -> None:
+        self.env, self.streams = short_toy(), drawn_task.streams
 
     def start(self, plan: list[tuple[Driver, int]]) -> list[Future[Episode]]:
         futures: list[Future[Episode]] = []
@@ -82,7 +82,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     def make(task: str, render_profile: str, cameras=()) -> Environment:
         return short_toy()
 
-    monkeypatch.setattr("madviz.training.simulation.make_env", make)
+    monkeypatch.setattr("madviz.training.drawn_task.make_env", make)
     monkeypatch.setattr(light, "Recorder", InlineRecorder)
     before = torch.get_num_threads()
     yield
@@ -239,7 +239,7 @@ def stepped(run: LightRun, monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     losses: dict[str, float] = {}
     monkeypatch.setattr(run, "_step", lambda name, loss: losses.__setitem__(name, loss.item()))
     monkeypatch.setattr(light, "autocast", lambda: torch.autocast("cpu", enabled=False))
-    run._update()
+    run.update()
     return losses
 
 
@@ -273,14 +273,15 @@ def test_a_light_update_is_imitation_and_the_methods_own_loss(
 
 
 def test_a_resumed_light_run_of_mvd_repeats_its_draws(tmp_path: Path) -> None:
-    whole, again = light_run("mvd", tmp_path), light_run("mvd", tmp_path)
-    whole._update()
-    whole.updates += 1
+    (tmp_path / "again").mkdir()
+    whole = light_run("mvd", tmp_path)
+    again = LightRun(whole.plan, whole.config, tmp_path / "again")
+    whole.update()
     state = copy.deepcopy(whole.state())
-    whole._update()
-    again.data, again._episodes = whole.data, tmp_path / "none"
+    whole.update()
+    again.data = whole.data
     again.restore(state)
-    again._update()
+    again.update()
     for one, two in zip(whole.agent.parameters(), again.agent.parameters(), strict=True):
         assert torch.equal(one, two)
 

@@ -42,7 +42,7 @@ def short_toy(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         env.spec = replace(env.spec, horizon=HORIZON, action_repeat=2)
         return env
 
-    monkeypatch.setattr("madviz.training.simulation.make_env", make)
+    monkeypatch.setattr("madviz.training.drawn_task.make_env", make)
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import multiprocessing
 import os
 import signal
 from collections.abc import Iterator
@@ -19,14 +20,14 @@ from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
 from madviz.training import loop
 from madviz.training.config import TrainConfig, resolve
+from madviz.training.drawn_task import DrawnTask
 from madviz.training.run_folder import Event, RunFolder
-from madviz.training.simulation import Simulation
 from madviz.training.train import train
 from madviz.training.vector_envs import Board, VectorEnvs
 from madviz.training.vectorised import VectorisedConfig
 
 STREAMS = ("first.rgb", "first.depth", "third_b.rgb")
-SIMULATION = Simulation("toy/reach", "fast", CAMERAS, STREAMS)
+TASK = DrawnTask("toy/reach", "fast", CAMERAS, STREAMS)
 TINY = VectorisedConfig(
     steps=80, exploration_steps=40, batch_size=4, hidden_dim=8, eval_every=1000, eval_episodes=1,
     save_every=30, precision="float32", environments=2, workers=0, update_ratio=0.2,
@@ -86,7 +87,7 @@ def board(lanes: int) -> Board:
 
 
 def test_lanes_in_processes_are_the_environments_themselves() -> None:
-    envs = VectorEnvs(SIMULATION, board(3), lanes=3, workers=2)
+    envs = VectorEnvs(TASK, board(3), lanes=3, workers=2)
     alone = [ToyReach() for _ in range(3)]
     rng = np.random.default_rng(0)
     try:
@@ -112,16 +113,16 @@ def test_lanes_in_processes_are_the_environments_themselves() -> None:
 
 
 def test_an_error_in_a_worker_is_raised_here_and_a_death_is_noticed() -> None:
-    envs = VectorEnvs(SIMULATION, board(2), lanes=2, workers=1)
+    envs = VectorEnvs(TASK, board(2), lanes=2, workers=1)
     envs.reset([1, 2])
     envs.send(np.full((2, 2), np.nan, np.float32))
     with pytest.raises(UserError, match="finite action"):
         envs.receive()
     envs.close()
-    envs = VectorEnvs(SIMULATION, board(1), lanes=1, workers=1)
-    pid = envs._workers[0]._process.pid
-    assert pid is not None
-    os.kill(pid, signal.SIGKILL)
+    envs = VectorEnvs(TASK, board(1), lanes=1, workers=1)
+    (worker,) = multiprocessing.active_children()
+    assert worker.pid is not None
+    os.kill(worker.pid, signal.SIGKILL)
     with pytest.raises(UserError, match="exit code -9.*--resume"):
         envs.reset([1])
     envs.close()
@@ -129,9 +130,9 @@ def test_an_error_in_a_worker_is_raised_here_and_a_death_is_noticed() -> None:
 
 def test_what_cannot_be_built_says_so_at_once() -> None:
     with pytest.raises(UserError, match="unknown task"):
-        VectorEnvs(replace(SIMULATION, task="toy/teach"), board(1), lanes=1, workers=1)
+        VectorEnvs(replace(TASK, task="toy/teach"), board(1), lanes=1, workers=1)
     with pytest.raises(UserError, match="1 or more environments"):
-        VectorEnvs(SIMULATION, board(1), lanes=0, workers=1)
+        VectorEnvs(TASK, board(1), lanes=0, workers=1)
 
 
 def test_the_schedule(undisturbed: tuple[Path, dict[str, Any]]) -> None:

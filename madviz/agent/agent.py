@@ -23,7 +23,7 @@ from madviz.types import Array, Encoded, PolicySpec, Readout
 
 
 class Agent(nn.Module):
-    """Encoder, actor, twin critic, its target, and the temperature. There is no target encoder."""
+    """Encoder, actor, two critics, its target, and the temperature. There is no target encoder."""
 
     def __init__(
         self,
@@ -72,8 +72,8 @@ class Agent(nn.Module):
 
     def acting_state(self) -> dict[str, Tensor]:
         """What a policy needs to act and to show Q: no target, no temperature."""
-        kept = ("encoder.", "actor.", "critic.")
-        return {k: v for k, v in self.state_dict().items() if k.startswith(kept)}
+        parts = ("encoder.", "actor.", "critic.")
+        return {k: v for k, v in self.state_dict().items() if k.startswith(parts)}
 
 
 class TorchPolicy:

@@ -1,8 +1,8 @@
 """The replay buffer: every camera frame once, stacks made when they are sampled.
 
 A transition shows each stream's last three frames, before and after: stored as it is used, every
-frame would be there six times. Here an *instant* (what was seen after a reset or a step) is one row
-of a ring, and a transition is two rows that follow each other:
+frame would be there six times. Here a *time step* (what was seen after a reset or a step) is one
+row of a ring, and a transition is two rows that follow each other:
 
     row      41      42      43      44      45                row 44 starts an episode: age 0
     age       8       9      10       0       1
@@ -11,10 +11,10 @@ of a ring, and a transition is two rows that follow each other:
 Memory for 500,000 transitions of three 84x84 RGB streams in episodes of 100 decisions: 505,003 rows
 of 63,504 bytes, 32.1 GB, where full stacks of both sides take 190. Frames may be packed without
 loss (``buffer_packed``), which takes 6 to 8 GB, or be on a disk; the need is said before the first
-step is taken, and looked at again when the first frames have been packed.
+step is taken, and checked again when the first frames have been packed.
 
 Several environments that step together share a ring: a row for each of them in turn, its *lanes*.
-What follows the instant i of a lane is then i + lanes.
+What follows the time step i of a lane is then i + lanes.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class BufferSpec:
     state_dim: int
     action_dim: int
     capacity: int
-    """Transitions that are kept at least."""
+    """Transitions that are stored at least."""
     horizon: int
     """Decisions in an episode; one more row than that is needed for it."""
     frame_stack: int = 3
@@ -74,13 +74,13 @@ class BufferSpec:
 
     @property
     def bytes_per_row(self) -> int:
-        """What an instant takes, or is expected to take where it is packed."""
+        """What a time step takes, or is expected to take where it is packed."""
         numbers = 4 * (self.state_dim + self.action_dim + 3) + 1
         return round(self.frame_bytes * (EXPECTED_SHARE if self.packed else 1)) + numbers
 
     @property
     def frame_bytes(self) -> int:
-        """What the frames of an instant take as they are."""
+        """What the frames of a time step take as they are."""
         return IMAGE_SIZE**2 * sum(self.channels)
 
 
@@ -117,14 +117,14 @@ class ReplayBuffer:
         return int(self._usable(np.arange(self._oldest, self._count)).sum())
 
     def begin(self, state: Array, frames: list[Array]) -> None:
-        """The first instant of an episode: ``state`` (S,), a frame (H, W, C) per stream."""
+        """The first time step of an episode: ``state`` (S,), a frame (H, W, C) per stream."""
         self._write(state, frames, age=0)
 
     def add(
         self, action: Array, reward: float, discount: float, state: Array, frames: list[Array]
     ) -> None:
-        """A step: what was done at the newest instant of the lane whose turn it is, and the
-        instant it led to. Raises UserError if frames turn out to pack too badly to fit."""
+        """A step: what was done at the newest time step of the lane whose turn it is, and the
+        time step it led to. Raises UserError if frames turn out to pack too badly to fit."""
         row, age = self._row(self._count - self.spec.lanes), self.age
         self._numbers["action"][row] = action
         self._numbers["reward"][row] = reward
@@ -138,7 +138,7 @@ class ReplayBuffer:
         return int(self._numbers["age"][self._row(self._count - self.spec.lanes)])
 
     def newest(self) -> tuple[Tensor, Tensor]:
-        """Views (L, V, C, H, W) uint8 and states (L, S) of every lane's newest instant."""
+        """Views (L, V, C, H, W) uint8 and states (L, S) of every lane's newest time step."""
         index = np.arange(self._count - self.spec.lanes, self._count)
         return self._stacks(index)[0], self._column("state", index)
 
@@ -150,10 +150,10 @@ class ReplayBuffer:
 
     def sample(self, size: int, rng: np.random.Generator) -> Batch:
         """``size`` transitions, uniformly and with replacement, from whole and running episodes."""
-        return self.batch(self._draw(size, rng))
+        return self.batch(self.draw(size, rng))
 
     def batch(self, index: Array) -> Batch:
-        """The transitions that begin at the instants numbered ``index`` (B,)."""
+        """The transitions that begin at the time steps numbered ``index`` (B,)."""
         names, following = ("state", "action", "reward", "discount"), index + self.spec.lanes
         views, next_views = self._stacks(index, following)
         return Batch(
@@ -219,10 +219,10 @@ class ReplayBuffer:
 
     @property
     def packed_bytes_per_row(self) -> float:
-        """What the frames of an instant take once packed; NaN before the first pack is made."""
+        """What the frames of a time step take once packed; NaN before the first pack is made."""
         assert isinstance(self._frames, PackedFrames)
-        size, instants = self._frames.bytes_packed
-        return size / instants if instants else float("nan")
+        size, count = self._frames.bytes_packed
+        return size / count if count else float("nan")
 
     @property
     def _columns(self) -> list[tuple[str, Array]]:
@@ -247,12 +247,13 @@ class ReplayBuffer:
             self._refuse_if_too_large(round(self.packed_bytes_per_row * self.spec.rows), None, None)
 
     def _usable(self, index: Array) -> Array:
-        """Whether a transition begins at these instants whose whole stack is still there."""
+        """Whether a transition begins at these time steps whose whole stack is still there."""
         row = self._row(index)
         reach = np.minimum(self._numbers["age"][row], self.spec.frame_stack - 1)
         return self._numbers["goes_on"][row] & (index - reach * self.spec.lanes >= self._oldest)
 
-    def _draw(self, size: int, rng: np.random.Generator) -> Array:
+    def draw(self, size: int, rng: np.random.Generator) -> Array:
+        """(size,) numbers of time steps at which a transition begins, for ``batch``."""
         found: list[int] = []
         if not len(self):
             raise ValueError("expected at least one transition in the buffer, found none")
@@ -265,8 +266,8 @@ class ReplayBuffer:
         return torch.from_numpy(self._numbers[name][self._row(index)])
 
     def _stacks(self, *indices: Array) -> list[Tensor]:
-        """Of each (B,) of instants its (B, V, 3 x stack, H, W) uint8, channels last in memory: what
-        the encoder wants. A frame that several stacks show is fetched once."""
+        """Of each (B,) of time steps its (B, V, 3 x stack, H, W) uint8, channels last in memory:
+        what the encoder wants. A frame that several stacks show is fetched once."""
         stack, size = self.spec.frame_stack, IMAGE_SIZE
         shape = (len(self.spec.streams), size, size, 3 * stack)
         stacks = [np.empty((len(index), *shape), np.uint8) for index in indices]
@@ -280,7 +281,7 @@ class ReplayBuffer:
         return [torch.from_numpy(out).permute(0, 1, 4, 2, 3) for out in stacks]
 
     def _history(self, index: Array) -> Array:
-        """(B, stack): the instants that the stacks at ``index`` (B,) show, oldest first."""
+        """(B, stack): the time steps that the stacks at ``index`` (B,) show, oldest first."""
         past = np.arange(self.spec.frame_stack)[::-1]
         back = np.minimum(past, self._numbers["age"][self._row(index)][:, None])
         return index[:, None] - back * self.spec.lanes
@@ -309,7 +310,7 @@ def _frame_store(spec: BufferSpec, folder: Path | None) -> FrameStore:
 
 
 def _span(part: str) -> tuple[int, int]:
-    """The instants in a part: from, and up to but without."""
+    """The time steps in a part: from, and up to but without."""
     start, stop = part.removesuffix(".npz").split("-")[1:]
     return int(start), int(stop)
 

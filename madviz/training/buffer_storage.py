@@ -2,17 +2,17 @@
 
 Frames of one task look alike: the table stays where it is and the arm moves a little. So a packed
 frame is compressed by zstd *against a few pictures* of the same stream, out of the same 1,024
-instants, which serve as a dictionary; what does not differ from them costs next to nothing. Every
+time steps, which serve as a dictionary; what does not differ from them costs next to nothing. Every
 frame is still unpacked on its own, and a transition needs only the four it shows per stream:
 
-    instants    1024 ... 2047               2048 ... 3071          3072 ...
-    kept as     pack: 8 pictures, frames    pack                   plain, until there are 1,024
+    time steps  1024 ... 2047               2048 ... 3071          3072 ...
+    stored as   pack: 8 pictures, frames    pack                   plain, until there are 1,024
 
-Subtracting each frame from the one before would pack tighter (10 against 11.5 kB an instant, three
+Subtracting each frame from the one before would pack tighter (10 against 11.5 kB a time step, three
 streams of Meta-World's hammer), but a frame could then only be reached through others before it.
 Plain frames take 63.5 kB. Unpacking takes 15 to 25 microseconds of one core a frame.
 
-Packs never change, and are let go whole when the ring has gone past them.
+Packs never change, and are dropped whole when the ring has gone past them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from madviz.observation.streams import IMAGE_SIZE
 from madviz.types import Array
 
 TOGETHER = 1024
-"""Instants in a pack; the newest ones, up to as many, are kept plain."""
+"""Time steps in a pack; the newest ones, up to as many, are stored plain."""
 PICTURES = 8
 """Frames that serve as a pack's dictionary."""
 LEVEL = 3
@@ -38,14 +38,14 @@ EXPECTED_SHARE = 0.375
 
 
 class FrameStore(Protocol):
-    """Frames by stream and instant; instants are numbered on and on, the oldest are forgotten."""
+    """Frames by stream and time step; steps are numbered on and on, the oldest are dropped."""
 
     def write(self, number: int, frames: Sequence[Array]) -> None:
-        """The frames (H, W, C) of all streams at the instant ``number``, the last one plus 1."""
+        """The frames (H, W, C) of all streams at the time step ``number``, the last one plus 1."""
         ...
 
     def read(self, stream: int, numbers: Iterable[int]) -> dict[int, Array]:
-        """Frames (H, W, C) by instant; not to be written to, and to be used before a ``write``."""
+        """Frames (H, W, C) by time step; not to be written to, and used before a ``write``."""
         ...
 
     @property
@@ -58,7 +58,7 @@ class PlainFrames:
     """Every frame as it is, in memory or in files."""
 
     def __init__(self, rows: int, channels: Sequence[int], files: Sequence[Path] = ()) -> None:
-        """Room for ``rows`` instants; in a file for each stream if there are ``files``."""
+        """Room for ``rows`` time steps; in a file for each stream if there are ``files``."""
         shapes = [(rows, IMAGE_SIZE, IMAGE_SIZE, count) for count in channels]
         self._rows = rows
         self._arrays: list[Array] = (
@@ -133,10 +133,10 @@ class Pack:
 
 
 class PackedFrames:
-    """Packs of ``TOGETHER`` instants, and the newest instants plain."""
+    """Packs of ``TOGETHER`` time steps, and the newest time steps plain."""
 
     def __init__(self, rows: int, channels: Sequence[int]) -> None:
-        """Remembers ``rows`` instants, and up to two packs more."""
+        """Remembers ``rows`` time steps, and up to two packs more."""
         self._rows = rows
         self._packs: dict[int, list[Pack]] = {}
         size = (TOGETHER, IMAGE_SIZE, IMAGE_SIZE)
@@ -148,8 +148,8 @@ class PackedFrames:
             array[place] = frame
         if place == TOGETHER - 1:
             self._packs[block] = [Pack.of(array) for array in self._open]
-            gone = (number + 1 - self._rows) // TOGETHER
-            for old in [each for each in self._packs if each < gone]:
+            first = (number + 1 - self._rows) // TOGETHER
+            for old in [each for each in self._packs if each < first]:
                 del self._packs[old]
 
     def read(self, stream: int, numbers: Iterable[int]) -> dict[int, Array]:
@@ -168,7 +168,7 @@ class PackedFrames:
 
     @property
     def bytes_packed(self) -> tuple[int, int]:
-        """Bytes of all packs, and the instants in them."""
+        """Bytes of all packs, and the time steps in them."""
         packs = self._packs.values()
         return sum(p.nbytes for pack in packs for p in pack), sum(len(pack[0]) for pack in packs)
 

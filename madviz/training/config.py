@@ -21,11 +21,11 @@ from madviz.envs.custom import allow_task
 from madviz.envs.registry import choose
 from madviz.errors import UserError, unknown
 from madviz.subsets import camera_of
+from madviz.training.drawn_task import DrawnTask
 from madviz.training.light import LightConfig, train_light
 from madviz.training.paper import PaperConfig, train_paper
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder
-from madviz.training.simulation import Simulation
 from madviz.training.vectorised import VectorisedConfig, train_vectorised
 from madviz.types import CameraSpec, PolicySpec
 
@@ -102,8 +102,8 @@ def resolve(config: TrainConfig) -> TrainingPlan:
     camera = _one_camera(config, chosen, setting.cameras)
     streams = tuple(s for s in setting.streams if not camera or camera_of(s) == camera)
     merge = chosen.merge_for(streams, config.merge)
-    simulation = Simulation(config.task, config.render_profile, cameras, streams)
-    with closing(simulation.build()) as env:
+    drawn_task = DrawnTask(config.task, config.render_profile, cameras, streams)
+    with closing(drawn_task.build()) as env:
         facts = env.spec
     options = getattr(config, RECIPES[config.recipe].options)
     return TrainingPlan(
@@ -117,7 +117,7 @@ def resolve(config: TrainConfig) -> TrainingPlan:
             trained_subsets=chosen.trained_subsets(streams),
             render_profile=config.render_profile,
         ),
-        simulation,
+        drawn_task,
         facts,
         NetworkConfig(
             facts.state_dim,

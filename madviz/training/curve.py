@@ -3,7 +3,7 @@
 Every subset is a line over simulator steps; its band is the 95% interval of that evaluation's
 episodes (Wilson). With the recipe's 20 episodes that is wide: 15 of 20 could be 0.53 or 0.89, so a
 dip in one line says little. Above it stand how far the run is and the time that is left at its
-pace so far. Several trainings in one picture, with intervals over their seeds, are
+rate so far. Several trainings in one picture, with intervals over their seeds, are
 ``madviz compare ... --curves FILE``.
 """
 

@@ -29,7 +29,7 @@ from madviz.observation.ablation import Ablation
 from madviz.observation.streams import StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of
 from madviz.system.processes import set_up_worker
-from madviz.training.simulation import Simulation
+from madviz.training.drawn_task import DrawnTask
 from madviz.types import Array, Environment, Policy
 
 
@@ -161,27 +161,27 @@ class Dataset:
 
 
 @lru_cache(maxsize=1)
-def _environment(simulation: Simulation) -> Environment:
+def _environment(drawn_task: DrawnTask) -> Environment:
     """A worker process keeps its environment between episodes."""
-    return simulation.build()
+    return drawn_task.build()
 
 
-def _record(simulation: Simulation, driver: Driver, seed: int) -> Episode:
+def _record(drawn_task: DrawnTask, driver: Driver, seed: int) -> Episode:
     """``record_episode`` for a process pool; PyTorch on one thread, so that results repeat."""
     with one_thread():
-        return record_episode(_environment(simulation), simulation.streams, driver, seed)
+        return record_episode(_environment(drawn_task), drawn_task.streams, driver, seed)
 
 
 class Recorder:
     """Records a round's episodes in worker processes while the caller does something else."""
 
-    def __init__(self, simulation: Simulation, workers: int) -> None:
-        self._simulation = simulation
+    def __init__(self, drawn_task: DrawnTask, workers: int) -> None:
+        self._task = drawn_task
         context = multiprocessing.get_context("spawn")
         self._pool = ProcessPoolExecutor(workers, mp_context=context, initializer=set_up_worker)
 
     def start(self, plan: list[tuple[Driver, int]]) -> list[Future[Episode]]:
-        return [self._pool.submit(_record, self._simulation, d, s) for d, s in plan]
+        return [self._pool.submit(_record, self._task, d, s) for d, s in plan]
 
     @staticmethod
     def finish(recording: list[Future[Episode]]) -> list[Episode]:

@@ -40,8 +40,12 @@ BUDGETS: dict[str, dict[str, tuple[str, ...]]] = {
         "a look": ("--light.rounds", "4", "--light.critic-updates", "500"),
         "short": (),
         "full": (
-            *("--light.rounds", "30", "--light.updates-per-round", "500"),
-            *("--light.alpha", "0.25"),
+            "--light.rounds",
+            "30",
+            "--light.updates-per-round",
+            "500",
+            "--light.alpha",
+            "0.25",
         ),
     },
     "paper": {
@@ -82,7 +86,7 @@ class JobConfig:
 
 @dataclass(frozen=True)
 class JobStatus:
-    """What is known of the job at one instant."""
+    """What is known of the job at one time step."""
 
     state: State = "idle"
     config: JobConfig | None = None
@@ -141,7 +145,7 @@ class TrainingJob:
         with self._lock:
             if self._child is not None and self._child.poll() is None:
                 self._stopping = True
-                # Not SIGINT: whoever is started in a shell's background is born deaf to it.
+                # Not SIGINT: a process that a shell started in the background ignores it.
                 self._child.send_signal(signal.SIGTERM)
 
     def status(self) -> JobStatus:

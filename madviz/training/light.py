@@ -50,7 +50,7 @@ from madviz.types import Array
 
 @dataclass(frozen=True)
 class LightConfig:
-    """The light recipe's dials; defaults were chosen by measurement on hammer."""
+    """The options of the light recipe; defaults were chosen by measurement on hammer."""
 
     rounds: int = 12
     """Rounds of recording and updates after the first demonstrations."""
@@ -116,7 +116,7 @@ class LightRun:
     """The state of a run and one method per thing that happens to it."""
 
     def __init__(self, plan: TrainingPlan, config: LightConfig, folder: Path) -> None:
-        """Episodes are kept in ``folder``, for a run that is resumed."""
+        """Episodes are saved in ``folder``, for a run that is resumed."""
         self.plan, self.config, self.agent = plan, config, plan.new_agent()
         agent, streams = self.agent, plan.spec.streams
         self.masks = torch.from_numpy(plan.method.masks(streams))
@@ -170,12 +170,12 @@ class LightRun:
         """One round of updates; the mean loss."""
         total = 0.0
         for _ in range(self.config.updates_per_round):
-            total += self._update()
-            self.updates += 1
+            total += self.update()
         self.round += 1
         return total / self.config.updates_per_round
 
-    def _update(self) -> float:
+    def update(self) -> float:
+        """One gradient step; the imitation loss."""
         config = self.config
         index = self.rng.integers(0, len(self.data), config.batch_size)
         # Of this update alone, so that a resumed run draws the same.
@@ -195,6 +195,7 @@ class LightRun:
             pairs = zip(self.average.parameters(), self.agent.parameters(), strict=True)
             for slow, fast in pairs:
                 slow.lerp_(fast, 1 - decay)
+        self.updates += 1
         return loss.item()
 
     def _own_step(self, index: Array, generator: torch.Generator) -> None:
@@ -258,7 +259,7 @@ def train_light(plan: TrainingPlan, config: LightConfig, folder: RunFolder) -> N
         run.restore(state)
         folder.truncate_curve("round", run.round)
     started = time.monotonic()
-    with closing(Recorder(plan.simulation, config.workers)) as recorder:
+    with closing(Recorder(plan.drawn_task, config.workers)) as recorder:
         run_rounds(run, folder, recorder)
     folder.report("done", seconds=round(time.monotonic() - started, 1), path=str(folder.path))
 

@@ -1,7 +1,7 @@
 """The light recipe's critic: fitted at the end, on features that no longer change.
 
 The actor learned by imitation and needed no critic; the page wants to show Q. So after the last
-round the recorded episodes are encoded once, and the twin critic is fitted to the rewards in them
+round the recorded episodes are encoded once, and the critic is fitted to the rewards in them
 with the method's critic loss. For MAD every row is regressed on one target, read from merged
 features,
 

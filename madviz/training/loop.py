@@ -35,12 +35,12 @@ def train_on(run: ReinforcementRun) -> None:
 
 def _loop(run: ReinforcementRun) -> None:
     saved, began = run.step, time.monotonic() - run.seconds
-    reported, rates = time.monotonic(), Rates(run)
+    reported, speed = time.monotonic(), Speed(run)
     with interruptible() as stop:
         while True:
             if run.evaluation_due():
-                _evaluate(run, stop.is_set, rates)
-                rates = Rates(run)
+                _evaluate(run, stop.is_set, speed)
+                speed = Speed(run)
             run.seconds = time.monotonic() - began
             if run.finished or stop.is_set() or run.step - saved >= run.config.save_every:
                 _save(run)
@@ -52,14 +52,14 @@ def _loop(run: ReinforcementRun) -> None:
             now = time.monotonic()
             run.busy += now - before
             if now - reported > PROGRESS_SECONDS:
-                _report(run, rates)
+                _report(run, speed)
                 reported = now
         # Not where somebody stopped it: the last evaluation may still be due.
         if run.finished and not stop.is_set():
             run.folder.finish()
 
 
-class Rates:
+class Speed:
     """How fast a run goes since now; evaluating and saving are left out."""
 
     def __init__(self, run: ReinforcementRun) -> None:
@@ -75,7 +75,7 @@ class Rates:
         }
 
 
-def _evaluate(run: ReinforcementRun, stop: Callable[[], bool], rates: Rates) -> None:
+def _evaluate(run: ReinforcementRun, stop: Callable[[], bool], speed: Speed) -> None:
     """A row of the curve, and the picture of all rows."""
     try:
         row = run.evaluate(stop)
@@ -84,7 +84,7 @@ def _evaluate(run: ReinforcementRun, stop: Callable[[], bool], rates: Rates) -> 
     counts = {"step": run.step, "env_steps": run.env_steps, "updates": run.updates}
     losses = {name: round(run.losses.get(name, float("nan")), 5) for name in _LOSSES}
     left = _seconds_left(run) if run.step else ""
-    clock = {"seconds": round(run.seconds, 1), "seconds_left": left, **rates.now()}
+    clock = {"seconds": round(run.seconds, 1), "seconds_left": left, **speed.now()}
     episodes = {"episodes": run.config.eval_episodes}
     run.folder.report("curve", **counts, **clock, **episodes, **row, **losses)
     draw_curve(run.folder.path, run.plan.spec.name, run.config.steps)
@@ -93,7 +93,7 @@ def _evaluate(run: ReinforcementRun, stop: Callable[[], bool], rates: Rates) -> 
 _LOSSES = ("critic_loss", "actor_loss", "temperature", "entropy")
 
 
-def _report(run: ReinforcementRun, rates: Rates) -> None:
+def _report(run: ReinforcementRun, speed: Speed) -> None:
     run.folder.report(
         "progress",
         step=run.step,
@@ -101,7 +101,7 @@ def _report(run: ReinforcementRun, rates: Rates) -> None:
         episodes=run.episodes,
         updates=run.updates,
         seconds_left=_seconds_left(run),
-        **rates.now(),
+        **speed.now(),
         **{name: round(value, 4) for name, value in run.losses.items()},
     )
 

@@ -15,11 +15,11 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass
 
+from madviz.training.drawn_task import newest_frames
 from madviz.training.loop import train_on
 from madviz.training.plan import TrainingPlan
 from madviz.training.reinforcement import ReinforcementConfig, ReinforcementRun
 from madviz.training.run_folder import RunFolder
-from madviz.training.simulation import newest_frames
 from madviz.types import Array
 
 
@@ -69,5 +69,5 @@ def train_paper(plan: TrainingPlan, config: PaperConfig, folder: RunFolder) -> N
     Ctrl-C saves after the decision (or evaluation episode) at hand. Raises UserError for what the
     machine cannot do.
     """
-    with closing(plan.simulation.build()) as env:
+    with closing(plan.drawn_task.build()) as env:
         train_on(PaperRun(plan, config, env, folder))

@@ -15,8 +15,8 @@ from madviz.agent.methods import Method, method
 from madviz.agent.networks import NetworkConfig
 from madviz.policies.checkpoint import save_policy
 from madviz.policies.config import TrainingRecord, policy_config
+from madviz.training.drawn_task import DrawnTask
 from madviz.training.run_folder import RunFolder
-from madviz.training.simulation import Simulation
 from madviz.types import EnvSpec, PolicySpec
 
 
@@ -26,9 +26,9 @@ class TrainingPlan:
 
     spec: PolicySpec
     """What the trained policy will say of itself: name, method, streams, trained subsets."""
-    simulation: Simulation
+    drawn_task: DrawnTask
     env: EnvSpec
-    """The facts of an environment that ``simulation`` builds."""
+    """The facts of an environment that ``drawn_task`` builds."""
     networks: NetworkConfig
     merge: str
     """How streams become one feature: a row of ``MERGES``."""

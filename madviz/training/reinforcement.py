@@ -111,7 +111,7 @@ class ReinforcementRun:
         lanes: int = 1,
         device: str = "cpu",
     ) -> None:
-        """``env`` is what ``plan.simulation`` builds; ``lanes`` environments fill the buffer in
+        """``env`` is what ``plan.drawn_task`` builds; ``lanes`` environments fill the buffer in
         turn. Raises UserError if the buffer will not fit."""
         self.plan, self.config, self.env, self.folder = plan, config, env, folder
         self.learner = Learner(

@@ -32,7 +32,7 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
     reuse_large_blocks()
     torch.set_num_threads(config.threads or _usual_threads(config))
     out = config.out or Path("runs") / plan.spec.name
-    facts = identity(config, plan.simulation.cameras)
+    facts = identity(config, plan.drawn_task.cameras)
     folder = RunFolder(out, facts, config.resume, listener or print_event)
     if folder.finished:
         folder.finish()  # Again: the first time may have been cut off.

@@ -13,7 +13,7 @@ from madviz.envs.maniskill.batch import ManiSkillBatch, Steps
 from madviz.errors import UserError
 from madviz.observation.streams import stream_frame
 from madviz.subsets import camera_of
-from madviz.training.simulation import Simulation
+from madviz.training.drawn_task import DrawnTask
 from madviz.training.vector_envs import Board
 from madviz.types import Array, EnvSpec
 
@@ -32,13 +32,13 @@ def check_batched(task: str) -> None:
 class BatchedEnvs:
     """``lanes`` environments in one simulation; see the module."""
 
-    def __init__(self, simulation: Simulation, spec: EnvSpec, board: Board, lanes: int) -> None:
+    def __init__(self, drawn_task: DrawnTask, spec: EnvSpec, board: Board, lanes: int) -> None:
         """``spec`` is that of a single one. Raises UserError as ``ManiSkillBatch`` does."""
-        check_batched(simulation.task)
+        check_batched(drawn_task.task)
         self.board, self.lanes = board, lanes
-        self._spec, self._streams = spec, simulation.streams
-        task = simulation.task.removeprefix(SUITE)
-        self._batch = ManiSkillBatch(task, lanes, simulation.render_profile, simulation.cameras)
+        self._spec, self._streams = spec, drawn_task.streams
+        task = drawn_task.task.removeprefix(SUITE)
+        self._batch = ManiSkillBatch(task, lanes, drawn_task.render_profile, drawn_task.cameras)
 
     def reset(self, seeds: list[int]) -> None:
         """A new episode in every lane."""

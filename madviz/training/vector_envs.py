@@ -28,7 +28,7 @@ from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.subsets import modality_of
 from madviz.system.processes import set_up_worker
-from madviz.training.simulation import Simulation, newest_frames
+from madviz.training.drawn_task import DrawnTask, newest_frames
 from madviz.types import Array, Environment, TimeStep
 
 
@@ -61,9 +61,9 @@ class Board:
 class Lanes:
     """Some of the environments, in the process that steps them."""
 
-    def __init__(self, simulation: Simulation, board: Board, places: Sequence[int]) -> None:
-        self._streams, self._board, self._places = simulation.streams, board, places
-        self._envs = [simulation.build() for _ in places]
+    def __init__(self, drawn_task: DrawnTask, board: Board, places: Sequence[int]) -> None:
+        self._streams, self._board, self._places = drawn_task.streams, board, places
+        self._envs = [drawn_task.build() for _ in places]
 
     def reset(self, seeds: Sequence[int]) -> None:
         """A new episode in every lane; ``seeds`` are all lanes', here and elsewhere."""
@@ -100,7 +100,7 @@ class Lanes:
 class VectorEnvs:
     """``lanes`` environments in ``workers`` processes; see the module."""
 
-    def __init__(self, simulation: Simulation, board: Board, lanes: int, workers: int) -> None:
+    def __init__(self, drawn_task: DrawnTask, board: Board, lanes: int, workers: int) -> None:
         """Raises UserError for numbers that make no sense, and what building one raises."""
         if lanes < 1 or workers < 0:
             raise UserError(
@@ -108,10 +108,10 @@ class VectorEnvs:
                 f"{workers}; see --vectorised.environments and --vectorised.workers"
             )
         self.board, self.lanes = board, lanes
-        self._streams = simulation.streams
-        self._here = None if workers else Lanes(simulation, board, range(lanes))
+        self._streams = drawn_task.streams
+        self._here = None if workers else Lanes(drawn_task, board, range(lanes))
         shares = [s.tolist() for s in np.array_split(np.arange(lanes), min(workers or 1, lanes))]
-        self._workers = [_Worker(simulation, board, share) for share in shares] if workers else []
+        self._workers = [_Worker(drawn_task, board, share) for share in shares] if workers else []
         try:
             self._wait()
         except BaseException:
@@ -152,7 +152,7 @@ class VectorEnvs:
         if self._here is not None:
             getattr(self._here, name)(*arguments)
         for worker in self._workers:
-            worker.tell((name, *arguments))
+            worker.send((name, *arguments))
 
     def _wait(self) -> None:
         for worker in self._workers:
@@ -162,27 +162,27 @@ class VectorEnvs:
 class _Worker:
     """A process with some lanes, seen from here."""
 
-    def __init__(self, simulation: Simulation, board: Board, places: Sequence[int]) -> None:
+    def __init__(self, drawn_task: DrawnTask, board: Board, places: Sequence[int]) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(
-            target=_work, args=(theirs, simulation, board, places), daemon=True
+            target=_work, args=(theirs, drawn_task, board, places), daemon=True
         )
         self._process.start()
         theirs.close()  # So that its death is heard.
 
-    def tell(self, order: tuple[Any, ...]) -> None:
+    def send(self, order: tuple[Any, ...]) -> None:
         try:
             self._connection.send(order)
         except OSError as error:
             raise self._died() from error
 
     def wait(self) -> None:
-        """Until it has done what it was told; raises what went wrong there."""
+        """Until it has done what was asked; raises what went wrong there."""
         try:
             error = self._connection.recv()
-        except (EOFError, OSError) as gone:
-            raise self._died() from gone
+        except (EOFError, OSError) as error:
+            raise self._died() from error
         if error is not None:
             raise error
 
@@ -202,13 +202,13 @@ class _Worker:
 
 
 def _work(
-    connection: Connection, simulation: Simulation, board: Board, places: Sequence[int]
+    connection: Connection, drawn_task: DrawnTask, board: Board, places: Sequence[int]
 ) -> None:
     """Runs in a worker process, until the other end of the connection is closed."""
     set_up_worker()
     lanes: Lanes | None = None
     try:
-        lanes = Lanes(simulation, board, places)
+        lanes = Lanes(drawn_task, board, places)
         connection.send(None)
         while True:
             name, *arguments = connection.recv()

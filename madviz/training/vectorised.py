@@ -7,7 +7,7 @@ the learner makes its updates *while* they step:
     act in L lanes -> workers step and draw ......................... -> L transitions
                          meanwhile updates on what was there before
 
-How much is learned from a decision is a dial: ``update_ratio``, 0.5 in the paper. With 8
+How much is learned from a decision is an option: ``update_ratio``, 0.5 in the paper. With 8
 environments that is 4 updates for a step of all; fewer make a run shorter and each decision count
 for less. The curve reports both rates, ``env_steps_per_s`` and ``updates_per_s``.
 
@@ -162,13 +162,13 @@ def train_vectorised(plan: TrainingPlan, config: VectorisedConfig, folder: RunFo
         raise UserError(
             f"expected an --vectorised.update-ratio of 0 or more, found {config.update_ratio}"
         )
-    simulation, facts, lanes = plan.simulation, plan.env, config.environments
+    drawn_task, facts, lanes = plan.drawn_task, plan.env, config.environments
     with ExitStack() as resources:
-        env = resources.enter_context(closing(simulation.build()))
-        board = Board(lanes, simulation.streams, facts.state_dim, facts.action_dim)
+        env = resources.enter_context(closing(drawn_task.build()))
+        board = Board(lanes, drawn_task.streams, facts.state_dim, facts.action_dim)
         if config.simulation == "gpu":
-            envs = BatchedEnvs(simulation, facts, board, lanes)
+            envs = BatchedEnvs(drawn_task, facts, board, lanes)
         else:
-            envs = VectorEnvs(simulation, board, lanes, config.processes())
+            envs = VectorEnvs(drawn_task, board, lanes, config.processes())
         resources.callback(envs.close)
         train_on(VectorisedRun(plan, config, env, folder, envs))

@@ -58,7 +58,7 @@ class PerViewActor(ActorHead):
 
 
 class PerViewCritic(CriticHead):
-    """The mean of one twin critic's answers to every present view."""
+    """The mean of one critic's answers to every present view."""
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()

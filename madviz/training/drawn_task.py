@@ -11,7 +11,7 @@ from madviz.types import Array, CameraSpec, Environment
 
 
 @dataclass(frozen=True)
-class Simulation:
+class DrawnTask:
     """A task as it is drawn, and the streams that are taken from it."""
 
     task: str
