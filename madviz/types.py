@@ -15,7 +15,7 @@ that dropping a camera is data and never a code path.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -230,6 +230,7 @@ class PolicySpec:
     horizon: int = 0
 
 
+@runtime_checkable
 class Policy(Protocol):
     """Three small methods; anything that has them can be explored and evaluated."""
 

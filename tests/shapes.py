@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from beartype import BeartypeConf, beartype
 
-MODULES = ("madviz.types", "madviz.agent.objectives", "madviz.agent.agent")
+MODULES = (
+    "madviz.types",
+    "madviz.agent.objectives",
+    "madviz.agent.agent",
+    "madviz.analysis.probes",
+    "madviz.analysis.projection",
+)
 """Whose annotations are checked."""
 
 checked = beartype(conf=BeartypeConf(is_pep484_tower=True))

@@ -172,7 +172,7 @@ def test_a_difference_is_found_and_explained() -> None:
     row = replay_row(other.episodes[0], other, find)
     assert not row["same"] and row["first_difference"] == 3
     assert row["same_bits"] == {"actions": False, "rewards": True, "success": True}
-    words = replay_words({"episodes": [row]})
+    words = replay_words({"schema": 1, "file": "x", "same": False, "episodes": [row]})
     assert "actions DIFFER from decision 3 on: toy-mad had the digest older" in words
     assert "numpy was 0.1" in words
 

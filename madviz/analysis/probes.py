@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from madviz.subsets import every_mask
 from madviz.types import Array, Encoded, Policy, Readout
@@ -22,12 +23,12 @@ Merged = Literal["sum", "mean", "other", "no views"]
 class Probe:
     """The features of one time step and what every subset of them would do."""
 
-    features: Array
-    """(V, Z) one row per stream."""
-    masks: Array
-    """(N, V) bool, every subset; the full one first, the empty one last."""
-    supported: Array
-    """(N,) bool; rows of ``readout`` that this policy cannot give are NaN."""
+    features: Float[Array, "V Z"]
+    """One row per stream."""
+    masks: Bool[Array, "N V"]
+    """Every subset; the full one first, the empty one last."""
+    supported: Bool[Array, " N"]
+    """Rows of ``readout`` that this policy cannot give (False) are NaN."""
     readout: Readout
 
     def row(self, mask: Array) -> int:
@@ -36,18 +37,18 @@ class Probe:
         return int((~bits) @ (1 << np.arange(len(bits))[::-1]))
 
     @property
-    def norms(self) -> Array:
+    def norms(self) -> Float[Array, " V"]:
         """(V,) norms of the stream features."""
         return np.linalg.norm(self.features, axis=1)
 
-    def merged(self, row: int) -> Array:
+    def merged(self, row: int) -> Float[Array, " Z"]:
         """(Z,) float32 merged feature; a timeline's past may be rounded to half of that."""
         return self.readout.merged[row].astype(np.float32, copy=False)
 
     def merged_norm(self, row: int) -> float:
         return float(np.linalg.norm(self.merged(row)))
 
-    def cosines(self, row: int) -> Array:
+    def cosines(self, row: int) -> Float[Array, " V"]:
         """(V,) cosine of every stream's feature to the merged one; NaN where one has norm 0."""
         merged = self.merged(row)
         norms = self.norms * np.linalg.norm(merged)
@@ -56,7 +57,7 @@ class Probe:
         dots = self.features @ merged
         return np.divide(dots, norms, out=np.full(len(dots), np.nan), where=norms > 1e-12)
 
-    def shares(self, row: int) -> Array:
+    def shares(self, row: int) -> Float[Array, " V"]:
         """(V,) how much of the merged feature M of ``row`` each stream explains, V_i . M / |M|^2.
 
         Where M is a sum they add up to 1, because the V_i . M add up to M . M; for a mean each is
@@ -87,7 +88,7 @@ class Probe:
         return "mean" if np.linalg.norm(merged - total / count) <= near / count else "other"
 
 
-def probe(policy: Policy, encoded: Encoded, masks: Array | None = None) -> Probe:
+def probe(policy: Policy, encoded: Encoded, masks: Bool[Array, "N V"] | None = None) -> Probe:
     """Reads every subset of ``encoded`` that ``policy`` supports, in one pass."""
     if masks is None:
         masks = every_mask(len(encoded.features))

@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from madviz.errors import UserError
 from madviz.types import Array
@@ -30,19 +31,19 @@ DECISIONS = 40
 class Basis:
     """Two fixed directions in the space of features."""
 
-    mean: Array
-    """(Z,) where the map's origin is."""
-    axes: Array
-    """(2, Z) of norm 1, at right angles; zeros where features differ in fewer directions."""
+    mean: Float[Array, " Z"]
+    """Where the map's origin is."""
+    axes: Float[Array, "2 Z"]
+    """Of norm 1, at right angles; zeros where features differ in fewer directions."""
     share: float
     """Of the variance of what it was made of, in [0, 1], that the two axes show."""
-    low: Array
-    """(2,) the least coordinates of what it was made of."""
-    high: Array
-    """(2,) the greatest."""
+    low: Float[Array, 2]
+    """The least coordinates of what it was made of."""
+    high: Float[Array, 2]
+    """The greatest."""
 
-    def project(self, features: Array) -> Array:
-        """(N, Z) -> (N, 2) float64."""
+    def project(self, features: Float[Array, "... Z"]) -> Float[Array, "N 2"]:
+        """Rows of features, or one, to points, float64."""
         return (np.atleast_2d(features).astype(np.float64) - self.mean) @ self.axes.T
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from madviz.envs.registry import make_env, sees
 from madviz.errors import UserError
@@ -52,7 +52,34 @@ class ReplayConfig:
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
 
 
-def run_replay(config: ReplayConfig) -> dict[str, Any]:
+class ReplayRow(TypedDict):
+    """What became of one episode, as JSON has it."""
+
+    policy: str
+    task: str
+    seed: int
+    steps: int
+    commands: int
+    success: bool
+    success_here: bool
+    same_bits: dict[str, bool]
+    """By stream: actions, rewards, success."""
+    same: bool
+    first_difference: int | None
+    """The decision, from 1, at which they part."""
+    reasons: list[str]
+
+
+class ReplayResult(TypedDict):
+    """What ``madviz replay --json`` writes."""
+
+    schema: int
+    file: str
+    same: bool
+    episodes: list[ReplayRow]
+
+
+def run_replay(config: ReplayConfig) -> ReplayResult:
     """Replays the episodes of a file. Raises UserError for an unusable file, policy
     or task. ``same`` is whether all actions, rewards and successes are."""
     saved = read_session(config.file)
@@ -145,8 +172,8 @@ def check_policies(episode: SavedEpisode, find: Finder, env: Environment | None 
 
 def replay_row(
     episode: SavedEpisode, saved: SavedSession, find: Finder, env_factory: EnvFactory = make_env
-) -> dict[str, Any]:
-    """What became of one episode, as JSON has it."""
+) -> ReplayRow:
+    """Replays one episode and compares."""
     again = replay_episode(episode, find, env_factory)
     same = {name: again.sha256[name] == episode.sha256[name] for name in STREAMS}
     return {
@@ -192,7 +219,7 @@ def differences(episode: SavedEpisode, saved: SavedSession, find: Finder) -> lis
     return found
 
 
-def replay_words(result: dict[str, Any]) -> str:
+def replay_words(result: ReplayResult) -> str:
     """The result as lines."""
     lines = []
     for number, row in enumerate(result["episodes"], 1):
@@ -205,7 +232,7 @@ def replay_words(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _verdict(row: dict[str, Any]) -> str:
+def _verdict(row: ReplayRow) -> str:
     if row["same"]:
         return "actions, rewards and success are the same to the bit"
     different = [name for name, same in row["same_bits"].items() if not same]

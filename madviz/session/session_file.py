@@ -25,7 +25,6 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
@@ -123,7 +122,8 @@ class SavedSession:
         """As a file has it; ``session_reader.parse`` is the way back."""
         return pretty(
             {
-                **{"schema": SCHEMA, "versions": self.versions},
+                "schema": SCHEMA,
+                "versions": self.versions,
                 "episodes": [_episode_fields(episode) for episode in self.episodes],
             }
         )
@@ -162,7 +162,7 @@ def trace_of(streams: dict[str, list[bytes]]) -> str:
     return "".join(hashlib.sha256(b"".join(step)).hexdigest()[:TRACE] for step in steps)
 
 
-def _episode_fields(episode: SavedEpisode) -> dict[str, Any]:
+def _episode_fields(episode: SavedEpisode) -> dict[str, object]:
     fields = {name: getattr(episode, name) for name in episode.__dataclass_fields__}
     return {
         **fields,
@@ -173,19 +173,19 @@ def _episode_fields(episode: SavedEpisode) -> dict[str, Any]:
     }
 
 
-def _command_fields(saved: SavedCommand) -> dict[str, Any]:
+def _command_fields(saved: SavedCommand) -> dict[str, object]:
     if isinstance(saved.command, SavedPolicy):
         return {"step": saved.step, "policy": saved.command.name, "digest": saved.command.digest}
     return {"step": saved.step, **_camera_fields(saved.command)}
 
 
-def _camera_fields(command: SetCamera | MoveCamera) -> dict[str, Any]:
+def _camera_fields(command: SetCamera | MoveCamera) -> dict[str, object]:
     """The occlusion is left out where it is none; one that is off may still have a strength, as a
     slider left it, and that is saved: equal means equal."""
     if isinstance(command, MoveCamera):
         return {"camera": command.camera, "move": asdict(command.move) if command.move else None}
     state: CameraState = command.state
-    fields: dict[str, Any] = {"camera": command.camera, "input": state.input}
+    fields: dict[str, object] = {"camera": command.camera, "input": state.input}
     if state.occlusion != Occlusion():
         fields["occlusion"] = asdict(state.occlusion)
     return fields
