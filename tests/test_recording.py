@@ -286,7 +286,7 @@ def test_a_link_is_followed_and_a_pipe_written_to(tmp_path: Path) -> None:
         (("--policy", "toy-mad", "--out", "nowhere/x.rrd"), "a folder that exists"),
         (("--out", "x.rrd"), "expected --policy NAME or --replay FILE"),
         (("--replay", "k.json", "--drop", "first@2", "--out", "x.rrd"), "leave them out"),
-        (("--replay", "k.json", "--out", "x.rrd"), "expected a kept session, found none"),
+        (("--replay", "k.json", "--out", "x.rrd"), "expected a saved session, found none"),
         (
             ("--policy", "toy-mad", "--drop", "fourth@2", "--out", "x.rrd"),
             "unknown camera 'fourth'",
