@@ -3,7 +3,9 @@
 # make test    set up the same, then the fast and the real-browser tests
 # make docs    the documentation as a site in build/docs
 # make dist    a wheel and a source archive in dist/
-# make figures  figures and pictures in README and docs, from checkpoints/ and results/
+# make figures  evaluate every policy on the reporting seeds (hours; goes on where it was stopped),
+#               then make pictures
+# make pictures  results/RESULTS.md, and figures and pictures in README and docs, from the files
 #
 # Variables: PYTHON=python3.12      the Python the environment is made from (3.11 or newer)
 #            TORCH_INDEX=ADDRESS    where to take torch from, for example the index of its CPU builds
@@ -13,7 +15,7 @@ PYTHON ?= python3
 POLICY ?= metaworld-hammer-mad-light
 BIN    := .venv/bin
 
-.PHONY: notebooks help demo setup setup-dev test test-slow check docs figures dist bench clean
+.PHONY: notebooks help demo setup setup-dev test test-slow check docs figures pictures dist bench clean
 
 help:
 	@sed -n '/^$$/q; s/^# \{0,1\}//p' Makefile
@@ -49,6 +51,10 @@ dist: .venv/dev.stamp
 	$(BIN)/python -m build --outdir dist .
 
 figures: setup-dev
+	$(BIN)/madviz report --evaluate
+	$(MAKE) pictures
+
+pictures: setup-dev
 	$(BIN)/madviz report
 	$(BIN)/python tools/figures.py
 	$(BIN)/python tools/fill_figures.py

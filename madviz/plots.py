@@ -1,9 +1,12 @@
-"""Figures for files: bars with intervals, lines with bands, curves over an episode.
+"""Figures for files: bars and dots with intervals, tables of rates, lines, curves over an episode.
 
 matplotlib draws them, as SVG text that is the same to the byte whenever it is made from the same
 numbers: without a date, a version or random names, and with text as text. Nothing is clipped, so
 no reference in it leads outside, and one HTML page can hold several of them. What belongs to
-the data is in groups of the class ``bar``, ``dot``, ``line``, ``band`` or ``mark``.
+the data is in groups of the class ``bar``, ``dot``, ``cell``, ``line``, ``band`` or ``mark``.
+
+A method has one colour and one marker in every figure (``STYLES``). No two markers are alike, so
+that a figure can be read without colours.
 
 matplotlib takes half a second to import, so that happens when something is drawn.
 """
@@ -11,35 +14,86 @@ matplotlib takes half a second to import, so that happens when something is draw
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from io import StringIO
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = (
-    "#0b6e99",
-    "#d9730d",
-    "#5c8a3a",
-    "#ad1a72",
-    "#6940a5",
-    "#8f6b4a",
-    "#2f9e9e",
-    "#777777",
-    "#c23b3b",
-    "#e58fc0",
-    "#a89f1a",
-    "#333333",
-)
 GRID, INK, MARK = "#dddddd", "#222222", "#b8860b"
-BAR, PANEL = 13, 230
-"""Pixels: the least width of a bar, the width of a panel with lines."""
+STRIPE = "#f3f3f3"
+BAR, PANEL, CELL = 13, 230, (48, 20)
+"""Pixels: the least width of a bar, the width of a panel with lines, width and height of a cell."""
+MARKERS = 12
+"""On a line, at most about so many."""
+
+
+Marker = str | tuple[int, int, float]
+"""A shape of matplotlib's: a letter, or corners, 0 for a polygon or 1 for a star, and a turn."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """How one series is drawn."""
+
+    colour: str
+    marker: Marker
+    hollow: bool = False
+    """Whether the marker is only an outline: the same method once more, trained otherwise."""
+
+
+STYLES: dict[str, Style] = {
+    "mad": Style("#0b5e86", "o"),
+    "single": Style("#e07b18", "s"),
+    "mvd": Style("#5c9a3a", "^"),
+    "vib": Style("#a3156a", "v"),
+    "mv-mwm": Style("#6940a5", "p"),
+    "naive-both": Style("#9a6a3f", "D"),
+    "merged-only": Style("#1b1b1b", "X"),
+    "singular-only": Style("#d8b400", "P"),
+    "concat": Style("#8a8a8a", "<"),
+    "frame-stack": Style("#c02f2f", ">"),
+    "attention": Style("#ee93c4", "*"),
+    "vit": Style("#8f8600", "h"),
+    "q-mean": Style("#7d92e0", "d"),
+    "all": Style("#222222", "o"),
+    "first": Style("#c98500", "^"),
+    "third_a": Style("#2f8fc9", "s"),
+    "third_b": Style("#cc79a7", "D"),
+}
+"""By method, and for the subsets of three cameras, which never share a figure's legend with a
+method; a camera has the colour that it has on the page."""
+SAME = {"sum": "merged-only"}
+"""Other names of a method."""
+SPARE = (
+    Style("#2f9e9e", "8"),
+    Style("#b8571f", (4, 1, 0.0)),
+    Style("#5b5bb0", (3, 1, 0.0)),
+    Style("#9cc24a", (6, 1, 0.0)),
+    Style("#7a1f3d", (5, 1, 180.0)),
+    Style("#5fb8e8", (4, 1, 45.0)),
+    Style("#4f6b52", (3, 1, 180.0)),
+    Style("#c9a0dc", (8, 1, 0.0)),
+)
+"""For series that are no method, in the order in which they come."""
+
+
+def styles(labels: Iterable[str]) -> dict[str, Style]:
+    """A style for every label, which begins with a method's name, ``mad (light)`` or ``Merged
+    Only, paper`` for example, or is something else."""
+    chosen: dict[str, Style] = {}
+    for label in labels:
+        name = re.split(r"\s*[,(]|\s+with\s", label)[0].lower().replace(" ", "-")
+        own = STYLES.get(SAME.get(name, name))
+        choices = [] if own is None else [own, replace(own, hollow=True)]
+        free = [s for s in (*choices, *SPARE) if s not in chosen.values()]
+        chosen[label] = free[0] if free else SPARE[len(chosen) % len(SPARE)]
+    return chosen
 
 
 @dataclass(frozen=True)
@@ -72,21 +126,77 @@ def bars(title: str, groups: Sequence[str], series: Mapping[str, Sequence[Bar | 
         _rate_axis(axes)
         axes.set_xlim(-0.5, len(groups) - 0.5)
         axes.set_xticks(range(len(groups)), groups)
-        handles = {}
+        chosen = styles(series)
         for number, (name, row) in enumerate(series.items()):
-            colour = COLOURS[number % len(COLOURS)]
-            handles[name] = _patch(colour)
             for place, bar in enumerate(row):
                 if bar is not None:
                     x = place + (number - (len(series) - 1) / 2) * step
-                    _bar(axes, x, 0.85 * step, bar, colour)
-        return _finished(figure, title, handles)
+                    _bar(axes, x, 0.85 * step, bar, chosen[name])
+        return _finished(figure, title, chosen)
+
+
+def dots(
+    title: str,
+    groups: Sequence[str],
+    series: Mapping[str, Sequence[Bar | None]],
+    marks: Collection[float] = (),
+) -> str:
+    """SVG text as of ``bars``, with the rates from left to right and a group in each line; the
+    rates of ``marks`` are drawn as dashed lines."""
+    size = max(20, 9 * len(series) + 8)
+    left = 30 + 6.2 * max(map(len, groups), default=0)
+    with _style(title):
+        figure = _figure(_width(left + 430, title, series), 70 + size * len(groups))
+        axes, step = figure.subplots(), 0.8 / len(series)
+        _rate_axis(axes, "x")
+        axes.set_ylim(len(groups) - 0.5, -0.5)
+        axes.set_yticks(range(len(groups)), groups)
+        for place in range(0, len(groups), 2):
+            axes.axhspan(place - 0.5, place + 0.5, color=STRIPE, linewidth=0, zorder=0)
+        for rate in marks:
+            axes.axvline(rate, color=MARK, linestyle="--", linewidth=1, gid="mark")
+        chosen = styles(series)
+        for number, (name, row) in enumerate(series.items()):
+            for place, bar in enumerate(row):
+                if bar is not None:
+                    y = place + (number - (len(series) - 1) / 2) * step
+                    _dot(axes, bar, y, chosen[name])
+        for artist in axes.get_children():
+            artist.set_clip_on(False)
+        return _finished(figure, title, chosen)
+
+
+def heat(
+    title: str,
+    rows: Sequence[str],
+    columns: Sequence[str],
+    panels: Mapping[str, Mapping[str, Sequence[float | None]]],
+) -> str:
+    """SVG text: a panel for each task, in it a line for each of ``rows``, in it a cell with its
+    number for each of ``columns``. Dark is high; a dash is what was not measured."""
+    left = 20 + 6.2 * max(map(len, rows), default=0)
+    width = left + len(panels) * (CELL[0] * len(columns) + 12)
+    with _style(title):
+        figure = _figure(max(width, 8.5 * len(title) + 20), 70 + CELL[1] * len(rows))
+        boxes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+        for axes, (name, panel) in zip(boxes, panels.items(), strict=True):
+            axes.set_title(name)
+            axes.set_xlim(-0.5, len(columns) - 0.5)
+            axes.set_ylim(len(rows) - 0.5, -0.5)
+            axes.set_xticks(range(len(columns)), columns)
+            axes.set_yticks(range(len(rows)), rows)
+            axes.tick_params(length=0)
+            axes.spines["bottom"].set_visible(False)
+            for y, row in enumerate(rows):
+                for x, rate in enumerate(panel.get(row, [None] * len(columns))):
+                    _cell(axes, x, y, rate)
+        return _finished(figure, title, {})
 
 
 def lines(title: str, x_label: str, panels: Mapping[str, Mapping[str, Line]]) -> str:
     """SVG text: a panel for each subset, a line for each method."""
     names = list(dict.fromkeys(name for panel in panels.values() for name in panel))
-    colours = {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(names)}
+    chosen = styles(names)
     last = max((x for p in panels.values() for line in p.values() for x in line.x), default=1.0)
     with _style(title):
         figure = _figure(_width(50 + PANEL * len(panels), title, names), 270)
@@ -99,11 +209,13 @@ def lines(title: str, x_label: str, panels: Mapping[str, Mapping[str, Line]]) ->
             axes.locator_params(axis="x", nbins=3)
             axes.xaxis.set_major_formatter("{x:,g}")
             for name, line in panel.items():
-                colour = colours[name]
+                colour = chosen[name].colour
                 band = axes.fill_between(line.x, line.low, line.high, color=colour, alpha=0.15)
                 band.set(linewidth=0, clip_on=False, gid="band")
+                every = max(len(line.x) // MARKERS, 1)
                 axes.plot(line.x, line.y, color=colour, clip_on=False, gid="line")
-        return _finished(figure, title, {name: _patch(colours[name]) for name in names})
+                axes.plot(line.x[::every], line.y[::every], linestyle="", **_marker(chosen[name]))
+        return _finished(figure, title, chosen)
 
 
 def curves(
@@ -193,35 +305,64 @@ def _svg(figure: Figure) -> str:
     return re.sub(r'<g id="([a-z0-9 ]+)">', r'<g class="\1">', drawn)
 
 
-def _finished(figure: Figure, title: str, handles: Mapping[str, Artist]) -> str:
+def _finished(figure: Figure, title: str, legend: Mapping[str, Style]) -> str:
     """With the title above and the legend at the right."""
+    from matplotlib.lines import Line2D
+
     figure.suptitle(title, x=0.01, horizontalalignment="left")
-    if handles:
-        figure.legend(handles.values(), handles, loc="outside right upper")
+    if legend:
+        handles = [Line2D([], [], linestyle="", **_marker(style)) for style in legend.values()]
+        figure.legend(handles, list(legend), loc="outside right upper")
     return _svg(figure)
 
 
-def _patch(colour: str) -> Artist:
-    from matplotlib.patches import Patch
+def _marker(style: Style) -> dict[str, Any]:
+    """matplotlib's words for a series' marker; thin shapes are drawn larger."""
+    small = style.marker in ("o", "s", "D", "8", "h", "p")
+    return {
+        "color": style.colour,
+        "marker": style.marker,
+        "markersize": 5 if small else 6.5,
+        "markerfacecolor": "white" if style.hollow else style.colour,
+        "markeredgewidth": 1.2 if style.hollow else 0.4,
+        "clip_on": False,
+    }
 
-    return Patch(color=colour)
 
-
-def _rate_axis(axes: Axes) -> None:
+def _rate_axis(axes: Axes, which: Literal["x", "y"] = "y") -> None:
     """The grid of success rates."""
-    axes.set_ylim(0, 1)
-    axes.set_yticks([tenth / 10 for tenth in range(0, 11, 2)])
-    axes.grid(axis="y", clip_on=False)
+    axes.set(**{f"{which}lim": (0, 1), f"{which}ticks": [tenth / 10 for tenth in range(0, 11, 2)]})
+    axes.grid(axis=which, clip_on=False)
 
 
-def _bar(axes: Axes, x: float, width: float, bar: Bar, colour: str) -> None:
-    axes.bar(x, bar.value, width, color=colour, clip_on=False, gid="bar")
+def _bar(axes: Axes, x: float, width: float, bar: Bar, style: Style) -> None:
+    axes.bar(x, bar.value, width, color=style.colour, clip_on=False, gid="bar")
     ends = [[max(bar.value - bar.low, 0.0)], [max(bar.high - bar.value, 0.0)]]
     whisker = axes.errorbar(x, bar.value, ends, fmt="none", ecolor=INK, elinewidth=0.8, capsize=2)
     for artist in whisker.get_children():
         artist.set_clip_on(False)
+    shape = {"mfc": "white", "mec": INK, "mew": 0.7, "ms": 5, "clip_on": False}
+    axes.plot(x, bar.value, linestyle="", marker=style.marker, **shape)
     for dot in bar.dots:
         axes.plot(x, dot, "o", ms=3, mfc="white", mec=INK, mew=0.7, clip_on=False, gid="dot")
+
+
+def _dot(axes: Axes, bar: Bar, y: float, style: Style) -> None:
+    axes.plot([bar.low, bar.high], [y, y], color=style.colour, linewidth=1.2)
+    axes.plot(bar.value, y, linestyle="", gid="dot", **_marker(style))
+
+
+def _cell(axes: Axes, x: int, y: int, rate: float | None) -> None:
+    import matplotlib
+    from matplotlib.patches import Rectangle
+
+    colour = STRIPE if rate is None else matplotlib.colormaps["Blues"](0.05 + 0.9 * rate)
+    box = Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=colour, edgecolor="white", gid="cell")
+    axes.add_patch(box)
+    box.set_clip_on(False)
+    ink = "white" if rate is not None and rate > 0.6 else INK
+    words = "–" if rate is None else f"{rate:.2f}"
+    axes.text(x, y, words, color=ink, ha="center", va="center", clip_on=False)
 
 
 def _width(plot: float, title: str, names: Collection[str]) -> float:

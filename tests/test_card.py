@@ -29,7 +29,7 @@ def test_a_card_says_what_was_measured_and_how(folder):
     text = write_card(folder).read_text()
     assert "| all | 0.96 | 0.87 – 0.99 | 1.00 | 50 |  |" in text
     assert "| none | 0.10 | 0.04 – 0.21 | 0.20 | 50 | not trained on this subset |" in text
-    assert "at the last step: near. Seeds 5000 to 5049" in text
+    assert "at the last step: near. Development seeds 5000 to 5049" in text
     assert "    madviz train --task toy/reach" in text
     assert "- wall time (s): 571.2" in text and "torch" in text
     assert "| third_a | 0, 0, 2.2 | 0.9239, 0, 0, 0.3827 | 60° | nothing |" in text

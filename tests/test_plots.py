@@ -9,7 +9,11 @@ import xml.etree.ElementTree as xml
 
 import pytest
 
-from madviz.plots import Bar, Line, bars, curves, lines
+from madviz.agent.methods import METHODS
+from madviz.drawing.colours import colours_on_white
+from madviz.envs.registry import SETTINGS
+from madviz.plots import STYLES, Bar, Line, bars, curves, dots, heat, lines, styles
+from madviz.types import CameraSpec
 
 NAN = float("nan")
 
@@ -33,6 +37,47 @@ def test_bars_are_as_high_as_their_rates_and_words_are_escaped() -> None:
     assert "a &lt; b" in drawn and ">$x$<" in drawn and drawn.count('class="dot"') == 1
     half, whole = corners(drawn, "bar")
     assert height(half) == pytest.approx(height(whole) / 2, abs=1e-3)
+
+
+def test_every_method_has_a_colour_and_a_marker_of_its_own() -> None:
+    chosen = styles(METHODS).values()
+    assert len({style.colour for style in chosen}) == len({s.marker for s in chosen}) == len(chosen)
+    assert STYLES["mad"] == styles(["single", "MAD (light, alpha 0.5)"])["MAD (light, alpha 0.5)"]
+    assert STYLES["merged-only"] == styles(["Merged Only"])["Merged Only"] == styles(["sum"])["sum"]
+
+
+def test_no_two_series_of_a_figure_look_alike() -> None:
+    labels = ["mad", "mad, alpha 0.8", "mad, one size", "alpha 0.2", "alpha 0.5", "single", "x"]
+    chosen = styles(labels)
+    assert len({(s.marker, s.hollow) for s in chosen.values()}) == len(labels)
+    assert chosen["mad, alpha 0.8"].hollow and chosen["mad, alpha 0.8"].colour == "#0b5e86"
+
+
+def test_a_camera_has_the_colour_that_it_has_on_the_page() -> None:
+    cameras = tuple(CameraSpec(name, name, 60) for name in SETTINGS["three"].streams)
+    for name, colour in colours_on_white(cameras).items():
+        assert STYLES[name].colour.lower() == colour.lower()
+
+
+def test_dots_lie_where_their_rates_are() -> None:
+    series = {"mad": [Bar(0.0, 0.0, 0.1), Bar(1.0, 0.9, 1.0)], "single": [None, Bar(0.5, 0.4, 0.6)]}
+    drawn = dots("t", ["hammer", "push"], series, (0.7,))
+    xml.fromstring(drawn)
+    places = [
+        [float(x) for x in re.findall(r'<use [^>]*x="([\d.]+)"', group)]
+        for group in re.findall(r'<g class="dot">(.*?)</g>\s*</g>', drawn, re.DOTALL)
+    ]
+    low, high, middle = (xs[0] for xs in places)
+    assert middle == pytest.approx((low + high) / 2, abs=0.01)
+    assert drawn.count('class="mark"') == 1 and ">push<" in drawn and ">single<" in drawn
+
+
+def test_a_heat_map_has_a_number_in_every_cell_and_dashes() -> None:
+    panels = {"hammer": {"mad": [1.0, 0.25]}, "push": {"mad": [None, 0.5], "vib": [0.0, 0.75]}}
+    drawn = heat("t", ["mad", "vib"], ["all", "first"], panels)
+    xml.fromstring(drawn)
+    assert drawn.count('class="cell"') == 8 and drawn.count(">–<") == 3
+    assert all(f">{number}<" in drawn for number in ("1.00", "0.25", "0.50", "0.00", "0.75"))
 
 
 def test_lines_lie_in_their_bands() -> None:

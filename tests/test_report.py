@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import re
 import xml.etree.ElementTree as xml
 from pathlib import Path
 from typing import Any
@@ -16,8 +18,9 @@ from madviz.report.layouts import THREE
 from madviz.report.results import ReportConfig, run_report
 from madviz.report.rows import difference
 from madviz.report.tables import usual_alphas
+from madviz.sweep.plan import read_plan
 from tests.evidence import rates, write_policy
-from tests.reports import GOOD, report, table
+from tests.reports import GOOD, every_table, report, table
 
 # --- What is read ---
 
@@ -62,20 +65,62 @@ def test_the_report_comes_out_the_same_to_the_byte(tmp_path: Path) -> None:
     for method, measured in (("mad", GOOD), ("merged-only", rates(0.95, 0.1, 0.0, 0.0))):
         write_policy(tmp_path, measured, method=method)
     result, text = report(tmp_path)
-    pictures = [Path(name).read_bytes() for name in result["pictures"]]
-    assert result["tables"] == ["overall-metaworld", "components-metaworld"]
+    written = {path: path.read_bytes() for path in tmp_path.rglob("*.[sct][vos][gvm]*")}
+    assert result["tables"] == ["overall-metaworld"]
     (tmp_path / "pictures" / "five-maniskill.svg").write_text("of a table that is gone")
+    (tmp_path / "sweeps" / "five.toml").write_text("likewise")
     again, same_text = report(tmp_path)
     assert (again, same_text) == (result, text)
-    assert [Path(name).read_bytes() for name in again["pictures"]] == pictures
-    assert len(list((tmp_path / "pictures").iterdir())) == len(pictures) == 2
-    for picture in pictures:
-        xml.fromstring(picture.decode())
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.[sct][vos][gvm]*")} == written
+    assert [Path(name).name for name in result["pictures"]] == [
+        "twenty.svg",
+        "overall-metaworld.svg",
+    ]
     for name in result["pictures"]:
+        xml.fromstring(Path(name).read_text())
         assert f"](pictures/{Path(name).name})" in text
-    words = "madviz train --task metaworld/hammer --method merged-only --seed 1"
-    assert f"{words} --out runs/metaworld-hammer-merged-only-light\n" in text
-    assert "--subsets all first third_a third_b --episodes 100 --seed 5000 --card" in text
+    assert not (tmp_path / "sweeps" / "five.toml").exists()
+
+
+def test_pictures_come_before_tables_and_a_table_has_one_command(tmp_path: Path) -> None:
+    for method in ("mad", "merged-only"):
+        write_policy(tmp_path, GOOD, method=method)
+    _, text = report(tmp_path)
+    assert text.index("](pictures/twenty.svg)") < text.index("## How to read") < text.index("\n|")
+    for section in text.split("\n## ")[2:]:
+        assert section.count("madviz sweep ") == 1 and "madviz train" not in section
+
+
+def test_one_sweep_trains_the_policies_of_a_table_again(tmp_path: Path) -> None:
+    """Also where two trainings differ in an option alone."""
+    for method in ("mad", "merged-only"):
+        write_policy(tmp_path, GOOD, method=method)
+    other = write_policy(tmp_path, GOOD, alpha=0.8, folder="other")
+    file = other / "config.json"
+    config = json.loads(file.read_text())
+    config["training"]["command"] += " --light.alpha 0.8 --light.no-critic --out x"
+    file.write_text(json.dumps(config))
+    report(tmp_path)
+    overall = read_plan(tmp_path / "sweeps" / "overall.toml").runs
+    assert sorted(run.train[3] for run in overall) == ["mad", "merged-only"]
+    assert overall[0].evaluate == ("--episodes", "100", "--seed", "5000")
+    plain, changed = sorted(
+        read_plan(tmp_path / "sweeps" / "alpha.toml").runs, key=lambda r: r.name
+    )
+    assert plain.name == "metaworld-hammer-mad-light-alpha0.8-criticFalse-seed1"
+    assert changed.name == "metaworld-hammer-mad-light-seed1"
+
+
+def test_every_rate_is_a_line_of_the_csv(tmp_path: Path) -> None:
+    for method in ("mad", "merged-only"):
+        for task in ("metaworld/hammer", "metaworld/push"):
+            write_policy(tmp_path, GOOD, task=task, method=method)
+    report(tmp_path)
+    lines = list(csv.DictReader((tmp_path / "rates.csv").read_text().splitlines()))
+    assert len(lines) == 4 * (2 + 4 + 2)  # Two of the twenty; four rows; two averages.
+    average = next(line for line in lines if line["task"] == "average of 2")
+    assert (average["subset"], average["success"], average["n"]) == ("all", "0.9500", "200")
+    assert (average["seeds"], average["weights"]) == ("development", "no")
 
 
 def test_the_shipped_report_joins_policies_with_weights_and_without(
@@ -96,6 +141,7 @@ def test_tables_without_files_are_left_out(tmp_path: Path) -> None:
     result, text = report(tmp_path)
     assert result["tables"] == ["modality-metaworld"]
     assert "| metaworld/hammer | mad, three-rgbd | 1 | 0.90 [0.83, 0.94] n=100 |" in text
+    assert "modality-metaworld.svg" in text
 
 
 def test_trainings_of_several_seeds_pool_and_tasks_average(tmp_path: Path) -> None:
@@ -110,7 +156,9 @@ def test_trainings_of_several_seeds_pool_and_tasks_average(tmp_path: Path) -> No
     assert found is not None and (hammer.trainings, found.value, found.n) == (2, 0.75, 200)
     whole = overall.averages[0]
     assert whole.tasks == ("metaworld/hammer", "metaworld/push")
-    assert "| average of 2 | mad | 2 | 0.60 [0.54, 0.65] n=300 |" in report(tmp_path)[1]
+    assert (
+        "| average of 2 in metaworld | mad | 2 | 0.60 [0.54, 0.65] n=300 |" in report(tmp_path)[1]
+    )
 
 
 def test_an_average_takes_the_episodes_that_a_tasks_rows_share(tmp_path: Path) -> None:
@@ -137,16 +185,16 @@ def test_only_trainings_of_one_budget_are_compared(tmp_path: Path) -> None:
     ]
     assert [e.path.name for e in overall.rows[0][1].evidence] == ["short"]
     _, text = report(tmp_path)
-    assert "| metaworld/push | `long` | 1.00 [0.96, 1.00] n=100 |" in text
+    assert "| metaworld/push | 1.00 [0.96, 1.00] n=100 |" in text, "the best one is accepted"
 
 
-def test_the_target_has_an_average_of_each_suite(tmp_path: Path) -> None:
+def test_the_twenty_tasks_have_an_average_of_each_suite(tmp_path: Path) -> None:
     write_policy(tmp_path, rates(1, 1, 1, 1))
     write_policy(tmp_path, rates(0.5, 0.5, 0.5, 0), task="metaworld/push")
     write_policy(tmp_path, GOOD, task="maniskill/push-cube")
     _, text = report(tmp_path)
     (average,) = (line for line in text.splitlines() if "average of" in line)
-    assert average.startswith("| average of 2 in metaworld |  | 0.75 [0.69, 0.80] n=200 |")
+    assert average.startswith("| average of 2 in metaworld | 0.75 [0.69, 0.80] n=200 |")
 
 
 def test_single_camera_is_three_trainings_in_one_row(tmp_path: Path) -> None:
@@ -173,7 +221,7 @@ def test_one_task_has_no_average(tmp_path: Path) -> None:
     for method in ("mad", "merged-only"):
         write_policy(tmp_path, GOOD, method=method, recipe="paper")
     _, text = report(tmp_path)
-    assert "| average of 2 | mad |" in text and "average of 1 " not in text
+    assert "| average of 2 in metaworld | mad |" in text and "average of 1 " not in text
 
 
 def test_what_adds_nothing_to_a_row_is_not_trained_again_for_it(tmp_path: Path) -> None:
@@ -206,19 +254,30 @@ def test_an_alpha_ablation_stays_out_of_the_other_tables(tmp_path: Path) -> None
     assert found is not None and found.value == 0.95
 
 
-def test_recipes_are_never_pooled(tmp_path: Path) -> None:
+def test_imitation_and_reinforcement_learning_never_share_a_table(tmp_path: Path) -> None:
     write_policy(tmp_path, GOOD)
     write_policy(tmp_path, rates(0.1, 0.1, 0.1, 0.1), recipe="paper", alpha=0.8)
-    assert report(tmp_path)[0]["tables"] == ["scratch-metaworld"]  # Recipes are not compared.
+    assert report(tmp_path)[0]["tables"] == ["scratch-metaworld"]
     assert [row.label for row in table(tmp_path, "scratch").averages] == ["mad, paper"]
     for recipe in ("light", "paper"):
         write_policy(tmp_path, GOOD, method="naive-both", recipe=recipe)
-    assert [row.label for row in table(tmp_path, "overall").averages] == [
-        "mad",
-        "mad, paper",
-        "naive-both",
-        "naive-both, paper",
+        write_policy(tmp_path, GOOD, alpha=0.2, recipe=recipe, folder=f"alpha-{recipe}")
+    both = table(tmp_path, "overall"), table(tmp_path, "scratch")
+    assert [[row.label for row in each.averages] for each in both] == [
+        ["mad", "naive-both"],
+        ["mad, paper", "naive-both, paper"],
     ]
+    alphas = [each for each in every_table(tmp_path) if each.layout.key == "alpha"]
+    assert [each.name for each in alphas] == ["alpha-metaworld-reinforcement", "alpha-metaworld"]
+    assert [row.label for row in alphas[0].averages] == ["alpha 0.2, paper", "alpha 0.8, paper"]
+
+
+def test_one_rate_is_no_mean(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD)
+    write_policy(tmp_path, {"all": 0.9}, method="unknown")
+    whole, alone = table(tmp_path, "overall").averages
+    assert whole.mean(THREE) is not None and alone.mean(THREE) is None
+    assert "| unknown | 1 | 0.90 [0.83, 0.94] n=100 | – | – | – | – |" in report(tmp_path)[1]
 
 
 # --- Pictures and the command ---
@@ -227,41 +286,40 @@ def test_recipes_are_never_pooled(tmp_path: Path) -> None:
 def test_the_command_writes_beside_the_folder_and_prints_json(tmp_path: Path, capsys: Any) -> None:
     write_policy(tmp_path, GOOD)
     assert cli.main(["report", "--folder", str(tmp_path)]) == 0
-    assert "1 of 20 tasks meet the target" in capsys.readouterr().out
+    assert "1 of 20 tasks meet the acceptance threshold" in capsys.readouterr().out
     assert cli.main(["report", "--folder", str(tmp_path / "nothing")]) == 2
 
 
 def test_runs_of_a_sweep_have_their_own_names(tmp_path: Path) -> None:
     for method in ("mad", "merged-only"):
         write_policy(tmp_path, rates(0.9, 0.5, 0.5, 0.5), method=method, folder=f"{method}/policy")
-    _, text = report(tmp_path)
-    assert "\n\n`mad`, `merged-only`\n\n</details>" in text
-    assert "--out runs/merged-only\n" in text and "--policy runs/mad " in text
-    assert "runs/policy" not in text
+    report(tmp_path)
+    lines = csv.DictReader((tmp_path / "rates.csv").read_text().splitlines())
+    assert {line["policies"] for line in lines} == {"mad", "merged-only"}
 
 
-def test_where_most_methods_were_trained_all_stand_in_one_table(tmp_path: Path) -> None:
-    methods = ("mad", "naive-both", "merged-only", "singular-only", "q-mean", "attention", "vit")
-    for method in methods:
-        merge = method if method in ("q-mean", "attention", "vit") else "sum"
-        write_policy(tmp_path, GOOD, method=method, merge=merge)
+def test_where_most_methods_were_trained_there_is_a_heat_map(tmp_path: Path) -> None:
+    for method in ("mad", "merged-only", "q-mean"):
+        write_policy(tmp_path, GOOD, method=method, merge="q-mean" if "q" in method else "sum")
     write_policy(tmp_path, GOOD, method="vib", merge="vib")
-    assert "methods-metaworld" not in report(tmp_path)[0]["tables"]
+    assert "methods.svg" not in report(tmp_path)[1]
     write_policy(tmp_path, {"all": 0.5}, method="concat", merge="concat")
-    result, text = report(tmp_path)
-    assert "methods-metaworld" in result["tables"]
-    section = text.split("## Every method: metaworld")[1].split("\n## ")[0]
-    rows = [line.split(" | ")[1] for line in section.splitlines() if line.startswith("| metaworld")]
-    assert rows == [
-        "mad",
-        "vib",
-        "naive-both",
-        "merged-only",
-        "singular-only",
-        "concat",
-        "attention",
-        "vit",
-        "q-mean",
-    ]
-    assert "MAD minus concat: +" in section and "on the mean of all; n = 100" in section
-    assert "The paper" not in section
+    _, text = report(tmp_path)
+    assert "](pictures/methods.svg)" in text
+    drawn = (tmp_path / "pictures" / "methods.svg").read_text()
+    rows = re.findall(r">(mad|vib|merged-only|concat|q-mean)<", drawn)
+    assert rows == ["mad", "vib", "merged-only", "concat", "q-mean"]
+    assert drawn.count('class="cell"') == 20 and drawn.count(">–<") == 3
+    table_of = {line.split(",")[0] for line in (tmp_path / "rates.csv").read_text().splitlines()}
+    assert "methods-metaworld" in table_of
+
+
+def test_success_while_training_is_drawn_for_reinforcement_learning_only(tmp_path: Path) -> None:
+    curve = "env_steps,episodes,success_all,success_first\n0,6,0.0,0.0\n100,6,0.5,1.0\n"
+    for recipe in ("light", "paper"):
+        path = write_policy(tmp_path, GOOD, recipe=recipe)
+        (path / "curve.csv").write_text(curve)
+    result, _ = report(tmp_path)
+    assert "reinforcement.svg" in [Path(name).name for name in result["pictures"]]
+    drawn = (tmp_path / "pictures" / "reinforcement.svg").read_text()
+    assert drawn.count('class="line"') == 2 and ">mad, hammer<" in drawn

@@ -111,7 +111,7 @@ def test_a_missing_file_and_no_jobs_at_all_are_mistakes(tmp_path: Path) -> None:
         run_sweep(config(tmp_path, jobs=0))
 
 
-SHIPPED = Path(__file__).resolve().parent.parent / "results"
+SHIPPED = Path(__file__).resolve().parent.parent / "results" / "sweeps"
 
 
 @pytest.mark.parametrize("file", sorted(SHIPPED.glob("*.toml")), ids=lambda file: file.stem)
@@ -119,4 +119,4 @@ def test_the_sweeps_that_ship_ask_for_what_exists(file: Path, tmp_path: Path) ->
     result = run_sweep(SweepConfig(str(file), out=tmp_path / "out", dry_run=True))
     asked = tomllib.loads(file.read_text())
     assert result["finished"] == 0 and len(result["runs"]) >= len(asked["grid"])
-    assert f"madviz sweep results/{file.name}" in file.read_text()
+    assert f"madviz sweep results/sweeps/{file.name}" in file.read_text()

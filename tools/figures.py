@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fill_figures import LABELS, SINGLES, evaluation
+from fill_figures import LABELS, SINGLES, measured, seeds
 
 from madviz.plots import Bar, bars
 
@@ -28,27 +28,31 @@ PUSH = {
 }
 
 
-def bar(policy: str, group: str) -> Bar | None:
-    """The success rate of a policy on a subset; of ``Single``, of the policy with that camera."""
-    if "{camera}" in policy:
-        if group == "all":
-            return None
-        policy, group = policy.format(camera=group), "all"
-    row = evaluation(policy)["subsets"].get(group)
-    return Bar(row["success"], *row["ci95"]) if row else None
-
-
 def figure(title: str, policies: dict[str, str]) -> str:
-    """SVG text: a group of bars for all cameras and for each one alone."""
+    """SVG text: a group of bars for all cameras and for each one alone. ``Single`` is a policy for
+    each camera, and has no bar for all."""
+    folders = {
+        (name, group): policy.format(camera=group)
+        for name, policy in policies.items()
+        for group in GROUPS
+        if group != "all" or "{camera}" not in policy
+    }
+    found = dict(zip(folders, measured(*folders.values()), strict=True))
+    series: dict[str, list[Bar | None]] = {}
+    for name, policy in policies.items():
+        for group in GROUPS:
+            one = found.get((name, group), {"subsets": {}})
+            row = one["subsets"].get("all" if "{camera}" in policy else group)
+            bar = Bar(row["success"], *row["ci95"]) if row else None
+            series.setdefault(name, []).append(bar)
     names = ["all cameras", *(f"{LABELS[one]} alone" for one in SINGLES)]
-    series = {name: [bar(policy, group) for group in GROUPS] for name, policy in policies.items()}
-    return bars(title, names, series)
+    use = seeds(next(iter(found.values())))
+    return bars(f"{title}: success at the last step, 95% intervals, {use}", names, series)
 
 
 def main() -> None:
-    note = "success at the last step, 95% intervals"
-    (DOCS / "hammer.svg").write_text(figure(f"Hammer: {note}", HAMMER))
-    (DOCS / "push.svg").write_text(figure(f"Push, small budget: {note}", PUSH))
+    (DOCS / "hammer.svg").write_text(figure("Hammer", HAMMER))
+    (DOCS / "push.svg").write_text(figure("Push, small budget", PUSH))
 
 
 if __name__ == "__main__":

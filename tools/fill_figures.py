@@ -21,72 +21,96 @@ ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"(<!-- figures: ([a-z-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 SINGLES = ("first", "third_a", "third_b")
 LABELS = {"first": "First person", "third_a": "Third A", "third_b": "Third B"}
+Evaluation = dict[str, Any]
+"""An evaluation.json."""
 WEAK = 0.70
 """A single camera below this success rate is named as weak."""
 
 
-def evaluation(policy: str) -> dict[str, Any]:
-    """evaluation.json of a policy with weights or of a row of a table."""
+def measured(*policies: str) -> list[Evaluation]:
+    """What was measured of each, all on reporting seeds or all on development seeds."""
+    found = [evaluation(policy) for policy in policies]
+    if len({seeds(one) for one in found}) == 1:
+        return found
+    return [evaluation(policy, development=True) for policy in policies]
+
+
+def evaluation(policy: str, development: bool = False) -> Evaluation:
+    """evaluation.json of a policy with weights or of a row of a table; or its figures on
+    development seeds."""
     for folder in ("checkpoints", "results/tables"):
         file = ROOT / folder / policy / "evaluation.json"
+        earlier = file.with_name("development.json")
         if file.is_file():
-            return json.loads(file.read_text())
+            return json.loads((earlier if development and earlier.is_file() else file).read_text())
     raise FileNotFoundError(f"expected {policy}/evaluation.json in checkpoints/ or results/tables/")
 
 
-def rate(policy: str, subset: str) -> str:
+def seeds(found: Evaluation) -> str:
+    """The rule of ``madviz.policies.seeds``, in short."""
+    return "reporting seeds" if found["seed"] >= 10_000 else "development seeds"
+
+
+def rate(found: Evaluation, subset: str = "all") -> str:
     """For example ``0.99 [0.95, 1.00]``."""
-    row = evaluation(policy)["subsets"][subset]
+    row = found["subsets"][subset]
     low, high = row["ci95"]
     return f"{row['success']:.2f} [{low:.2f}, {high:.2f}]"
 
 
-def rates(policy: str, subsets: tuple[str, ...] = SINGLES) -> str:
-    return ", ".join(rate(policy, subset) for subset in subsets)
+def rates(found: Evaluation) -> str:
+    return ", ".join(rate(found, subset) for subset in SINGLES)
 
 
-def episodes(policy: str, subset: str = "all") -> int:
-    return evaluation(policy)["subsets"][subset]["n"]
+def count(found: Evaluation) -> str:
+    return f"n = {found['subsets']['all']['n']}, {seeds(found)}"
 
 
-def shipped() -> Iterator[tuple[str, dict[str, Any]]]:
-    """(task, subsets) of one MAD policy with the paper's cameras for each task."""
+def shipped() -> Iterator[Evaluation]:
+    """Of one MAD policy with the paper's cameras for each task."""
     files = [
         *ROOT.glob("checkpoints/*-mad-light/evaluation.json"),
         *ROOT.glob("results/tables/*-mad-light/evaluation.json"),
     ]
     for file in sorted(files):
         found = json.loads(file.read_text())
-        subsets = {name: found["subsets"].get(name) for name in ("all", *SINGLES)}
-        if all(subsets.values()):
-            yield found["task"], subsets
+        if {"all", *SINGLES} <= found["subsets"].keys():
+            yield found
+
+
+def weak() -> str:
+    """Every single camera below ``WEAK``, with its rate."""
+    named: dict[str, list[str]] = {}
+    for found in shipped():
+        for name in SINGLES:
+            if found["subsets"][name]["success"] < WEAK:
+                words = f"{found['task']} {LABELS[name]} {rate(found, name)}"
+                named.setdefault(count(found), []).append(words)
+    return ". ".join(f"({each}): {'; '.join(words)}" for each, words in named.items())
 
 
 def findings() -> str:
-    hammer, merged = "metaworld-hammer-mad-light", "metaworld-hammer-merged-only-light"
-    push, singular = "metaworld-push-mad-light-12x300", "metaworld-push-singular-only-light"
-    alone = ", ".join(rate(f"metaworld-push-single-{one}-light", "all") for one in SINGLES)
-    weak = [
-        f"{task} {LABELS[name]} {row['success']:.2f} [{row['ci95'][0]:.2f}, {row['ci95'][1]:.2f}]"
-        for task, subsets in shipped()
-        for name, row in subsets.items()
-        if name in SINGLES and row["success"] < WEAK
-    ]
+    hammer, merged = measured("metaworld-hammer-mad-light", "metaworld-hammer-merged-only-light")
+    push, singular, *alone = measured(
+        "metaworld-push-mad-light-12x300",
+        "metaworld-push-singular-only-light",
+        *(f"metaworld-push-single-{one}-light" for one in SINGLES),
+    )
     names = "First person, Third A and Third B"
     return (
         f"1. **A policy trained on the sum alone fails on one camera.** Hammer, all cameras: MAD "
-        f"{rate(hammer, 'all')}, Merged Only {rate(merged, 'all')}. On {names} alone: MAD "
-        f"{rates(hammer)}; Merged Only {rates(merged)} (n = {episodes(hammer)}). *Limit:* Singular "
-        f"Only does as well there, so hammer shows what training on single cameras gives, and not "
-        f"what the sum adds.\n"
+        f"{rate(hammer)}, Merged Only {rate(merged)}. On {names} alone: MAD {rates(hammer)}; "
+        f"Merged Only {rates(merged)} ({count(hammer)}). *Limit:* Singular Only does as well "
+        f"there, so hammer shows what training on single cameras gives, and not what the sum "
+        f"adds.\n"
         f"2. **One policy for all cameras can beat one policy for each.** Push at a small budget: "
         f"on each camera alone MAD has {rates(push)}; three policies with one camera each have "
-        f"{alone} (n = {episodes(push)}). Singular Only reaches {rate(singular, 'all')} on all "
-        f"cameras, MAD {rate(push, 'all')}. *Limit:* one training each, and alpha was chosen on "
-        f"these seeds.\n"
-        f"3. **Not every camera is enough.** Below {WEAK:.2f} alone (n = 100): {'; '.join(weak)}. "
-        f"*Limit:* a picture that does not show what decides and a training that is too weak look "
-        f"the same in a rate.\n"
+        f"{', '.join(rate(one) for one in alone)} ({count(push)}). Singular Only reaches "
+        f"{rate(singular)} on all cameras, MAD {rate(push)}. *Limit:* one training each, and "
+        f"alpha was chosen on these seeds.\n"
+        f"3. **Not every camera is enough.** Below {WEAK:.2f} alone {weak()}. *Limit:* a picture "
+        f"that does not show what decides and a training that is too weak look the same in a "
+        f"rate.\n"
     )
 
 

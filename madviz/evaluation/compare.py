@@ -23,7 +23,7 @@ from typing import Any
 
 from madviz import plots
 from madviz.errors import UserError
-from madviz.evaluation.evidence import Evidence, Outcomes, read_evidence
+from madviz.evaluation.evidence import Evidence, Outcomes, alike, read_evidence
 from madviz.evaluation.statistics import Interval, pair, wilson
 from madviz.evaluation.store import ResultKey, Store
 from madviz.policies import checkpoint
@@ -56,6 +56,9 @@ def run_compare(config: CompareConfig) -> dict[str, Any]:
         if file is not None:
             written_to(file, option)
     found = [read_evidence(checkpoint.find_policy(name)) for name in config.policies]
+    on_development = alike(found)
+    if len(on_development) == len(found):
+        found = on_development
     first = found[0]
     for other in found[1:]:
         _same_terms(first, other)

@@ -38,7 +38,8 @@ from madviz.observation.ablation import Occlusion
 from madviz.observation.grammar import parse_occlusions
 from madviz.policies import checkpoint
 from madviz.policies.card import write_card
-from madviz.policies.measured import EpisodeRow, EvaluationFile, SubsetRow
+from madviz.policies.measured import EpisodeRow, EvaluationFile, SubsetRow, seeds_of
+from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json
 from madviz.types import Array, Policy, PolicySpec
@@ -276,11 +277,22 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
         progress=True,
     )
     if config.card:
-        folder = checkpoint.find_policy(config.policy)
-        known = checkpoint.shipped_evaluation(folder)
-        write_json(folder / checkpoint.EVALUATION, joined(known, evaluation.to_json()))
-        write_card(folder)
+        write_measured(checkpoint.find_policy(config.policy), evaluation.to_json())
     return evaluation.to_json()
+
+
+def write_measured(folder: Path, new: EvaluationFile) -> None:
+    """Writes evaluation.json and card.md. Where that file has reporting seeds, development seeds go
+    to development.json; and where it has those, they move there when reporting seeds come."""
+    file, known = checkpoint.EVALUATION, checkpoint.shipped_evaluation(folder)
+    uses = (seeds_of(known), seeds_of(new)) if known else None
+    if known and uses == (DEVELOPMENT, REPORTING):
+        write_json(folder / checkpoint.DEVELOPMENT, known)
+    if uses == (REPORTING, DEVELOPMENT):
+        file = checkpoint.DEVELOPMENT
+        known = checkpoint.shipped_evaluation(folder, file)
+    write_json(folder / file, joined(known, new))
+    write_card(folder)
 
 
 def joined(known: EvaluationFile | None, new: EvaluationFile) -> EvaluationFile:

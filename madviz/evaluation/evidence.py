@@ -1,4 +1,4 @@
-"""What was measured, read from policy folders: config.json and evaluation.json, nothing else.
+"""What was measured, read from policy folders: config.json, evaluation.json, development.json.
 
 Weights may be missing (a policy that only serves a table leaves them out), so this is not the way
 to load a policy. Where they are there, the evaluation must be of them; and always its rates must be
@@ -8,8 +8,8 @@ those of its own episodes, so that a number typed by hand is noticed.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.policies.config import read_config
 from madviz.policies.measured import EvaluationFile, as_evaluation
+from madviz.policies.seeds import DEVELOPMENT, use_of
 from madviz.subsets import mask_of
 from madviz.system.files import read_json
 
@@ -50,6 +51,21 @@ class Evidence:
     occlusions: str
     outcomes: Mapping[str, Outcomes]
     """By subset, as the evaluation file names them."""
+    development: Mapping[str, Outcomes]
+    """As ``outcomes``, from development.json; empty without that file."""
+
+    @property
+    def seeds(self) -> str:
+        """What the seeds of its episodes serve: ``development`` or ``reporting``, see seeds.py."""
+        return use_of(seed for found in self.outcomes.values() for seed in found)
+
+    def on_development(self) -> Evidence | None:
+        """The same policy on development seeds; None if it was not measured there."""
+        if self.seeds == DEVELOPMENT:
+            return self
+        return (
+            replace(self, outcomes=self.development, development={}) if self.development else None
+        )
 
     @property
     def folder(self) -> str:
@@ -86,11 +102,9 @@ def read_evidence(folder: str | Path) -> Evidence:
     """Raises UserError for files that are missing, or contradict each other."""
     path = Path(folder)
     config, _ = read_config(path / checkpoint.CONFIG)
-    file = path / checkpoint.EVALUATION
-    if (path / checkpoint.WEIGHTS).is_file():
-        evaluation = checkpoint.own_evaluation(checkpoint.describe(path))
-    else:
-        evaluation = as_evaluation(read_json(file), file)
+    evaluation = _read(path, checkpoint.EVALUATION)
+    earlier = (path / checkpoint.DEVELOPMENT).is_file()
+    development = _read(path, checkpoint.DEVELOPMENT) if earlier else None
     command = config.training.command or ""
     return Evidence(
         path=path,
@@ -108,8 +122,23 @@ def read_evidence(folder: str | Path) -> Evidence:
         definition=config.definition,
         render_profile=config.render_profile,
         occlusions=evaluation["occlusions"],
-        outcomes=_outcomes(file, evaluation),
+        outcomes=_outcomes(path / checkpoint.EVALUATION, evaluation),
+        development=_outcomes(path / checkpoint.DEVELOPMENT, development) if development else {},
     )
+
+
+def _read(path: Path, name: str) -> EvaluationFile:
+    if (path / checkpoint.WEIGHTS).is_file():
+        return checkpoint.own_evaluation(checkpoint.describe(path), name)
+    return as_evaluation(read_json(path / name), path / name)
+
+
+def alike(found: Sequence[Evidence]) -> list[Evidence]:
+    """Policies that can be compared, as they are where their seeds serve one use. Otherwise all of
+    them on development seeds, without those that were not measured there."""
+    if len({each.seeds for each in found}) <= 1:
+        return list(found)
+    return [each for one in found if (each := one.on_development())]
 
 
 def find_evidence(*roots: str | Path) -> list[Evidence]:

@@ -15,7 +15,8 @@ import msgspec
 
 from madviz.policies import checkpoint
 from madviz.policies.config import PolicyConfig, TrainingRecord
-from madviz.policies.measured import EvaluationFile, SubsetRow
+from madviz.policies.measured import EvaluationFile, SubsetRow, seeds_of
+from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.system.files import write_bytes
 
 AGAIN = "runs"
@@ -67,12 +68,17 @@ def _success(evaluation: EvaluationFile | None, name: str) -> str:
     last = max(episode["seed"] for episode in evaluation["episodes"])
     lines += [
         "",
-        f"A success, {evaluation['definition']}. Seeds {evaluation['seed']} to {last}, the "
-        f"same for every row; render profile `{evaluation['render_profile']}`. Intervals are "
-        "Wilson's. Rows not trained on this subset show what happens there; the training did not "
-        "aim at it.",
+        f"A success, {evaluation['definition']}. {_seeds(evaluation)} {evaluation['seed']} to "
+        f"{last}, the same for every row; render profile `{evaluation['render_profile']}`. "
+        "Intervals are Wilson's. Rows not trained on this subset show what happens there; the "
+        "training did not aim at it.",
     ]
     return "\n".join(lines)
+
+
+def _seeds(evaluation: EvaluationFile) -> str:
+    use = seeds_of(evaluation)
+    return f"{use.capitalize()} seeds" if use in (DEVELOPMENT, REPORTING) else "Seeds"
 
 
 def success_row(subset: str, row: SubsetRow) -> str:

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from madviz.agent.agent import Agent
 
 CONFIG, WEIGHTS, EVALUATION = "config.json", "weights.safetensors", "evaluation.json"
+DEVELOPMENT = "development.json"
+"""As evaluation.json, on development seeds (seeds.py), once that holds others."""
 CARD = "card.md"
 IN_RUN = "policy"
 """What the policy's folder is called inside the folder of a sweep's run."""
@@ -225,19 +227,19 @@ def _from_factory(policy: str) -> Policy:
     return made
 
 
-def shipped_evaluation(policy: str | Path) -> EvaluationFile | None:
-    """evaluation.json of a policy folder; None if there is none or it measured other weights."""
+def shipped_evaluation(policy: str | Path, name: str = EVALUATION) -> EvaluationFile | None:
+    """The file ``name`` of a policy folder; None if there is none or it measured other weights."""
     folder = describe(policy)
-    file = folder.path / EVALUATION
+    file = folder.path / name
     document = read_json(file) if file.is_file() else None
     if not isinstance(document, dict) or document.get("digest") != folder.spec.digest:
         return None
     return as_evaluation(document, file)
 
 
-def own_evaluation(folder: PolicyFolder) -> EvaluationFile:
-    """evaluation.json of a policy folder. Raises UserError if it measured other weights."""
-    file = folder.path / EVALUATION
+def own_evaluation(folder: PolicyFolder, name: str = EVALUATION) -> EvaluationFile:
+    """The file ``name`` of a policy folder. Raises UserError if it measured other weights."""
+    file = folder.path / name
     evaluation = as_evaluation(read_json(file), file)
     if evaluation["digest"] != folder.spec.digest:
         raise UserError(

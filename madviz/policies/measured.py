@@ -1,4 +1,4 @@
-"""evaluation.json of a policy folder: what ``madviz eval --card`` measured, episode by episode.
+"""evaluation.json and development.json of a policy folder: what ``madviz eval --card`` measured.
 
 The types are dictionaries, because the file, ``--json`` and ``madviz.evaluate(...).rows`` are one
 and the same document.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TypedDict
 
+from madviz.policies.seeds import use_of
 from madviz.system.typed import typed
 
 FIX = "evaluate again with `madviz eval --card`"
@@ -50,9 +51,14 @@ class EvaluationFile(TypedDict):
     occlusions: str
     """'' where no camera was occluded."""
     seed: int
-    """The first episode's."""
+    """The first episode's; what seeds serve is in seeds.py."""
     subsets: dict[str, SubsetRow]
     episodes: list[EpisodeRow]
+
+
+def seeds_of(evaluation: EvaluationFile) -> str:
+    """What its seeds serve, see ``use_of``."""
+    return use_of(episode["seed"] for episode in evaluation["episodes"])
 
 
 def as_evaluation(document: object, file: Path) -> EvaluationFile:

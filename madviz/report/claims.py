@@ -1,7 +1,9 @@
-"""Where our numbers agree with the paper's sentences, and where not: computed, never typed.
+"""Differences between rows in words, beside the paper's sentences: computed, never typed.
 
-Only the paper's side is written down here. Our side is a paired difference with its 95% interval,
-and the words follow from where that interval lies:
+Only the paper's side is written down here. Our side is a paired difference with its 95% interval.
+The paper's numbers are means over five trainings by reinforcement learning. So a verdict is given
+only on rows that were trained by reinforcement learning too, each of them several times; then it
+follows from where the interval over trainings (Student's) lies:
 
     interval        paper: +0.30       words
     [+0.40, +0.60]  below it           agrees in direction; the lead is larger than the paper's
@@ -10,16 +12,18 @@ and the words follow from where that interval lies:
     [-0.05, +0.10]                     undecided: no difference could be shown
     [-0.30, -0.10]                     does not agree: it is behind
 
-The interval is about episodes: other trainings and other tasks would scatter more.
+Everywhere else the paper's sentence stands beside ours without a verdict; the interval of ours is
+about episodes, and other trainings and other tasks would scatter more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from madviz.evaluation.compare import over_trainings
 from madviz.evaluation.statistics import Interval
 from madviz.report.layouts import MERGES, THREE
-from madviz.report.rows import Difference, Row, difference
+from madviz.report.rows import Difference, difference
 from madviz.report.tables import ResultTable
 
 BASELINES = ("single", "mvd", "vib", "mv-mwm")
@@ -28,6 +32,18 @@ LEAD = {"metaworld": 0.30, "maniskill": 0.36}
 """Paper, section on robustness: MAD's lead over the baselines, in success rate."""
 TASKS = {"metaworld": 15, "maniskill": 5}
 FIVE_LEAD, COMPONENT_LEAD, BEST_ALPHA = 0.48, 0.29, "alpha 0.8"
+SEVERAL = 3
+"""Trainings of a row from which on its interval over them says something."""
+
+Judge = Callable[[Interval], str]
+
+
+def beside(table: ResultTable, gap: Difference, judge: Judge) -> str:
+    """``: agrees ...`` where the setting allows a verdict, and otherwise nothing."""
+    if table.imitation or len(gap.trainings) < SEVERAL:
+        return ""
+    low, high = over_trainings([(each + 1) / 2 for each in gap.trainings])
+    return f": {judge((2 * low - 1, 2 * high - 1))}"
 
 
 def verdict(interval: Interval, claim: float) -> str:
@@ -63,18 +79,18 @@ def same(interval: Interval, margin: float = 0.1) -> str:
 
 
 def claims(table: ResultTable) -> list[str]:
-    """Sentences about one table; one saying so where nothing can be said."""
-    found = CLAIMS[table.layout.key](table) if table.layout.key in CLAIMS else []
-    return found or ["Nothing here can be compared with a sentence of the paper yet."]
+    """Sentences about one table; none where no rows can be paired."""
+    return CLAIMS[table.layout.key](table) if table.layout.key in CLAIMS else []
 
 
 def points(gap: Difference) -> str:
     """``+73 points [+68, +78], 100 pairs on 1 task``."""
     low, high = gap.interval
     tasks = f"{len(gap.tasks)} task{'s' * (len(gap.tasks) > 1)}"
+    mean = "the mean of " if len(gap.columns) > 1 else ""
     return (
         f"{signed(gap.value)} points [{signed(low)}, {signed(high)}] "
-        f"on the mean of {', '.join(gap.columns)}; n = {gap.n} on {tasks}"
+        f"on {mean}{', '.join(gap.columns)}; n = {gap.n} on {tasks}"
     )
 
 
@@ -84,32 +100,28 @@ def signed(share: float) -> str:
 
 
 def _lead(
-    table: ResultTable,
-    baselines: Sequence[str],
-    claim: float | None,
-    said: str,
-    others: Sequence[str] = (),
+    table: ResultTable, baselines: Sequence[str], said: str, judge: Judge = ahead
 ) -> list[str]:
-    """MAD against each of ``baselines``; the claim is compared with the one that comes closest.
-    ``others`` are compared too, but the claim was not about them."""
+    """MAD against each of ``baselines``; what the paper says is held against the one that comes
+    closest."""
     lines: list[str] = []
+    columns = table.mean_of or table.columns
     for recipe in _recipes(table):
-        mad = table.average(f"mad{recipe}")
-        gaps: list[tuple[str, Difference]] = []
-        columns = table.mean_of or table.columns
-        for name in (*baselines, *others):
-            baseline = table.average(f"{name}{recipe}")
-            if mad and baseline and (gap := difference(mad, baseline, columns)):
-                gaps.append((name, gap))
-        lines += [f"MAD minus {name}{recipe}: {points(gap)}." for name, gap in gaps]
-        meant = [each for each in gaps if each[0] in baselines]
-        if meant:
-            name, gap = min(meant, key=lambda each: each[1].value)
-            how = ahead(gap.interval) if claim is None else verdict(gap.interval, claim)
-            lines.append(
-                f"The paper reports {said}. Against the closest of ours, {name}{recipe}: {how}."
-            )
+        mad, gaps = table.average(f"mad{recipe}"), []
+        for name in baselines:
+            other = table.average(f"{name}{recipe}")
+            if mad and other and (gap := difference(mad, other, columns)):
+                gaps.append(gap)
+                lines.append(f"MAD minus {name}{recipe}: {points(gap)}.")
+        if gaps:
+            closest = min(gaps, key=lambda gap: gap.value)
+            lines.append(f"The paper reports {said}{beside(table, closest, judge)}.")
     return lines
+
+
+def _size(claim: float) -> Judge:
+    """For a lead that the paper gives a size of."""
+    return lambda interval: verdict(interval, claim)
 
 
 def _recipes(table: ResultTable) -> list[str]:
@@ -118,24 +130,14 @@ def _recipes(table: ResultTable) -> list[str]:
 
 
 def _overall(table: ResultTable) -> list[str]:
-    lead, count = LEAD.get(table.suite, 0.0), TASKS.get(table.suite, 0)
-    if not lead:
-        return []
-    said = (
-        f"{100 * lead:+.0f} points over its baselines, by reinforcement learning on {count} tasks"
-    )
-    lines = [*_lead(table, BASELINES, lead, said, others=COMPONENTS), *_one_and_the_same(table)]
-    if not any("closest" in line for line in lines):
-        lines.append(
-            f"The paper reports {said}. None of these baselines ({', '.join(BASELINES)}) was "
-            "measured here on the same episodes, so there is nothing to compare with it yet."
-        )
-    return lines
-
-
-def _components(table: ResultTable) -> list[str]:
-    said = f"{100 * COMPONENT_LEAD:+.0f} points over all three ablations, on five Meta-World tasks"
-    return [*_lead(table, COMPONENTS, COMPONENT_LEAD, said), *_one_and_the_same(table)]
+    lead, count = LEAD[table.suite], TASKS[table.suite]
+    over = f"{100 * lead:+.0f} points over its baselines, on {count} tasks"
+    parts = f"{100 * COMPONENT_LEAD:+.0f} points over these three, on five Meta-World tasks"
+    return [
+        *_lead(table, BASELINES, over, _size(lead)),
+        *_lead(table, COMPONENTS, parts, _size(COMPONENT_LEAD)),
+        *_one_and_the_same(table),
+    ]
 
 
 def _one_and_the_same(table: ResultTable) -> list[str]:
@@ -155,25 +157,21 @@ def _one_and_the_same(table: ResultTable) -> list[str]:
     ]
 
 
-def _methods(table: ResultTable) -> list[str]:
-    everybody = [row.label for row in table.averages if row.label != "mad"]
-    return _lead(table, (), None, "", others=everybody)
-
-
 def _five(table: ResultTable) -> list[str]:
-    said = f"{100 * FIVE_LEAD:+.0f} points over its baselines with five views"
-    return _lead(table, BASELINES, FIVE_LEAD, said)
+    said = f"{100 * FIVE_LEAD:+.0f} points over its baselines with five cameras"
+    return _lead(table, BASELINES, said, _size(FIVE_LEAD))
 
 
 def _alpha(table: ResultTable) -> list[str]:
     """Task by task: not every alpha was trained on all of them."""
     tasks = dict.fromkeys(task for task, _ in table.rows)
-    each = [_best_alpha(task, [row for at, row in table.rows if at == task]) for task in tasks]
+    each = [_best_alpha(table, task) for task in tasks]
     return [sentence for sentence in each if sentence]
 
 
-def _best_alpha(task: str, rows: Sequence[Row]) -> str:
-    papers = next((row for row in rows if row.label == BEST_ALPHA), None)
+def _best_alpha(table: ResultTable, task: str) -> str:
+    rows = [row for at, row in table.rows if at == task]
+    papers = next((row for row in rows if row.label.split(",")[0] == BEST_ALPHA), None)
     rated = [(rate.value, row) for row in rows if (rate := row.mean(THREE))]
     if papers is None or len(rated) < 2:
         return ""
@@ -182,12 +180,15 @@ def _best_alpha(task: str, rows: Sequence[Row]) -> str:
     gap = difference(best, other, THREE)
     if gap is None:
         return ""
-    how = "undecided: no difference could be shown"
-    if gap.interval[0] > 0:
-        how = "agrees" if best is papers else "does not agree"
+
+    def judge(interval: Interval) -> str:
+        if interval[0] <= 0:
+            return "undecided: no difference could be shown"
+        return "agrees" if best is papers else "does not agree"
+
     return (
-        f"On {task} {best.label} is best; {best.label} minus {other.label}: {points(gap)}. "
-        f"The paper finds {BEST_ALPHA} best: {how}."
+        f"On {task} {best.label} has the highest mean; {best.label} minus {other.label}: "
+        f"{points(gap)}. The paper finds {BEST_ALPHA} best{beside(table, gap, judge)}."
     )
 
 
@@ -196,43 +197,38 @@ def _merging(table: ResultTable) -> list[str]:
     for name in MERGES[1:]:
         row = table.average(name)
         if base and row and (gap := difference(row, base, ("all",))):
-            lines.append(f"{name} minus sum: {points(gap)}: {_merge_verdict(name, gap)}.")
+            judge = _behind if name == "q-mean" else same
+            lines.append(f"{name} minus sum: {points(gap)}{beside(table, gap, judge)}.")
     if lines:
         lines.append("The paper finds all ways to merge alike, and q-mean slightly worse.")
     return lines
 
 
-def _merge_verdict(name: str, gap: Difference) -> str:
-    if name == "q-mean" and gap.interval[1] < 0:
-        return "agrees: it is behind"
-    return same(gap.interval)
+def _behind(interval: Interval) -> str:
+    return "agrees: it is behind" if interval[1] < 0 else same(interval)
 
 
 def _compared(
-    rows: tuple[Row | None, Row | None],
+    table: ResultTable,
+    labels: tuple[str, str],
     columns: Sequence[str],
-    names: str,
+    words: str,
     paper: str,
-    judged: Callable[[Interval], str],
+    judge: Judge,
 ) -> list[str]:
-    """What the first of two rows has more than the second, and whether the paper's sentence fits;
-    nothing where a row is missing or no episodes can be paired."""
-    first, second = rows
+    """What the first of two rows has more than the second, beside the paper's sentence; nothing
+    where a row is missing or no episodes can be paired."""
+    first, second = (table.average(label) for label in labels)
     gap = difference(first, second, columns) if first and second else None
-    return [f"{names}: {points(gap)}. {paper}: {judged(gap.interval)}."] if gap else []
+    return [f"{words}: {points(gap)}. {paper}{beside(table, gap, judge)}."] if gap else []
 
 
 def _occlusion(table: ResultTable) -> list[str]:
-    single, said = table.average("single"), "The paper reports 63% and 62%, so no difference"
-    lines = []
-    for mad in [row for row in table.averages if row.label.split(",")[0] == "mad"]:
-        names = f"MAD{mad.label.removeprefix('mad')} minus single, with every camera it has"
-        lines += _compared((mad, single), ("all",), names, said, same)
-    return [
-        *lines,
-        *_blind(table),
-        *_lead(table, ("mvd", "vib"), None, "MAD far ahead of MVD and VIB"),
-    ]
+    said, lines = "The paper reports 63% and 62%, so no difference", []
+    for label in [row.label for row in table.averages if row.label.split(",")[0] == "mad"]:
+        words = f"MAD{label.removeprefix('mad')} minus single, with every camera it has"
+        lines += _compared(table, (label, "single"), ("all",), words, said, same)
+    return [*lines, *_blind(table), *_lead(table, ("mvd", "vib"), "MAD far ahead of MVD and VIB")]
 
 
 def _blind(table: ResultTable) -> list[str]:
@@ -253,25 +249,22 @@ def _blind(table: ResultTable) -> list[str]:
 
 
 def _modality(table: ResultTable) -> list[str]:
-    mad = table.average("mad, one-rgbd")
-    depth, both = table.average("single, one-depth"), table.average("single, one-rgbd")
-    names, said = "MAD minus single on depth alone", "The paper finds MAD ahead"
-    lines = _compared((mad, depth), ("depth",), names, said, ahead)
-    names, said = "MAD minus single on colour and depth", "The paper finds them alike"
-    return lines + _compared((mad, both), ("all",), names, said, same)
+    mad, depth, both = "mad, one-rgbd", "single, one-depth", "single, one-rgbd"
+    words, said = "MAD minus single on depth alone", "The paper finds MAD ahead"
+    lines = _compared(table, (mad, depth), ("depth",), words, said, ahead)
+    words, said = "MAD minus single on colour and depth", "The paper finds them alike"
+    return lines + _compared(table, (mad, both), ("all",), words, said, same)
 
 
 def _resolution(table: ResultTable) -> list[str]:
-    rows = (table.average("mad"), table.average("mad, one size"))
-    names, said = "MAD with mixed sizes minus MAD with one", "The paper reports no loss"
-    return _compared(rows, THREE, names, said, same)
+    words, said = "MAD with mixed sizes minus MAD with one", "The paper reports no loss"
+    return _compared(table, ("mad", "mad, one size"), THREE, words, said, same)
 
 
 CLAIMS: dict[str, Callable[[ResultTable], list[str]]] = {
     "overall": _overall,
-    "components": _components,
+    "scratch": _overall,
     "alpha": _alpha,
-    "methods": _methods,
     "merging": _merging,
     "occlusion": _occlusion,
     "modality": _modality,

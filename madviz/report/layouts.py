@@ -1,4 +1,4 @@
-"""The paper's tables, as layouts: who is in one, under which name, and which rates it compares.
+"""One table for each question: who is in it, under which name, and which rates it compares.
 
 A label names the row that a policy belongs to, or leaves it out of the table. What a method has as
 usual is not said: ``mad`` is MAD with a sum under the light recipe.
@@ -22,10 +22,12 @@ ORDER = ("mad", "single", "mvd", "vib", "mv-mwm", "naive-both", "merged-only", "
 
 @dataclass(frozen=True)
 class Layout:
-    """One of the paper's tables: who is in it, under which name, and which rates it compares."""
+    """See the module."""
 
     key: str
     title: str
+    question: str
+    """The heading of its section."""
     label: Callable[[Evidence], str | None]
     """The row a policy belongs to; None leaves it out."""
     columns: tuple[str, ...]
@@ -59,7 +61,12 @@ def _in(setting: str, methods: Iterable[str] = ()) -> Callable[[Evidence], str |
 
 
 def _overall(evidence: Evidence) -> str | None:
-    """All methods with three cameras, and Single Camera, whose setting may be any with one."""
+    """All methods with three cameras that imitate, and Single Camera, whose setting may be any with
+    one."""
+    return _three(evidence) if evidence.recipe == "light" else None
+
+
+def _three(evidence: Evidence) -> str | None:
     if evidence.method == "single" and evidence.setting in ("three", "one-rgb"):
         return _method(evidence)
     return _in("three")(evidence)
@@ -81,9 +88,9 @@ def _merge(evidence: Evidence) -> str | None:
     return name if name is None or evidence.recipe == "light" else f"{name}, {evidence.recipe}"
 
 
-def any_method(evidence: Evidence) -> str | None:
+def _any_method(evidence: Evidence) -> str | None:
     """Everybody's row with three cameras, however views are merged."""
-    return _overall(evidence) or _merge(evidence)
+    return _overall(evidence) or (_merge(evidence) if evidence.recipe == "light" else None)
 
 
 def _modality(evidence: Evidence) -> str | None:
@@ -98,36 +105,89 @@ def _resolution(evidence: Evidence) -> str | None:
 
 
 def _scratch(evidence: Evidence) -> str | None:
-    return None if evidence.recipe == "light" else _overall(evidence)
+    return None if evidence.recipe == "light" else _three(evidence)
 
 
 LAYOUTS = (
-    Layout("overall", "Overall robustness", _overall, THREE, THREE, needs=2),
-    Layout("scratch", "Reinforcement learning from scratch", _scratch, THREE, THREE),
     Layout(
-        "components",
-        "Component ablation",
-        _in("three", ("mad", "naive-both", "merged-only", "singular-only")),
+        "overall",
+        "Every method",
+        "How does MAD compare with the other methods?",
+        _overall,
         THREE,
         THREE,
         needs=2,
     ),
-    Layout("alpha", "Alpha ablation", _alpha, THREE, THREE, needs=2, alphas="all"),
-    Layout("methods", "Every method", any_method, THREE, THREE, needs=9),
-    Layout("merging", "Multi-view merging", _merge, ("all",), needs=2),
+    Layout(
+        "scratch",
+        "Reinforcement learning from scratch",
+        "How far does reinforcement learning come, without an expert?",
+        _scratch,
+        THREE,
+        THREE,
+    ),
+    Layout(
+        "alpha",
+        "Weight of the merged feature, alpha",
+        "How much should the sum weigh against the single cameras?",
+        _alpha,
+        THREE,
+        THREE,
+        needs=2,
+        alphas="all",
+    ),
+    Layout(
+        "merging",
+        "Ways to merge, all cameras",
+        "Does the way to merge matter, with all cameras?",
+        _merge,
+        ("all",),
+        needs=2,
+    ),
     Layout(
         "occlusion",
         "Two cameras turned away",
+        "What if two of three cameras see nothing?",
         _in("turned-away"),
         ("all", "third_a"),
         alphas="named",
     ),
-    Layout("modality", "Modalities", _modality, ("all", "rgb", "depth")),
-    Layout("five", "Five views", _in("five"), ("all",), ("all",)),
-    Layout("resolution", "Mixed resolutions", _resolution, THREE, THREE, needs=2),
+    Layout(
+        "modality",
+        "Colour and depth",
+        "Colour, depth, or both?",
+        _modality,
+        ("all", "rgb", "depth"),
+    ),
+    Layout(
+        "five",
+        "Five cameras",
+        "Does it work with five cameras?",
+        _in("five"),
+        ("all",),
+        ("all",),
+    ),
+    Layout(
+        "resolution",
+        "Pictures of several sizes",
+        "Does it work with pictures of several sizes?",
+        _resolution,
+        THREE,
+        THREE,
+        needs=2,
+    ),
 )
-"""In the paper's order, and beside its merging all methods of a task where most were trained. Five
-views: the columns are those of the policies, see ``build``."""
+"""In the paper's order; its component ablation is in the first. Five cameras: the columns are those
+of the policies, see ``build``."""
+BASELINES = Layout(
+    "methods",
+    "Success by method and subset",
+    "Which method works from which cameras?",
+    _any_method,
+    THREE,
+    needs=5,
+)
+"""The heat map: tasks on which many methods were trained, however they merge."""
 
 
 def rank(label: str) -> tuple[int, str]:

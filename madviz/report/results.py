@@ -1,46 +1,34 @@
-"""``madviz report``: RESULTS.md and its pictures, from the files of the policy folders alone.
+"""``madviz report``: RESULTS.md, rates.csv, pictures and sweep files, from policy folders alone.
 
-    config.json, evaluation.json  ->  evidence.py  ->  tables.py  ->  claims.py
-                                      episodes         the paper's tables    and its sentences
+    config.json       ->  evidence.py  ->  tables.py     ->  page.py      RESULTS.md
+    evaluation.json       episodes         threshold.py      pictures.py  pictures/*.svg
+    development.json                                         rates.py     rates.csv
+    curve.csv                                                sweeps.py    sweeps/*.toml
 
-What was tried on the way to a policy leaves no policy folder; ``tried.json`` beside them
-says it: a list of sentences for each task. Nothing else is typed and nothing is run: the same
-files give the same bytes, so that a committed RESULTS.md can be checked against what it was made
-from. Tables for which there are no files yet are left out; a task without a policy stays in the
-first table, as not trained.
+Nothing is typed, and without ``--evaluate`` nothing is run: the same files give the same bytes, so
+that a committed RESULTS.md can be checked against what it was made from. Tables for which there are
+no files yet are left out; a task without a policy stays in the first table, as not trained.
 """
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from madviz import plots
 from madviz.errors import UserError
 from madviz.evaluation.evidence import Evidence, find_evidence
-from madviz.evaluation.statistics import SuccessRate
-from madviz.policies.card import AGAIN, train_again
-from madviz.policies.checkpoint import WEIGHTS
-from madviz.report.claims import claims
-from madviz.report.layouts import LAYOUTS, THREE
-from madviz.report.rows import Row
+from madviz.policies.seeds import DEVELOPMENT, REPORTING, use_of
+from madviz.report import pictures
+from madviz.report.evaluate import EPISODES, evaluate_all
+from madviz.report.layouts import BASELINES, LAYOUTS
+from madviz.report.page import page
+from madviz.report.rates import rates_csv
+from madviz.report.sweeps import sweep_text
 from madviz.report.tables import ResultTable, build
-from madviz.report.target import (
-    TARGET_ALL,
-    TARGET_EPISODES,
-    TARGET_MEAN,
-    TARGET_SEED,
-    TRIED,
-    TWENTY,
-    Verdict,
-    judge,
-    judged_on,
-    tried,
-    verdict_json,
-)
+from madviz.report.threshold import TWENTY, Verdict, judge, verdict_json
 from madviz.system.files import write_bytes, written_to
 
 SHIPPED = (Path("checkpoints"), Path("results"))
@@ -54,191 +42,111 @@ class ReportConfig:
     folder: Path | None = None
     """Where the policy folders are, at any depth; checkpoints and results if not given."""
     out: Path | None = None
-    """The file to write; FOLDER/RESULTS.md if not given. Pictures go to pictures/ beside it."""
+    """The file to write; FOLDER/RESULTS.md if not given. Pictures go to pictures/ beside it, sweep
+    files to sweeps/, and all rates to rates.csv."""
+    evaluate: bool = False
+    """First evaluate every policy that has weights on the reporting seeds. What was measured before
+    goes to development.json. Goes on where it was stopped."""
+    episodes: int = EPISODES
+    """With --evaluate: episodes for each subset, from seed 10000 on."""
+    workers: int | None = None
+    """With --evaluate: processes; by default one per core. 0 runs everything in this one."""
     json: str | None = None
-    """Where to write what was written, and which tasks meet the target; - is standard output."""
+    """Where to write what was written, and which tasks meet the threshold; - is standard output."""
 
 
 def run_report(config: ReportConfig) -> dict[str, Any]:
-    """``madviz report``. Raises UserError for a folder without evaluated policies, and for files
-    that contradict each other."""
+    """``madviz report``. Raises UserError for a folder without evaluated policies, for files that
+    contradict each other, and for rates on seeds that must not be reported."""
     folders = SHIPPED if config.folder is None else (config.folder,)
+    if config.evaluate:
+        evaluate_all(folders, config.episodes, config.workers)
     evidence = find_evidence(*folders)
     if not evidence:
         raise UserError(
             f"expected policy folders with evaluation.json in {' and '.join(map(str, folders))}, "
             "found none; run `madviz eval --policy NAME --card`"
         )
+    for each in evidence:
+        check_seeds(each)
     out = config.out or folders[-1] / "RESULTS.md"
-    pictures = out.parent / "pictures"
     tables = [table for layout in LAYOUTS for table in build(layout, evidence)]
+    compared = build(BASELINES, evidence)
     verdicts = [judge(task, evidence) for task in TWENTY]
-    drawn = {f"{t.layout.key}-{t.suite}.svg": picture(t) for t in tables}
-    remake = "madviz report"
-    if config.folder is not None:
-        remake += f" --folder {shlex.quote(config.folder.as_posix())}"
-    if config.out is not None:
-        remake += f" --out {shlex.quote(out.as_posix())}"
-    text = _page(remake, evidence, verdicts, tables, tried(folders[-1]))
-    pictures.mkdir(parents=True, exist_ok=True)
+    drawn = _drawn(evidence, verdicts, tables, compared)
+    sweeps = out.parent / "sweeps"
+    text = page(_remake(config, out), evidence, verdicts, tables, drawn, sweeps.as_posix())
     written_to(out, "--out")
-    for old in set(pictures.glob("*.svg")) - {pictures / name for name in drawn}:
-        old.unlink()  # Of a table that is no longer there.
-    for name, drawing in drawn.items():
-        write_bytes(pictures / name, drawing.encode())
+    _write_all(out.parent / "pictures", "*.svg", drawn)
+    _write_all(sweeps, "*.toml", _sweeps(sweeps, verdicts, tables))
+    write_bytes(out.parent / "rates.csv", rates_csv(verdicts, [*tables, *compared]).encode())
     write_bytes(out, text.encode())
     return {
         "schema": 1,
         "path": str(out),
-        "pictures": [str(pictures / name) for name in drawn],
+        "pictures": [str(out.parent / "pictures" / name) for name in drawn],
         "policies": len(evidence),
-        "tables": [f"{table.layout.key}-{table.suite}" for table in tables],
+        "tables": [table.name for table in tables],
         "bar": [verdict_json(each) for each in verdicts],
     }
 
 
-def _without_weights(evidence: Sequence[Evidence]) -> list[str]:
-    """Says which policies are here as figures only."""
-    bare = [e.folder for e in evidence if not (e.path / WEIGHTS).is_file()]
-    if not bare:
-        return []
-    named = ", ".join(f"`{name}`" for name in bare)
-    return [
-        f"<details><summary>Here as figures only, without weights: {len(bare)} that serve a "
-        "comparison, or fall short by too much to be shown at work; the commands under a table "
-        f"make them again</summary>\n\n{named}\n\n</details>"
-    ]
+def check_seeds(evidence: Evidence) -> None:
+    """Raises UserError unless evaluation.json holds reporting seeds or development seeds, and
+    development.json only the latter."""
+    earlier = use_of(seed for found in evidence.development.values() for seed in found)
+    if evidence.seeds not in (DEVELOPMENT, REPORTING) or earlier not in ("", DEVELOPMENT):
+        raise UserError(
+            f"{evidence.path}: expected reporting seeds (10000 and up) or development seeds (5000 "
+            "to 9999) in evaluation.json, and development seeds in development.json, found seeds "
+            f"for {evidence.seeds} and for {earlier or 'nothing'}; evaluate again: `madviz eval "
+            "--card --seed 10000`"
+        )
 
 
-def _page(
-    remake: str,
+def _remake(config: ReportConfig, out: Path) -> str:
+    """The command that writes the same files."""
+    words = ["madviz", "report"]
+    words += [] if config.folder is None else ["--folder", config.folder.as_posix()]
+    words += [] if config.out is None else ["--out", out.as_posix()]
+    return shlex.join(words)
+
+
+def _drawn(
     evidence: Sequence[Evidence],
     verdicts: Sequence[Verdict],
     tables: Sequence[ResultTable],
-    attempts: dict[str, list[str]],
-) -> str:
-    sections = [
-        "# Results",
-        f"Generated by `{remake}` from `config.json` and `evaluation.json` of {len(evidence)} "
-        "policies; not edited. Success counts at the last step of an episode. Every number has its "
-        "95% interval in brackets and its count of episodes n, of each subset where it is a mean; "
-        "rates have Wilson's interval. Intervals are about episodes: they do not say how another "
-        "training or another task would come out. A dash is what was not measured or cannot be. "
-        f"The commands under a table train and evaluate its policies again, in `{AGAIN}/`; what "
-        "ships with weights is evaluated as it is by the command in its card.",
-        *_without_weights(evidence),
-        _target_section(verdicts, attempts),
-        *(_section(table) for table in tables),
-    ]
-    return "\n\n".join(sections) + "\n"
+    compared: Sequence[ResultTable],
+) -> dict[str, str]:
+    """The pictures by name."""
+    drawn = {}
+    if any(verdict.row for verdict in verdicts):
+        drawn[pictures.TWENTY] = pictures.twenty(verdicts)
+    if compared:
+        drawn[pictures.METHODS] = pictures.methods(compared)
+    if curve := pictures.curve(evidence):
+        drawn[pictures.CURVE] = curve
+    return {**drawn, **{f"{table.name}.svg": pictures.rates(table) for table in tables}}
 
 
-def _target_section(verdicts: Sequence[Verdict], attempts: dict[str, list[str]]) -> str:
-    met = sum(verdict.words == "met" for verdict in verdicts)
-    missing = sum(verdict.row is None for verdict in verdicts)
-    lines = [
-        "## Twenty tasks and the target",
-        "",
-        f"The target: `all` at least {TARGET_ALL}, and at least {TARGET_MEAN:.2f} on the mean of "
-        f"{', '.join(THREE)} (PokeCube: {', '.join(judged_on('maniskill/poke-cube'))}), with "
-        f"{TARGET_EPISODES} episodes of each from seed {TARGET_SEED} on. {met} of {len(verdicts)} "
-        f"tasks meet it, {len(verdicts) - met - missing} do not, {missing} have no policy yet.",
-        "",
-        *_head(("task", "policy", *THREE, "mean", "target")),
-    ]
-    for verdict in verdicts:
-        row = verdict.row
-        cells = [_cell(None if row is None else row.rate(column)) for column in THREE]
-        name = "–" if row is None else f"`{row.evidence[0].folder}`"
-        lines.append(_line((verdict.task, name, *cells, _cell(verdict.mean), verdict.words)))
-    for suite in dict.fromkeys(task.split("/")[0] for task in TWENTY):
-        whole = _whole(suite, verdicts)
-        cells = [_cell(whole.rate(column)) for column in THREE]
-        label = f"average of {len(whole.tasks)} in {suite}"
-        if len(whole.tasks) > 1:
-            lines.append(_line((label, "", *cells, _cell(whole.mean(THREE)), "")))
-    if attempts:
-        lines += ["", f"What was tried on the way (`{TRIED}`; weights were not saved):", ""]
-        lines += [f"- {task}: {line}" for task, tries in attempts.items() for line in tries]
-    used = [e for verdict in verdicts if verdict.row for e in verdict.row.evidence]
-    return "\n".join([*lines, "", _commands(used)])
+def _sweeps(
+    folder: Path, verdicts: Sequence[Verdict], tables: Sequence[ResultTable]
+) -> dict[str, str]:
+    """A sweep file for each question."""
+    used = {"twenty": [each for v in verdicts if v.row for each in v.row.evidence]}
+    for table in tables:
+        used.setdefault(table.layout.key, []).extend(table.evidence)
+    names = {key: f"{key}.toml" for key, found in used.items() if found}
+    return {name: sweep_text((folder / name).as_posix(), used[key]) for key, name in names.items()}
 
 
-def _whole(suite: str, verdicts: Sequence[Verdict]) -> Row:
-    """All of a suite's policies in one row."""
-    whole = Row(suite)
-    for verdict in verdicts:
-        if verdict.row is not None and verdict.task.startswith(f"{suite}/"):
-            for column, cell in verdict.row.cells.items():
-                whole.cells.setdefault(column, {}).update(cell)
-    return whole
-
-
-def _section(table: ResultTable) -> str:
-    layout, mean_of = table.layout, table.mean_of
-    headings = ("task", "method", "trainings", *table.columns, *(["mean"] if mean_of else []))
-    lines = [f"## {layout.title}: {table.suite}", "", *_head(headings)]
-    for task, row in table.rows:
-        lines.append(_row_line(task, row, table))
-    for row in table.averages:
-        if len(row.tasks) > 1:
-            lines.append(_row_line(f"average of {len(row.tasks)}", row, table))
-    image = f"pictures/{layout.key}-{table.suite}.svg"
-    lines += ["", f"![{layout.title}, {table.suite}]({image})", ""]
-    lines += [f"- {sentence}" for sentence in claims(table)]
-    used = [e for row in table.averages for e in row.evidence]
-    return "\n".join([*lines, "", _commands(used)])
-
-
-def _row_line(task: str, row: Row, table: ResultTable) -> str:
-    cells = [_cell(row.rate(column)) for column in table.columns]
-    mean = [_cell(row.mean(table.mean_of))] if table.mean_of else []
-    if mean and row.measured(table.mean_of) != list(table.mean_of):
-        mean = [f"{mean[0]} ({', '.join(row.measured(table.mean_of))})"]
-    return _line((task, row.label, str(row.trainings), *cells, *mean))
-
-
-def _cell(rate: SuccessRate | None) -> str:
-    return "–" if rate is None else str(rate)
-
-
-def _head(headings: Sequence[str]) -> list[str]:
-    return [_line(headings), "|" + "---|" * len(headings)]
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-def _commands(evidence: Sequence[Evidence]) -> str:
-    """How to make a table again: trainings, their evaluations, the report of both."""
-    unique = {each.path: each for each in evidence}
-    lines = []
-    for each in unique.values():
-        folder = shlex.quote(f"{AGAIN}/{each.folder}")
-        if each.command:
-            lines.append(train_again(each.command, each.folder))
-        lines.append(
-            f"madviz eval --policy {folder} --subsets {' '.join(each.outcomes)} "
-            f"--episodes {each.episodes} --seed {each.first_seed} --card"
-        )
-    block = "\n".join(f"    {line}" for line in [*lines, f"madviz report --folder {AGAIN}"])
-    return (
-        f"<details><summary>Made again by {len(lines) + 1} commands</summary>\n\n{block}\n\n"
-        "</details>"
-    )
-
-
-def picture(table: ResultTable) -> str:
-    """The table's averages as bars with their intervals, SVG."""
-    groups = (*table.columns, *(["mean"] if table.mean_of else []))
-    series = {}
-    for row in table.averages:
-        rates = [row.rate(column) for column in table.columns]
-        rates += [row.mean(table.mean_of)] if table.mean_of else []
-        label = f"{row.label} ({len(row.tasks)} task{'s' * (len(row.tasks) != 1)})"
-        series[label] = [None if r is None else plots.Bar(r.value, *r.interval) for r in rates]
-    return plots.bars(f"{table.layout.title}: {table.suite}", groups, series)
+def _write_all(folder: Path, pattern: str, files: Mapping[str, str]) -> None:
+    """Writes ``files`` by name, and removes what the pattern finds of tables that are gone."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in set(folder.glob(pattern)) - {folder / name for name in files}:
+        old.unlink()
+    for name, text in files.items():
+        write_bytes(folder / name, text.encode())
 
 
 def report_words(result: dict[str, Any]) -> str:
@@ -246,5 +154,6 @@ def report_words(result: dict[str, Any]) -> str:
     met = sum(each["verdict"] == "met" for each in result["bar"])
     return (
         f"{result['path']}: {result['policies']} policies, {len(result['tables'])} tables, "
-        f"{len(result['pictures'])} pictures; {met} of {len(result['bar'])} tasks meet the target"
+        f"{len(result['pictures'])} pictures; {met} of {len(result['bar'])} tasks meet the "
+        "acceptance threshold"
     )

@@ -12,7 +12,7 @@ average over tasks is the same code as one task:
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 from madviz.evaluation.evidence import Evidence
@@ -22,6 +22,7 @@ from madviz.evaluation.statistics import (
     difference_interval,
     mean_interval,
 )
+from madviz.policies.seeds import use_of
 
 Unit = tuple[str, int, int]
 """Task, training seed, episode seed."""
@@ -46,6 +47,19 @@ class Row:
         seeds = {unit[:2] for cell in self.cells.values() for unit in cell}
         return max(Counter(task for task, _ in seeds).values(), default=0)
 
+    @property
+    def seeds(self) -> str:
+        """What the seeds of its episodes serve, see ``madviz.policies.seeds``."""
+        return use_of(unit[2] for cell in self.cells.values() for unit in cell)
+
+    def on(self, tasks: Collection[str]) -> Row:
+        """The same row with the episodes of ``tasks`` only."""
+        cells = {
+            column: {unit: success for unit, success in cell.items() if unit[0] in tasks}
+            for column, cell in self.cells.items()
+        }
+        return Row(self.label, cells, [each for each in self.evidence if each.task in tasks])
+
     def rate(self, column: str) -> SuccessRate | None:
         """None where nothing was measured."""
         cell = self.cells.get(column)
@@ -64,8 +78,11 @@ class Row:
         return [column for column in columns if self.cells.get(column)]
 
     def mean(self, columns: Sequence[str]) -> SuccessRate | None:
-        """Over those of ``columns`` that this row has."""
+        """Over those of ``columns`` that this row has; None where it has but one, which is no
+        mean."""
         present = self.measured(columns)
+        if len(present) < 2:
+            return None
         shares = list(self.shares(present).values())
         if not shares:
             return None
@@ -82,6 +99,8 @@ class Difference:
     n: int
     tasks: tuple[str, ...]
     columns: tuple[str, ...]
+    trainings: tuple[float, ...]
+    """The difference of every training seed that all tasks have."""
 
 
 def difference(first: Row, second: Row, columns: Sequence[str]) -> Difference | None:
@@ -94,4 +113,11 @@ def difference(first: Row, second: Row, columns: Sequence[str]) -> Difference | 
     gaps = [mine[unit] - theirs[unit] for unit in units]
     tasks = tuple(sorted({unit[0] for unit in units}))
     value = sum(gaps) / len(gaps)
-    return Difference(value, difference_interval(gaps), len(gaps), tasks, tuple(shared))
+    by_training: dict[int, list[float]] = {}
+    for (_, training, _), gap in zip(units, gaps, strict=True):
+        by_training.setdefault(training, []).append(gap)
+    seeds = [{unit[1] for unit in units if unit[0] == task} for task in tasks]
+    complete = sorted(set.intersection(*seeds))
+    trainings = tuple(sum(by_training[s]) / len(by_training[s]) for s in complete)
+    interval = difference_interval(gaps)
+    return Difference(value, interval, len(gaps), tasks, tuple(shared), trainings)

@@ -1,4 +1,4 @@
-"""The paper's tables, filled with what was measured here: which policies are compared, their rows.
+"""Tables filled with what was measured: which policies are compared, and their rows.
 
 The paper's Single Camera baseline is three trainings, each with one camera; its row takes each
 camera's cell from the policy that has this camera, and has no cell for all cameras.
@@ -6,6 +6,9 @@ camera's cell from the policy that has this camera, and has no cell for all came
 Only equal budgets are compared: a task's rows are those of one budget of updates, the one that
 most of them have. An average takes of every task the episodes that all its rows have, so that
 a policy that was evaluated for longer does not pull the average towards its task.
+
+Imitation and reinforcement learning never share a table, and neither do reporting seeds and
+development seeds: where one policy has development seeds only, all others are taken on theirs.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from madviz.envs.registry import METAWORLD_TASKS
-from madviz.evaluation.evidence import Evidence
+from madviz.evaluation.evidence import Evidence, alike
 from madviz.report.layouts import Layout, rank
 from madviz.report.rows import Row
 
@@ -35,6 +38,19 @@ class ResultTable:
     """Task and row, tasks in order."""
     averages: tuple[Row, ...]
     """A row for every label over all its tasks, of the episodes that a task's rows share."""
+    imitation: bool = True
+    """Whether its policies imitate an expert; otherwise they learn by reinforcement."""
+
+    @property
+    def name(self) -> str:
+        """Of its picture and in the CSV file: ``overall-metaworld``."""
+        learning = "" if self.imitation or self.layout.key == "scratch" else "-reinforcement"
+        return f"{self.layout.key}-{self.suite}{learning}"
+
+    @property
+    def evidence(self) -> list[Evidence]:
+        """The policies in its rows."""
+        return [each for row in self.averages for each in row.evidence]
 
     def average(self, label: str) -> Row | None:
         """The row of ``label`` over all its tasks; None where it has none."""
@@ -52,13 +68,28 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[ResultTable]:
             chosen += [(f"{label}, alpha {each.alpha}", each) for label, each in others]
     tasks = {each.task for _, each in chosen}
     chosen = [pair for task in sorted(tasks) for pair in _comparable(layout, task, chosen)]
-    suites = sorted({each.task.split("/")[0] for _, each in chosen} & SUITES)
-    return [_table(layout, suite, chosen) for suite in suites]
+    kinds: dict[tuple[str, bool], list[tuple[str, Evidence]]] = {}
+    for label, each in chosen:
+        kinds.setdefault((each.task.split("/")[0], each.recipe == "light"), []).append(
+            (label, each)
+        )
+    return [
+        _table(layout, suite, imitation, _same_seeds(kinds[suite, imitation]))
+        for suite, imitation in sorted(kinds)
+        if suite in SUITES
+    ]
 
 
-def _table(layout: Layout, suite: str, chosen: Sequence[tuple[str, Evidence]]) -> ResultTable:
+def _same_seeds(chosen: Sequence[tuple[str, Evidence]]) -> list[tuple[str, Evidence]]:
+    """All on reporting seeds, or all on development seeds."""
+    labels = {each.path: label for label, each in chosen}
+    return [(labels[each.path], each) for each in alike([each for _, each in chosen])]
+
+
+def _table(
+    layout: Layout, suite: str, imitation: bool, mine: Sequence[tuple[str, Evidence]]
+) -> ResultTable:
     """Of the policies of one suite, each with its row's label."""
-    mine = [(label, each) for label, each in chosen if each.task.startswith(f"{suite}/")]
     labels = sorted({label for label, _ in mine}, key=rank)
     columns, mean_of = _columns(layout, [each for _, each in mine])
     rows = []
@@ -73,7 +104,7 @@ def _table(layout: Layout, suite: str, chosen: Sequence[tuple[str, Evidence]]) -
         _row(label, columns, [each for name, each in mine if name == label], shared)
         for label in labels
     ]
-    return ResultTable(layout, suite, columns, mean_of, tuple(rows), tuple(averages))
+    return ResultTable(layout, suite, columns, mean_of, tuple(rows), tuple(averages), imitation)
 
 
 def _comparable(
@@ -93,7 +124,7 @@ def _comparable(
     return found
 
 
-def _columns(layout: Layout, mine: list[Evidence]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _columns(layout: Layout, mine: Sequence[Evidence]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     if layout.key != "five":
         return layout.columns, layout.mean_of
     streams = max((each.streams for each in mine), key=len)

@@ -1,0 +1,36 @@
+"""Which episode seeds serve which use, so that nothing is reported that was developed on.
+
+A seed fixes an episode's scene. The uses are apart:
+
+    0 to 999             training of the recipe ``light``
+    1000 to 1999         selection: evaluations while a policy trains
+    2000 to 4999         the live page and the lessons
+    5000 to 9999         development: recipes, experts and choices were improved on these
+    10000 to 999999      reporting: nothing is developed or chosen on them
+    1000000 and up       training scenes of reinforcement learning
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterable
+
+USES = {
+    0: "training",
+    1_000: "selection",
+    2_000: "live page",
+    5_000: "development",
+    10_000: "reporting",
+    1_000_000: "reinforcement learning",
+}
+"""The first seed of each use."""
+DEVELOPMENT, REPORTING = "development", "reporting"
+FIRST_REPORTING = 10_000
+
+
+def use_of(seeds: Iterable[int]) -> str:
+    """``development``, ``reporting`` or another use of all of ``seeds``; several are joined with
+    ``and``."""
+    firsts, names = list(USES), list(USES.values())
+    places = sorted({bisect_right(firsts, seed) - 1 for seed in seeds})
+    return " and ".join(names[place] for place in places)

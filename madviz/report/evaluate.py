@@ -1,0 +1,59 @@
+"""``madviz report --evaluate``: every policy with weights on seeds that nothing was developed on.
+
+    before    evaluation.json  development seeds
+    after     evaluation.json  reporting seeds      development.json  what evaluation.json was
+
+Every finished episode is stored, and a policy's files change when all of its episodes are there. So
+it can be stopped at any time, and goes on with the next episode. A policy that has the episodes
+already is passed over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from madviz.evaluation.evaluate import evaluate, write_measured
+from madviz.evaluation.store import Store
+from madviz.policies import checkpoint
+from madviz.policies.card import AGAIN
+from madviz.policies.measured import EvaluationFile, seeds_of
+from madviz.policies.seeds import FIRST_REPORTING, REPORTING
+
+EPISODES = 100
+STORE = Path(AGAIN) / "reporting.sqlite"
+"""Finished episodes; it can be removed once all policies are evaluated."""
+
+
+def evaluate_all(folders: Sequence[Path], episodes: int, workers: int | None) -> list[Path]:
+    """The policies that were evaluated, in order. ``episodes``: of each subset."""
+    found = sorted(file.parent for root in folders for file in root.rglob(checkpoint.WEIGHTS))
+    STORE.parent.mkdir(parents=True, exist_ok=True)
+    store = Store(STORE)
+    try:
+        return [path for path in found if _evaluate(path, episodes, workers, store)]
+    finally:
+        store.close()
+
+
+def _evaluate(path: Path, episodes: int, workers: int | None, store: Store) -> bool:
+    """Whether the policy had to be evaluated; its files are new then."""
+    before = checkpoint.shipped_evaluation(path)
+    if before is not None and seeds_of(before) == REPORTING and _least(before) >= episodes:
+        return False
+    made = evaluate(
+        path,
+        None if before is None else before["subsets"],
+        episodes=episodes,
+        seed=FIRST_REPORTING,
+        workers=workers,
+        store=store,
+        progress=True,
+    )
+    write_measured(path, made.to_json())
+    return True
+
+
+def _least(evaluation: EvaluationFile) -> int:
+    """Episodes of the subset that has fewest."""
+    return min((row["n"] for row in evaluation["subsets"].values()), default=0)

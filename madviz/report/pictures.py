@@ -1,0 +1,80 @@
+"""The report's pictures: every one is SVG text made from rows and curves."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+
+from madviz import plots
+from madviz.evaluation.evidence import Evidence
+from madviz.evaluation.statistics import SuccessRate
+from madviz.report.layouts import THREE, rank
+from madviz.report.rows import Row
+from madviz.report.tables import ResultTable
+from madviz.report.threshold import WEAK, Verdict
+from madviz.training.curve import success_lines
+
+TWENTY, METHODS, CURVE = "twenty.svg", "methods.svg", "reinforcement.svg"
+
+
+def bar(rate: SuccessRate | None) -> plots.Bar | None:
+    """A rate as it is drawn."""
+    return None if rate is None else plots.Bar(rate.value, *rate.interval)
+
+
+def twenty(verdicts: Sequence[Verdict]) -> str:
+    """Every task with all cameras and with each one alone."""
+    rows = [verdict.row or Row(verdict.task) for verdict in verdicts]
+    uses = " and ".join(sorted({row.seeds for row in rows if row.cells}))
+    series = {subset: [bar(row.rate(subset)) for row in rows] for subset in THREE}
+    title = f"MAD on twenty tasks: success, 95% intervals, {uses} seeds"
+    return plots.dots(title, [verdict.task for verdict in verdicts], series, (WEAK,))
+
+
+def methods(tables: Sequence[ResultTable]) -> str:
+    """Every method with every subset, on the tasks on which many were trained."""
+    panels: dict[str, dict[str, list[float | None]]] = {}
+    for table in tables:
+        for task, row in table.rows:
+            rates = [row.rate(column) for column in table.columns]
+            cells = [None if rate is None else rate.value for rate in rates]
+            panels.setdefault(task, {})[row.label] = cells
+    labels = sorted({row.label for table in tables for row in table.averages}, key=rank)
+    uses = " and ".join(sorted({row.seeds for table in tables for row in table.averages}))
+    title = f"{tables[0].layout.title}, imitation, {uses} seeds"
+    return plots.heat(title, labels, tables[0].columns, panels)
+
+
+def rates(table: ResultTable) -> str:
+    """The table's rows with their intervals, each over the tasks that all of them have; a mean only
+    of rows that have all columns."""
+    groups = [*table.columns, *(["mean"] if table.mean_of else [])]
+    tasks = set.intersection(*(set(row.tasks) for row in table.averages))
+    series = {}
+    for whole in table.averages:
+        row = whole.on(tasks) if tasks else whole
+        found = [row.rate(column) for column in table.columns]
+        if table.mean_of:
+            complete = row.measured(table.mean_of) == list(table.mean_of)
+            found.append(row.mean(table.mean_of) if complete else None)
+        series[row.label] = [bar(rate) for rate in found]
+    where = " and ".join(sorted(tasks)) or table.suite
+    uses = " and ".join(sorted({row.seeds for row in table.averages}))
+    return plots.dots(f"{table.layout.title}: {where}, {uses} seeds", groups, series)
+
+
+def curve(evidence: Sequence[Evidence]) -> str:
+    """Success while training by reinforcement, '' where no training measured it by subset."""
+    panels: dict[str, dict[str, plots.Line]] = {}
+    for each in evidence:
+        file = each.path / "curve.csv"
+        if each.recipe == "light" or not file.is_file():
+            continue
+        lines = success_lines(list(csv.DictReader(file.read_text().splitlines())))
+        for subset, line in lines.items():
+            name = each.streams[0] if len(each.streams) == 1 else subset
+            task = each.task.split("/")[-1]
+            label = f"{each.method}, {task}" + (f", seed {each.seed}" if each.seed != 1 else "")
+            panels.setdefault(name, {})[label] = line
+    title = "Reinforcement learning: success at evaluations on selection seeds, 95% intervals"
+    return plots.lines(title, "simulator steps", panels) if panels else ""

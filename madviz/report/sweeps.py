@@ -1,0 +1,96 @@
+"""The sweep file of a table: one ``madviz sweep`` trains and evaluates its policies again.
+
+The grids are made from the commands that trained the policies, so that nothing is typed. Policies
+with the same options share a grid.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Sequence
+
+from madviz.evaluation.evidence import Evidence
+
+AXES = ("task", "method", "setting", "recipe", "seed")
+Options = tuple[tuple[str, str], ...]
+
+
+def sweep_text(file: str, evidence: Sequence[Evidence]) -> str:
+    """TOML for ``madviz sweep``; ``file`` is where it will be."""
+    unique = {each.path: each for each in evidence if each.command}
+    entries = dict.fromkeys(_entry(each) for each in unique.values())
+    varied = _varied(list(entries))
+    grids: dict[tuple[tuple[str, ...], Options], list[tuple[str, str]]] = {}
+    for axes, options in entries:
+        kept = tuple((k, f"[{v}]" if (axes, k) in varied else v) for k, v in options)
+        grids.setdefault((axes[2:], kept), []).append((axes[0], axes[1]))
+    lines = [
+        "# Written by `madviz report`. Trains and evaluates the policies of a table again:",
+        "#",
+        f"#     madviz sweep {file}",
+        "",
+    ]
+    for ((setting, recipe, seed), options), pairs in grids.items():
+        for tasks, methods in _rectangles(pairs):
+            lines += [
+                "[[grid]]",
+                f"tasks = {json.dumps(tasks)}",
+                f"methods = {json.dumps(methods)}",
+            ]
+            lines += [f'settings = ["{setting}"]', f'recipes = ["{recipe}"]', f"seeds = [{seed}]"]
+            lines += ["[grid.train]", *(f"{k} = {v}" for k, v in options)] if options else []
+            lines.append("")
+    episodes = max(each.episodes for each in evidence)
+    first = max(each.first_seed for each in evidence)
+    return "\n".join([*lines, "[eval]", f"episodes = {episodes}", f"seed = {first}"]) + "\n"
+
+
+def _entry(evidence: Evidence) -> tuple[tuple[str, ...], Options]:
+    """Task, method, setting, recipe and seed of a training; its other options as TOML."""
+    words = shlex.split(evidence.command)
+    named: dict[str, list[str]] = {}
+    for word in words[words.index("train") + 1 :]:
+        if word.startswith("--"):
+            named[word[2:]] = []
+        else:
+            named[list(named)[-1]].append(word)
+    for own in (*AXES, "out", "resume"):
+        named.pop(own, None)
+    axes = (evidence.task, evidence.method, evidence.setting, evidence.recipe, str(evidence.seed))
+    options = [_option(name, values) for name, values in named.items()]
+    return axes, tuple(sorted(options))
+
+
+def _option(name: str, values: Sequence[str]) -> tuple[str, str]:
+    if not values:
+        head, dot, tail = name.rpartition(".")
+        negated = tail.startswith("no-")
+        return f"{head}{dot}{tail.removeprefix('no-')}", "false" if negated else "true"
+    try:
+        float(values[0])
+        return name, values[0]
+    except ValueError:
+        return name, json.dumps(values[0])
+
+
+def _varied(entries: Sequence[tuple[tuple[str, ...], Options]]) -> set[tuple[tuple[str, ...], str]]:
+    """Trainings that differ in options alone, with those options: in a list, an option is part of a
+    run's name."""
+    found = set()
+    for axes, options in entries:
+        for other, theirs in entries:
+            if other == axes:
+                found |= {(axes, name) for name, _ in set(options) ^ set(theirs)}
+    return found
+
+
+def _rectangles(pairs: Sequence[tuple[str, str]]) -> list[tuple[list[str], list[str]]]:
+    """(task, method) pairs as lists of tasks by lists of methods."""
+    methods: dict[str, list[str]] = {}
+    for task, name in pairs:
+        methods.setdefault(task, []).append(name)
+    tasks: dict[tuple[str, ...], list[str]] = {}
+    for task, names in methods.items():
+        tasks.setdefault(tuple(sorted(names)), []).append(task)
+    return [(found, list(names)) for names, found in tasks.items()]

@@ -1,0 +1,170 @@
+"""Development seeds and reporting seeds: which is which, and that they are never mixed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from madviz import cli
+from madviz.agent.agent import Agent
+from madviz.agent.networks import NetworkConfig
+from madviz.envs.registry import SETTINGS
+from madviz.envs.toy import ToyReach
+from madviz.errors import UserError
+from madviz.evaluation.compare import CompareConfig, run_compare
+from madviz.evaluation.evaluate import EvalConfig, run_eval
+from madviz.evaluation.evidence import find_evidence, read_evidence
+from madviz.policies import checkpoint
+from madviz.policies.config import TrainingRecord, policy_config
+from madviz.policies.seeds import use_of
+from madviz.report.results import ReportConfig, run_report
+from madviz.types import PolicySpec
+from tests.evidence import rates, write_policy
+from tests.reports import GOOD, report, table
+
+STREAMS = SETTINGS["three"].streams
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture
+def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A policy that nobody trained, measured on two development seeds; the folder is current."""
+    monkeypatch.chdir(tmp_path)
+    torch.manual_seed(0)
+    networks = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8)
+    spec = PolicySpec("toy", "toy/reach", "mad", "three", "light", STREAMS, ("all", *STREAMS))
+    config = policy_config(spec, ToyReach().spec, networks, TrainingRecord(command="madviz train"))
+    folder = checkpoint.save_policy(tmp_path / "policies" / "toy", Agent(networks), config)
+    run_eval(EvalConfig(str(folder), ("all", "first"), 2, 5000, workers=0, card=True))
+    return folder
+
+
+def move_to_reporting(path: Path, measured: dict[str, float]) -> None:
+    """As ``report --evaluate`` leaves a folder, with any rates one likes."""
+    fresh = write_policy(path.parent / "fresh", measured, first_seed=10_000)
+    (path / "evaluation.json").rename(path / "development.json")
+    shutil.copy(fresh / "evaluation.json", path / "evaluation.json")
+    shutil.rmtree(path.parent / "fresh")
+
+
+def test_every_seed_has_one_use() -> None:
+    seeds = (0, 999, 1000, 2000, 4999, 5000, 9999, 10_000, 999_999, 1_000_000)
+    assert [use_of([seed]) for seed in seeds] == [
+        "training",
+        "training",
+        "selection",
+        "live page",
+        "live page",
+        "development",
+        "development",
+        "reporting",
+        "reporting",
+        "reinforcement learning",
+    ]
+    assert use_of([10_000, 5000]) == "development and reporting" and use_of([]) == ""
+
+
+@pytest.mark.parametrize("first", [900, 4999, 9990])
+def test_a_report_refuses_seeds_that_serve_something_else(tmp_path: Path, first: int) -> None:
+    write_policy(tmp_path, GOOD, first_seed=first)
+    with pytest.raises(UserError, match="expected reporting seeds .10000 and up. or development"):
+        run_report(ReportConfig(tmp_path))
+
+
+def test_development_json_holds_development_seeds_alone(tmp_path: Path) -> None:
+    path = write_policy(tmp_path, GOOD, first_seed=10_000)
+    shutil.copy(path / "evaluation.json", path / "development.json")
+    with pytest.raises(UserError, match="found seeds for reporting and for reporting"):
+        run_report(ReportConfig(tmp_path))
+
+
+def test_a_row_without_fresh_seeds_is_compared_on_development_seeds(tmp_path: Path) -> None:
+    path = write_policy(tmp_path, rates(0.5, 0.5, 0.5, 0.5))
+    write_policy(tmp_path, GOOD, method="merged-only")
+    move_to_reporting(path, rates(1, 1, 1, 1))
+    overall = table(tmp_path, "overall")
+    found = overall.averages[0].rate("all")
+    assert found is not None and found.value == 0.5
+    assert {row.seeds for row in overall.averages} == {"development"}
+    _, text = report(tmp_path)
+    (twenty,) = (line for line in text.splitlines() if line.startswith("| metaworld/hammer | 1.00"))
+    assert "| reporting | met |" in twenty
+    assert "*Development seeds*" in text and "*Reporting seeds*" in text
+    run_compare(CompareConfig((str(path), str(tmp_path / "metaworld-hammer-merged-only-light"))))
+
+
+def test_rows_that_all_have_fresh_seeds_are_compared_on_them(tmp_path: Path) -> None:
+    for method in ("mad", "merged-only"):
+        path = write_policy(tmp_path, GOOD, method=method)
+        move_to_reporting(path, rates(1, 1, 1, 1))
+    assert {row.seeds for row in table(tmp_path, "overall").averages} == {"reporting"}
+    assert "*Development seeds*" not in report(tmp_path)[1]
+
+
+def test_an_average_is_of_one_kind_of_seeds(tmp_path: Path) -> None:
+    for task in ("hammer", "push", "soccer"):
+        path = write_policy(tmp_path, GOOD, task=f"metaworld/{task}")
+        if task != "soccer":
+            move_to_reporting(path, rates(1, 1, 1, 1))
+            document = json.loads((path / "config.json").read_text())
+            assert document["task"] == f"metaworld/{task}"
+    _, text = report(tmp_path)
+    (average,) = (line for line in text.splitlines() if "average of" in line)
+    assert average.startswith("| average of 2 in metaworld | 1.00") and "| reporting |" in average
+
+
+def test_report_evaluates_on_fresh_seeds_and_moves_the_old_figures(toy: Path) -> None:
+    before = (toy / "evaluation.json").read_bytes()
+    words = ["report", "--folder", str(toy.parent), "--evaluate", "--episodes", "2"]
+    assert cli.main([*words, "--workers", "0"]) == 0
+    assert (toy / "development.json").read_bytes() == before
+    evidence = read_evidence(toy)
+    assert evidence.seeds == "reporting" and evidence.first_seed == 10_000
+    assert {subset: len(found) for subset, found in evidence.outcomes.items()} == {
+        "all": 2,
+        "first": 2,
+    }
+    assert "Reporting seeds 10000 to 10001" in (toy / "card.md").read_text()
+
+
+def test_an_evaluation_that_was_stopped_goes_on(toy: Path, monkeypatch: Any) -> None:
+    from madviz.evaluation import evaluate
+
+    run, seeds = evaluate.Runner.run, []
+
+    def stopped(runner: Any, job: Any) -> Any:
+        if len(seeds) == 3:
+            raise KeyboardInterrupt
+        seeds.append((job.subset, job.seed))
+        return run(runner, job)
+
+    monkeypatch.setattr(evaluate.Runner, "run", stopped)
+    config = ReportConfig(toy.parent, evaluate=True, episodes=2, workers=0)
+    with pytest.raises(KeyboardInterrupt):
+        run_report(config)
+    assert read_evidence(toy).seeds == "development", "files change when all is there"
+    seeds.clear()
+    run_report(config)
+    assert len(seeds) == 1, "three of four episodes were there"
+    run_report(config)
+    assert len(seeds) == 1, "a policy that is done is passed over"
+
+
+def test_a_later_look_at_development_seeds_leaves_the_reported_figures(toy: Path) -> None:
+    run_report(ReportConfig(toy.parent, evaluate=True, episodes=2, workers=0))
+    reported = (toy / "evaluation.json").read_bytes()
+    run_eval(EvalConfig(str(toy), ("none",), 2, 5000, workers=0, card=True))
+    assert (toy / "evaluation.json").read_bytes() == reported
+    assert list(read_evidence(toy).development) == ["all", "first", "none"]
+
+
+def test_what_ships_keeps_the_rule() -> None:
+    found = find_evidence(ROOT / "checkpoints", ROOT / "results")
+    assert {each.seeds for each in found} <= {"development", "reporting"}
+    bare = [each for each in found if not (each.path / checkpoint.WEIGHTS).is_file()]
+    assert {each.seeds for each in bare} == {"development"}
