@@ -99,6 +99,7 @@ COMMANDS: dict[str, Command] = {
         config="madviz.evaluation.compare:CompareConfig",
         work="madviz.evaluation.compare:run_compare",
         words="madviz.evaluation.compare:comparison_table",
+        ok=lambda result: not result["broken"],
         positional=True,
     ),
     "report": Command(
@@ -308,5 +309,5 @@ def catalogue(listed: dict[str, Any]) -> str:
         rate = f"all {whole['success']:.2f} (n={whole['n']})" if whole else "not evaluated"
         weights = "" if policy["weights"] else "   no weights"
         lines.append(f"  {policy['name']:44} {policy['task']:24} {rate}{weights}")
-    lines += [f"  broken: {each['error']}" for each in listed.get("broken", [])]
+    lines += [f"  {each['name']:44} broken: {each['error']}" for each in listed["broken"]]
     return "\n".join(lines)

@@ -16,11 +16,11 @@ GOOD = rates(0.95, 0.90, 0.85, 0.80)
 
 def table(root: Path, key: str, suite: str = "metaworld") -> ResultTable:
     layout = next(layout for layout in LAYOUTS if layout.key == key)
-    return next(t for t in build(layout, find_evidence(root)) if t.suite == suite)
+    return next(t for t in build(layout, find_evidence(root)[0]) if t.suite == suite)
 
 
 def every_table(root: Path) -> list[ResultTable]:
-    return [t for layout in LAYOUTS for t in build(layout, find_evidence(root))]
+    return [t for layout in LAYOUTS for t in build(layout, find_evidence(root)[0])]
 
 
 def report(root: Path) -> tuple[dict[str, Any], str]:

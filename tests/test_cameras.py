@@ -188,8 +188,8 @@ def test_own_cameras_come_in_the_modalities_of_the_setting(tmp_path: Path) -> No
         ("[1.0, 0.0, 0.0, 0.0]", "[1.0, 1.0, 0.0, 0.0]", "camera 2: .*norm 1, .*found norm 1.41"),
         ("[0.0, 0.5]", "[0.5, 0.0]", r"expected depth_range = \[near, far\].*found \[0.5, 0.0\]"),
         ("[[camera]]", "[[cameras]]", "unknown word 'cameras'.* did you mean camera?"),
-        ("fovy = 55", "fovy = ", "expected TOML, found a mistake: .*line 6"),
-        ("fovy = 55", "fovy = 55\nfovy = 56", "expected TOML, found a mistake: .*overwrite"),
+        ("fovy = 55", "fovy = ", "expected TOML, found: .*line 6"),
+        ("fovy = 55", "fovy = 55\nfovy = 56", "expected TOML, found: .*overwrite"),
     ],
 )
 def test_mistakes_in_a_camera_file_are_told_in_one_line(
@@ -202,7 +202,7 @@ def test_mistakes_in_a_camera_file_are_told_in_one_line(
 
 
 def test_a_file_that_is_not_there_and_a_body_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="expected a camera file, found none"):
+    with pytest.raises(UserError, match="expected a camera file, found: No such file"):
         read_cameras(tmp_path / "none.toml")
     with pytest.raises(UserError, match="expected 'camera' to be a list of length <= 8, found"):
         read_cameras(written(tmp_path, 5 * GOOD))

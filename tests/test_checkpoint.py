@@ -290,6 +290,17 @@ WRONG_FIELDS = {
     "unknown network": ({"networks": {"layers": 3}}, "networks that cannot be built"),
     "negative network": ({"networks": {"hidden_dim": -1}}, "networks that cannot be built"),
     "giant network": ({"networks": {"hidden_dim": 10**7}}, "of shape"),
+    "no pair": (
+        {"networks": {"log_std_bounds": [1]}},
+        "'networks.log_std_bounds' to be a list of length 2",
+    ),
+    "a camera without limit": (
+        {"cameras": [{"name": "first", "label": "First", "fovy": 60, "size": 10**9}]},
+        "size of camera first from 16 to 512",
+    ),
+    "pictures without limit": ({"image_size": 10**9}, "'image_size' to be a whole number <= 512"),
+    "an episode without end": ({"horizon": 10**12}, "'horizon' to be a whole number <= 1000000"),
+    "no command line": ({"training": {"command": "'"}}, "expected a command line, found No clos"),
     "other network": ({"networks": {"state_dim": 6, "action_dim": 2}}, "of shape"),
 }
 

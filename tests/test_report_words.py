@@ -38,7 +38,7 @@ def test_a_task_meets_the_threshold_or_the_table_says_why_not(
 ) -> None:
     write_policy(tmp_path, measured, **change)
     task = change.get("task", "metaworld/hammer")
-    assert expected in judge(task, find_evidence(tmp_path)).words
+    assert expected in judge(task, find_evidence(tmp_path)[0]).words
 
 
 def test_the_threshold_is_for_twenty_tasks_and_the_page_counts_them(tmp_path: Path) -> None:

@@ -164,7 +164,7 @@ def test_a_later_look_at_development_seeds_leaves_the_reported_figures(toy: Path
 
 
 def test_what_ships_keeps_the_rule() -> None:
-    found = find_evidence(ROOT / "checkpoints", ROOT / "results")
+    found, _ = find_evidence(ROOT / "checkpoints", ROOT / "results")
     assert {each.seeds for each in found} <= {"development", "reporting"}
     bare = [each for each in found if not (each.path / checkpoint.WEIGHTS).is_file()]
     assert {each.seeds for each in bare} == {"development"}

@@ -238,27 +238,38 @@ def saved_episode(config: ExploreConfig) -> tuple[SavedEpisode | None, dict[str,
 
 
 def shipped_rates(spec: PolicySpec) -> dict:
-    """The subsets of a policy's evaluation.json; empty where it has none."""
+    """The subsets of a policy's evaluation.json; empty where it has none, or a broken one."""
     folder = checkpoint.policy_folders().get(spec.name)
-    return (checkpoint.shipped_evaluation(folder) or {}).get("subsets", {}) if folder else {}
+    if folder is None:
+        return {}
+    try:
+        return (checkpoint.shipped_evaluation(folder) or {}).get("subsets", {})
+    except UserError:
+        return {}  # ``policy_choices`` says so.
 
 
 def policy_choices(task: str | None) -> list[PolicyChoice]:
-    """The policies a visitor can swap between, those of ``task`` only if it is given."""
-    listed, _ = list_policies()
+    """The policies a visitor can swap between, those of ``task`` only if it is given; else also
+    those that are broken, last, and why."""
+    listed, broken = list_policies()
     fitting = [one for one in listed if task in (None, one["task"])]
-    return [
+    choices = [
         PolicyChoice(
             one["name"],
             f"{one['task'].split('/')[-1]} · {one['method']} · {one['setting']} · {one['recipe']}",
         )
         for one in fitting
     ]
+    if task is None:
+        for each in broken:
+            why = each["error"].removeprefix(each["path"]).lstrip("/")
+            choices.append(PolicyChoice(each["name"], f"{each['name']} · broken: {why:.80}", True))
+    return choices
 
 
 def first_choice(choices: Sequence[PolicyChoice], task: str | None) -> str:
     """The default policy, or the first there is. Raises UserError where there is none."""
-    names = [choice.name for choice in choices]
+    names = [choice.name for choice in choices if not choice.broken]
     if DEFAULT_POLICY in names:
         return DEFAULT_POLICY
     if not names:

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,6 +27,7 @@ from msgspec import Meta, Struct
 from scipy.spatial.transform import Rotation
 
 from madviz.errors import UserError
+from madviz.system.files import read_toml
 from madviz.system.typed import typed
 from madviz.types import CameraSpec
 
@@ -137,14 +137,7 @@ def standing_camera(
 
 def read_cameras(path: str | Path) -> tuple[CameraSpec, ...]:
     """The cameras of a TOML file. Raises UserError, in one line, for anything amiss with it."""
-    try:
-        document = tomllib.loads(Path(path).read_text())
-    except OSError as error:
-        raise UserError(
-            f"{path}: expected a camera file, found none ({error.strerror}); check --cameras"
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: expected TOML, found a mistake: {error}; mend it") from error
+    document = read_toml(Path(path), "a camera file", "mend it, or check --cameras")
     tables = typed(document, CameraFile, path, "write one [[camera]] table for each").camera
     cameras = []
     for number, table in enumerate(tables, 1):

@@ -23,10 +23,11 @@ from typing import Any
 
 from madviz import plots
 from madviz.errors import UserError
-from madviz.evaluation.evidence import Evidence, Outcomes, alike, read_evidence
+from madviz.evaluation.evidence import Evidence, Outcomes, alike, readable
 from madviz.evaluation.statistics import Interval, pair, wilson
 from madviz.evaluation.store import ResultKey, Store
 from madviz.policies import checkpoint
+from madviz.policies.listing import BrokenRow
 from madviz.system.files import write_bytes, written_to
 
 
@@ -49,13 +50,17 @@ class CompareConfig:
 
 
 def run_compare(config: CompareConfig) -> dict[str, Any]:
-    """``madviz compare``. Raises UserError for policies that cannot be compared."""
+    """``madviz compare``. A policy whose files are broken is named and left out, unless it is the
+    first. Raises UserError for policies that cannot be compared."""
     if len(config.policies) < 2:
         raise UserError(f"expected two or more policies, found {len(config.policies)}")
     for option, file in (("--figure", config.figure), ("--curves", config.curves)):
         if file is not None:
             written_to(file, option)
-    found = [read_evidence(checkpoint.find_policy(name)) for name in config.policies]
+    folders = [checkpoint.find_policy(name) for name in config.policies]
+    found, broken = readable(folders)
+    if len(found) < 2 or found[0].path != folders[0]:
+        raise UserError(f"nothing to compare: {'; '.join(_words(each) for each in broken)}")
     on_development = alike(found)
     if len(on_development) == len(found):
         found = on_development
@@ -81,12 +86,17 @@ def run_compare(config: CompareConfig) -> dict[str, Any]:
         "comparisons": [
             {
                 "first": config.policies[0],
-                "second": config.policies[index],
+                "second": config.policies[folders.index(found[index].path)],
                 "subsets": {name: _row(rows[0], rows[index]) for name, rows in table.items()},
             }
             for index in range(1, len(found))
         ],
+        "broken": broken,
     }
+
+
+def _words(each: BrokenRow) -> str:
+    return f"{each['name']} broken: {each['error']}"
 
 
 def _row(first: Outcomes, second: Outcomes) -> dict[str, Any]:
@@ -251,4 +261,5 @@ def comparison_table(result: dict[str, Any]) -> str:
                 f"  {name:24} {row['first']:.2f} - {row['second']:.2f} = {row['difference']:+.2f} "
                 f"[{low:+.2f}, {high:+.2f}] n={row['n']}   exact p = {row['p']:.2g}"
             )
+    lines += [_words(each) for each in result["broken"]]
     return "\n".join(lines)

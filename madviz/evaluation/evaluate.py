@@ -267,6 +267,10 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
         raise UserError(
             "a card is about a policy folder's intact cameras: drop --occlude or --card"
         )
+    folder = checkpoint.find_policy(config.policy) if config.card else None
+    if folder is not None:
+        for name in (checkpoint.EVALUATION, checkpoint.DEVELOPMENT):
+            checkpoint.shipped_evaluation(folder, name)  # Now: afterwards it is too late to mend.
     evaluation = evaluate(
         config.policy,
         config.subsets or None,
@@ -276,8 +280,8 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
         occlusions=parse_occlusions(config.occlude),
         progress=True,
     )
-    if config.card:
-        write_measured(checkpoint.find_policy(config.policy), evaluation.to_json())
+    if folder is not None:
+        write_measured(folder, evaluation.to_json())
     return evaluation.to_json()
 
 

@@ -8,7 +8,7 @@ those of its own episodes, so that a number typed by hand is noticed.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ import numpy as np
 from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.policies.config import read_config
+from madviz.policies.listing import BrokenRow
 from madviz.policies.measured import EvaluationFile, as_evaluation
 from madviz.policies.seeds import DEVELOPMENT, use_of
 from madviz.subsets import mask_of
@@ -141,11 +142,23 @@ def alike(found: Sequence[Evidence]) -> list[Evidence]:
     return [each for one in found if (each := one.on_development())]
 
 
-def find_evidence(*roots: str | Path) -> list[Evidence]:
+def find_evidence(*roots: str | Path) -> tuple[list[Evidence], list[BrokenRow]]:
     """Every policy under ``roots``, at any depth, that was evaluated; root after root, each in the
-    order of paths."""
+    order of paths. And those whose files are broken or contradict each other, with why."""
     folders = [f.parent for root in roots for f in sorted(Path(root).rglob(checkpoint.CONFIG))]
-    return [read_evidence(f) for f in folders if (f / checkpoint.EVALUATION).is_file()]
+    return readable([f for f in folders if (f / checkpoint.EVALUATION).is_file()])
+
+
+def readable(folders: Iterable[Path]) -> tuple[list[Evidence], list[BrokenRow]]:
+    """What ``read_evidence`` says of every folder, or why it cannot."""
+    found: list[Evidence] = []
+    broken: list[BrokenRow] = []
+    for folder in folders:
+        try:
+            found.append(read_evidence(folder))
+        except UserError as error:
+            broken.append({"name": folder.name, "path": str(folder), "error": str(error)})
+    return found, broken
 
 
 def _outcomes(file: Path, evaluation: EvaluationFile) -> dict[str, dict[int, bool]]:

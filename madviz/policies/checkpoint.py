@@ -228,13 +228,14 @@ def _from_factory(policy: str) -> Policy:
 
 
 def shipped_evaluation(policy: str | Path, name: str = EVALUATION) -> EvaluationFile | None:
-    """The file ``name`` of a policy folder; None if there is none or it measured other weights."""
+    """The file ``name`` of a policy folder; None if there is none or it measured other weights.
+    Raises UserError for a file that is no evaluation."""
     folder = describe(policy)
     file = folder.path / name
-    document = read_json(file) if file.is_file() else None
-    if not isinstance(document, dict) or document.get("digest") != folder.spec.digest:
+    if not file.is_file():
         return None
-    return as_evaluation(document, file)
+    evaluation = as_evaluation(read_json(file), file)
+    return evaluation if evaluation["digest"] == folder.spec.digest else None
 
 
 def own_evaluation(folder: PolicyFolder, name: str = EVALUATION) -> EvaluationFile:

@@ -20,13 +20,15 @@ import hashlib
 import json
 import os
 import platform
+import shlex
 from collections.abc import Callable
 from dataclasses import asdict, fields
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
+from msgspec import Meta
 
 from madviz.agent.sizes import NetworkConfig
 from madviz.errors import UserError, unknown
@@ -39,6 +41,7 @@ from madviz.types import CameraSpec, EnvSpec, PolicySpec
 FORMAT = 1
 FIX = "restore the file or retrain"
 
+Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 Document = dict[str, object]
 """A JSON object as it stands in a file."""
 
@@ -84,14 +87,15 @@ class PolicyConfig(msgspec.Struct, kw_only=True, frozen=True, omit_defaults=True
     recipe: str
     definition: str
     """What counts as a success."""
-    streams: tuple[str, ...]
+    streams: Annotated[tuple[str, ...], Meta(max_length=16)]
+    """At most so many: every subset is read at every step, and there are 2^V."""
     trained_subsets: tuple[str, ...]
     cameras: tuple[CameraSpec, ...]
     """As they stood in training."""
-    image_size: int
-    horizon: int
+    image_size: Annotated[int, Meta(ge=16, le=512)]
+    horizon: Count
     """Decisions in an episode."""
-    action_repeat: int
+    action_repeat: Count
     """Simulator steps for a decision."""
     render_profile: str
     merge: str
@@ -205,11 +209,21 @@ def _in_todays_format(document: Any, where: Path) -> Document:
 
 def _checked(document: Document, where: Path) -> PolicyConfig:
     config = typed(document, PolicyConfig, where, FIX)
+    try:
+        shlex.split(config.training.command or "")
+    except ValueError as error:
+        raise UserError(f"{where}: expected a command line, found {error}; {FIX}") from error
     sizes = [field.name for field in fields(NetworkConfig)]
     for name in typed(document["networks"], dict[str, object], where, FIX):
         if name not in sizes:
             raise UserError(
                 f"{where}: networks that cannot be built: {unknown('size', name, sizes)}"
+            )
+    for camera in config.cameras:
+        if not 16 <= camera.size <= 512:
+            raise UserError(
+                f"{where}: expected the size of camera {camera.name} from 16 to 512 pixels, found "
+                f"{camera.size}; {FIX}"
             )
     cameras = {camera.name for camera in config.cameras}
     if not config.streams or not all(camera_of(s) in cameras for s in config.streams):

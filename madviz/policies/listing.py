@@ -98,20 +98,25 @@ def list_policies() -> tuple[list[PolicyRow], list[BrokenRow]]:
     return policies, broken
 
 
-def list_measured() -> list[PolicyRow]:
-    """Policies without weights, as they were measured."""
-    rows = []
+def list_measured() -> tuple[list[PolicyRow], list[BrokenRow]]:
+    """Policies without weights, as they were measured; and those that are broken, why."""
+    rows: list[PolicyRow] = []
+    broken: list[BrokenRow] = []
     for name, path in checkpoint.measured_folders().items():
-        config, _ = read_config(path / checkpoint.CONFIG)
-        file = path / checkpoint.EVALUATION
-        measured = as_evaluation(read_json(file), file)
-        rows.append(_row(name, path, config, measured["digest"], measured["subsets"], False))
-    return rows
+        try:
+            config, _ = read_config(path / checkpoint.CONFIG)
+            file = path / checkpoint.EVALUATION
+            measured = as_evaluation(read_json(file), file)
+            rows.append(_row(name, path, config, measured["digest"], measured["subsets"], False))
+        except UserError as error:
+            broken.append({"name": name, "path": str(path), "error": str(error)})
+    return rows, broken
 
 
 def list_everything() -> Everything:
     """What ``madviz list --json`` prints; a method ``supports`` what its own merge does."""
     policies, broken = list_policies()
+    measured, broken_too = list_measured()
     methods: dict[str, MethodRow] = {}
     for name, method in METHODS.items():
         methods[name] = {
@@ -128,8 +133,8 @@ def list_everything() -> Everything:
         "methods": methods,
         "merges": {name: {"supports": merge.support.words} for name, merge in MERGES.items()},
         "policies": policies,
-        "without_weights": list_measured(),
-        "broken": broken,
+        "without_weights": measured,
+        "broken": [*broken, *broken_too],
     }
 
 

@@ -7,24 +7,30 @@ and the same document.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypedDict
+from typing import Annotated, TypedDict
+
+from msgspec import Meta
 
 from madviz.policies.seeds import use_of
 from madviz.system.typed import typed
 
-FIX = "evaluate again with `madviz eval --card`"
+FIX = "restore it, or remove it and run `madviz eval --card`"
+
+
+Rate = Annotated[float, Meta(ge=0, le=1)]
+Seed = Annotated[int, Meta(ge=0, le=2**62)]
 
 
 class SubsetRow(TypedDict):
     """What the episodes of one subset came to."""
 
-    success: float
-    """Rate at the last step."""
-    success_any: float
-    """Rate at any step."""
-    n: int
+    success: Rate
+    """At the last step."""
+    success_any: Rate
+    """At any step."""
+    n: Annotated[int, Meta(ge=1, le=2**31)]
     """Episodes."""
-    ci95: list[float]
+    ci95: Annotated[list[Rate], Meta(min_length=2, max_length=2)]
     """Wilson's interval of ``success``."""
     trained: bool
     """Whether the policy was trained on the subset."""
@@ -32,7 +38,7 @@ class SubsetRow(TypedDict):
 
 EpisodeRow = TypedDict(
     "EpisodeRow",
-    {"subset": str, "seed": int, "success": bool, "success_any": bool, "return": float},
+    {"subset": str, "seed": Seed, "success": bool, "success_any": bool, "return": float},
 )
 """One episode; ``return`` is the sum of its rewards."""
 
@@ -50,10 +56,10 @@ class EvaluationFile(TypedDict):
     render_profile: str
     occlusions: str
     """'' where no camera was occluded."""
-    seed: int
+    seed: Seed
     """The first episode's; what seeds serve is in seeds.py."""
-    subsets: dict[str, SubsetRow]
-    episodes: list[EpisodeRow]
+    subsets: Annotated[dict[str, SubsetRow], Meta(min_length=1)]
+    episodes: Annotated[list[EpisodeRow], Meta(min_length=1)]
 
 
 def seeds_of(evaluation: EvaluationFile) -> str:

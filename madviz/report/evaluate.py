@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from madviz.errors import UserError
 from madviz.evaluation.evaluate import evaluate, write_measured
 from madviz.evaluation.store import Store
 from madviz.policies import checkpoint
@@ -38,7 +39,11 @@ def evaluate_all(folders: Sequence[Path], episodes: int, workers: int | None) ->
 
 def _evaluate(path: Path, episodes: int, workers: int | None, store: Store) -> bool:
     """Whether the policy had to be evaluated; its files are new then."""
-    before = checkpoint.shipped_evaluation(path)
+    try:
+        checkpoint.shipped_evaluation(path, checkpoint.DEVELOPMENT)
+        before = checkpoint.shipped_evaluation(path)
+    except UserError:
+        return False  # A broken file; the report says so.
     if before is not None and seeds_of(before) == REPORTING and _least(before) >= episodes:
         return False
     made = evaluate(

@@ -56,16 +56,18 @@ class ReportConfig:
 
 
 def run_report(config: ReportConfig) -> dict[str, Any]:
-    """``madviz report``. Raises UserError for a folder without evaluated policies, for files that
-    contradict each other, and for rates on seeds that must not be reported."""
+    """``madviz report``. Policies whose files are broken or contradict each other are named and
+    left out. Raises UserError for a folder without evaluated policies, and for rates on seeds that
+    must not be reported."""
     folders = SHIPPED if config.folder is None else (config.folder,)
     if config.evaluate:
         evaluate_all(folders, config.episodes, config.workers)
-    evidence = find_evidence(*folders)
+    evidence, broken = find_evidence(*folders)
     if not evidence:
         raise UserError(
             f"expected policy folders with evaluation.json in {' and '.join(map(str, folders))}, "
             "found none; run `madviz eval --policy NAME --card`"
+            + "".join(f"; {each['name']} broken: {each['error']}" for each in broken)
         )
     for each in evidence:
         check_seeds(each)
@@ -86,6 +88,7 @@ def run_report(config: ReportConfig) -> dict[str, Any]:
         "path": str(out),
         "pictures": [str(out.parent / "pictures" / name) for name in drawn],
         "policies": len(evidence),
+        "broken": broken,
         "tables": [table.name for table in tables],
         "bar": [verdict_json(each) for each in verdicts],
     }
@@ -152,8 +155,10 @@ def _write_all(folder: Path, pattern: str, files: Mapping[str, str]) -> None:
 def report_words(result: dict[str, Any]) -> str:
     """What was written, as lines."""
     met = sum(each["verdict"] == "met" for each in result["bar"])
-    return (
+    lines = [
         f"{result['path']}: {result['policies']} policies, {len(result['tables'])} tables, "
         f"{len(result['pictures'])} pictures; {met} of {len(result['bar'])} tasks meet the "
         "acceptance threshold"
-    )
+    ]
+    lines += [f"{each['name']} broken: {each['error']}" for each in result["broken"]]
+    return "\n".join(lines)

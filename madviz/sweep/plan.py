@@ -24,7 +24,6 @@ unknown word, task or method is an error before anything runs.
 from __future__ import annotations
 
 import re
-import tomllib
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -36,6 +35,7 @@ from madviz.agent.methods import method
 from madviz.envs.registry import check_task, setting
 from madviz.errors import UserError
 from madviz.sweep.run import Run
+from madviz.system.files import read_toml
 from madviz.system.typed import typed
 
 FIX = "mend the sweep file"
@@ -84,12 +84,7 @@ class SweepPlan:
 def read_plan(file: str | Path) -> SweepPlan:
     """Raises UserError for a file that is missing, not TOML, or asks for what does not exist."""
     path = Path(file)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UserError(f"{path}: expected a sweep file, found: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: expected TOML, found: {error}") from error
+    document = read_toml(path, "a sweep file", FIX)
     asked = typed(document, SweepFile, path, FIX)
     evaluation = tuple(_options(msgspec.to_builtins(asked.eval)))
     runs: dict[str, Run] = {}

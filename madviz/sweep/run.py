@@ -30,15 +30,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NotRequired, TypedDict
 
 from madviz.errors import UserError
 from madviz.policies.checkpoint import CONFIG, EVALUATION, IN_RUN
 from madviz.system.files import read_json, write_json
+from madviz.system.typed import typed
 
 RESULT, WORDS, LOG, CLAIM = "result.json", "run.json", "log.txt", "claim"
 State = Literal["finished", "failed", "busy", "stopped"]
 POLL_SECONDS = 0.1
+FIX = "restore it, or remove the run's folder"
 
 END_WITH_PARENT = (
     "import ctypes, os, signal, sys\n"
@@ -65,6 +67,26 @@ class Run:
         return {"train": list(self.train), "eval": list(self.evaluate)}
 
 
+class ResultRow(TypedDict):
+    """Success on one subset."""
+
+    success: float
+    n: int
+    ci95: list[float]
+
+
+class RunResult(TypedDict):
+    """What a summary reads of result.json, and of an evaluation."""
+
+    subsets: dict[str, ResultRow]
+
+
+class TrainedConfig(TypedDict):
+    """What a sweep reads of config.json."""
+
+    training: NotRequired[dict[str, Any]]
+
+
 @dataclass(frozen=True)
 class RunOutcome:
     """How an attempt at a run ended."""
@@ -81,18 +103,38 @@ def finished(folder: Path) -> bool:
     return (folder / RESULT).is_file()
 
 
+def broken(folder: Path) -> str:
+    """``broken: ...``, where run.json or result.json holds something else; '' where they are sound
+    or not there."""
+    try:
+        _words_before(folder)
+        if finished(folder):
+            result_rows(folder)
+    except UserError as error:
+        return f"broken: {error}"
+    return ""
+
+
 def check_same(folder: Path, run: Run) -> None:
     """Raises UserError if ``folder`` holds a run of that name with other options."""
-    file = folder / WORDS
-    if not file.is_file():
-        return
-    before = read_json(file)
+    before = _words_before(folder)
     for command, words in run.words().items():
-        if before.get(command) != words:
+        if before is not None and before.get(command) != words:
             raise UserError(
                 f"{folder}: expected a run of `madviz {command} {shlex.join(words)}`, found one of "
                 f"`madviz {command} {shlex.join(before.get(command, []))}`; choose another --out"
             )
+
+
+def _words_before(folder: Path) -> dict[str, list[str]] | None:
+    file = folder / WORDS
+    return typed(read_json(file), dict[str, list[str]], file, FIX) if file.is_file() else None
+
+
+def result_rows(folder: Path) -> dict[str, ResultRow]:
+    """The subsets of a finished run. Raises UserError for a file that is none."""
+    file = folder / RESULT
+    return typed(read_json(file), RunResult, file, FIX)["subsets"]
 
 
 def carry_out(
@@ -111,6 +153,8 @@ def carry_out(
     folder, began = out / run.name, time.monotonic()
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        if why := broken(folder):
+            return RunOutcome("failed", why)
         if finished(folder):
             return RunOutcome("finished")
         with claimed(folder) as claim:
@@ -153,7 +197,9 @@ def _work(run: Run, folder: Path, commands: _Commands, workers: int | None) -> N
             raise UserError(f"training ended before it was finished; see {folder / LOG}")
     extra = [] if workers is None else ["--workers", str(workers)]
     commands.run("eval", "--policy", str(policy), *run.evaluate, "--card", *extra)
-    evaluation = read_json(policy / EVALUATION)
+    file = policy / EVALUATION
+    evaluation = read_json(file)
+    typed(evaluation, RunResult, file, FIX)
     result = {"schema": 1, "name": run.name, **run.words(), "subsets": evaluation["subsets"]}
     write_json(folder / RESULT, result)
 
@@ -162,7 +208,8 @@ def trained(policy: Path) -> bool:
     """Whether the policy's config says that its training reached the end."""
     if not (policy / CONFIG).is_file():
         return False
-    return bool(read_json(policy / CONFIG).get("training", {}).get("finished", True))
+    config = typed(read_json(policy / CONFIG), TrainedConfig, policy / CONFIG, FIX)
+    return bool(config.get("training", {}).get("finished", True))
 
 
 def expected_seconds(folder: Path) -> float | None:

@@ -35,15 +35,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from madviz.errors import UserError
 from madviz.sweep.plan import SweepPlan, read_plan
 from madviz.sweep.run import (
-    RESULT,
     Run,
     RunOutcome,
+    broken,
     carry_out,
     check_same,
     expected_seconds,
     finished,
+    result_rows,
 )
-from madviz.system.files import read_json
 
 BUSY_SECONDS = 2.0
 """How long a run that another process works on is left alone."""
@@ -131,7 +131,8 @@ def run_sweep(
     if (config.jobs is not None and config.jobs < 1) or config.cpus < 1:
         raise UserError(f"expected 1 or more jobs and cpus, found {config.jobs} and {config.cpus}")
     for run in plan.runs:
-        check_same(out / run.name, run)
+        if not broken(out / run.name):
+            check_same(out / run.name, run)
     if config.dry_run:
         return _summary(plan, out, config, {})
     out.mkdir(parents=True, exist_ok=True)
@@ -319,7 +320,9 @@ def _summary(
     for run in plan.runs:
         folder, outcome = out / run.name, outcomes.get(run.name)
         described: dict[str, Any] = {"name": run.name, "path": str(folder), **run.words()}
-        if finished(folder):
+        if why := broken(folder):
+            runs.append({**described, "state": "failed", "error": why})
+        elif finished(folder):
             runs.append({**described, "state": "finished", **_subsets(folder)})
         elif outcome is not None and outcome.state == "failed":
             runs.append({**described, "state": "failed", "error": outcome.error})
@@ -334,12 +337,7 @@ def _summary(
 
 
 def _subsets(folder: Path) -> dict[str, Any]:
-    rows = read_json(folder / RESULT)["subsets"]
-    return {
-        "subsets": {
-            name: {key: row[key] for key in ("success", "n", "ci95")} for name, row in rows.items()
-        }
-    }
+    return {"subsets": result_rows(folder)}
 
 
 def sweep_table(result: dict[str, Any]) -> str:

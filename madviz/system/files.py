@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import stat
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +18,8 @@ from madviz.errors import UserError
 
 LINE = 120
 """Characters that a list or object may take to stay on one line."""
+DEEPEST = 50
+"""Lists and objects inside one another that a file may have; Python's own limit is an error."""
 _UNFIT = {
     stat.S_IFDIR: "a folder",
     stat.S_IFSOCK: "a socket",
@@ -100,16 +104,60 @@ def pretty(value: Any) -> str:
 
 
 def read_json(path: Path) -> Any:
-    """Parses a file. Raises UserError if it is not there or not JSON."""
+    """Parses a file. Raises UserError if it is not there, not JSON, or of a depth, with numbers or
+    with text that could not be handled or written again."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise UserError(f"{path}: expected a JSON file, found: {reason}; restore it") from error
+        text = path.read_text(encoding="utf-8")
+        return _bounded(json.loads(text, parse_constant=_refuse, parse_float=_finite))
+    except (OSError, ValueError, RecursionError) as error:
+        raise UserError(
+            f"{path}: expected a JSON file, found: {_why(error)}; restore it"
+        ) from error
+
+
+def read_toml(path: Path, what: str, fix: str) -> dict[str, Any]:
+    """Parses a file. Raises UserError if it is not there or not TOML, or too deep; ``what`` it is
+    and ``fix``, the next move, are for the message."""
+    try:
+        return _bounded(tomllib.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, RecursionError) as error:
+        expected = what if isinstance(error, OSError) else "TOML"
+        raise UserError(f"{path}: expected {expected}, found: {_why(error)}; {fix}") from error
+
+
+def _why(error: Exception) -> str:
+    if isinstance(error, RecursionError):
+        return f"more than {DEEPEST} lists and tables inside one another"
+    return str(isinstance(error, OSError) and error.strerror or error)
+
+
+def _bounded(value: Any) -> Any:
+    """``value``, if it is not too deep and its text can be written again; else RecursionError or
+    ValueError."""
+    level = [value]
+    for _ in range(DEEPEST):
+        inner: list[Any] = []
+        for each in level:
+            if isinstance(each, dict):
+                inner += [*each.keys(), *each.values()]
+            elif isinstance(each, list):
+                inner += each
+            elif isinstance(each, str):
+                each.encode()
+        level = inner
+    if level:
+        raise RecursionError
+    return value
 
 
 def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant}, which is not JSON")
+
+
+def _finite(number: str) -> float:
+    if math.isinf(value := float(number)):
+        raise ValueError(f"{number:.20}, which is too large a number")
+    return value
 
 
 def _laid_out(value: Any, newline: str) -> str:

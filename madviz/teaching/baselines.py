@@ -173,7 +173,7 @@ def on_robot(task: str) -> dict[str, dict[str, str]]:
         return any_method(evidence) if evidence.task == task else None
 
     for root in checkpoint.policy_roots():
-        evidence = find_evidence(root, checkpoint.results_beside(root))
+        evidence, _ = find_evidence(root, checkpoint.results_beside(root))
         for found in build(Layout("baselines", task, label, THREE, needs=2), evidence):
             return {
                 row.label: {

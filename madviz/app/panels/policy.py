@@ -39,6 +39,8 @@ class PolicyChoice:
 
     name: str
     label: str
+    broken: bool = False
+    """Whether the label says what is wrong with it."""
 
 
 class PolicyPanel(WidgetPanel):
