@@ -31,11 +31,11 @@ from madviz.agent.merges.mvd import drawn
 from madviz.agent.merges.vit import ViewTransformer
 from madviz.errors import UserError
 from madviz.evaluation.evaluate import FIRST_SEED, evaluate
-from madviz.evaluation.evidence import Evidence, find_evidence
+from madviz.evaluation.evidence import find_evidence
 from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.ablation import Occlusion
 from madviz.policies import checkpoint
-from madviz.report.layouts import THREE, Layout, any_method
+from madviz.report.layouts import BASELINES
 from madviz.report.tables import build
 from madviz.subsets import mask_of
 from madviz.system.files import read_json, write_json
@@ -169,12 +169,10 @@ def on_robot(task: str) -> dict[str, dict[str, str]]:
     were measured before and are comparable: one recipe, one budget, the same seeds. Single Camera
     is a training per camera and has none with all."""
 
-    def label(evidence: Evidence) -> str | None:
-        return any_method(evidence) if evidence.task == task else None
-
+    layout = replace(BASELINES, needs=2)
     for root in checkpoint.policy_roots():
         evidence, _ = find_evidence(root, checkpoint.results_beside(root))
-        for found in build(Layout("baselines", task, label, THREE, needs=2), evidence):
+        for found in build(layout, [each for each in evidence if each.task == task]):
             return {
                 row.label: {
                     column: "".join(str(int(success)) for _, success in sorted(cell.items()))
