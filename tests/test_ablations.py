@@ -93,8 +93,13 @@ def test_a_size_is_a_square() -> None:
 @pytest.mark.parametrize(
     "bad",
     [
-        *[{"strength": 1.5}, {"x": -0.1}, {"width": float("nan")}, {"height": 1.01}],
-        *[{"kind": "rain"}, {"height": "0.4"}, {"width": -0.1}],
+        {"strength": 1.5},
+        {"x": -0.1},
+        {"width": float("nan")},
+        {"height": 1.01},
+        {"kind": "rain"},
+        {"height": "0.4"},
+        {"width": -0.1},
     ],
 )
 def test_absurd_values_are_refused(bad: dict) -> None:

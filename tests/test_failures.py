@@ -62,7 +62,10 @@ def test_the_forms_of_the_language() -> None:
         Event(30, "third_b"),
     )
     assert schedule_words(events) == [
-        *("third_a@1-2", "first=black@5", "third_b=noise:0.5@10-30", "third_a@20")
+        "third_a@1-2",
+        "first=black@5",
+        "third_b=noise:0.5@10-30",
+        "third_a@20",
     ]
     assert parse_schedule(schedule_words(events), CAMERAS) == events
 
@@ -78,32 +81,33 @@ def test_a_patch_may_say_where_it_is() -> None:
 @pytest.mark.parametrize(
     "word",
     [
-        *(
-            "third_a=patch:1:0.3:0.5:0.4@2",
-            "third_a=patch:1:0.3:0.5:0.4:1.5@2",
-            "third_a=noise:1:0.3:0.5:0.4:0.4@2",
-            "third_a=patch:1:0.3:0.5:0.4:0.4:1@2",
-            "third_a=patch::0.3:0.5:0.4:0.4@2",
-        ),
-        *(
-            "",
-            "third_a@",
-            "@20",
-            "third_a@-1",
-            "third_a@2.5",
-            "third_a@20-",
-            "third_a@x",
-        ),
-        *(
-            "third_a@x",
-            "fourth@20",
-            "third_a=rain@2",
-            "third_a=none@2",
-            "third_a=noise:2@2",
-            "third_a=noise:@2",
-        ),
-        *("third_a=noise:nan@2", "third_a@20-20", "third_a@20-10", "third_a@9999999", "a b@3"),
-        *("third_a=noise:0.5.1@2", "third_a@20 ", "third_a@20\n", "third_a=off:0.5@2"),
+        "third_a=patch:1:0.3:0.5:0.4@2",
+        "third_a=patch:1:0.3:0.5:0.4:1.5@2",
+        "third_a=noise:1:0.3:0.5:0.4:0.4@2",
+        "third_a=patch:1:0.3:0.5:0.4:0.4:1@2",
+        "third_a=patch::0.3:0.5:0.4:0.4@2",
+        "",
+        "third_a@",
+        "@20",
+        "third_a@-1",
+        "third_a@2.5",
+        "third_a@20-",
+        "third_a@x",
+        "third_a@x",
+        "fourth@20",
+        "third_a=rain@2",
+        "third_a=none@2",
+        "third_a=noise:2@2",
+        "third_a=noise:@2",
+        "third_a=noise:nan@2",
+        "third_a@20-20",
+        "third_a@20-10",
+        "third_a@9999999",
+        "a b@3",
+        "third_a=noise:0.5.1@2",
+        "third_a@20 ",
+        "third_a@20\n",
+        "third_a=off:0.5@2",
     ],
 )
 def test_anything_else_is_refused_in_one_line(word: str) -> None:

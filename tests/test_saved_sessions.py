@@ -45,7 +45,10 @@ HAMMER = "metaworld-hammer-mad-light"
 
 def same(one: SavedEpisode, other: SavedEpisode) -> bool:
     return (one.sha256, one.trace, one.success, one.ended, one.steps) == (
-        *(other.sha256, other.trace, other.success, other.ended),
+        other.sha256,
+        other.trace,
+        other.success,
+        other.ended,
         other.steps,
     )
 

@@ -80,8 +80,11 @@ def test_the_tally_counts_each_seed_once_and_one_comparison_only() -> None:
         return Pair(a, replace(blank, seed=seed, success=second))
 
     pairs = (
-        *(ended(1, True, True), ended(2, True, False), ended(2, True, False)),
-        *(ended(3, False, False), ended(4, False, True, "first")),
+        ended(1, True, True),
+        ended(2, True, False),
+        ended(2, True, False),
+        ended(3, False, False),
+        ended(4, False, True, "first"),
     )
     counted = tally(pairs, pairs[0].sides)
     assert (counted.both, counted.first_only, counted.second_only, counted.neither) == (1, 1, 0, 1)

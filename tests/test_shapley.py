@@ -136,8 +136,14 @@ def test_success_needs_every_set_of_cameras() -> None:
     assert success_shapley({"all": 1.0, "none": 0.0, "first": 0.5}, ("first", "third_a")) is None
     assert success_shapley({**HALF, "first": float("nan")}, ("first", "third_a")) is None
     assert set_names(THREE) == (
-        *("all", "first+third_a", "first+third_b", "first"),
-        *("third_a+third_b", "third_a", "third_b", "none"),
+        "all",
+        "first+third_a",
+        "first+third_b",
+        "first",
+        "third_a+third_b",
+        "third_a",
+        "third_b",
+        "none",
     )
 
 

@@ -1,7 +1,8 @@
-"""The package's shape: import rules, and how long things get.
+"""The package's shape: import rules, unique names, docstrings, and how long things get.
 
 Which package may import which, and where a third party may be imported, is said in the contracts of
 ``pyproject.toml``; import-linter reads them.
+That the documented tree is the real one is asked by ``test_docs.py``: it is made from the files.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -42,6 +44,10 @@ def test_imports_keep_the_contracts() -> None:
     assert found.returncode == 0, found.stdout + found.stderr
 
 
+def test_at_most_eight_files_at_the_top() -> None:
+    assert len(list(PACKAGE.glob("*.py"))) <= 8
+
+
 def test_every_third_party_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"].values()
@@ -54,6 +60,35 @@ def test_every_third_party_is_declared() -> None:
         assert owners & declared, f"pyproject.toml does not declare {owners}, which has {name}"
 
 
+def test_no_class_name_twice() -> None:
+    named = Counter(
+        node.name
+        for tree in TREES.values()
+        for node in ast.walk(tree)
+        if type(node) is ast.ClassDef
+    )
+    assert [name for name, count in named.items() if count > 1] == []
+
+
+def used_elsewhere() -> Iterator[tuple[str, str]]:
+    """(module, name) of what another package of madviz imports."""
+    for user, tree in TREES.items():
+        for module, name in imports(tree):
+            module = module.removeprefix("madviz.")
+            if module in TREES and name and module.split(".")[0] != user.split(".")[0]:
+                yield module, name
+
+
+def test_what_other_packages_use_has_a_docstring() -> None:
+    missing = set()
+    for module, name in set(used_elsewhere()):
+        for node in TREES[module].body:
+            if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
+                if not ast.get_docstring(node):
+                    missing.add(f"{module}.{name}")
+    assert sorted(missing) == []
+
+
 @pytest.mark.parametrize("module", MODULES)
 def test_files_and_functions_stay_short(module: str) -> None:
     assert len(MODULES[module].read_text().splitlines()) <= 400
@@ -61,6 +96,38 @@ def test_files_and_functions_stay_short(module: str) -> None:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             length = (node.end_lineno or 0) - node.lineno + 1
             assert length <= 60, f"{module}.{node.name} has {length} lines"
+
+
+def test_literals_are_not_packed() -> None:
+    """``*("a", 1)`` and ``**{"a": 1}`` save a line and cost the reader: they are plain arguments.
+    A dict that is spread for a key that is no identifier has no other spelling."""
+    packed = []
+    for path in (*FILES, *sorted((ROOT / "tests").rglob("*.py"))):
+        for node in ast.walk(ast.parse(path.read_text())):
+            starred = isinstance(node, ast.Starred) and isinstance(
+                node.value, ast.Tuple | ast.List | ast.Set
+            )
+            spread = (
+                isinstance(node, ast.Call)
+                and any(
+                    word.arg is None
+                    and isinstance(word.value, ast.Dict)
+                    and all(
+                        isinstance(key, ast.Constant) and str(key.value).isidentifier()
+                        for key in word.value.keys
+                    )
+                    for word in node.keywords
+                )
+            ) or (
+                isinstance(node, ast.Dict)
+                and any(
+                    key is None and isinstance(value, ast.Dict)
+                    for key, value in zip(node.keys, node.values, strict=True)
+                )
+            )
+            if starred or spread:
+                packed.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert packed == []
 
 
 def test_importing_madviz_loads_neither_torch_nor_viser() -> None:

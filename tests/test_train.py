@@ -140,8 +140,10 @@ def test_options_of_other_recipes_and_the_number_of_processes_may_change() -> No
     config = TrainConfig("toy/reach", recipe="paper-vectorised")
     other = replace(
         config,
-        **{"light": TINY, "vectorised": replace(config.vectorised, workers=7)},
-        **{"out": Path("elsewhere"), "resume": True},
+        light=TINY,
+        vectorised=replace(config.vectorised, workers=7),
+        out=Path("elsewhere"),
+        resume=True,
     )
     assert identity(config, ()) == identity(other, ())
     slower = replace(config, vectorised=replace(config.vectorised, update_ratio=0.25))

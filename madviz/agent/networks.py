@@ -66,8 +66,10 @@ class Trunk(nn.Module):
 
 def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(
-        *(nn.Linear(inputs, hidden), nn.ReLU()),
-        *(nn.Linear(hidden, hidden), nn.ReLU()),
+        nn.Linear(inputs, hidden),
+        nn.ReLU(),
+        nn.Linear(hidden, hidden),
+        nn.ReLU(),
         nn.Linear(hidden, outputs),
     )
 

@@ -36,8 +36,10 @@ HALF_TURN = Rotation.from_euler("x", np.pi)
 NARROWEST, WIDEST = 5.0, 150.0
 """Degrees of a field of view that environments draw."""
 _WORDS = {
-    **{"forward": ("forward", "back", " m"), "right": ("to the right", "to the left", " m")},
-    **{"up": ("up", "down", " m"), "pan": ("turned right", "turned left", "°")},
+    "forward": ("forward", "back", " m"),
+    "right": ("to the right", "to the left", " m"),
+    "up": ("up", "down", " m"),
+    "pan": ("turned right", "turned left", "°"),
     "tilt": ("turned up", "turned down", "°"),
 }
 

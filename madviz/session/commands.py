@@ -43,12 +43,12 @@ class SetSeed:
 
 @dataclass(frozen=True)
 class Play:
-    pass
+    """Goes on with the episode at the chosen speed."""
 
 
 @dataclass(frozen=True)
 class Pause:
-    pass
+    """Stays at this time step; cameras can still be switched."""
 
 
 @dataclass(frozen=True)
