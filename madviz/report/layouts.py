@@ -88,7 +88,7 @@ def _merge(evidence: Evidence) -> str | None:
     return name if name is None or evidence.recipe == "light" else f"{name}, {evidence.recipe}"
 
 
-def _any_method(evidence: Evidence) -> str | None:
+def any_method(evidence: Evidence) -> str | None:
     """Everybody's row with three cameras, however views are merged."""
     return _overall(evidence) or (_merge(evidence) if evidence.recipe == "light" else None)
 
@@ -183,7 +183,7 @@ BASELINES = Layout(
     "methods",
     "Success by method and subset",
     "Which method works from which cameras?",
-    _any_method,
+    any_method,
     THREE,
     needs=5,
 )
