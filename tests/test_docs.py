@@ -3,6 +3,7 @@ somewhere, and a built page fetches nothing from elsewhere."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -15,6 +16,8 @@ from typing import NamedTuple
 import pytest
 
 from madviz import cli
+from madviz.report.threshold import TWENTY
+from madviz.system.typed import typed
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (ROOT / "README.md", ROOT / "environment.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -58,6 +61,12 @@ def test_figures_in_the_text_are_those_in_the_files() -> None:
     command = [sys.executable, str(ROOT / "tools" / "fill_figures.py"), "--check"]
     checked = subprocess.run(command, capture_output=True, text=True)
     assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+def test_what_was_tried_is_said_of_tasks() -> None:
+    file = ROOT / "results" / "tried.json"
+    found = typed(json.loads(file.read_text()), dict[str, list[str]], file, "")
+    assert found.keys() <= set(TWENTY)
 
 
 @pytest.mark.parametrize("written", MADVIZ, ids=[f"{c.page}: {c.line}" for c in MADVIZ])

@@ -23,6 +23,7 @@ from madviz.policies import checkpoint
 from madviz.policies.config import TrainingRecord, policy_config
 from madviz.policies.seeds import use_of
 from madviz.report.results import ReportConfig, run_report
+from madviz.report.threshold import judge
 from madviz.types import PolicySpec
 from tests.evidence import rates, write_policy
 from tests.reports import GOOD, report, table
@@ -96,6 +97,15 @@ def test_a_row_without_fresh_seeds_is_compared_on_development_seeds(tmp_path: Pa
     assert "| reporting | met |" in twenty
     assert "*Development seeds*" in text and "*Reporting seeds*" in text
     run_compare(CompareConfig((str(path), str(tmp_path / "metaworld-hammer-merged-only-light"))))
+
+
+def test_no_policy_is_chosen_on_reporting_seeds(tmp_path: Path) -> None:
+    """Of two that a task has, the one that is better on development seeds stands for it."""
+    for name, before, fresh in (("one", 0.9, 0.5), ("other", 0.8, 1.0)):
+        path = write_policy(tmp_path, rates(before, before, before, before), folder=name)
+        move_to_reporting(path, rates(fresh, fresh, fresh, fresh))
+    row = judge("metaworld/hammer", find_evidence(tmp_path)).row
+    assert row is not None and row.evidence[0].folder == "one" and row.seeds == "reporting"
 
 
 def test_rows_that_all_have_fresh_seeds_are_compared_on_them(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ RESULTS = ROOT / "results"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Adds the pages above and the pictures of the results."""
+    """Adds the pages above, and the pictures and the rates of the results."""
     pages = {
         "command-line.md": command_line(),
         "api.md": api(),
@@ -36,9 +36,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     }
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
-    for picture in sorted(RESULTS.glob("**/*.svg")):
-        name = f"pictures/{picture.name}"
-        files.append(File.generated(config, name, content=picture.read_bytes()))
+    for file in (RESULTS / "rates.csv", *sorted(RESULTS.glob("pictures/*.svg"))):
+        name = file.relative_to(RESULTS).as_posix()
+        files.append(File.generated(config, name, content=file.read_bytes()))
     return files
 
 
@@ -96,10 +96,9 @@ def api() -> str:
 
 
 def results() -> str:
-    """RESULTS.md; its pictures are beside the page, its policy cards are named without a link."""
+    """RESULTS.md; its pictures and its CSV file are beside the page."""
     text = (RESULTS / "RESULTS.md").read_text()
-    text = re.sub(r"(!\[[^\]]*\]\()[^)]*?([^/)]+\.svg\))", r"\1pictures/\2", text)
-    return re.sub(r"(?<!!)\[([^\]]+)\]\((?!https?:|#|pictures/)[^)]*\)", r"\1", text)
+    return text.replace("[tried.json](tried.json)", "[What was tried](tried.md)")
 
 
 def tried() -> str:

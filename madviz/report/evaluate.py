@@ -10,6 +10,7 @@ already is passed over.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -46,6 +47,7 @@ def _evaluate(path: Path, episodes: int, workers: int | None, store: Store) -> b
         return False  # A broken file; the report says so.
     if before is not None and seeds_of(before) == REPORTING and _least(before) >= episodes:
         return False
+    print(f"{path}: {episodes} episodes of each subset", file=sys.stderr)
     made = evaluate(
         path,
         None if before is None else before["subsets"],

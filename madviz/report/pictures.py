@@ -25,10 +25,14 @@ def bar(rate: SuccessRate | None) -> plots.Bar | None:
 def twenty(verdicts: Sequence[Verdict]) -> str:
     """Every task with all cameras and with each one alone."""
     rows = [verdict.row or Row(verdict.task) for verdict in verdicts]
-    uses = " and ".join(sorted({row.seeds for row in rows if row.cells}))
+    uses = sorted({row.seeds for row in rows if row.cells})
+    tasks = [
+        f"{verdict.task} ({row.seeds} seeds)" if row.cells and len(uses) > 1 else verdict.task
+        for verdict, row in zip(verdicts, rows, strict=True)
+    ]
     series = {subset: [bar(row.rate(subset)) for row in rows] for subset in THREE}
-    title = f"MAD on twenty tasks: success, 95% intervals, {uses} seeds"
-    return plots.dots(title, [verdict.task for verdict in verdicts], series, (WEAK,))
+    title = f"MAD on twenty tasks: success, 95% intervals, {' and '.join(uses)} seeds"
+    return plots.dots(title, tasks, series, (WEAK,))
 
 
 def methods(tables: Sequence[ResultTable]) -> str:

@@ -61,21 +61,33 @@ def judged_on(task: str) -> tuple[str, ...]:
 
 
 def judge(task: str, evidence: Sequence[Evidence]) -> Verdict:
-    """The task's MAD policy on three cameras; of several, the one with the highest mean."""
-    found = []
-    for each in usual_alphas(evidence):
-        if (each.task, each.method, each.setting, each.merge) == (task, "mad", "three", "sum"):
-            row = Row(each.name, evidence=[each])
-            for column in THREE:
-                if outcomes := each.of(column):
-                    row.cells[column] = {(task, each.seed, s): ok for s, ok in outcomes.items()}
-            mean = row.mean(judged_on(task))
-            found.append((mean.value if mean else 0.0, row))
+    """The task's MAD policy on three cameras; of several, the one with the highest mean on
+    development seeds, because nothing is chosen on reporting seeds."""
+    found = [
+        each
+        for each in usual_alphas(evidence)
+        if (each.task, each.method, each.setting, each.merge) == (task, "mad", "three", "sum")
+    ]
     if not found:
         return Verdict(task, None, None, ())
-    row = max(found, key=lambda each: each[0])[1]
+
+    def rank(each: Evidence) -> float:
+        mean = _row(each.on_development() or each).mean(judged_on(task))
+        return mean.value if mean else 0.0
+
+    row = _row(max(found, key=rank))
     mean = row.mean(judged_on(task))
     return Verdict(task, row, mean, tuple(_reasons(task, row, mean)))
+
+
+def _row(evidence: Evidence) -> Row:
+    row = Row(evidence.name, evidence=[evidence])
+    for column in THREE:
+        if outcomes := evidence.of(column):
+            row.cells[column] = {
+                (evidence.task, evidence.seed, seed): ok for seed, ok in outcomes.items()
+            }
+    return row
 
 
 def _reasons(task: str, row: Row, mean: SuccessRate | None) -> list[str]:
