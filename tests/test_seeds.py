@@ -104,7 +104,7 @@ def test_no_policy_is_chosen_on_reporting_seeds(tmp_path: Path) -> None:
     for name, before, fresh in (("one", 0.9, 0.5), ("other", 0.8, 1.0)):
         path = write_policy(tmp_path, rates(before, before, before, before), folder=name)
         move_to_reporting(path, rates(fresh, fresh, fresh, fresh))
-    row = judge("metaworld/hammer", find_evidence(tmp_path)).row
+    row = judge("metaworld/hammer", find_evidence(tmp_path)[0]).row
     assert row is not None and row.evidence[0].folder == "one" and row.seeds == "reporting"
 
 
