@@ -104,6 +104,8 @@ def test_literals_are_not_packed() -> None:
     packed = []
     for path in (*FILES, *sorted((ROOT / "tests").rglob("*.py"))):
         for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.expr):
+                continue
             starred = isinstance(node, ast.Starred) and isinstance(
                 node.value, ast.Tuple | ast.List | ast.Set
             )
