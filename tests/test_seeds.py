@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import shutil
 from pathlib import Path
@@ -171,6 +172,21 @@ def test_a_later_look_at_development_seeds_leaves_the_reported_figures(toy: Path
     run_eval(EvalConfig(str(toy), ("none",), 2, 5000, workers=0, card=True))
     assert (toy / "evaluation.json").read_bytes() == reported
     assert list(read_evidence(toy).development) == ["all", "first", "none"]
+
+
+def test_figures_in_readme_compare_alike_seeds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    tool = importlib.import_module("fill_figures")
+    monkeypatch.setattr(tool, "ROOT", tmp_path)
+    shown = write_policy(tmp_path / "checkpoints", rates(0.5, 0.5, 0.5, 0.5), folder="shown")
+    write_policy(tmp_path / "results" / "tables", GOOD, folder="row")
+    move_to_reporting(shown, rates(1, 1, 1, 1))
+    (alone,) = tool.measured("shown")
+    assert tool.count(alone) == "n = 100, reporting seeds" and tool.rate(alone)[:4] == "1.00"
+    one, other = tool.measured("shown", "row")
+    assert tool.rate(one)[:4] == "0.50" and tool.seeds(one) == tool.seeds(other)
 
 
 def test_what_ships_keeps_the_rule() -> None:

@@ -86,7 +86,9 @@ def weak() -> str:
             if found["subsets"][name]["success"] < WEAK:
                 words = f"{found['task']} {LABELS[name]} {rate(found, name)}"
                 named.setdefault(count(found), []).append(words)
-    return ". ".join(f"({each}): {'; '.join(words)}" for each, words in named.items())
+    return ". ".join(
+        f"Below {WEAK:.2f} alone ({each}): {'; '.join(words)}" for each, words in named.items()
+    )
 
 
 def findings() -> str:
@@ -108,9 +110,8 @@ def findings() -> str:
         f"{', '.join(rate(one) for one in alone)} ({count(push)}). Singular Only reaches "
         f"{rate(singular)} on all cameras, MAD {rate(push)}. *Limit:* one training each, and "
         f"alpha was chosen on these seeds.\n"
-        f"3. **Not every camera is enough.** Below {WEAK:.2f} alone {weak()}. *Limit:* a picture "
-        f"that does not show what decides and a training that is too weak look the same in a "
-        f"rate.\n"
+        f"3. **Not every camera is enough.** {weak()}. *Limit:* a picture that does not show what "
+        f"decides and a training that is too weak look the same in a rate.\n"
     )
 
 
