@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz import __version__
-from madviz.errors import UserError, unknown
+from madviz.errors import NotWritten, UserError, saving, unknown
 from madviz.evaluation.statistics import SuccessRate
 from madviz.system.files import pretty, write_json, written_to
 
@@ -253,17 +253,34 @@ def deliver(
     place: str | None = getattr(config, "json", None)
     if place == "-":
         with printing_to_stderr():
-            result = work(config)
+            result, unwritten = worked(config, work)
         sys.stdout.write(pretty(result))
-        return result
-    if place is not None:
-        written_to(Path(place), "--json")
-    result = work(config)
-    if place is not None:
-        write_json(Path(place), result)
-    if in_words is not None:
-        print(in_words(result))
+    else:
+        if place is not None:
+            written_to(Path(place), "--json")
+        result, unwritten = worked(config, work)
+        if in_words is not None:
+            print(in_words(result))
+        if place is not None:
+            try:
+                with saving(result, f"--json {place}"):
+                    write_json(Path(place), result)
+            except NotWritten as error:
+                unwritten = unwritten or error
+        if unwritten:
+            sys.stdout.write(pretty(result))
+    sys.stdout.flush()
+    if unwritten:
+        raise unwritten
     return result
+
+
+def worked(config: Any, work: Callable[[Any], Any]) -> tuple[Any, NotWritten | None]:
+    """The result of ``work(config)``, also if some of it could not be written, and that error."""
+    try:
+        return work(config), None
+    except NotWritten as error:
+        return error.result, error
 
 
 @contextmanager

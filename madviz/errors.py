@@ -2,11 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 
 class UserError(ValueError):
     """A mistake the user can mend, in one line: what was expected, what was found, what next."""
+
+
+class NotWritten(UserError):
+    """A result that is there, but could not be written where it was wanted."""
+
+    def __init__(self, message: str, result: Any) -> None:
+        super().__init__(message)
+        self.result = result
+
+
+@contextmanager
+def saving(result: Any, what: str) -> Iterator[None]:
+    """Whoever writes ``result`` in the block does not lose it: a disk that is full meanwhile raises
+    NotWritten, which carries it."""
+    try:
+        yield
+    except (OSError, UserError) as error:
+        why = isinstance(error, OSError) and error.strerror or error
+        raise NotWritten(
+            f"{what} could not be written: {why}; what was measured is printed here, copy it",
+            result,
+        ) from error
 
 
 def unknown(kind: str, found: str, known: list[str]) -> UserError:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -177,3 +179,30 @@ def test_what_was_measured_keeps_within_bounds(three: list[Path]) -> None:
         file.write_text(json.dumps({**document, **empty}))
         with pytest.raises(UserError, match="evaluation.json: "):
             run_compare(CompareConfig(("mad", "mvd")))
+
+
+def test_a_card_that_cannot_be_written_loses_no_episode(
+    three: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Measured:
+        def to_json(self) -> Any:
+            return {**document, "digest": ""}
+
+    (three[0] / "weights.safetensors").write_bytes(b"")
+    document = json.loads((three[0] / "evaluation.json").read_text())
+    (three[0] / "evaluation.json").unlink()
+    monkeypatch.setattr("madviz.evaluation.evaluate.evaluate", lambda *_, **__: Measured())
+    (three[0] / "card.md").mkdir()
+    with pytest.raises(UserError, match="^--card .*card.md: expected a file"):
+        run_eval(EvalConfig("mad", card=True))
+    assert not (three[0] / "evaluation.json").exists()
+    (three[0] / "card.md").rmdir()
+    monkeypatch.setattr("madviz.evaluation.evaluate.write_card", no_space)
+    assert cli.main(["eval", "--policy", "mad", "--card"]) == 2
+    printed, said = capsys.readouterr()
+    assert '"episodes": [' in printed and "all  " in printed
+    assert "could not be written: No space left" in said and said.count("\n") == 1
+
+
+def no_space(*words: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")

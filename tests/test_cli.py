@@ -18,7 +18,7 @@ from typing import Any, get_type_hints
 import pytest
 
 from madviz import cli
-from madviz.errors import UserError, perhaps, unknown
+from madviz.errors import UserError, perhaps, saving, unknown
 
 
 def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -196,3 +196,39 @@ def test_list_has_the_shape_that_is_documented() -> None:
     assert listed["schema"] == 1 and "metaworld/hammer" in listed["tasks"]
     assert "three" in listed["settings"] and "needs" in listed["methods"]["mad"]
     assert isinstance(listed["policies"], list)
+
+
+def test_what_was_measured_is_printed_where_it_cannot_be_written(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    config = cli.ListConfig("/dev/full")
+    with pytest.raises(UserError, match="^--json /dev/full could not be written: No space left"):
+        cli.deliver(config, lambda _: {"a": 1}, lambda result: "one a")
+    assert capsys.readouterr().out == 'one a\n{"a": 1}\n'
+
+
+@pytest.mark.parametrize("place", ["-", "out.json"])
+def test_a_result_is_printed_whatever_else_could_not_be_written(
+    place: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def work(config: Any) -> Any:
+        with saving({"a": 1}, "--card"):
+            Path("/dev/full").write_text("x")
+
+    config = cli.ListConfig("-" if place == "-" else str(tmp_path / place))
+    with pytest.raises(UserError, match="^--card could not be written: No space left"):
+        cli.deliver(config, work)
+    assert json.loads(capfd.readouterr().out) == {"a": 1}
+    assert place == "-" or json.loads((tmp_path / place).read_text()) == {"a": 1}
+
+
+@pytest.mark.parametrize("place", ["", "x" * 300, "ring/out.json", "ring", "/proc/none/x.json"])
+def test_a_place_that_takes_no_file_is_refused_before_the_work(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("ring").symlink_to("ring")
+    with pytest.raises(UserError, match="^--json .*expected") as error:
+        cli.deliver(cli.ListConfig(place), lambda _: pytest.fail("worked"), str)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 400
+    assert [path.name for path in tmp_path.iterdir()] == ["ring"]

@@ -296,7 +296,7 @@ def test_a_mistake_in_a_worker_reaches_the_user(workers):
 def test_eval_command_computes_and_writes_the_card(folder, tmp_path, capsys):
     copy = tmp_path / "toy"
     shutil.copytree(folder, copy)
-    (copy / "evaluation.json").write_text('{"subsets": {"all": {"success": 1.0}}}')
+    (copy / "evaluation.json").write_text('{"digest": "of others", "subsets": {}}')
     config = EvalConfig(str(copy), ("all", "first"), episodes=2, seed=5, workers=0, card=True)
     document = run_eval(config)
     assert document == evaluate(folder, ("all", "first"), episodes=2, seed=5, workers=0).to_json()

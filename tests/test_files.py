@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import resource
 import socket
 import stat
 import subprocess
@@ -176,3 +177,22 @@ def test_what_is_no_place_for_a_file_is_refused(tmp_path):
     assert {p.name for p in tmp_path.iterdir()} == {"folder", "link", "ring", "socket"}
     with pytest.raises(UserError, match="^--json .*folder: expected"):
         written_to(folder, "--json")
+
+
+def test_a_name_as_long_as_names_can_be_is_written_and_a_longer_one_refused(tmp_path):
+    write_bytes(tmp_path / ("x" * 255), b"1")
+    assert not written_to(tmp_path / ("y" * 255))
+    with pytest.raises(UserError, match="^--json .*found: File name too long; choose another"):
+        written_to(tmp_path / ("x" * 256), "--json")
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_disk_that_is_full_is_noticed_before_the_work(tmp_path):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        with pytest.raises(UserError, match="^--json .*found: File too large; choose another"):
+            written_to(tmp_path / "x", "--json")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert list(tmp_path.iterdir()) == []

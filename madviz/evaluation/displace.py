@@ -24,7 +24,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from madviz.errors import UserError, unknown
+from madviz.errors import UserError, saving, unknown
 from madviz.evaluation.episodes import FIRST_SEED, Job, Runner, unsupported
 from madviz.evaluation.evaluate import adopted, run_anywhere
 from madviz.evaluation.statistics import SuccessRate
@@ -202,9 +202,11 @@ def run_displace(config: DisplaceConfig) -> dict[str, Any]:
         ],
     }
     if config.svg is not None:
-        write_bytes(config.svg, picture(result).encode())
+        with saving(result, f"--svg {config.svg}"):
+            write_bytes(config.svg, picture(result).encode())
     if config.csv is not None:
-        write_bytes(config.csv, table_csv(result).encode())
+        with saving(result, f"--csv {config.csv}"):
+            write_bytes(config.csv, table_csv(result).encode())
     return result
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from madviz.errors import UserError, unknown
+from madviz.errors import UserError, saving, unknown
 from madviz.evaluation.episodes import (
     FIRST_SEED,
     GIVE_UP,
@@ -41,7 +41,7 @@ from madviz.policies.card import write_card
 from madviz.policies.measured import EpisodeRow, EvaluationFile, SubsetRow, seeds_of
 from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
-from madviz.system.files import write_json
+from madviz.system.files import write_json, written_to
 from madviz.types import Array, Policy, PolicySpec
 
 
@@ -271,6 +271,8 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
     if folder is not None:
         for name in (checkpoint.EVALUATION, checkpoint.DEVELOPMENT):
             checkpoint.shipped_evaluation(folder, name)  # Now: afterwards it is too late to mend.
+            written_to(folder / name, "--card")
+        written_to(folder / checkpoint.CARD, "--card")
     evaluation = evaluate(
         config.policy,
         config.subsets or None,
@@ -280,9 +282,11 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
         occlusions=parse_occlusions(config.occlude),
         progress=True,
     )
+    result = evaluation.to_json()
     if folder is not None:
-        write_measured(folder, evaluation.to_json())
-    return evaluation.to_json()
+        with saving(result, f"--card: {folder}"):
+            write_measured(folder, result)
+    return result
 
 
 def write_measured(folder: Path, new: EvaluationFile) -> None:

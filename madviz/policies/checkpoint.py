@@ -234,8 +234,11 @@ def shipped_evaluation(policy: str | Path, name: str = EVALUATION) -> Evaluation
     file = folder.path / name
     if not file.is_file():
         return None
-    evaluation = as_evaluation(read_json(file), file)
-    return evaluation if evaluation["digest"] == folder.spec.digest else None
+    document = read_json(file)
+    measured = document.get("digest") if isinstance(document, dict) else None
+    if isinstance(measured, str) and measured != folder.spec.digest:
+        return None
+    return as_evaluation(document, file)
 
 
 def own_evaluation(folder: PolicyFolder, name: str = EVALUATION) -> EvaluationFile:

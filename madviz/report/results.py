@@ -60,6 +60,8 @@ def run_report(config: ReportConfig) -> dict[str, Any]:
     left out. Raises UserError for a folder without evaluated policies, and for rates on seeds that
     must not be reported."""
     folders = SHIPPED if config.folder is None else (config.folder,)
+    out = config.out or folders[-1] / "RESULTS.md"
+    written_to(out, "--out")
     if config.evaluate:
         evaluate_all(folders, config.episodes, config.workers)
     evidence, broken = find_evidence(*folders)
@@ -71,14 +73,12 @@ def run_report(config: ReportConfig) -> dict[str, Any]:
         )
     for each in evidence:
         check_seeds(each)
-    out = config.out or folders[-1] / "RESULTS.md"
     tables = [table for layout in LAYOUTS for table in build(layout, evidence)]
     compared = build(BASELINES, evidence)
     verdicts = [judge(task, evidence) for task in TWENTY]
     drawn = _drawn(evidence, verdicts, tables, compared)
     sweeps = out.parent / "sweeps"
     text = page(_remake(config, out), evidence, verdicts, tables, drawn, sweeps.as_posix())
-    written_to(out, "--out")
     _write_all(out.parent / "pictures", "*.svg", drawn)
     _write_all(sweeps, "*.toml", _sweeps(sweeps, verdicts, tables))
     write_bytes(out.parent / "rates.csv", rates_csv(verdicts, [*tables, *compared]).encode())

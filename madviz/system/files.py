@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -10,7 +11,7 @@ import stat
 import tempfile
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -40,14 +41,36 @@ def written_to(path: Path, option: str = "") -> bool:
         raise UserError(
             f"{named}: expected a file, a device or a pipe, found {found}; choose another name"
         )
-    if there and (not stat.S_ISREG(mode) or _is_open(path)):
-        return True
-    if not os.path.isdir(os.path.dirname(target)):
+    try:
+        if there and (not stat.S_ISREG(mode) or _is_open(path)):
+            if not os.access(path, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            return True
+        if not os.path.isdir(os.path.dirname(target)):
+            raise UserError(
+                f"{named}: expected a file in a folder that exists, found no folder "
+                f"{os.path.dirname(target)}; make it, or choose another name"
+            )
+        with suppress(FileNotFoundError):
+            os.stat(target)  # A name may be too long.
+        part = _part(Path(target), Path(target).parent)
+        try:
+            part.write_bytes(b" ")  # A disk may be full.
+        finally:
+            part.unlink()
+    except OSError as error:
         raise UserError(
-            f"{named}: expected a file in a folder that exists, found no folder "
-            f"{os.path.dirname(target)}; make it, or choose another name"
-        )
+            f"{named:.200}: expected a place that can be written to, found: {error.strerror}; "
+            "choose another"
+        ) from error
     return False
+
+
+def _part(path: Path, folder: Path | None) -> Path:
+    """A new file with the ending of ``path``."""
+    handle, name = tempfile.mkstemp(dir=folder, prefix=".madviz-", suffix=path.suffix[:16])
+    os.close(handle)
+    return Path(name)
 
 
 def _is_open(path: Path) -> bool:
@@ -68,11 +91,7 @@ def replacing(path: Path) -> Iterator[Path]:
     one or the new one, never half of one. If the block fails, ``path`` stays as it is."""
     stays = written_to(path)
     target = Path(os.path.realpath(path))
-    handle, name = tempfile.mkstemp(
-        dir=None if stays else target.parent, prefix=f".{path.stem}.", suffix=path.suffix
-    )
-    os.close(handle)
-    part = Path(name)
+    part = _part(path, None if stays else target.parent)
     try:
         yield part
         with part.open("rb") as file:
