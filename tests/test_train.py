@@ -107,6 +107,29 @@ def test_a_finished_run_keeps_the_policy_alone_and_has_nothing_left_to_do(tmp_pa
     assert (tmp_path / "weights.safetensors").read_bytes() == weights
 
 
+@pytest.mark.parametrize("resume", [False, True])
+def test_two_trainings_do_not_share_a_folder(resume: bool, tmp_path: Path) -> None:
+    config = TrainConfig("toy/reach", out=tmp_path / "run", light=TINY)
+    refused: list[str] = []
+
+    def second(event: Event) -> None:
+        with pytest.raises(UserError, match="another process trains in") as caught:
+            train(replace(config, resume=resume), lambda event: None)
+        refused.append(str(caught.value))
+
+    train(config, second)
+    assert len(refused) == 3 and "choose another --out" in refused[0]
+    train(replace(config, resume=True), lambda event: None)  # Free again.
+    assert not (tmp_path / "run" / "resume" / "lock").exists()
+
+
+def test_a_refused_run_leaves_nothing(tmp_path: Path) -> None:
+    config = TrainConfig("toy/reach", out=tmp_path / "run", light=TINY)
+    with pytest.raises(UserError, match="nothing to resume"):
+        train(replace(config, resume=True), lambda event: None)
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_resumed_run_has_the_same_cameras_wherever_their_file_is(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(CAMERAS.format(size=84))

@@ -18,7 +18,6 @@ claim until then).
 from __future__ import annotations
 
 import csv
-import fcntl
 import os
 import shlex
 import signal
@@ -26,8 +25,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict
@@ -35,6 +34,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 from madviz.errors import UserError
 from madviz.policies.checkpoint import CONFIG, EVALUATION, IN_RUN
 from madviz.system.files import read_json, write_json
+from madviz.system.lock import locked
 from madviz.system.typed import typed
 
 RESULT, WORDS, LOG, CLAIM = "result.json", "run.json", "log.txt", "claim"
@@ -170,20 +170,9 @@ def carry_out(
     return RunOutcome("finished", seconds=time.monotonic() - began)
 
 
-@contextmanager
-def claimed(folder: Path) -> Iterator[int | None]:
+def claimed(folder: Path) -> AbstractContextManager[int | None]:
     """The descriptor of the locked claim; None if another process holds it."""
-    descriptor = os.open(folder / CLAIM, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            yield None
-        else:
-            yield descriptor
-    finally:
-        # Closed, not unlocked: a command that runs longer than this process still holds it.
-        os.close(descriptor)
+    return locked(folder / CLAIM)
 
 
 def _work(run: Run, folder: Path, commands: _Commands, workers: int | None) -> None:

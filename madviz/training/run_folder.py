@@ -4,6 +4,7 @@
     DIR/curve.csv                          one row per progress report
     DIR/resume/run.json                    the run's configuration; a resumed run must have the same
     DIR/resume/state.pt                    full-precision tensors and numbers, to go on exactly
+    DIR/resume/lock                        locked while a process trains here
     DIR/resume/finished                    the run is over: nothing else is left in resume/
     DIR/curve.svg                          the curve as a picture, where it has success by subset
 
@@ -30,9 +31,42 @@ import torch
 from madviz.errors import UserError
 from madviz.policies.checkpoint import CONFIG
 from madviz.system.files import write_bytes
+from madviz.system.lock import locked
 
 Event = dict[str, Any]
 """What a run reports: ``kind`` and numbers; a page draws it, a terminal prints it."""
+
+
+LOCK, FINISHED = "lock", "finished"
+
+
+@contextmanager
+def alone_in(path: Path) -> Iterator[None]:
+    """The run in the folder ``path`` is this process's alone meanwhile. Raises UserError if another
+    one trains there. If no run begins meanwhile, nothing stays."""
+    _check_folder(path)
+    resume = path / "resume"
+    resume.mkdir(parents=True, exist_ok=True)
+    with locked(resume / LOCK) as descriptor:
+        if descriptor is None:
+            raise UserError(
+                f"another process trains in {path}; wait for its end or stop it, "
+                "or choose another --out"
+            )
+        try:
+            yield
+        finally:
+            if [one.name for one in resume.iterdir()] == [LOCK]:
+                shutil.rmtree(resume)
+                if not any(path.iterdir()):
+                    path.rmdir()
+            elif not (resume / "run.json").exists() or (resume / FINISHED).exists():
+                (resume / LOCK).unlink(missing_ok=True)
+
+
+def _check_folder(path: Path) -> None:
+    if path.exists() and not path.is_dir():
+        raise UserError(f"expected a folder, found the file {path}; choose another --out")
 
 
 class RunFolder:
@@ -53,12 +87,17 @@ class RunFolder:
         self.path = Path(path)
         self.resume = self.path / "resume"
         self._listener = listener
-        self._over = self.resume / "finished"
+        self._over = self.resume / FINISHED
         facts = config if isinstance(config, dict) else dataclasses.asdict(config)
         described = json.dumps(facts, indent=1, sort_keys=True)
+        self._check(json.loads(described), resume)
+        self.resume.mkdir(parents=True, exist_ok=True)
+        write_bytes(self.resume / "run.json", described.encode())
+
+    def _check(self, described: Any, resume: bool) -> None:
+        """Raises UserError unless the run may begin or go on here."""
         file = self.resume / "run.json"
-        if self.path.exists() and not self.path.is_dir():
-            raise UserError(f"expected a folder, found the file {self.path}; choose another --out")
+        _check_folder(self.path)
         if resume and not file.exists():
             raise UserError(f"nothing to resume: expected a run in {self.path}, found none")
         if self.finished and not resume:
@@ -71,14 +110,12 @@ class RunFolder:
             raise UserError(
                 f"{self.path} holds a policy that was not trained here; choose another --out"
             )
-        changed = changes(json.loads(file.read_text()), json.loads(described)) if resume else []
+        changed = changes(json.loads(file.read_text()), described) if resume else []
         if changed:
             raise UserError(
                 f"the run in {self.path} has another configuration: {', '.join(changed)}; "
                 "give the same options, or choose another --out"
             )
-        self.resume.mkdir(parents=True, exist_ok=True)
-        write_bytes(file, described.encode())
 
     @property
     def finished(self) -> bool:
@@ -91,16 +128,14 @@ class RunFolder:
         for one in self.resume.iterdir():
             if one.is_dir():
                 shutil.rmtree(one)
-            elif one.name not in (self._over.name, "run.json"):
+            elif one.name not in (FINISHED, LOCK, "run.json"):
                 one.unlink()
 
     def forget(self) -> None:
         """Takes back a run that never began, of which there is nothing but its configuration: it
         must not stand in the way of the command without the mistake."""
-        if [one.name for one in self.resume.iterdir()] == ["run.json"]:
-            shutil.rmtree(self.resume)
-            if not any(self.path.iterdir()):
-                self.path.rmdir()
+        if {one.name for one in self.resume.iterdir()} <= {"run.json", LOCK}:
+            (self.resume / "run.json").unlink()
 
     def save_state(self, state: dict[str, Any]) -> None:
         """``state`` may hold tensors, numbers, strings, lists and dicts; no other objects."""

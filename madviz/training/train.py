@@ -19,13 +19,14 @@ import torch
 from madviz.errors import UserError
 from madviz.system.processes import reuse_large_blocks
 from madviz.training.config import RECIPES, TrainConfig, identity, resolve
-from madviz.training.run_folder import Event, RunFolder
+from madviz.training.plan import TrainingPlan
+from madviz.training.run_folder import Event, RunFolder, alone_in
 
 
 def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) -> Path:
     """Trains and returns the policy's folder. Events go to ``listener``, by default one line each
-    on standard error. Raises UserError for unknown names and for a folder that holds another run.
-    """
+    on standard error. Raises UserError for unknown names and for a folder that holds another run
+    or in which another process trains."""
     if config.recipe == "paper-vectorised":
         config.vectorised.prepare(config.task)
     plan = resolve(config)
@@ -33,18 +34,23 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
     torch.set_num_threads(config.threads or _usual_threads(config))
     out = config.out or Path("runs") / plan.spec.name
     facts = identity(config, plan.drawn_task.cameras)
-    folder = RunFolder(out, facts, config.resume, listener or print_event)
+    with alone_in(out):
+        folder = RunFolder(out, facts, config.resume, listener or print_event)
+        _work(config, plan, folder)
+    return folder.path
+
+
+def _work(config: TrainConfig, plan: TrainingPlan, folder: RunFolder) -> None:
     if folder.finished:
         folder.finish()  # Again: the first time may have been cut off.
         folder.report("done", seconds=0.0, path=str(folder.path))
-        return folder.path
+        return
     recipe = RECIPES[config.recipe]
     try:
         recipe.train(plan, getattr(config, recipe.options), folder)
     except UserError:
         folder.forget()
         raise
-    return folder.path
 
 
 def _usual_threads(config: TrainConfig) -> int:
