@@ -5,7 +5,7 @@ The first word picks a line of ``COMMANDS``, and only then are its modules impor
 works on it, and what that returns is handed over.
 
     exit code 0 only for success; 1 something failed (doctor: something needed is missing);
-    2 the user's own mistake, in one line and without a traceback; 130 Ctrl-C
+    2 the user's own mistake, in one line and without a traceback; 130 Ctrl-C; 143 SIGTERM
     --json FILE writes the result as JSON; --json - prints it, and then nothing else goes to
     standard output: whatever the work prints meanwhile, worker processes included, goes to stderr
 """
@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz import __version__
-from madviz.errors import NotWritten, UserError, saving, unknown
+from madviz.errors import Interrupted, NotWritten, UserError, saving, unknown
 from madviz.evaluation.statistics import SuccessRate
 from madviz.system.files import pretty, write_json, written_to
 
@@ -180,6 +180,9 @@ def main(words: Sequence[str] | None = None) -> int:
     except UserError as error:
         print(f"madviz: {error}", file=sys.stderr)
         return 2
+    except Interrupted as stopped:
+        print(f"madviz: stopped; resume with: {stopped}", file=sys.stderr)
+        return stopped.exit_code
     except KeyboardInterrupt:
         print("madviz: stopped", file=sys.stderr)
         return 130

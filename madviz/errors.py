@@ -33,6 +33,15 @@ def saving(result: Any, what: str) -> Iterator[None]:
         ) from error
 
 
+class Interrupted(KeyboardInterrupt):
+    """Work was stopped by a signal and can go on; the message is the command that does so."""
+
+    def __init__(self, command: str, number: int) -> None:
+        """``number``: of the signal."""
+        super().__init__(command)
+        self.exit_code = 128 + number
+
+
 def unknown(kind: str, found: str, known: list[str]) -> UserError:
     """The error for a name that is not in a table; lists the names that are."""
     listed = ", ".join(sorted(known))

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import csv
+import shlex
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from madviz import cli
 from madviz.errors import UserError
 from madviz.evaluation.evaluate import evaluate
 from madviz.policies.checkpoint import load_policy
@@ -105,6 +110,33 @@ def test_a_finished_run_keeps_the_policy_alone_and_has_nothing_left_to_do(tmp_pa
     assert [event["kind"] for event in events] == ["done"]
     assert not (tmp_path / "resume" / "state.pt").exists()
     assert (tmp_path / "weights.safetensors").read_bytes() == weights
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_training_says_how_to_go_on(number: int, code: int, tmp_path: Path) -> None:
+    words = ["train", "--task", "toy/reach", "--out", str(tmp_path / "a run")]
+    words += ["--light.rounds", "40", "--light.demonstrations", "2", "--light.critic-updates", "2"]
+    words += ["--light.episodes-per-round", "2", "--light.updates-per-round", "3"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "madviz", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as training:
+        assert training.stderr is not None
+        assert training.stderr.readline().startswith("[curve]")
+        training.send_signal(number)
+        printed, said = training.communicate()
+    assert training.returncode == code and printed == "" and "[done]" not in said
+    last = said.splitlines()[-1]
+    assert last.startswith("madviz: stopped; resume with: madviz train --task toy/reach")
+    assert last.endswith(f"--out '{tmp_path}/a run' --resume")
+    again = TrainConfig("toy/reach", out=tmp_path / "a run", resume=True)
+    goes_on = shlex.split(last.partition("resume with: ")[2])
+    assert cli.parse("train", goes_on[2:]) == replace(
+        again,
+        light=LightConfig(40, 2, 2, 3, critic_updates=2),
+    )
 
 
 @pytest.mark.parametrize("resume", [False, True])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -35,7 +36,8 @@ for number in range(1, 3 if "--resume" in words else 1000):
     with curve.open("a") as file:
         file.write(f"{number},{number}.0,{9 - number}.0,0.5,\\n")
     if stop:
-        break
+        print("madviz: stopped; resume with: madviz train --resume", file=sys.stderr)
+        sys.exit(143)
     time.sleep(0.02)
 """
 
@@ -68,12 +70,25 @@ def test_a_job_runs_stops_goes_on_and_ends(job: TrainingJob) -> None:
         job.start(JobConfig("toy/reach"))
     job.stop()
     stopped = until(job, lambda status: status.state == "stopped")
+    assert "resume with: madviz train --resume" in training_html(stopped)
     job.resume()
     done = until(job, lambda status: status.state == "done")
     assert done.folder == stopped.folder and len(done.rows) == len(stopped.rows) + 2
     assert done.done == 1.0
     job.start(JobConfig("toy/reach"))
     assert job.status().folder != done.folder  # Nothing is written over.
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_signal_from_elsewhere_stops_a_job_or_fails_it(job: TrainingJob, number: int) -> None:
+    job.start(JobConfig("toy/reach"))
+    until(job, lambda status: len(status.rows) > 0)
+    assert job._child is not None
+    job._child.send_signal(number)
+    ended = until(job, lambda status: status.state not in ("running", "stopping"))
+    assert ended.state == ("stopped" if number == signal.SIGTERM else "failed")
+    job.resume()
+    assert until(job, lambda status: status.state == "done").done == 1.0
 
 
 def test_a_snapshot_is_a_copy_under_its_own_name(job: TrainingJob) -> None:

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import pytest
 import torch
 
 from madviz.envs.toy import CAMERAS, ToyReach
-from madviz.errors import UserError
+from madviz.errors import Interrupted, UserError
 from madviz.policies.checkpoint import load_policy
 from madviz.training import loop
 from madviz.training.config import TrainConfig, resolve
@@ -52,7 +53,8 @@ def run(
     )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RunFolder, "finish", lambda self: None)
-        train(whole, listener or (lambda event: None))
+        with suppress(Interrupted):
+            train(whole, listener or (lambda event: None))
     return torch.load(folder / "resume" / "state.pt", weights_only=True)
 
 

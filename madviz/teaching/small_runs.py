@@ -10,12 +10,13 @@ import csv
 import tempfile
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from madviz.errors import UserError
+from madviz.errors import Interrupted, UserError
 from madviz.policies import checkpoint
 from madviz.teaching.episode import begin
 from madviz.types import Policy, PolicySpec
@@ -94,7 +95,8 @@ def train_light(
     began, done = time.monotonic(), trained(out)
     if not done:
         resume = (out / "resume" / "run.json").exists()
-        train(replace(config, out=out, resume=resume), _say)
+        with suppress(Interrupted):
+            train(replace(config, out=out, resume=resume), _say)
         if not trained(out):
             raise UserError(
                 "expected a finished training, found one that was stopped; "

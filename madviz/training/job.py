@@ -56,6 +56,10 @@ BUDGETS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 """By recipe and name, what is added to the command; nothing stands for the recipe's defaults."""
 POLICY_FILES = ("config.json", "weights.safetensors")
+STOPPED = tuple(
+    code for number in (signal.SIGINT, signal.SIGTERM) for code in (128 + number, -number)
+)
+"""Exit codes of a training that a signal stopped, after it saved or before it began."""
 LOG_END = 500
 """Characters of a log's end that may be shown."""
 
@@ -96,7 +100,7 @@ class JobStatus:
     ready: bool = False
     """Whether there is a policy to watch."""
     why: str = ""
-    """The last line of the log of a job that failed."""
+    """The last line of the log of a job that failed, or was stopped: the command to go on."""
 
     @property
     def seconds_left(self) -> float:
@@ -159,7 +163,7 @@ class TrainingJob:
                 _rows(self._folder / "curve.csv"),
                 self._folder,
                 all((self._folder / name).exists() for name in POLICY_FILES),
-                self._why() if state == "failed" else "",
+                self._why() if state in ("failed", "stopped") else "",
             )
 
     def snapshot(self) -> Path:
@@ -219,9 +223,9 @@ class TrainingJob:
             return "idle"
         if code is None:
             return "stopping" if self._stopping else "running"
-        if self._stopping:
-            return "stopped"
-        return "done" if code == 0 else "failed"
+        if code == 0:
+            return "done"
+        return "stopped" if self._stopping or code in STOPPED else "failed"
 
     def _why(self) -> str:
         assert self._folder is not None

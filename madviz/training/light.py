@@ -258,10 +258,8 @@ def train_light(plan: TrainingPlan, config: LightConfig, folder: RunFolder) -> N
     if state:
         run.restore(state)
         folder.truncate_curve("round", run.round)
-    started = time.monotonic()
     with closing(Recorder(plan.drawn_task, config.workers)) as recorder:
         run_rounds(run, folder, recorder)
-    folder.report("done", seconds=round(time.monotonic() - started, 1), path=str(folder.path))
 
 
 def run_rounds(run: LightRun, folder: RunFolder, recorder: Recorder) -> None:
@@ -271,7 +269,7 @@ def run_rounds(run: LightRun, folder: RunFolder, recorder: Recorder) -> None:
     began = time.monotonic() - run.seconds
     if len(run.data) == 0:
         run.add(Recorder.finish(recorder.start(run.drivers(0))), 0)
-    with interruptible() as stop:
+    with interruptible(folder) as stop:
         while run.round < config.rounds and not stop.is_set():
             ahead = run.round + 1
             recording = recorder.start(run.drivers(ahead)) if ahead < config.rounds else []

@@ -36,7 +36,7 @@ def train_on(run: ReinforcementRun) -> None:
 def _loop(run: ReinforcementRun) -> None:
     saved, began = run.step, time.monotonic() - run.seconds
     reported, speed = time.monotonic(), Speed(run)
-    with interruptible() as stop:
+    with interruptible(run.folder) as stop:
         while True:
             if run.evaluation_due():
                 _evaluate(run, stop.is_set, speed)

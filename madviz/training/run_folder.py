@@ -86,6 +86,8 @@ class RunFolder:
         """
         self.path = Path(path)
         self.resume = self.path / "resume"
+        self.stopped_by = 0
+        """The signal that asked the run to stop; 0 for none."""
         self._listener = listener
         self._over = self.resume / FINISHED
         facts = config if isinstance(config, dict) else dataclasses.asdict(config)
@@ -177,9 +179,9 @@ class RunFolder:
 
 
 @contextmanager
-def interruptible() -> Iterator[threading.Event]:
-    """Ctrl-C (and a polite kill) set the event instead of tearing the loop apart; a second one
-    interrupts at once."""
+def interruptible(folder: RunFolder) -> Iterator[threading.Event]:
+    """Ctrl-C and SIGTERM set the event instead of breaking the loop off, and are noted in
+    ``folder``; a second one interrupts at once."""
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield stop
@@ -188,6 +190,7 @@ def interruptible() -> Iterator[threading.Event]:
     def ask(number: int, frame: Any) -> None:
         if stop.is_set():
             raise KeyboardInterrupt
+        folder.stopped_by = number
         stop.set()
 
     before = {s: signal.signal(s, ask) for s in (signal.SIGINT, signal.SIGTERM)}

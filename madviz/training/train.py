@@ -10,13 +10,15 @@ it, copy it to checkpoints/. Ctrl-C finishes the round, saves, and says how to g
 from __future__ import annotations
 
 import os
+import shlex
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import torch
 
-from madviz.errors import UserError
+from madviz.errors import Interrupted, UserError
 from madviz.system.processes import reuse_large_blocks
 from madviz.training.config import RECIPES, TrainConfig, identity, resolve
 from madviz.training.plan import TrainingPlan
@@ -26,7 +28,8 @@ from madviz.training.run_folder import Event, RunFolder, alone_in
 def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) -> Path:
     """Trains and returns the policy's folder. Events go to ``listener``, by default one line each
     on standard error. Raises UserError for unknown names and for a folder that holds another run
-    or in which another process trains."""
+    or in which another process trains. A Ctrl-C or SIGTERM saves, then raises
+    Interrupted with the command to go on."""
     if config.recipe == "paper-vectorised":
         config.vectorised.prepare(config.task)
     plan = resolve(config)
@@ -45,12 +48,16 @@ def _work(config: TrainConfig, plan: TrainingPlan, folder: RunFolder) -> None:
         folder.finish()  # Again: the first time may have been cut off.
         folder.report("done", seconds=0.0, path=str(folder.path))
         return
-    recipe = RECIPES[config.recipe]
+    recipe, began = RECIPES[config.recipe], time.monotonic()
     try:
         recipe.train(plan, getattr(config, recipe.options), folder)
     except UserError:
         folder.forget()
         raise
+    if folder.stopped_by and not folder.finished:
+        goes_on = shlex.join(["--out", str(folder.path), "--resume"])
+        raise Interrupted(f"{plan.command} {goes_on}", folder.stopped_by)
+    folder.report("done", seconds=round(time.monotonic() - began, 1), path=str(folder.path))
 
 
 def _usual_threads(config: TrainConfig) -> int:
