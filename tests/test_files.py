@@ -61,14 +61,13 @@ def test_writing_replaces_the_whole_file_and_others_may_read_it(tmp_path):
 
 
 def test_who_writes_files_goes_through_one_place():
-    """But for the cache of results, and what a training keeps in its folder under names of its
-    own."""
+    """But for the cache of results."""
     direct = re.compile(
         r"os\.(replace|rename)\(|\.rename\(|NamedTemporaryFile|mkstemp|\.write_text\("
     )
     package = Path(files.__file__).parent.parent
     found = {path.stem for path in package.rglob("*.py") if direct.search(path.read_text())}
-    assert found == {"files", "store", "run_folder", "demonstrations", "buffer", "update"}
+    assert found == {"files", "store", "update"}
 
 
 def test_what_cannot_be_read_is_named(tmp_path):

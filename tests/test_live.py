@@ -15,6 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 import numpy as np
 import pytest
 
+from madviz.app.panels.success import bars_html
 from madviz.app.rates import SuccessRates
 from madviz.errors import UserError
 from madviz.evaluation.episodes import Runner, Workers
@@ -25,7 +26,9 @@ from madviz.observation.displacement import Displacement
 from madviz.policies import checkpoint
 from madviz.session.frame import condition_of
 from tests.fakes import FakePolicy
+from tests.sessions import frame_with
 from tests.test_checkpoint import make_config
+from tests.test_store import full_disk
 
 POLICY = "tests.fakes:FakePolicy"
 ALL, FIRST, NONE = (np.array(mask, bool) for mask in ((1, 1, 1), (1, 0, 0), (0, 0, 0)))
@@ -303,3 +306,32 @@ def test_what_workers_measure_of_a_moved_camera_is_where_the_page_looks_for_it()
     made[0].finish()
     assert rates.live(policy.spec, condition_of(moved, policy.spec.streams)).n == 1
     assert rates.live(policy.spec, condition_of(Ablation(), policy.spec.streams)).n == 0
+
+
+def test_measuring_goes_on_when_the_disk_is_full_and_the_page_says_so(monkeypatch, tmp_path):
+    monkeypatch.setattr(checkpoint, "is_folder", lambda policy: True)
+    folder = checkpoint.PolicyFolder(tmp_path, make_config(), FakePolicy().spec)
+    monkeypatch.setattr(checkpoint, "describe", lambda policy: folder)
+    store, heard = Store(tmp_path / "results.sqlite"), []
+    evaluator, workers = fake(1, store, heard.append)
+    rates = SuccessRates(make_evaluator=lambda listener: evaluator)
+    frame = frame_with()
+    evaluator.request("ann", "toy", ALL)
+    assert "not stored" not in bars_html(frame, rates)
+    with full_disk(), pytest.warns(UserWarning, match="memory only"):
+        workers.finish()
+    workers.finish()
+    assert heard[-1].n == 2 and not heard[-1].error and workers.jobs == [("all", 5002)]
+    assert "not stored: " in bars_html(frame, rates) and "memory only" in bars_html(frame, rates)
+
+
+def test_measuring_that_cannot_be_recorded_ends_with_a_word(monkeypatch, tmp_path):
+    monkeypatch.setattr(checkpoint, "is_folder", lambda policy: True)
+    folder = checkpoint.PolicyFolder(tmp_path, make_config(), FakePolicy().spec)
+    monkeypatch.setattr(checkpoint, "describe", lambda policy: folder)
+    store, heard = Store(MEMORY), []
+    evaluator, workers = fake(1, store, heard.append)
+    evaluator.request("ann", "toy", ALL)
+    store.close()
+    workers.finish()
+    assert heard[-1].n == 1 and "closed database" in heard[-1].error

@@ -1,11 +1,12 @@
 """The cache of results: what it keeps, what it keeps apart, and how it takes a beating."""
 
 import os
+import resource
 import sqlite3
 import subprocess
 import sys
 import threading
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 
 import pytest
@@ -157,3 +158,27 @@ def test_many_processes_write_at_once(store):
     ]
     assert [child.wait(60) for child in children] == [0, 0, 0]
     assert store.results(KEY) == {seed: episode(seed) for seed in range(150)}
+
+
+@contextmanager
+def full_disk():
+    """No file of this process can grow meanwhile."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_on_a_full_disk_it_goes_on_in_memory_and_says_so(store):
+    store.put(KEY, episode(1))
+    assert store.trouble == ""
+    path = store.path
+    with full_disk(), pytest.warns(UserWarning, match="results stay in memory only"):
+        store.put(KEY, episode(2))
+    assert store.trouble.startswith(path) and "memory only" in store.trouble
+    store.put(KEY, episode(3))
+    assert list(store.results(KEY)) == [1, 2, 3]
+    with closing(Store(path)) as again:
+        assert list(again.results(KEY)) == [1] and again.trouble == ""

@@ -109,6 +109,11 @@ class SuccessRates:
         """Why a condition cannot be measured; empty while it can."""
         return self._errors.get((key_of(spec), condition), "")
 
+    @property
+    def trouble(self) -> str:
+        """Why what is measured is gone when the page ends; '' where it is stored."""
+        return self._evaluator.trouble if self._evaluator is not None else ""
+
     def close(self) -> None:
         """Ends the worker processes."""
         if self._evaluator is not None:

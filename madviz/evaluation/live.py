@@ -150,6 +150,11 @@ class Evaluator:
         with self._lock:
             return self._tally(request)
 
+    @property
+    def trouble(self) -> str:
+        """Why what is measured is gone when the page ends; '' where it is stored."""
+        return "" if self._store is None else self._store.trouble
+
     def forget(self, visitor: Hashable) -> None:
         """The visitor has left; an episode that is running ends and counts."""
         with self._lock:
@@ -229,7 +234,10 @@ class Evaluator:
                 return
             error = future.exception()
             if error is None:
-                self._record(request, job, *future.result())
+                try:
+                    self._record(request, job, *future.result())
+                except Exception as unstored:  # Measuring must not end without a word.
+                    self._errors[request] = str(unstored) or type(unstored).__name__
             elif isinstance(error, BrokenProcessPool):
                 self._replace(request, generation)
             elif not isinstance(error, Stopped):

@@ -8,7 +8,7 @@ read it unless asked to; the live page does, so that bars are there from the fir
 One file serves many threads (a lock) and many processes (SQLite's write-ahead log). SQLite reports
 a broken file at every use and does not mend it; so a broken one is moved aside here, with a
 warning, and a new one begun. Otherwise no command could use the cache until a user removed it. A
-folder that cannot be written to, and what is no file, mean memory only.
+folder that cannot be written to, a full disk, and what is no file, mean memory only.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ _MATCH = " AND ".join(
     f"{column} = ?"
     for column in ("digest", "task", "definition", "render_profile", "occlusions", "subset")
 )
+_INSERT = f"INSERT OR REPLACE INTO episodes_1 VALUES ({', '.join('?' * 10)})"
 _CORRUPT = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 
 
@@ -83,6 +84,8 @@ class Store:
 
     def __init__(self, path: str | Path | None = None) -> None:
         self.path = str(path or default_path())
+        self.trouble = ""
+        """Why results stay in memory only; '' where they are on disk as asked."""
         self._lock = threading.RLock()
         self._db = self._open()
 
@@ -90,8 +93,7 @@ class Store:
         """Stores a result; the same episode again changes nothing."""
         if key.digest:
             row = (*astuple(key), *astuple(result)[1:])
-            query = f"INSERT OR REPLACE INTO episodes_1 VALUES ({', '.join('?' * len(row))})"
-            self._run(lambda db: db.execute(query, row))
+            self._run(lambda db: db.execute(_INSERT, row))
 
     def results(self, key: ResultKey) -> dict[int, EpisodeResult]:
         """All known episodes under ``key``, by seed, in the order of seeds."""
@@ -111,19 +113,43 @@ class Store:
             self._db.close()
 
     def _run(self, query: Callable[[sqlite3.Connection], T]) -> T:
-        """One transaction. A file found broken meanwhile is replaced and the query asked again."""
+        """One transaction. A file found broken meanwhile is replaced and the query asked again. On
+        a disk that is full or takes no more for another reason, it goes on in memory."""
         with self._lock:
             try:
                 with self._db:
                     return query(self._db)
             except sqlite3.DatabaseError as error:
-                if getattr(error, "sqlite_errorcode", None) not in _CORRUPT or self.path == MEMORY:
+                corrupt = getattr(error, "sqlite_errorcode", None) in _CORRUPT
+                operational = isinstance(error, sqlite3.OperationalError)
+                if self.path == MEMORY or not (corrupt or operational):
                     raise
-                self._db.close()
-                self._move_aside(error)
-                self._db = self._open()
+                if corrupt:
+                    self._db.close()
+                    self._move_aside(error)
+                    self._db = self._open()
+                else:
+                    self._db = self._copied_to_memory(error)
                 with self._db:
                     return query(self._db)
+
+    def _copied_to_memory(self, error: sqlite3.Error) -> sqlite3.Connection:
+        """A store in memory with what the file holds, as far as that can still be read."""
+        rows: list[tuple[object, ...]] = []
+        with suppress(sqlite3.Error):
+            rows = self._db.execute("SELECT * FROM episodes_1").fetchall()
+        with suppress(sqlite3.Error):
+            self._db.close()
+        db = self._in_memory(error)
+        with db:
+            db.executemany(_INSERT, rows)
+        return db
+
+    def _in_memory(self, error: Exception) -> sqlite3.Connection:
+        self.trouble = f"{self.path}: {error}; results stay in memory only"
+        warnings.warn(self.trouble, stacklevel=5)
+        self.path = MEMORY
+        return self._connect()
 
     def _open(self) -> sqlite3.Connection:
         if self.path == MEMORY:
@@ -140,9 +166,7 @@ class Store:
                 self._move_aside(error)
                 return self._connect()
         except (OSError, sqlite3.OperationalError) as error:
-            warnings.warn(f"{self.path}: {error}; results stay in memory only", stacklevel=4)
-            self.path = MEMORY
-            return self._connect()
+            return self._in_memory(error)
 
     def _connect(self) -> sqlite3.Connection:
         db = sqlite3.connect(self.path, timeout=BUSY_SECONDS, check_same_thread=False)

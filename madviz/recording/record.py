@@ -166,15 +166,22 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
 def write_all(out: Path, facts: Facts, episode: Iterator[Frame]) -> tuple[Frame, int]:
     """Writes a whole episode; its last frame, and how many bytes it takes. Whoever finds ``out``
     finds all of it: until then it has another name, and if the episode stops there is none."""
-    with replacing(out) as part:
-        writer, last = writer_for(part, facts), None
-        try:
-            for last in episode:
-                writer.add(last)
-        finally:
-            writer.close()
-        assert last is not None
-        return last, part.stat().st_size
+    try:
+        with replacing(out) as part:
+            writer, last = writer_for(part, facts), None
+            try:
+                for last in episode:
+                    writer.add(last)
+            finally:
+                writer.close()
+            assert last is not None
+            written_to(part)  # Rerun does not say that the disk was full before its end.
+            return last, part.stat().st_size
+    except OSError as error:
+        why = (error.strerror or str(error)).splitlines()[0]
+        raise UserError(
+            f"--out {out}: could not be written: {why:.200}; make room there or choose another"
+        ) from error
 
 
 def record_words(result: dict[str, Any]) -> str:

@@ -21,6 +21,8 @@ LINE = 120
 """Characters that a list or object may take to stay on one line."""
 DEEPEST = 50
 """Lists and objects inside one another that a file may have; Python's own limit is an error."""
+PART = ".madviz-"
+"""How files begin that are being written; a kill may leave one."""
 _UNFIT = {
     stat.S_IFDIR: "a folder",
     stat.S_IFSOCK: "a socket",
@@ -68,7 +70,7 @@ def written_to(path: Path, option: str = "") -> bool:
 
 def _part(path: Path, folder: Path | None) -> Path:
     """A new file with the ending of ``path``."""
-    handle, name = tempfile.mkstemp(dir=folder, prefix=".madviz-", suffix=path.suffix[:16])
+    handle, name = tempfile.mkstemp(dir=folder, prefix=PART, suffix=path.suffix[:16])
     os.close(handle)
     return Path(name)
 

@@ -33,6 +33,7 @@ from madviz.agent.objectives import Batch
 from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.subsets import modality_of
+from madviz.system.files import replacing
 from madviz.training import buffer_storage
 from madviz.training.buffer_storage import (
     EXPECTED_SHARE,
@@ -178,9 +179,8 @@ class ReplayBuffer:
                 frames = self._frames.read(v, numbers)
                 pack = Pack.of(np.stack([frames[number] for number in numbers])).arrays()
                 columns |= {f"{key}{v}": array for key, array in pack.items()}
-            with (folder / "part.tmp").open("wb") as file:
-                np.savez(file, allow_pickle=False, **columns)
-            os.replace(folder / "part.tmp", folder / name)
+            with replacing(folder / name) as part:
+                np.savez(part, allow_pickle=False, **columns)
             self._parts = [p for p in self._parts if _span(p)[1] > self._oldest] + [name]
             self._saved = self._count
         return {"count": self._count, "parts": list(self._parts)}

@@ -12,7 +12,6 @@ are formed when a batch is drawn.
 from __future__ import annotations
 
 import multiprocessing
-import os
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -28,6 +27,7 @@ from madviz.evaluation.episodes import one_thread
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of
+from madviz.system.files import replacing
 from madviz.system.processes import set_up_worker
 from madviz.training.drawn_task import DrawnTask
 from madviz.types import Array, Environment, Policy
@@ -52,11 +52,10 @@ class Episode:
 
     def save(self, file: Path) -> None:
         """One uncompressed archive, whole or not at all."""
-        temporary = file.with_suffix(".tmp.npz")
         streams = {f"frames.{name}": frames for name, frames in self.frames.items()}
         rest = {k: getattr(self, k) for k in ("states", "actions", "labels", "rewards", "success")}
-        np.savez(temporary, allow_pickle=False, **streams, **rest)
-        os.replace(temporary, file)
+        with replacing(file) as part:
+            np.savez(part, allow_pickle=False, **streams, **rest)
 
     @staticmethod
     def load(file: Path) -> Episode:

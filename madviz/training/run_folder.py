@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import errno
 import json
 import os
 import shutil
@@ -30,7 +31,7 @@ import torch
 
 from madviz.errors import UserError
 from madviz.policies.checkpoint import CONFIG
-from madviz.system.files import write_bytes
+from madviz.system.files import PART, replacing, write_bytes
 from madviz.system.lock import locked
 
 Event = dict[str, Any]
@@ -94,6 +95,8 @@ class RunFolder:
         described = json.dumps(facts, indent=1, sort_keys=True)
         self._check(json.loads(described), resume)
         self.resume.mkdir(parents=True, exist_ok=True)
+        for half in self.resume.rglob(f"{PART}*"):
+            half.unlink()  # A kill may leave one.
         write_bytes(self.resume / "run.json", described.encode())
 
     def _check(self, described: Any, resume: bool) -> None:
@@ -141,9 +144,13 @@ class RunFolder:
 
     def save_state(self, state: dict[str, Any]) -> None:
         """``state`` may hold tensors, numbers, strings, lists and dicts; no other objects."""
-        temporary = self.resume / "state.tmp"
-        torch.save(state, temporary)
-        os.replace(temporary, self.resume / "state.pt")
+        file = self.resume / "state.pt"
+        with replacing(file) as part:
+            try:
+                torch.save(state, part)
+            except RuntimeError as error:
+                said = str(error).splitlines()[0]
+                raise OSError(errno.EIO, f"not written ({said:.80})", str(file)) from error
 
     def load_state(self) -> dict[str, Any] | None:
         """The last whole state, or None for a new run. Never unpickles objects."""
@@ -170,12 +177,25 @@ class RunFolder:
 
     def _append(self, row: dict[str, Any]) -> None:
         file = self.path / "curve.csv"
-        fresh = not file.exists()
-        with file.open("a", newline="") as handle:
-            writer = csv.DictWriter(handle, list(row))
-            if fresh:
-                writer.writeheader()
-            writer.writerow(row)
+        before = file.stat().st_size if file.exists() else 0
+        try:
+            with file.open("a", newline="") as handle:
+                writer = csv.DictWriter(handle, list(row))
+                if not before:
+                    writer.writeheader()
+                writer.writerow(row)
+        except OSError:
+            os.truncate(file, before)  # Half a row could not be read again.
+            raise
+
+
+def not_written(folder: Path, error: Exception) -> UserError:
+    """What to say, and do, where a run's files cannot be written."""
+    why = isinstance(error, OSError) and error.strerror or error
+    return UserError(
+        f"{folder}: expected a folder with room for the run, found: {why}; make room or choose "
+        "another --out; a run that was saved before goes on with --resume"
+    )
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from madviz.errors import Interrupted, UserError
 from madviz.system.processes import reuse_large_blocks
 from madviz.training.config import RECIPES, TrainConfig, identity, resolve
 from madviz.training.plan import TrainingPlan
-from madviz.training.run_folder import Event, RunFolder, alone_in
+from madviz.training.run_folder import Event, RunFolder, alone_in, not_written
 
 
 def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) -> Path:
@@ -37,9 +37,12 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
     torch.set_num_threads(config.threads or _usual_threads(config))
     out = config.out or Path("runs") / plan.spec.name
     facts = identity(config, plan.drawn_task.cameras)
-    with alone_in(out):
-        folder = RunFolder(out, facts, config.resume, listener or print_event)
-        _work(config, plan, folder)
+    try:
+        with alone_in(out):
+            folder = RunFolder(out, facts, config.resume, listener or print_event)
+            _work(config, plan, folder)
+    except OSError as error:
+        raise not_written(out, error) from error
     return folder.path
 
 
@@ -51,7 +54,7 @@ def _work(config: TrainConfig, plan: TrainingPlan, folder: RunFolder) -> None:
     recipe, began = RECIPES[config.recipe], time.monotonic()
     try:
         recipe.train(plan, getattr(config, recipe.options), folder)
-    except UserError:
+    except (UserError, OSError):
         folder.forget()
         raise
     if folder.stopped_by and not folder.finished:

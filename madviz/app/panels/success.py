@@ -183,7 +183,8 @@ def bars_html(frame: Frame, rates: SuccessRates) -> str:
     )
     return (
         f'<div class="mv"><h4>Success at the last step</h4><div class="dim">{key}'
-        f"</div>{''.join(rows)}{_trouble(rates.error(spec, frame.condition))}</div>"
+        f"</div>{''.join(rows)}{_trouble('not measured', rates.error(spec, frame.condition))}"
+        f"{_trouble('not stored', rates.trouble)}</div>"
     )
 
 
@@ -211,8 +212,8 @@ def _bar_row(
     )
 
 
-def _trouble(error: str) -> str:
-    return f'<div style="color:{NOTE}">not measured: {escape(error)}</div>' if error else ""
+def _trouble(what: str, why: str) -> str:
+    return f'<div style="color:{NOTE}">{what}: {escape(why)}</div>' if why else ""
 
 
 def _in_words(rate: SuccessRate, source: str) -> str:
