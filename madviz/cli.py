@@ -186,6 +186,11 @@ def main(words: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("madviz: stopped", file=sys.stderr)
         return 130
+    except OSError as error:
+        if error.filename is None:
+            raise
+        print(f"madviz: {error.filename!s:.200}: {error.strerror}", file=sys.stderr)
+        return 2
 
 
 def run(words: Sequence[str], group: str = "") -> int:
@@ -237,6 +242,12 @@ def parse(name: str, words: Sequence[str]) -> Any:
     do not fit."""
     import tyro
 
+    options = [word.split("=")[0].replace("_", "-") for word in words if word.startswith("--")]
+    for option in options:
+        if options.count(option) > 1:
+            raise UserError(
+                f"expected {option:.60} once, found it twice; put all its values after one"
+            )
     command = COMMANDS[name]
     markers = (tyro.conf.PositionalRequiredArgs,) if command.positional else ()
     return tyro.cli(

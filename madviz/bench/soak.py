@@ -35,6 +35,8 @@ from madviz.errors import UserError
 ROUND = 20.0
 """Seconds; shorter where that would make fewer than ``FEWEST`` rounds."""
 FEWEST = 9
+MOST_MINUTES = 10_000
+"""A week."""
 MOST_GROWTH = 0.02
 POOL = 4
 """Threads that viser's pool for callbacks may have started late: it grows to its busiest moment."""
@@ -111,8 +113,11 @@ class Crowd:
 
 def soak(config: SoakConfig) -> dict[str, Any]:
     """Runs server and visitors; see the module. Raises UserError for a machine without /proc."""
-    if config.minutes <= 0 or config.visitors < 1:
-        raise UserError("expected minutes above 0 and at least 1 visitor")
+    if not 0 < config.minutes <= MOST_MINUTES or config.visitors < 1:
+        raise UserError(
+            f"expected --minutes above 0 and at most {MOST_MINUTES}, and --visitors 1 or more, "
+            f"found {config.minutes} and {config.visitors}"
+        )
     words = ["--policy", config.policy, "--workers", str(config.workers)]
     words += ["--visitors", str(max(1, config.visitors - 1))]
     with tempfile.TemporaryFile("w+") as log, serving(words, log) as (url, process):

@@ -100,6 +100,10 @@ def parse_occlusions(words: Iterable[str]) -> dict[str, Occlusion]:
                 f"expected a failure for whole episodes, found steps in {word!r}; leave out what "
                 "follows the @, or use madviz record --drop"
             )
+        if failure.camera in found:
+            raise UserError(
+                f"expected every camera occluded once, found {failure.camera!r} twice; drop one"
+            )
         found[failure.camera] = failure.occlusion
     return found
 

@@ -123,14 +123,14 @@ def _by_name(roots: Sequence[Path]) -> dict[str, Path]:
 
 def find_policy(policy: str | Path) -> Path:
     """The folder of a policy, given by path or name. Raises UserError listing the known names."""
-    if (Path(policy) / CONFIG).is_file():
+    if os.path.isfile(Path(policy) / CONFIG):  # Also for names that no file can have.
         return Path(policy)
     known = policy_folders()
     for folders in (known, measured_folders()):
         if str(policy) in folders:
             return folders[str(policy)]
     raise UserError(
-        f"unknown policy {str(policy)!r}: expected a folder with {CONFIG}, module:factory, "
+        f"unknown policy {str(policy)!r:.100}: expected a folder with {CONFIG}, module:factory, "
         f"or one of: {', '.join(known) or 'none found; see `madviz train`'}"
         f"{perhaps(str(policy), list(known))}"
     )
@@ -147,7 +147,7 @@ def describe(policy: str | Path) -> PolicyFolder:
 
 def is_folder(policy: str | Path) -> bool:
     """Whether ``policy`` is a path or a name, and not ``module:factory`` or nothing at all."""
-    return bool(str(policy)) and (":" not in str(policy) or Path(policy).exists())
+    return bool(str(policy)) and (":" not in str(policy) or os.path.exists(policy))
 
 
 def load_policy(policy: str | Path) -> Policy:

@@ -24,7 +24,7 @@ def made_by(reference: str, protocol: type) -> Any:
     try:
         with _importable_from_here():
             made = load(reference)()
-    except (ImportError, AttributeError, ValueError) as error:
+    except (ImportError, AttributeError, ValueError, TypeError) as error:
         raise UserError(
             f"{reference}: expected module:factory that can be imported from here, found: {error}"
         ) from error
