@@ -351,3 +351,9 @@ def test_bytes_that_are_no_request_at_all(open_: App):
             pass
     with Visitor(open_.url) as visitor:
         until(lambda: bool(visitor.steps))
+
+
+@pytest.mark.parametrize("length", [300, 4000, 8000])
+def test_an_address_that_no_file_can_have_is_refused(closed: App, length: int) -> None:
+    for page in (f"{closed.url}/{'x' * length}", f"{closed.url}/a/{'x' * length}?b=c"):
+        assert get(page, "")[0] == 414

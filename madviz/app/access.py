@@ -68,6 +68,8 @@ TRIES, WINDOW = 5, 1.0
 """Wrong tokens that one address may send in so many seconds."""
 MOST_ADDRESSES = 1000
 """Addresses whose tries are remembered."""
+LONGEST_NAME = 200
+"""Letters of a file's name in an address; no disk has names of more than 255 bytes."""
 LARGEST = 2**20
 """Bytes of the longest message a page may send; viser's own 50 MB are for rendered pictures."""
 TAKEN = frozenset(
@@ -153,6 +155,8 @@ class Gate:
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The gate's own answer to a request; None where viser may give its own."""
         port = connection.local_address[1]
+        if any(len(part) > LONGEST_NAME for part in request.path.partition("?")[0].split("/")):
+            return _refusal(HTTPStatus.REQUEST_URI_TOO_LONG, "This address is too long.")
         if self.local and _is_renamed(request, port):
             return _refusal(HTTPStatus.FORBIDDEN, RENAMED.format(port))
         if _is_websocket(request) and _is_foreign(request):
