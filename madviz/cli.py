@@ -26,6 +26,7 @@ from madviz import __version__
 from madviz.errors import Interrupted, NotWritten, UserError, saving, unknown
 from madviz.evaluation.statistics import SuccessRate
 from madviz.system.files import pretty, write_json, written_to
+from madviz.system.numbers import check_words
 
 
 @dataclass(frozen=True)
@@ -239,7 +240,7 @@ def usage(group: str = "") -> str:
 
 def parse(name: str, words: Sequence[str]) -> Any:
     """The configuration of the command ``name``, filled from ``words``; leaves with code 2 if they
-    do not fit."""
+    do not fit. Raises UserError for a number out of its range."""
     import tyro
 
     options = [word.split("=")[0].replace("_", "-") for word in words if word.startswith("--")]
@@ -249,6 +250,7 @@ def parse(name: str, words: Sequence[str]) -> Any:
                 f"expected {option:.60} once, found it twice; put all its values after one"
             )
     command = COMMANDS[name]
+    check_words(named(command.config), words)
     markers = (tyro.conf.PositionalRequiredArgs,) if command.positional else ()
     return tyro.cli(
         named(command.config),

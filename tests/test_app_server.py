@@ -45,6 +45,26 @@ def test_a_taken_port_is_named_with_the_flag_that_helps():
     check_port("127.0.0.1", port)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"host": ""}, "^--host: expected an address"),
+        ({"host": "no such host"}, "on no such host cannot be served"),
+        ({"host": "x" * 300}, "cannot be served"),
+        ({"host": "a..b"}, "cannot be served"),
+        ({"task": "nope", "policy": "metaworld-hammer-mad-light"}, "^unknown task 'nope'"),
+        ({"port": 99_999_999}, "^--port: expected a whole number from 0 to 65535"),
+        ({"visitors": 0}, "^--visitors: expected"),
+        ({"watchers": -1}, "^--watchers: expected"),
+        ({"speed": float("nan")}, "^--speed: expected a number above 0"),
+    ],
+)
+def test_what_cannot_be_served_is_refused_in_one_line(change: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError, match=said) as caught:
+        explore(ExploreConfig(**change))
+    assert "\n" not in str(caught.value)
+
+
 def test_an_app_frees_its_port():
     app = fake_app("toy-mad")
     port = app.server.get_port()

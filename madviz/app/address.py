@@ -21,15 +21,21 @@ class Address:
 
 
 def check_port(host: str, port: int) -> None:
-    """Raises UserError if ``port`` is taken; viser would silently take the next one."""
+    """Raises UserError if ``port`` is taken; viser would silently take the next one. Also
+    for a ``host`` that is no address of this machine."""
+    if not host:
+        raise UserError(
+            "--host: expected an address, found none; 0.0.0.0 serves on all of this machine's"
+        )
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
+            why = error.strerror if isinstance(error, OSError) else "not a name of a machine"
             raise UserError(
-                f"port {port} on {host} cannot be served ({error.strerror}); choose another "
-                "with --port"
+                f"port {port} on {host:.60} cannot be served ({why}); choose another with --port, "
+                "or another --host"
             ) from error
 
 

@@ -21,7 +21,7 @@ from madviz.app.toolkit import theme
 from madviz.app.users import Limits, Users
 from madviz.app.viser_patches import patch_sender
 from madviz.envs.custom import allow_task
-from madviz.envs.registry import make_env
+from madviz.envs.registry import check_task, make_env
 from madviz.errors import UserError
 from madviz.evaluation.live import Evaluator, Tally
 from madviz.evaluation.store import Store
@@ -31,6 +31,7 @@ from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session import Session
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
+from madviz.system.numbers import Count, CountOrNone, Port, Rate, ThreadsOrNone, check_numbers
 from madviz.system.processes import limit_heaps
 from madviz.types import CameraSpec, Environment, Policy, PolicySpec
 
@@ -46,7 +47,7 @@ class ExploreConfig:
     task: str | None = None
     """Offer only policies of this task, for example metaworld/hammer or, one of your own,
     module:factory."""
-    port: int = 8080
+    port: Port = 8080
     """Where to serve."""
     host: str = "127.0.0.1"
     """Which address to serve on; 0.0.0.0 lets other machines in, and then a token is needed."""
@@ -54,19 +55,19 @@ class ExploreConfig:
     """Whether a page that serves beyond this machine asks for the token that is printed."""
     present: bool = False
     """One simulation: whoever opens the presenter's address has the controls, all others watch."""
-    visitors: int = 4
+    visitors: Count = 4
     """Visitors with a simulation of their own; more than that watch."""
-    watchers: int = 50
+    watchers: CountOrNone = 50
     """Visitors who watch, at most."""
     light: bool = False
     """Dark text on light ground; visitors can change it for themselves."""
-    workers: int = 1
+    workers: ThreadsOrNone = 1
     """Processes that measure success in the background; 0 for none."""
-    speed: float | None = 10.0
+    speed: Rate | None = 10.0
     """Decisions per second at the start; None for as fast as it goes."""
     replay: Path | None = None
     """A saved session: the page begins with one of its episodes again."""
-    episode: int | None = None
+    episode: Count | None = None
     """Which one of them, from 1; by default the last."""
 
 
@@ -145,6 +146,10 @@ class App:
 def explore(config: ExploreConfig | None = None) -> None:
     """Serves the page until Ctrl-C. Raises UserError for a policy, task or port that won't do."""
     config = config or ExploreConfig()
+    check_numbers(config)
+    if config.task is not None:
+        allow_task(config.task)
+        check_task(config.task)
     check_port(config.host, config.port)
     app = open_app(config)
     for what, address in app.addresses().items():

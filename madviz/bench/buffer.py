@@ -22,6 +22,7 @@ import numpy as np
 from madviz.bench.memory import kilobytes
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
+from madviz.system.numbers import Count, StepsOrNone, Width
 from madviz.training.buffer import BufferSpec, ReplayBuffer
 from madviz.training.buffer_storage import TOGETHER
 from madviz.types import Array, Environment
@@ -38,13 +39,13 @@ class BenchBufferConfig:
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
     task: str = "metaworld/hammer"
     """The task whose frames are stored; half of the episodes the expert's, half random."""
-    decisions: int = 1_200
+    decisions: Count = 1_200
     """Recorded, in whole episodes; more than the 1,024 time steps of a pack."""
-    batch_size: int = 256
+    batch_size: Width = 256
     """Transitions in a timed batch."""
-    rounds: int = 15
+    rounds: Count = 15
     """Timed batches of each side; one more is not timed."""
-    fill: int = 0
+    fill: StepsOrNone = 0
     """Also fill a packed buffer with so many transitions and measure the process; 0 does not."""
 
 

@@ -32,6 +32,7 @@ from madviz.evaluation.evaluate import run_jobs
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of
+from madviz.system.numbers import Count, Seed, Threads
 from madviz.types import Array, Policy
 
 
@@ -45,13 +46,13 @@ class BenchEvaluateConfig:
     """A policy folder that takes RGB of the suite's three cameras."""
     subset: str = "all"
     """The streams the policy is given, for example ``all``, ``first`` or ``first+third_a``."""
-    episodes: int = 20
+    episodes: Count = 20
     """Episodes that our workers and the serial loop run."""
-    seed: int = FIRST_SEED
+    seed: Seed = FIRST_SEED
     """Of the first episode."""
-    workers: int | None = None
+    workers: Threads | None = None
     """Processes; by default one per core."""
-    stock_decisions: int = 10
+    stock_decisions: Count = 10
     """Decisions of the stock loop that are timed."""
 
 

@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any
 from madviz.bench.server import serving
 from madviz.errors import UserError
 from madviz.system.browser import CHROMIUM_FLAGS, find_browser
+from madviz.system.numbers import Count, CountOrNone, ThreadsOrNone, Time
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -48,15 +49,15 @@ class LiveConfig:
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
     policy: str = "metaworld-hammer-mad-light"
     """A policy that takes RGB of several cameras."""
-    seconds: float = 15.0
+    seconds: Time = 15.0
     """How long updates are counted."""
-    toggles: int = 110
+    toggles: Count = 110
     """How many times a camera is switched off or on."""
-    workers: int = 1
+    workers: ThreadsOrNone = 1
     """Evaluation workers of the second measurement; 0 leaves it out."""
     scene: bool = True
     """Draw the 3D scene at full resolution; without it, the browser hardly draws it at all."""
-    watchers: int = 0
+    watchers: CountOrNone = 0
     """How many watch one simulation in a measurement of their own; 0 leaves it out."""
     training: bool = False
     """Measure once more beside a training, as the page's Train tab starts one."""

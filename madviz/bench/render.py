@@ -17,6 +17,7 @@ import numpy as np
 
 from madviz.envs.registry import make_env, stock_frames
 from madviz.errors import UserError
+from madviz.system.numbers import Count, Pixels
 
 OUR_FLAGS = "profile fast: no shadows, reflections or samples, lighter meshes; colour and depth"
 STOCK = {"metaworld": "MuJoCo's and the model's", "maniskill": "ManiSkill's"}
@@ -34,9 +35,9 @@ class RenderConfig:
     """A task of Meta-World or ManiSkill."""
     suite: Literal["metaworld", "maniskill"] | None = None
     """Short for a task of this suite: ``metaworld/hammer``, ``maniskill/push-cube``."""
-    size: int = 84
+    size: Pixels = 84
     """Rows and columns of a view, pixels."""
-    rounds: int = 15
+    rounds: Count = 15
     """Frames drawn by each side; the medians are compared."""
 
 

@@ -31,6 +31,7 @@ from madviz.bench.memory import kilobytes
 from madviz.bench.server import serving
 from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
+from madviz.system.numbers import Count, Seed, ThreadsOrNone, Time
 
 ROUND = 20.0
 """Seconds; shorter where that would make fewer than ``FEWEST`` rounds."""
@@ -50,15 +51,15 @@ class SoakConfig:
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
-    minutes: float = 60.0
+    minutes: Time = 60.0
     """How long; 3 are enough to see a leak of whole pages."""
-    visitors: int = 3
+    visitors: Count = 3
     """How many are there at most; all but one of them get a simulation."""
     policy: str = "metaworld-hammer-mad-light"
     """A name from ``madviz list``, a folder, or module:factory."""
-    workers: int = 0
+    workers: ThreadsOrNone = 0
     """Processes that measure success in the background."""
-    seed: int = 0
+    seed: Seed = 0
     """Of what the visitors do at random."""
 
 

@@ -25,6 +25,7 @@ from madviz.agent.update import Learner, LearningConfig, Precision
 from madviz.bench.memory import HERE, kilobytes
 from madviz.bench.naive import NaiveLearner
 from madviz.observation.streams import IMAGE_SIZE
+from madviz.system.numbers import Count, ThreadsOrNone, Width
 
 
 @dataclass(frozen=True)
@@ -33,13 +34,13 @@ class BenchUpdateConfig:
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
-    rounds: int = 7
+    rounds: Count = 7
     """Timed updates of each; two more are not timed."""
-    batch_size: int = 256
+    batch_size: Width = 256
     """Transitions in an update."""
-    hidden_dim: int = 1024
+    hidden_dim: Width = 1024
     """Width of the heads' hidden layers."""
-    threads: int = 0
+    threads: ThreadsOrNone = 0
     """Of both; 0 leaves PyTorch's default, one per core."""
     precision: Precision = "auto"
     """Of ours; the naive one computes in float32."""

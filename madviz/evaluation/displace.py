@@ -33,6 +33,7 @@ from madviz.plots import Line, lines
 from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of, name_of
 from madviz.system.files import write_bytes, written_to
+from madviz.system.numbers import Count, Distance, Seed, Threads
 from madviz.types import Policy
 
 Direction = Literal["forward", "right", "up", "pan", "tilt", "zoom"]
@@ -61,20 +62,20 @@ class DisplaceConfig:
     """The camera that moves, for example third_a."""
     along: Direction = "right"
     """The camera's own axes as it stood in training: right is the picture's right."""
-    steps: int = 5
+    steps: Count = 5
     """Places, the first of which is where it was trained."""
-    most: float | None = None
+    most: Distance | None = None
     """The last place: metres (0.2 by default), degrees (20), or times for zoom (1.5); negative, or
     below 1 for zoom, goes the other way."""
     both: bool = False
     """Also the other way, to as many places as far away."""
-    episodes: int = 20
+    episodes: Count = 20
     """Episodes at each place."""
-    seed: int = FIRST_SEED
+    seed: Seed = FIRST_SEED
     """The first episode's seed; the others count up, the same at every place."""
     subset: str = "all"
     """The streams that are present; the camera must be among them."""
-    workers: int | None = None
+    workers: Threads | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
     svg: Path | None = None
     """Where to draw the curve."""

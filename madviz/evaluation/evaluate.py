@@ -42,6 +42,7 @@ from madviz.policies.measured import EpisodeRow, EvaluationFile, SubsetRow, seed
 from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json, written_to
+from madviz.system.numbers import Count, Seed, Threads
 from madviz.types import Array, Policy, PolicySpec
 
 
@@ -245,11 +246,11 @@ class EvalConfig:
     subsets: tuple[str, ...] = ()
     """For example ``all first first+third_b none``; by default all, the trained ones, every
     stream alone, and none."""
-    episodes: int = 50
+    episodes: Count = 50
     """Episodes for each subset."""
-    seed: int = FIRST_SEED
+    seed: Seed = FIRST_SEED
     """The first episode's seed; the others count up, the same for every subset."""
-    workers: int | None = None
+    workers: Threads | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
     occlude: tuple[str, ...] = ()
     """Cameras that fail, for example ``first=black third_a=noise:0.5`` or, with its middle, width

@@ -34,6 +34,7 @@ from madviz.session.session import Session
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
 from madviz.system.files import replacing, written_to
+from madviz.system.numbers import Count, Pixels, Rate, Seed
 from madviz.types import Environment, Policy
 
 FIRST_SEED = 5000
@@ -47,7 +48,7 @@ class RecordConfig:
     """Where to: X.rrd for rerun's viewer, X.mp4 a film, X.html a report in one file."""
     policy: str | None = None
     """A name from `madviz list`, a folder, or module:factory; beside --replay, where to find it."""
-    seed: int = FIRST_SEED
+    seed: Seed = FIRST_SEED
     """Which episode."""
     drop: tuple[str, ...] = ()
     """Cameras that fail: third_a@20 (dropped), third_a@20-40 (comes back), third_b=noise:0.5@10."""
@@ -55,13 +56,13 @@ class RecordConfig:
     """Failures with a name, for example "lens covered"; see madviz/observation/schedule.py."""
     replay: Path | None = None
     """A saved session to record instead; policy, seed and failures are its own."""
-    episode: int | None = None
+    episode: Count | None = None
     """Which episode of the saved session, from 1; by default the last."""
-    steps: int | None = None
+    steps: Count | None = None
     """Decisions to record; by default all there are."""
-    tile: int = 252
+    tile: Pixels = 252
     """Pixels that a camera's picture is wide in a film."""
-    fps: float = 10.0
+    fps: Rate = 10.0
     """Decisions in a second of film."""
     keep: Path | None = None
     """Also write the episode as a saved session, for `madviz replay`."""

@@ -30,6 +30,7 @@ from madviz.report.sweeps import sweep_text
 from madviz.report.tables import ResultTable, build
 from madviz.report.threshold import TWENTY, Verdict, judge, verdict_json
 from madviz.system.files import write_bytes, written_to
+from madviz.system.numbers import Count, Threads
 
 SHIPPED = (Path("checkpoints"), Path("results"))
 """Policies with weights, and those with figures only; the page goes into the last."""
@@ -47,9 +48,9 @@ class ReportConfig:
     evaluate: bool = False
     """First evaluate every policy that has weights on the reporting seeds. What was measured before
     goes to development.json. Goes on where it was stopped."""
-    episodes: int = EPISODES
+    episodes: Count = EPISODES
     """With --evaluate: episodes for each subset, from seed 10000 on."""
-    workers: int | None = None
+    workers: Threads | None = None
     """With --evaluate: processes; by default one per core. 0 runs everything in this one."""
     json: str | None = None
     """Where to write what was written, and which tasks meet the threshold; - is standard output."""

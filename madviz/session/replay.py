@@ -31,6 +31,7 @@ from madviz.session.session_file import (
 )
 from madviz.session.session_reader import read_session
 from madviz.session.simulation import Simulation
+from madviz.system.numbers import Count
 from madviz.types import Environment, Policy
 
 EnvFactory = Callable[..., Environment]
@@ -46,7 +47,7 @@ class ReplayConfig:
     """What the page's button saved, or `madviz record --keep`."""
     policy: tuple[str, ...] = ()
     """Folders or module:factory of policies in the file that are not found by their names."""
-    episode: int | None = None
+    episode: Count | None = None
     """One of its episodes, from 1; by default all."""
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""

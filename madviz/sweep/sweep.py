@@ -44,6 +44,7 @@ from madviz.sweep.run import (
     finished,
     result_rows,
 )
+from madviz.system.numbers import Threads
 
 BUSY_SECONDS = 2.0
 """How long a run that another process works on is left alone."""
@@ -62,11 +63,11 @@ class SweepConfig:
     """Where the runs' folders go; runs/NAME-OF-FILE if not given. The same folder goes on."""
     backend: Literal["local", "ray"] = "local"
     """``local``: processes on this machine. ``ray``: a Ray cluster that shares ``out``."""
-    jobs: int | None = None
+    jobs: Threads | None = None
     """Runs at a time; by default one for every two cores here, and what fits on a cluster."""
     address: str | None = None
     """Of the Ray cluster; by default $RAY_ADDRESS, or a new one on this machine."""
-    cpus: int = 2
+    cpus: Threads = 2
     """Cores that a run takes on a Ray cluster."""
     dry_run: bool = False
     """Only say which runs there are and which are finished."""

@@ -21,6 +21,7 @@ from madviz.envs.custom import allow_task
 from madviz.envs.registry import choose
 from madviz.errors import UserError, unknown
 from madviz.subsets import camera_of
+from madviz.system.numbers import Seed, Threads
 from madviz.training.drawn_task import DrawnTask
 from madviz.training.light import LightConfig, train_light
 from madviz.training.paper import PaperConfig, train_paper
@@ -68,7 +69,7 @@ class TrainConfig:
     """How streams become one feature, where a method leaves the choice; else the method's own."""
     out: Path | None = None
     """The run's folder; runs/NAME if not given."""
-    seed: int = 1
+    seed: Seed = 1
     """Of networks, data and noise; the same seed repeats a run."""
     state: Literal["code", "paper"] = "code"
     """Proprioception: ``code`` is all the environment gives (Meta-World: 24 numbers, as in the
@@ -77,7 +78,7 @@ class TrainConfig:
     """What the policy sees, now and for ever."""
     resume: bool = False
     """Go on with the run in ``out``."""
-    threads: int | None = None
+    threads: Threads | None = None
     """Of the learner; by default 1 for ``light``, whose recorder uses the other core, one per core
     for ``paper``, one per core without a worker for ``paper-vectorised``. Sums are split between
     threads, so another number is another run."""

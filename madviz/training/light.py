@@ -41,6 +41,16 @@ from madviz.agent.agent import Agent, TorchPolicy, autocast
 from madviz.agent.augment import random_shift
 from madviz.policies.config import TrainingRecord
 from madviz.subsets import mask_of
+from madviz.system.numbers import (
+    Count,
+    CountOrNone,
+    PixelsOrNone,
+    Rate,
+    Share,
+    Threads,
+    Weight,
+    Width,
+)
 from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder
 from madviz.training.light_critic import REWARD_SCALE, fit_critic
 from madviz.training.plan import TrainingPlan
@@ -52,42 +62,42 @@ from madviz.types import Array
 class LightConfig:
     """The options of the light recipe; defaults were chosen by measurement on hammer."""
 
-    rounds: int = 12
+    rounds: Count = 12
     """Rounds of recording and updates after the first demonstrations."""
-    demonstrations: int = 10
+    demonstrations: Count = 10
     """Episodes driven by the (perturbed) expert before the first update."""
-    episodes_per_round: int = 8
+    episodes_per_round: Count = 8
     """Episodes recorded in a round, each driven by the student on one of its trained subsets."""
-    updates_per_round: int = 300
+    updates_per_round: Count = 300
     """Gradient steps in a round."""
-    batch_size: int = 64
+    batch_size: Width = 64
     """Labelled states in a gradient step; each is encoded once per stream."""
-    learning_rate: float = 1e-3
+    learning_rate: Rate = 1e-3
     """Adam's at the start; falls linearly to 0 over the run."""
-    alpha: float = 0.5
+    alpha: Share = 0.5
     """Weight of the merged feature; 1 - alpha is shared by the singular subsets."""
-    hidden_dim: int = 512
+    hidden_dim: Width = 512
     """Width of the heads' hidden layers."""
-    shift: int = 4
+    shift: PixelsOrNone = 4
     """Pixels of random shift."""
-    average: float = 0.998
+    average: Share = 0.998
     """Decay of the exponential average of the weights that acts and is shipped."""
-    expert_share: float = 0.5
+    expert_share: Share = 0.5
     """Probability that the expert drives a step in the first round; decays by ``share_decay``."""
-    share_decay: float = 0.8
+    share_decay: Share = 0.8
     """Factor on ``expert_share`` from round to round."""
-    noise_share: float = 0.2
+    noise_share: Share = 0.2
     """Probability that an action is replaced by a random one while recording."""
-    noise_decay: float = 1.0
+    noise_decay: Share = 1.0
     """Factor on ``noise_share`` from round to round. Below 1 the last rounds show where the student
     goes by itself, which is what a task needs whose end few episodes reach under noise."""
-    critic_updates: int = 1500
+    critic_updates: CountOrNone = 1500
     """Gradient steps of the critic at the end."""
-    workers: int = 1
+    workers: Threads = 1
     """Recording processes."""
-    bottleneck_dim: int = 64
+    bottleneck_dim: Width = 64
     """VIB alone: numbers in the Gaussian of a third-person view (the paper has 3136)."""
-    kl_weight: float = 0.01
+    kl_weight: Weight = 0.01
     """VIB alone: weight of the bottleneck's cost, a mean over its numbers."""
 
 

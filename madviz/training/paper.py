@@ -15,6 +15,7 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass
 
+from madviz.system.numbers import Count
 from madviz.training.drawn_task import newest_frames
 from madviz.training.loop import train_on
 from madviz.training.plan import TrainingPlan
@@ -27,7 +28,7 @@ from madviz.types import Array
 class PaperConfig(ReinforcementConfig):
     """The paper's schedule: one environment, an update every second decision."""
 
-    update_every: int = 2
+    update_every: Count = 2
     """Decisions between updates."""
 
 

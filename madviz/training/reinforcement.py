@@ -27,6 +27,7 @@ from madviz.agent.update import Learner, LearningConfig, Precision
 from madviz.evaluation.episodes import one_thread, run_episode
 from madviz.observation.ablation import Ablation
 from madviz.subsets import mask_of, single_streams
+from madviz.system.numbers import CountOrNone, Rate, Share, Steps, StepsOrNone, Weight, Width
 from madviz.training.buffer import BufferSpec, ReplayBuffer
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder
@@ -41,35 +42,35 @@ class ReinforcementConfig:
     """What every recipe of reinforcement learning has; the defaults are the paper's numbers
     (discount: Meta-World's)."""
 
-    steps: int = 500_000
+    steps: Steps = 500_000
     """Decisions in the whole run."""
-    exploration_steps: int = 2_000
+    exploration_steps: StepsOrNone = 2_000
     """Decisions drawn uniformly before the policy acts; no update before that."""
-    batch_size: int = 256
+    batch_size: Width = 256
     """Transitions in an update."""
-    buffer_capacity: int = 500_000
+    buffer_capacity: Steps = 500_000
     """Transitions that are remembered."""
     buffer_packed: bool = True
     """Pack frames in memory without loss: a quarter of the bytes; every batch is the same."""
     buffer_on_disk: bool = False
     """Keep frames, as they are, in files of the run's folder; memory need not hold them."""
-    discount: float = 0.99
+    discount: Share = 0.99
     """Gamma (ManiSkill: 0.8)."""
     bootstrap_at_time_limit: bool = True
     """Whether the last step of an episode still expects a future; nothing really ends there."""
-    hidden_dim: int = 1024
+    hidden_dim: Width = 1024
     """Width of the heads' hidden layers."""
-    bottleneck_dim: int = FEATURE_SIZE
+    bottleneck_dim: Width = FEATURE_SIZE
     """VIB alone: numbers in the Gaussian of a third-person view."""
-    kl_weight: float = 10.0
+    kl_weight: Weight = 10.0
     """VIB alone: beta, the weight of the bottleneck's cost, a mean over its numbers."""
-    temperature: float = 0.1
+    temperature: Rate = 0.1
     """Of the entropy bonus, at the start; learned from then on."""
-    alpha: float = 0.8
+    alpha: Share = 0.8
     """Weight of the merged term; 1 - alpha is shared by the singular terms."""
-    learning_rate: float = 5e-4
+    learning_rate: Rate = 5e-4
     """Of four separate Adams."""
-    target_rate: float = 0.01
+    target_rate: Share = 0.01
     """Share of the critic in its target's moving average, per update."""
     same_shift_for_views: bool = True
     """Shift all views of a sample alike (the paper), or each on its own (its code)."""
@@ -77,11 +78,11 @@ class ReinforcementConfig:
     """Also shift what the policy acts on, in training and in evaluation (as the code does)."""
     precision: Precision = "auto"
     """Of matrix products in updates."""
-    eval_every: int = 25_000
+    eval_every: Steps = 25_000
     """Simulator steps between evaluations."""
-    eval_episodes: int = 20
+    eval_episodes: CountOrNone = 20
     """Deterministic episodes for each subset; 0: none, and no success in the curve."""
-    save_every: int = 2_000
+    save_every: Steps = 2_000
     """Decisions between checkpoints."""
 
     def learning(self) -> LearningConfig:

@@ -19,6 +19,7 @@ from pathlib import Path
 import torch
 
 from madviz.errors import Interrupted, UserError
+from madviz.system.numbers import check_numbers
 from madviz.system.processes import reuse_large_blocks
 from madviz.training.config import RECIPES, TrainConfig, identity, resolve
 from madviz.training.plan import TrainingPlan
@@ -30,6 +31,7 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
     on standard error. Raises UserError for unknown names and for a folder that holds another run
     or in which another process trains. A Ctrl-C or SIGTERM saves, then raises
     Interrupted with the command to go on."""
+    check_numbers(config)
     if config.recipe == "paper-vectorised":
         config.vectorised.prepare(config.task)
     plan = resolve(config)

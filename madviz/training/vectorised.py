@@ -35,6 +35,7 @@ import torch
 from madviz.agent.agent import Agent
 from madviz.envs.maniskill.batch import claim_gpu
 from madviz.errors import UserError
+from madviz.system.numbers import Count, ThreadsOrNone, Weight
 from madviz.training.loop import train_on
 from madviz.training.plan import TrainingPlan
 from madviz.training.reinforcement import ReinforcementConfig, ReinforcementRun
@@ -48,15 +49,15 @@ from madviz.types import Array, Environment
 class VectorisedConfig(ReinforcementConfig):
     """The paper's numbers, and how many environments share the work."""
 
-    environments: int = 8
+    environments: Count = 8
     """That step together; a decision of all of them counts as so many decisions."""
-    workers: int | None = None
+    workers: ThreadsOrNone | None = None
     """Processes that step them; 0: none but this one. By default one for every second core. Their
     number changes nothing but the time."""
     simulation: Literal["processes", "gpu"] = "processes"
     """``gpu``: all in one simulation on a CUDA device, without workers; tasks of ManiSkill alone. A
     resumed run then goes on nearly, not exactly, as if it had never stopped."""
-    update_ratio: float = 0.5
+    update_ratio: Weight = 0.5
     """Updates per decision; the paper makes one for every second decision."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where the networks learn; ``auto`` takes CUDA where there is one."""
