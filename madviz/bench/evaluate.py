@@ -32,7 +32,7 @@ from madviz.evaluation.evaluate import run_jobs
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of
-from madviz.system.numbers import Count, Seed, Threads
+from madviz.system.numbers import Count, Seed, ThreadsOrNone
 from madviz.types import Array, Policy
 
 
@@ -50,7 +50,7 @@ class BenchEvaluateConfig:
     """Episodes that our workers and the serial loop run."""
     seed: Seed = FIRST_SEED
     """Of the first episode."""
-    workers: Threads | None = None
+    workers: ThreadsOrNone | None = None
     """Processes; by default one per core."""
     stock_decisions: Count = 10
     """Decisions of the stock loop that are timed."""

@@ -33,7 +33,7 @@ from madviz.plots import Line, lines
 from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of, name_of
 from madviz.system.files import write_bytes, written_to
-from madviz.system.numbers import Count, Distance, Seed, Threads
+from madviz.system.numbers import Count, Distance, Seed, ThreadsOrNone
 from madviz.types import Policy
 
 Direction = Literal["forward", "right", "up", "pan", "tilt", "zoom"]
@@ -75,7 +75,7 @@ class DisplaceConfig:
     """The first episode's seed; the others count up, the same at every place."""
     subset: str = "all"
     """The streams that are present; the camera must be among them."""
-    workers: Threads | None = None
+    workers: ThreadsOrNone | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
     svg: Path | None = None
     """Where to draw the curve."""

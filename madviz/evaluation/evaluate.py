@@ -42,7 +42,7 @@ from madviz.policies.measured import EpisodeRow, EvaluationFile, SubsetRow, seed
 from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json, written_to
-from madviz.system.numbers import Count, Seed, Threads
+from madviz.system.numbers import Count, Seed, ThreadsOrNone
 from madviz.types import Array, Policy, PolicySpec
 
 
@@ -250,7 +250,7 @@ class EvalConfig:
     """Episodes for each subset."""
     seed: Seed = FIRST_SEED
     """The first episode's seed; the others count up, the same for every subset."""
-    workers: Threads | None = None
+    workers: ThreadsOrNone | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
     occlude: tuple[str, ...] = ()
     """Cameras that fail, for example ``first=black third_a=noise:0.5`` or, with its middle, width

@@ -30,7 +30,7 @@ from madviz.report.sweeps import sweep_text
 from madviz.report.tables import ResultTable, build
 from madviz.report.threshold import TWENTY, Verdict, judge, verdict_json
 from madviz.system.files import write_bytes, written_to
-from madviz.system.numbers import Count, Threads
+from madviz.system.numbers import Count, ThreadsOrNone
 
 SHIPPED = (Path("checkpoints"), Path("results"))
 """Policies with weights, and those with figures only; the page goes into the last."""
@@ -50,7 +50,7 @@ class ReportConfig:
     goes to development.json. Goes on where it was stopped."""
     episodes: Count = EPISODES
     """With --evaluate: episodes for each subset, from seed 10000 on."""
-    workers: Threads | None = None
+    workers: ThreadsOrNone | None = None
     """With --evaluate: processes; by default one per core. 0 runs everything in this one."""
     json: str | None = None
     """Where to write what was written, and which tasks meet the threshold; - is standard output."""
