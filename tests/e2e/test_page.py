@@ -9,6 +9,7 @@ import viser
 from scipy.spatial.transform import Rotation
 
 from madviz.app.server import App
+from madviz.drawing.viewpoint import WIDTH_ON_BODY, extent
 from madviz.session.frame import Frame
 from madviz.types import CameraPose
 from tests.e2e.conftest import PATIENCE, Visitor, arrive, toy_app, wait_until
@@ -209,9 +210,9 @@ def test_a_click_on_a_frustum_drops_its_camera(visitor: Visitor, app: App):
     visitor.press("pause")
     visitor.until("status.phase === 'paused'")
     visitor.page.wait_for_timeout(1500)  # It rides on the hand; until it is drawn, it is elsewhere.
-    x, y = on_screen(
-        client, session.latest.world.poses["first"], depth=0.147
-    )  # The picture's middle.
+    pose = session.latest.world.poses["first"]
+    depth = WIDTH_ON_BODY * extent(session.latest) / (2 * np.tan(np.radians(pose.fovy) / 2))
+    x, y = on_screen(client, pose, depth)  # The picture's middle.
     visitor.page.mouse.move(x - 2, y)
     visitor.page.mouse.click(x, y, delay=60)
     visitor.until("status.setting === 'third_a+third_b'")
