@@ -39,8 +39,8 @@ OWN = ("--policy", "madviz.examples.own_policy:make")
         (("report", "--folder", LONG), "found no folder"),
         (("eval", *OWN, "--subsets", "all", "--subsets", "first"), "--subsets once"),
         (("eval", *OWN, "--occlude", "first=black", "first=blur"), "found 'first' twice"),
-        (("soak", "--minutes", "nan"), "expected --minutes above 0"),
-        (("soak", "--minutes", "inf"), "expected --minutes above 0"),
+        (("soak", "--minutes", "nan"), "--minutes: expected a number above 0"),
+        (("soak", "--minutes", "inf"), "--minutes: expected a number above 0"),
     ],
 )
 def test_odd_words_are_refused_in_one_line(

@@ -295,9 +295,18 @@ def test_a_link_is_followed_and_a_pipe_written_to(tmp_path: Path) -> None:
             ("--policy", "toy-mad", "--scenario", "rain", "--out", "x.rrd"),
             "unknown scenario 'rain'",
         ),
-        (("--policy", "toy-mad", "--steps", "0", "--out", "x.rrd"), "--steps 1 or more"),
-        (("--policy", "toy-mad", "--fps", "nan", "--out", "x.mp4"), "expected --fps"),
-        (("--policy", "toy-mad", "--seed", "-1", "--out", "x.mp4"), "expected --seed"),
+        (
+            ("--policy", "toy-mad", "--steps", "0", "--out", "x.rrd"),
+            "--steps: expected a whole number from 1",
+        ),
+        (
+            ("--policy", "toy-mad", "--fps", "nan", "--out", "x.mp4"),
+            "--fps: expected a number above 0",
+        ),
+        (
+            ("--policy", "toy-mad", "--seed", "-1", "--out", "x.mp4"),
+            "--seed: expected a whole number from 0",
+        ),
         (("--policy", "wurst", "--out", "x.mp4"), "unknown policy 'wurst'"),
     ],
 )
