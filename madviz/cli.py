@@ -81,7 +81,7 @@ COMMANDS: dict[str, Command] = {
         words="madviz.cli:catalogue",
     ),
     "doctor": Command(
-        "Says what is missing on this machine and the command that mends it; times a frame.",
+        "Says what is missing on this machine and the command that fixes it; times a frame.",
         config="madviz.doctor:DoctorConfig",
         work="madviz.doctor:examine",
         words="madviz.doctor:in_words",

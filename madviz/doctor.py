@@ -1,4 +1,4 @@
-"""What this machine has, how fast it draws, and the command that mends what is missing.
+"""What this machine has, how fast it draws, and the command that fixes what is missing.
 
 Nothing here may fail because something is missing: that is the case it is for. OpenGL back
 ends are therefore tried in processes of their own (a broken driver can take its process along, and
@@ -53,7 +53,7 @@ PROVIDERS = {
 
 @dataclass(frozen=True)
 class DoctorConfig:
-    """Says what is missing here and the command that mends it."""
+    """Says what is missing here and the command that fixes it."""
 
     json: str | None = None
     """Write the report to this file; ``-`` is standard output, and then nothing else goes there."""
@@ -223,7 +223,7 @@ def in_words(report: Mapping[str, Any]) -> str:
         mark = "ok" if check["ok"] else "MISSING" if check["needed"] else "without"
         lines.append(f"{mark:8} {check['name']:10} {check['found'] or 'not found'}")
         if check["mend"]:
-            lines.append(f"{'':19} mend it:  {check['mend']}")
+            lines.append(f"{'':19} fix it:   {check['mend']}")
     for profile, frames in report["frames_ms"].items():
         each = ", ".join(f"{camera} {ms:.1f} ms" for camera, ms in frames.items())
         lines.append(f"{'frame':8} {profile:10} {each}; together {sum(frames.values()):.1f} ms")

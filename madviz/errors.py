@@ -8,7 +8,7 @@ from typing import Any
 
 
 class UserError(ValueError):
-    """A mistake the user can mend, in one line: what was expected, what was found, what next."""
+    """A mistake the user can fix, in one line: what was expected, what was found, what next."""
 
 
 class NotWritten(UserError):

@@ -71,7 +71,7 @@ def test_a_machine_without_anything_gets_a_whole_report(monkeypatch: pytest.Monk
     assert not report["ok"] and report["frames_ms"] == {}
     assert {"EGL", "OSMesa", "Vulkan", "Chromium"} <= {check["name"] for check in missing}
     assert all(check["mend"] for check in missing)
-    assert "mend it:" in doctor.in_words(report)
+    assert "fix it:" in doctor.in_words(report)
 
 
 def test_opengl_without_a_driver_is_reported_without_a_traceback(tmp_path: Path) -> None:

@@ -137,11 +137,11 @@ def standing_camera(
 
 def read_cameras(path: str | Path) -> tuple[CameraSpec, ...]:
     """The cameras of a TOML file. Raises UserError, in one line, for anything amiss with it."""
-    document = read_toml(Path(path), "a camera file", "mend it, or check --cameras")
+    document = read_toml(Path(path), "a camera file", "fix it, or check --cameras")
     tables = typed(document, CameraFile, path, "write one [[camera]] table for each").camera
     cameras = []
     for number, table in enumerate(tables, 1):
-        camera = typed(table, CameraTable, f"{path}, camera {number}", "mend it").as_spec()
+        camera = typed(table, CameraTable, f"{path}, camera {number}", "fix it").as_spec()
         if camera.name in [other.name for other in cameras]:
             raise UserError(
                 f"{path}: expected every name once, found two cameras {camera.name!r}; rename"

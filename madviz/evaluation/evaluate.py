@@ -271,7 +271,7 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
     folder = checkpoint.find_policy(config.policy) if config.card else None
     if folder is not None:
         for name in (checkpoint.EVALUATION, checkpoint.DEVELOPMENT):
-            checkpoint.shipped_evaluation(folder, name)  # Now: afterwards it is too late to mend.
+            checkpoint.shipped_evaluation(folder, name)  # Now: afterwards it is too late to fix.
             written_to(folder / name, "--card")
         written_to(folder / checkpoint.CARD, "--card")
     evaluation = evaluate(

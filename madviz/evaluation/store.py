@@ -6,7 +6,7 @@ longer answers. The store is a cache: losing it costs time, never truth. ``madvi
 read it unless asked to; the live page does, so that bars are there from the first second.
 
 One file serves many threads (a lock) and many processes (SQLite's write-ahead log). SQLite reports
-a broken file at every use and does not mend it; so a broken one is moved aside here, with a
+a broken file at every use and does not repair it; so a broken one is moved aside here, with a
 warning, and a new one begun. Otherwise no command could use the cache until a user removed it. A
 folder that cannot be written to, a full disk, and what is no file, mean memory only.
 """

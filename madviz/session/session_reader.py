@@ -38,7 +38,7 @@ from madviz.types import CameraSpec
 LONGEST = 4_000_000
 """Bytes in a file."""
 MOST_STEPS = 10_000
-NEXT = "save the session again, or mend the file"
+NEXT = "save the session again, or fix the file"
 
 Name = Annotated[str, Meta(pattern=r"\A[a-z][a-z0-9_]{0,23}\Z")]
 PolicyName = Annotated[str, Meta(pattern=r"\A[^/\\:\x00-\x1f\x7f. ][^/\\:\x00-\x1f\x7f]{0,119}\Z")]

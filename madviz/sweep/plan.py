@@ -38,7 +38,7 @@ from madviz.sweep.run import Run
 from madviz.system.files import read_toml
 from madviz.system.typed import typed
 
-FIX = "mend the sweep file"
+FIX = "fix the sweep file"
 Names = Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
 Table = dict[str, Any]
 """A TOML table whose words are another command's options."""
