@@ -25,8 +25,8 @@ from typing import Any
 from madviz import __version__
 from madviz.errors import Interrupted, NotWritten, UserError, saving, unknown
 from madviz.evaluation.statistics import SuccessRate
+from madviz.system.command_line import completion, read
 from madviz.system.files import pretty, write_json, written_to
-from madviz.system.numbers import check_words
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,8 @@ class Command:
     is used."""
 
     summary: str
+    example: str
+    """Words after ``madviz`` that do something useful."""
     config: str
     """The frozen dataclass that the options fill."""
     work: str
@@ -59,29 +61,34 @@ PRETTY = "madviz.system.files:pretty"
 COMMANDS: dict[str, Command] = {
     "explore": Command(
         "Serves the page: a policy at work, and cameras to take away from it.",
+        "explore --policy metaworld-hammer-mad-light --port 8080",
         config="madviz.app.server:ExploreConfig",
         work="madviz.app.server:explore",
     ),
     "train": Command(
         "Trains a policy by a recipe and prints its folder; can be stopped and resumed.",
+        "train --task metaworld/hammer --method mad --recipe light --out runs/hammer",
         config="madviz.training.config:TrainConfig",
         work="madviz.training.train:train",
         words="builtins:str",
     ),
     "eval": Command(
         "Counts a policy's successes under camera subsets, on seeded episodes.",
+        "eval --policy metaworld-hammer-mad-light --subsets all first --episodes 20",
         config="madviz.evaluation.evaluate:EvalConfig",
         work="madviz.evaluation.evaluate:run_eval",
         words="madviz.cli:success_table",
     ),
     "list": Command(
         "Lists tasks, settings, methods and policies.",
+        "list --json list.json",
         config="madviz.cli:ListConfig",
         work="madviz.cli:run_list",
         words="madviz.cli:catalogue",
     ),
     "doctor": Command(
         "Says what is missing on this machine and the command that fixes it; times a frame.",
+        "doctor --task maniskill/push-cube",
         config="madviz.doctor:DoctorConfig",
         work="madviz.doctor:examine",
         words="madviz.doctor:in_words",
@@ -89,6 +96,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "sweep": Command(
         "Trains and evaluates every combination in a small file; resumes after a kill.",
+        "sweep results/sweeps/merging.toml --out runs/merging --dry-run",
         config="madviz.sweep.sweep:SweepConfig",
         work="madviz.sweep.sweep:run_sweep",
         words="madviz.sweep.sweep:sweep_table",
@@ -97,6 +105,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "compare": Command(
         "Compares policies on the seeds they share: difference, interval, exact p.",
+        "compare metaworld-hammer-mad-light metaworld-hammer-merged-only-light",
         config="madviz.evaluation.compare:CompareConfig",
         work="madviz.evaluation.compare:run_compare",
         words="madviz.evaluation.compare:comparison_table",
@@ -105,18 +114,21 @@ COMMANDS: dict[str, Command] = {
     ),
     "report": Command(
         "Writes RESULTS.md: tables and figures of all evaluated policies, beside the paper's.",
+        "report --folder runs --out runs/RESULTS.md",
         config="madviz.report.results:ReportConfig",
         work="madviz.report.results:run_report",
         words="madviz.report.results:report_words",
     ),
     "record": Command(
         "Records an episode without a page: a rerun file, a video or an HTML report.",
+        "record --policy metaworld-hammer-mad-light --drop first@20-40 --out hammer.mp4",
         config="madviz.recording.record:RecordConfig",
         work="madviz.recording.record:run_record",
         words="madviz.recording.record:record_words",
     ),
     "replay": Command(
         "Replays saved sessions; says whether they come out the same, to the bit.",
+        "replay hammer-seed2003.json",
         config="madviz.session.replay:ReplayConfig",
         work="madviz.session.replay:run_replay",
         words="madviz.session.replay:replay_words",
@@ -125,12 +137,14 @@ COMMANDS: dict[str, Command] = {
     ),
     "displace": Command(
         "Moves a camera away from where a policy was trained: success against distance.",
+        "displace --policy metaworld-hammer-mad-light --camera third_a --svg moved.svg",
         config="madviz.evaluation.displace:DisplaceConfig",
         work="madviz.evaluation.displace:run_displace",
         words="madviz.evaluation.displace:displacement_table",
     ),
     "soak": Command(
         "Lets visitors come and go for an hour; says whether the server has grown.",
+        "soak --minutes 3 --visitors 2",
         config="madviz.bench.soak:SoakConfig",
         work="madviz.bench.soak:soak",
         words="madviz.bench.soak:soak_words",
@@ -138,36 +152,47 @@ COMMANDS: dict[str, Command] = {
     ),
     "bench render": Command(
         "A three-view frame against the simulator's stock settings.",
+        "bench render --suite metaworld",
         config="madviz.bench.render:RenderConfig",
         work="madviz.bench.render:bench_render",
         words=PRETTY,
     ),
     "bench live": Command(
         "The page in a real browser: updates a second, and how long a toggle takes.",
+        "bench live --seconds 10 --toggles 30",
         config="madviz.bench.live:LiveConfig",
         work="madviz.bench.live:bench_live",
         words=PRETTY,
     ),
     "bench update": Command(
         "One training update against a straightforward implementation.",
+        "bench update --batch-size 64 --hidden-dim 512",
         config="madviz.bench.update:BenchUpdateConfig",
         work="madviz.bench.update:bench_update",
         words=PRETTY,
     ),
     "bench buffer": Command(
         "The replay buffer packed against plain: bytes per transition, time for a batch.",
+        "bench buffer --decisions 400 --rounds 5",
         config="madviz.bench.buffer:BenchBufferConfig",
         work="madviz.bench.buffer:bench_buffer",
         words=PRETTY,
     ),
     "bench evaluate": Command(
         "Episodes a minute of an evaluation, against a plain loop and a stock one.",
+        "bench evaluate --episodes 8 --workers 2",
         config="madviz.bench.evaluate:BenchEvaluateConfig",
         work="madviz.bench.evaluate:bench_evaluate",
         words=PRETTY,
     ),
 }
 """In the order of ``madviz --help``; a name of two words is a command of a group."""
+OTHERS = (
+    "  --version   prints the version",
+    "  --completion bash|fish|zsh   prints a script that completes commands, options and names:",
+    "      madviz --completion bash > ~/.local/share/bash-completion/completions/madviz",
+)
+"""The options of ``madviz`` itself."""
 GROUPS = {"bench": "Measures speed: bench render, live, update, buffer, evaluate."}
 
 
@@ -204,6 +229,9 @@ def run(words: Sequence[str], group: str = "") -> int:
     if first == "--version" and not group:
         print(f"madviz {__version__}")
         return 0
+    if first == "--completion" and not group:
+        print(script_of(rest[0] if rest else ""))
+        return 0
     if first not in summaries(group):
         raise unknown("benchmark" if group else "command", first, list(summaries(group)))
     if first in GROUPS and not group:
@@ -235,30 +263,23 @@ def usage(group: str = "") -> str:
     prog = f"madviz {group}".strip()
     lines = [f"usage: {prog} COMMAND [options]     ({prog} COMMAND --help lists them)", ""]
     lines += [f"  {name:9} {summary}" for name, summary in summaries(group).items()]
-    return "\n".join(lines if group else [*lines, "", "  --version   prints the version"])
+    return "\n".join(lines if group else [*lines, "", *OTHERS])
 
 
 def parse(name: str, words: Sequence[str]) -> Any:
-    """The configuration of the command ``name``, filled from ``words``; leaves with code 2 if they
-    do not fit. Raises UserError for a number out of its range."""
-    import tyro
-
-    options = [word.split("=")[0].replace("_", "-") for word in words if word.startswith("--")]
-    for option in options:
-        if options.count(option) > 1:
-            raise UserError(
-                f"expected {option:.60} once, found it twice; put all its values after one"
-            )
+    """The configuration of the command ``name``, filled from ``words``, or the end (``read``)."""
     command = COMMANDS[name]
-    check_words(named(command.config), words)
-    markers = (tyro.conf.PositionalRequiredArgs,) if command.positional else ()
-    return tyro.cli(
-        named(command.config),
-        prog=f"madviz {name}",
-        description=command.summary,
-        args=list(words),
-        config=markers,
-    )
+    config, example = named(command.config), f"madviz {command.example}"
+    return read(config, words, f"madviz {name}", command.summary, example, command.positional)
+
+
+def script_of(shell: str) -> str:
+    """The script by which ``shell`` completes what follows ``madviz``."""
+    configs: dict[str, Any] = {}
+    for name, command in COMMANDS.items():
+        group, _, alone = name.rpartition(" ")
+        (configs.setdefault(group, {}) if group else configs)[alone] = named(command.config)
+    return completion(shell, "madviz", configs)
 
 
 def deliver(

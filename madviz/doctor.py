@@ -22,7 +22,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, get_args
 
-from madviz.envs.registry import RenderProfile, make_env
+from madviz.envs.registry import RenderProfile, TaskName, make_env
 from madviz.errors import UserError
 from madviz.system.browser import find_browser
 from madviz.types import Environment
@@ -57,7 +57,7 @@ class DoctorConfig:
 
     json: str | None = None
     """Write the report to this file; ``-`` is standard output, and then nothing else goes there."""
-    task: str = "metaworld/hammer"
+    task: TaskName = "metaworld/hammer"
     """The task whose frames are timed; ``maniskill/push-cube`` times Vulkan's."""
 
 

@@ -45,7 +45,7 @@ class Interrupted(KeyboardInterrupt):
 def unknown(kind: str, found: str, known: list[str]) -> UserError:
     """The error for a name that is not in a table; lists the names that are."""
     listed = ", ".join(sorted(known))
-    return UserError(f"unknown {kind} {found!r:.100}; known: {listed}{perhaps(found, known)}")
+    return UserError(f"unknown {kind} {found!r:.100}{perhaps(found, known) or ';'} known: {listed}")
 
 
 def perhaps(found: str, known: Sequence[str]) -> str:

@@ -18,7 +18,12 @@ from typing import Any, get_type_hints
 import pytest
 
 from madviz import cli
+from madviz.agent.merges.table import MERGES
+from madviz.agent.methods import METHODS
+from madviz.envs.registry import SETTINGS, TASKS
 from madviz.errors import UserError, perhaps, saving, unknown
+from madviz.policies.checkpoint import policy_folders
+from madviz.training.config import RECIPES
 
 
 def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -59,7 +64,91 @@ def test_every_command_explains_its_options(
         cli.main([*command.split(), "--help"])
     printed = capsys.readouterr().out
     assert ended.value.code == 0 and f"usage: madviz {command}" in printed
-    assert cli.COMMANDS[command].summary[:40] in printed
+    assert cli.COMMANDS[command].summary in printed
+    assert f"Example:\n  madviz {cli.COMMANDS[command].example}\n" in printed
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_every_example_is_a_command_that_can_be_read(command: str) -> None:
+    example = cli.COMMANDS[command].example
+    assert example.startswith(f"{command} ")
+    config = cli.parse(command, example.removeprefix(command).split())
+    assert type(config) is cli.named(cli.COMMANDS[command].config)
+
+
+def printed_by(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """What a command prints before it ends by itself, without boxes and line breaks."""
+    with pytest.raises(SystemExit):
+        cli.main(words)
+    return " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
+def test_help_lists_the_names_that_an_option_takes(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    printed = printed_by(capsys, "train", "--help")
+    for names in (METHODS, SETTINGS, RECIPES, MERGES):
+        assert "{" + ",".join(names) + "}" in printed.replace(" ", "")
+    printed = printed_by(capsys, "explore", "--help")
+    assert [name for name in (*TASKS, *policy_folders()) if f" {name}" not in printed] == []
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_help_has_the_options_of_the_chosen_recipe_alone(
+    recipe: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    printed = printed_by(capsys, "train", "--recipe", recipe, "--help")
+    shown = [name for name, row in RECIPES.items() if f"--{row.options}.hidden-dim" in printed]
+    assert shown == [recipe]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("train --method madd", "unknown method 'madd'; did you mean mad? known: attention"),
+        ("train --state paperr", "unknown state 'paperr'; did you mean paper? known: code"),
+        ("train --merge summ", "unknown merge 'summ'; did you mean sum? known: attention"),
+        ("eval --polcy x", "unknown option --polcy; did you mean --policy?"),
+        ("eval --wurst", "unknown option --wurst; --help lists all"),
+    ],
+)
+def test_options_and_names_that_do_not_fit_are_refused_in_one_line(
+    words: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words.split()) == 2
+    printed = capsys.readouterr()
+    assert said in printed.err and printed.err.count("\n") == 1 and printed.out == ""
+
+
+def test_a_flag_can_be_switched_on_and_off_by_name() -> None:
+    assert cli.parse("train", ["--resume"]).resume
+    assert cli.parse("explore", ["--no-token", "--light"]).token is False
+    assert cli.parse("train", ["--light.batch_size", "32"]).light.batch_size == 32
+
+
+def test_the_shell_completes_commands_options_and_names(tmp_path: Path) -> None:
+    script = tmp_path / "madviz.bash"
+    script.write_text(cli.script_of("bash"))
+    expected = {
+        ("tra",): "train",
+        ("bench", "upd"): "update",
+        ("train", "--reci"): "--recipe",
+        ("train", "--method", "singu"): "singular-only",
+    }
+    for words, completed in expected.items():
+        typed = " ".join(f"'{word}'" for word in ("madviz", *words))
+        ask = (
+            f"source {script}; COMP_WORDS=({typed}); COMP_CWORD={len(words)}; "
+            "$(complete -p madviz | sed 's/.*-F \\([^ ]*\\).*/\\1/'); echo ${COMPREPLY[*]}"
+        )
+        said = subprocess.run(["bash", "-c", ask], capture_output=True, text=True)
+        assert said.stdout.split() == [completed], said.stderr
+
+
+def test_completion_is_for_shells_that_are_known(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--completion", "bsh"]) == 2
+    assert "did you mean bash? known: bash, fish, zsh" in capsys.readouterr().err
 
 
 def without_words(config: Any) -> list[str]:
@@ -108,11 +197,12 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
         ("", ""),
     ],
 )
-def test_names_like_the_unknown_one_are_suggested_last(found: str, end: str) -> None:
+def test_names_like_the_unknown_one_are_suggested_first(found: str, end: str) -> None:
     known = ["maniskill/push-cube", "metaworld/push", "hammer", "train", "eval"]
     assert perhaps(found, known) == end
     everything = "eval, hammer, maniskill/push-cube, metaworld/push, train"
-    assert str(unknown("word", found, known)) == f"unknown word {found!r}; known: {everything}{end}"
+    said = str(unknown("word", found, known))
+    assert said == f"unknown word {found!r}{end or ';'} known: {everything}"
 
 
 def test_a_users_mistake_is_one_line_without_a_traceback() -> None:

@@ -187,7 +187,7 @@ def test_a_single_camera_is_part_of_the_name(tmp_path: Path) -> None:
         ("mad", {"merge": "concat"}, "can form 'first', found 'concat', which needs all streams"),
         ("mad", {"merge": "vib"}, "found 'vib'; merges other than mvd and vib"),
         ("mvd", {"merge": "attention"}, "the method's own merge 'mvd', found 'attention'"),
-        ("single", {"camera": "thrid_a"}, "unknown camera 'thrid_a'; known: first"),
+        ("single", {"camera": "thrid_a"}, "unknown camera 'thrid_a'; did you mean third_a"),
         ("mad", {"camera": "first"}, "--camera with the method single, found it with 'mad'"),
     ],
 )

@@ -21,6 +21,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 import madviz
+from madviz.training.config import RECIPES, TrainConfig
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "results"
@@ -63,7 +64,9 @@ def command_line() -> str:
     whole = help_of()
     parts = [
         "# Command line",
-        "Made from `--help` when these pages are built. `--json FILE` writes a result as JSON; "
+        "Made from `--help` when these pages are built, so the policies are those of the "
+        "repository. `madviz --completion bash` prints a script for your shell; it completes "
+        "commands, options and names. `--json FILE` writes a result as JSON; "
         "`--json -` prints it, and then nothing else goes to standard output. The exit code is 0 "
         "only for success, 2 for a mistake in the command, 1 for any other failure, 130 after "
         "Ctrl-C.",
@@ -72,6 +75,11 @@ def command_line() -> str:
     for name in commands(whole):
         described = help_of(name)
         parts.append(f"## madviz {name}\n\n```text\n{described}\n```")
+        if name == "train":
+            for recipe in [one for one in RECIPES if one != TrainConfig.recipe]:
+                asked = help_of(name, "--recipe", recipe)
+                own = asked[asked.index(f"╭─ {RECIPES[recipe].options} options") :]
+                parts.append(f"### Options of the recipe {recipe}\n\n```text\n{own}\n```")
         if name == "bench":
             for each in commands(described):
                 parts.append(f"### madviz bench {each}\n\n```text\n{help_of(name, each)}\n```")

@@ -21,11 +21,12 @@ from madviz.app.toolkit import theme
 from madviz.app.users import Limits, Users
 from madviz.app.viser_patches import patch_sender
 from madviz.envs.custom import allow_task
-from madviz.envs.registry import check_task, make_env
+from madviz.envs.registry import TaskName, check_task, make_env
 from madviz.errors import UserError
 from madviz.evaluation.live import Evaluator, Tally
 from madviz.evaluation.store import Store
 from madviz.policies import checkpoint
+from madviz.policies.checkpoint import PolicyName
 from madviz.policies.listing import list_policies
 from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session import Session
@@ -42,9 +43,9 @@ DEFAULT_POLICY = "metaworld-hammer-mad-light"
 class ExploreConfig:
     """Serves the page: a policy at work, and cameras to take away from it."""
 
-    policy: str | None = None
-    """A name from ``madviz list``, a folder, or module:factory. By default the first that fits."""
-    task: str | None = None
+    policy: PolicyName | None = None
+    """A name of a policy, its folder, or module:factory. By default the first that fits."""
+    task: TaskName | None = None
     """Offer only policies of this task, for example metaworld/hammer or, one of your own,
     module:factory."""
     port: Port = 8080

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from madviz.bench.memory import kilobytes
-from madviz.envs.registry import make_env
+from madviz.envs.registry import TaskName, make_env
 from madviz.errors import UserError
 from madviz.system.numbers import Count, StepsOrNone, Width
 from madviz.training.buffer import BufferSpec, ReplayBuffer
@@ -37,7 +37,7 @@ class BenchBufferConfig:
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
-    task: str = "metaworld/hammer"
+    task: TaskName = "metaworld/hammer"
     """The task whose frames are stored; half of the episodes the expert's, half random."""
     decisions: Count = 1_200
     """Recorded, in whole episodes; more than the 1,024 time steps of a pack."""

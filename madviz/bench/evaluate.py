@@ -42,7 +42,7 @@ class BenchEvaluateConfig:
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
-    policy: str = "metaworld-hammer-mad-light"
+    policy: checkpoint.PolicyName = "metaworld-hammer-mad-light"
     """A policy folder that takes RGB of the suite's three cameras."""
     subset: str = "all"
     """The streams the policy is given, for example ``all``, ``first`` or ``first+third_a``."""

@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 from madviz.bench.server import serving
 from madviz.errors import UserError
+from madviz.policies.checkpoint import PolicyName
 from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 from madviz.system.numbers import Count, CountOrNone, ThreadsOrNone, Time
 
@@ -47,7 +48,7 @@ class LiveConfig:
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
-    policy: str = "metaworld-hammer-mad-light"
+    policy: PolicyName = "metaworld-hammer-mad-light"
     """A policy that takes RGB of several cameras."""
     seconds: Time = 15.0
     """How long updates are counted."""

@@ -15,7 +15,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from madviz.envs.registry import make_env, stock_frames
+from madviz.envs.registry import TaskName, make_env, stock_frames
 from madviz.errors import UserError
 from madviz.system.numbers import Count, Pixels
 
@@ -31,7 +31,7 @@ class RenderConfig:
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
-    task: str = "metaworld/hammer"
+    task: TaskName = "metaworld/hammer"
     """A task of Meta-World or ManiSkill."""
     suite: Literal["metaworld", "maniskill"] | None = None
     """Short for a task of this suite: ``metaworld/hammer``, ``maniskill/push-cube``."""

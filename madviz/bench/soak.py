@@ -31,6 +31,7 @@ from madviz.bench.memory import kilobytes
 from madviz.bench.server import serving
 from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
+from madviz.policies.checkpoint import PolicyName
 from madviz.system.numbers import Count, Seed, ThreadsOrNone, Time
 
 ROUND = 20.0
@@ -55,8 +56,8 @@ class SoakConfig:
     """How long; 3 are enough to see a leak of whole pages."""
     visitors: Count = 3
     """How many are there at most; all but one of them get a simulation."""
-    policy: str = "metaworld-hammer-mad-light"
-    """A name from ``madviz list``, a folder, or module:factory."""
+    policy: PolicyName = "metaworld-hammer-mad-light"
+    """A name of a policy, its folder, or module:factory."""
     workers: ThreadsOrNone = 0
     """Processes that measure success in the background."""
     seed: Seed = 0

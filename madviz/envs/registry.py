@@ -19,12 +19,13 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args
+from typing import Annotated, Any, Literal, Protocol, get_args
 
 from madviz.envs import custom
 from madviz.envs.cameras import read_cameras
 from madviz.envs.tasks import MANISKILL_SUCCESS, METAWORLD_SUCCESS
 from madviz.errors import UserError, unknown
+from madviz.system.options import Listed
 from madviz.system.plugins import load
 from madviz.types import CameraSpec, Environment, EnvSpec, Modality
 
@@ -83,6 +84,10 @@ TASKS = tuple(f"{name}/{task}" for name, suite in SUITES.items() for task in sui
 def known_tasks() -> tuple[str, ...]:
     """madviz's tasks, and those of your own that were named here (``custom.py``)."""
     return (*TASKS, *custom.own_tasks())
+
+
+TaskName = Annotated[str, Listed("tasks", known_tasks)]
+"""An option: suite/task, or module:factory."""
 
 
 def check_task(task: str) -> None:

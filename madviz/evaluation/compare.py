@@ -35,8 +35,8 @@ from madviz.system.files import write_bytes, written_to
 class CompareConfig:
     """Compares policies with the first one, on the seeds they all met."""
 
-    policies: tuple[str, ...]
-    """Two or more: names from ``madviz list``, or folders."""
+    policies: tuple[checkpoint.PolicyName, ...]
+    """Two or more names of policies, or their folders."""
     subset: tuple[str, ...] = ()
     """For example ``all first``; by default every subset that all of them were measured on."""
     store: str | None = None

@@ -56,8 +56,8 @@ MOST_POINTS = 50
 class DisplaceConfig:
     """Counts a policy's successes while one camera moves away from where it was trained."""
 
-    policy: str
-    """A name from ``madviz list``, a folder, or module:factory."""
+    policy: checkpoint.PolicyName
+    """A name of a policy, its folder, or module:factory."""
     camera: str
     """The camera that moves, for example third_a."""
     along: Direction = "right"

@@ -241,8 +241,8 @@ def run_jobs(jobs: list[Job], workers: Workers) -> Iterator[tuple[Job, Finished]
 class EvalConfig:
     """Counts a policy's successes under camera subsets, on seeded episodes."""
 
-    policy: str
-    """A name from ``madviz list``, a folder, or module:factory."""
+    policy: checkpoint.PolicyName
+    """A name of a policy, its folder, or module:factory."""
     subsets: tuple[str, ...] = ()
     """For example ``all first first+third_b none``; by default all, the trained ones, every
     stream alone, and none."""

@@ -16,10 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 from madviz.errors import UserError, unknown
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.grammar import CameraFailure, failure_text, parse_failure, parse_what
+from madviz.system.options import Listed
 from madviz.types import EnvSpec
 
 LATEST = 100_000
@@ -178,6 +180,10 @@ SCENARIOS = (
         tuple(FailureSpan(place, "blur:0.4", 0.25, 0.75) for place in _PLACES),
     ),
 )
+
+
+ScenarioName = Annotated[str, Listed("scenarios", lambda: [one.name for one in SCENARIOS])]
+"""An option."""
 
 
 def scenario(name: str) -> Scenario:

@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from madviz.agent.merges.table import MERGES
 from madviz.envs.custom import allow_task
@@ -30,6 +30,7 @@ from madviz.errors import UserError, perhaps
 from madviz.policies.config import PolicyConfig, check_config, digest, read_config
 from madviz.policies.measured import EvaluationFile, as_evaluation
 from madviz.system.files import read_json, write_bytes, write_json
+from madviz.system.options import Listed
 from madviz.system.plugins import made_by
 from madviz.types import Policy, PolicySpec
 
@@ -106,6 +107,10 @@ def policy_folders() -> dict[str, Path]:
     return _by_name(policy_roots())
 
 
+PolicyName = Annotated[str, Listed("policies", policy_folders)]
+"""An option: a name of a policy, its folder, or module:factory."""
+
+
 def measured_folders() -> dict[str, Path]:
     """Policies of which only the measured figures are here, no weights; by name."""
     tables = [results_beside(root) / "tables" for root in policy_roots()]
@@ -130,9 +135,9 @@ def find_policy(policy: str | Path) -> Path:
         if str(policy) in folders:
             return folders[str(policy)]
     raise UserError(
-        f"unknown policy {str(policy)!r:.100}: expected a folder with {CONFIG}, module:factory, "
+        f"unknown policy {str(policy)!r:.100}{perhaps(str(policy), list(known)) or ':'} expected "
+        f"a folder with {CONFIG}, module:factory, "
         f"or one of: {', '.join(known) or 'none found; see `madviz train`'}"
-        f"{perhaps(str(policy), list(known))}"
     )
 
 

@@ -24,7 +24,14 @@ from typing import Any, Protocol
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread
-from madviz.observation.schedule import Schedule, in_order, parse_schedule, scenario, schedule_words
+from madviz.observation.schedule import (
+    ScenarioName,
+    Schedule,
+    in_order,
+    parse_schedule,
+    scenario,
+    schedule_words,
+)
 from madviz.policies import checkpoint
 from madviz.recording.facts import Facts
 from madviz.session.commands import Play, SetSchedule
@@ -46,14 +53,14 @@ class RecordConfig:
 
     out: Path
     """Where to: X.rrd for rerun's viewer, X.mp4 a film, X.html a report in one file."""
-    policy: str | None = None
-    """A name from `madviz list`, a folder, or module:factory; beside --replay, where to find it."""
+    policy: checkpoint.PolicyName | None = None
+    """A name of a policy, its folder, or module:factory; beside --replay, where to find it."""
     seed: Seed = FIRST_SEED
     """Which episode."""
     drop: tuple[str, ...] = ()
     """Cameras that fail: third_a@20 (dropped), third_a@20-40 (comes back), third_b=noise:0.5@10."""
-    scenario: str | None = None
-    """Failures with a name, for example "lens covered"; see madviz/observation/schedule.py."""
+    scenario: ScenarioName | None = None
+    """Failures with a name, for example "lens covered"."""
     replay: Path | None = None
     """A saved session to record instead; policy, seed and failures are its own."""
     episode: Count | None = None

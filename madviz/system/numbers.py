@@ -6,10 +6,11 @@ episodes: Count = 50        --episodes: expected a whole number from 1 to 100000
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, is_dataclass
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from dataclasses import dataclass
+from typing import Annotated, Any, get_args, get_origin
 
 from madviz.errors import UserError
+from madviz.system.options import bare, given, notes, options
 
 
 @dataclass(frozen=True)
@@ -55,17 +56,13 @@ Time = Annotated[float, Range(0, 1_000_000, above=True)]
 """Seconds or minutes."""
 
 
-def ranges(config: type, prefix: str = "--") -> Iterator[tuple[str, type, Range | None]]:
+def ranges(config: type) -> Iterator[tuple[str, type, Range | None]]:
     """Every number that ``config``, a dataclass, has: option, int or float, range."""
-    for name, kind in get_type_hints(config, include_extras=True).items():
-        option = prefix + name.replace("_", "-")
-        if is_dataclass(kind) and isinstance(kind, type):
-            yield from ranges(kind, f"{option}.")
+    for option, kind in options(config):
         choices = (kind,) if get_origin(kind) is Annotated else (kind, *get_args(kind))
         for choice in choices:
-            number, *more = get_args(choice) if get_origin(choice) is Annotated else (choice,)
-            if number in (int, float):
-                yield option, number, next((one for one in more if isinstance(one, Range)), None)
+            if bare(choice) in (int, float):
+                yield option, bare(choice), next(notes(choice, Range), None)
 
 
 def check_numbers(config: Any) -> None:
@@ -82,10 +79,8 @@ def check_words(config: type, words: Sequence[str]) -> None:
     """Raises UserError for a number among the ``words`` of a command that is none, or is not in
     its range. ``config`` is the dataclass that they fill."""
     known = {option: (kind, allowed) for option, kind, allowed in ranges(config)}
-    for i, word in enumerate(words):
-        option, given, text = word.partition("=")
-        kind, allowed = known.get(option.replace("_", "-"), (None, None))
-        text = text if given else "".join(words[i + 1 : i + 2])
+    for option, text in given(words):
+        kind, allowed = known.get(option, (None, None))
         if kind is None or allowed is None or text in ("", "None"):
             continue
         try:

@@ -13,15 +13,17 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
-from madviz.agent.methods import Method, method
+from madviz.agent.merges.table import MERGES
+from madviz.agent.methods import METHODS, Method, method
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.custom import allow_task
-from madviz.envs.registry import choose
+from madviz.envs.registry import SETTINGS, RenderProfile, TaskName, choose
 from madviz.errors import UserError, unknown
 from madviz.subsets import camera_of
 from madviz.system.numbers import Seed, Threads
+from madviz.system.options import OneOf, Only
 from madviz.training.drawn_task import DrawnTask
 from madviz.training.light import LightConfig, train_light
 from madviz.training.paper import PaperConfig, train_paper
@@ -52,20 +54,21 @@ RECIPES = {
 class TrainConfig:
     """Which policy to train, how, and where to."""
 
-    task: str = "metaworld/hammer"
-    """suite/task; ``madviz list`` shows them. Or one of your own, module:factory."""
-    method: str = "mad"
-    """What is trained on which subsets of streams."""
-    recipe: str = "light"
+    task: TaskName = "metaworld/hammer"
+    """A task of madviz, or one of your own, module:factory."""
+    method: Annotated[str, OneOf("method", METHODS)] = "mad"
+    """What is trained on which subsets of streams; ``madviz list`` says more."""
+    recipe: Annotated[str, OneOf("recipe", RECIPES)] = "light"
     """``light`` (minutes, from a scripted expert), ``paper`` (reinforcement learning) or
-    ``paper-vectorised`` (the same over many environments)."""
-    setting: str = "three"
-    """Cameras and modalities."""
+    ``paper-vectorised`` (the same over many environments). Each has options of its own: the help
+    shows those of the recipe that it is asked for with."""
+    setting: Annotated[str, OneOf("setting", SETTINGS)] = "three"
+    """Which cameras, and whether the policy gets colour (rgb), depth or both."""
     cameras: Path | None = None
     """A file of your own cameras, in place of the setting's (``madviz.envs.cameras``)."""
     camera: str = ""
     """For the method ``single``: the camera of the setting it learns from (else its first one)."""
-    merge: str = ""
+    merge: Annotated[str, OneOf("merge", MERGES)] = ""
     """How streams become one feature, where a method leaves the choice; else the method's own."""
     out: Path | None = None
     """The run's folder; runs/NAME if not given."""
@@ -74,17 +77,20 @@ class TrainConfig:
     state: Literal["code", "paper"] = "code"
     """Proprioception: ``code`` is all the environment gives (Meta-World: 24 numbers, as in the
     paper's code), ``paper`` the 4 of its table."""
-    render_profile: str = "fast"
-    """What the policy sees, now and for ever."""
+    render_profile: Annotated[str, OneOf("render profile", get_args(RenderProfile))] = "fast"
+    """How pictures are drawn, in training and later: ``fast`` has no shadows and reflections,
+    ``full`` is the simulator's own way."""
     resume: bool = False
     """Go on with the run in ``out``."""
     threads: Threads | None = None
     """Of the learner; by default 1 for ``light``, whose recorder uses the other core, one per core
     for ``paper``, one per core without a worker for ``paper-vectorised``. Sums are split between
     threads, so another number is another run."""
-    light: LightConfig = field(default_factory=LightConfig)
-    paper: PaperConfig = field(default_factory=PaperConfig)
-    vectorised: VectorisedConfig = field(default_factory=VectorisedConfig)
+    light: Annotated[LightConfig, Only("recipe", "light")] = field(default_factory=LightConfig)
+    paper: Annotated[PaperConfig, Only("recipe", "paper")] = field(default_factory=PaperConfig)
+    vectorised: Annotated[VectorisedConfig, Only("recipe", "paper-vectorised")] = field(
+        default_factory=VectorisedConfig
+    )
 
 
 def resolve(config: TrainConfig) -> TrainingPlan:
