@@ -36,7 +36,7 @@ def test_every_kind_keeps_shape_and_input(kind: str, channels: int) -> None:
     arrived = arrive(Occlusion(kind), frame)  # type: ignore[arg-type]
     assert arrived.shape == frame.shape and arrived.dtype == np.uint8
     assert np.array_equal(frame, kept)
-    assert np.array_equal(arrived, frame) == (kind in ("none", "delay"))
+    assert np.array_equal(arrived, frame) == (kind in ("none", "delay", "mean"))
 
 
 def test_what_arrives() -> None:

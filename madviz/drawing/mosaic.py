@@ -52,8 +52,9 @@ def badge(frame: Frame, camera: str) -> str:
     if state.input == "off":
         return "OFF"
     occlusion = state.occlusion
-    if occlusion.kind in ("black", "freeze"):
-        return {"black": "BLACK", "freeze": "FROZEN"}[occlusion.kind]
+    plain = {"black": "BLACK", "freeze": "FROZEN", "mean": "MEAN"}
+    if occlusion.kind in plain:
+        return plain[occlusion.kind]
     if occlusion.kind == "delay":
         return f"LATE BY {occlusion.late}"
     if occlusion.kind != "none":

@@ -24,6 +24,7 @@ from typing import Any
 
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
+from madviz.evaluation.mean_picture import mean_pictures
 from madviz.evaluation.store import EpisodeResult, ResultKey
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.displacement import Displacement, Moves
@@ -121,7 +122,9 @@ def run_episode(
     if not policy.supports(mask):
         raise unsupported(policy.spec, mask)
     cameras = dict.fromkeys(camera_of(s) for s, on in zip(streams, mask, strict=True) if on)
-    stack = StreamStack(env.spec, streams, policy.spec.frame_stack)
+    stack = StreamStack(
+        env.spec, streams, policy.spec.frame_stack, lambda: mean_pictures(env.spec, streams)
+    )
     now, total, success_any, decision = env.reset(seed), 0.0, False, 0
     while not now.last:
         if stop():

@@ -25,7 +25,9 @@ from madviz.types import Array
 
 T = TypeVar("T")
 CameraInput = Literal["rgb", "depth", "both", "off"]
-OcclusionKind = Literal["none", "black", "noise", "freeze", "blur", "patch", "dropout", "delay"]
+OcclusionKind = Literal[
+    "none", "black", "mean", "noise", "freeze", "blur", "patch", "dropout", "delay"
+]
 PLACE = ("x", "y", "width", "height")
 """Where a patch is: its middle from the left and the top, and its sides."""
 LATEST = 10
@@ -42,6 +44,7 @@ class Occlusion:
             (``x``, ``y``), blended by ``strength``
     dropout a picture is lost with probability ``strength``, and the last one that came stays
     delay   every picture comes late, by ``strength`` x 10 decisions
+    mean    the mean of what the camera sees in other episodes, the same picture all the time
     """
 
     kind: OcclusionKind = "none"
@@ -67,8 +70,9 @@ class Occlusion:
     def apply(self, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
         """The frame that arrives instead of ``frame`` (H, W, C) uint8; ``before`` is the one that
         arrived last, None at the first step. Pure: neither input is written to. A ``frame`` that is
-        delayed is one of ``late`` decisions ago already: who keeps frames chooses it."""
-        if self.kind in ("none", "delay"):
+        delayed is one of ``late`` decisions ago already, and one that is the mean is the mean
+        picture: who keeps frames chooses it."""
+        if self.kind in ("none", "delay", "mean"):
             return frame
         if self.kind == "black":
             return np.zeros_like(frame)

@@ -9,17 +9,28 @@ can share one CNN with colour. With a range of 0 to 2 m, 0.5 m is coded 64 (8 mm
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
+from madviz.errors import UserError
 from madviz.observation.ablation import LATEST, Ablation, noise_generator
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, EnvSpec, View
 
 IMAGE_SIZE = 84
 """Rows and columns every policy gets; cameras drawn at another size are resized to it."""
+
+
+MeanPictures = Mapping[str, Array]
+"""By stream, (H, W, C) uint8: what its camera sees on average."""
+
+
+def no_mean_pictures() -> MeanPictures:
+    """Where nobody knows them. Raises UserError."""
+    raise UserError("expected mean pictures of the cameras, found none here; choose black or noise")
 
 
 def depth_code(depth: Array, depth_range: tuple[float, float]) -> Array:
@@ -58,6 +69,8 @@ class StreamStack:
     env: EnvSpec
     streams: tuple[str, ...]
     length: int = 3
+    means: Callable[[], MeanPictures] = no_mean_pictures
+    """Asked when a camera sends its mean picture."""
     _frames: list[dict[str, Array]] = field(default_factory=list)
     """The newest ``length`` + 1 sets of frames; the extra one is what ``freeze`` holds on to."""
     _seen: list[dict[str, Array]] = field(default_factory=list)
@@ -123,6 +136,8 @@ class StreamStack:
         for stream in self.streams:
             occlusion = ablation.camera(camera_of(stream)).occlusion
             frame = self._seen[max(-1 - occlusion.late, -len(self._seen))][stream]
+            if occlusion.kind == "mean":
+                frame = self.means()[stream]
             # A lost frame is lost in colour and depth together; grains of noise are not shared.
             drawn_for = camera_of(stream) if occlusion.kind == "dropout" else stream
             rng = noise_generator(*self._noise_key, drawn_for)

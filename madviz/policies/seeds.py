@@ -3,7 +3,7 @@
 A seed fixes an episode's scene. The uses are apart:
 
     0 to 999             training of the recipe ``light``
-    1000 to 1999         selection: evaluations while a policy trains
+    1000 to 1999         selection: evaluations while a policy trains; mean pictures
     2000 to 4999         the live page and the lessons
     5000 to 9999         development: recipes, experts and choices were improved on these
     10000 to 999999      reporting: nothing is developed or chosen on them

@@ -270,6 +270,7 @@ def occlusion_words(occlusion: Occlusion) -> str:
     return {
         "none": "sends its picture again",
         "black": "sends black",
+        "mean": "sends its mean picture",
         "noise": f"sends {strength} noise",
         "freeze": "is frozen",
         "blur": f"is blurred by {strength}",

@@ -22,6 +22,7 @@ import numpy as np
 from madviz.analysis.probes import Probe, probe
 from madviz.analysis.saliency import LiveSaliency
 from madviz.errors import UserError
+from madviz.evaluation.mean_picture import mean_pictures
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
@@ -285,7 +286,12 @@ class Simulation:
     def _adopt(self, policy: Policy) -> None:
         self.policy = policy
         spec = policy.spec
-        self._stack = StreamStack(self.env.spec, spec.streams, spec.frame_stack)
+        self._stack = StreamStack(
+            self.env.spec,
+            spec.streams,
+            spec.frame_stack,
+            lambda: mean_pictures(self.env.spec, spec.streams),
+        )
         self._masks = every_mask(len(spec.streams))
         self._recent = deque(self._recent, maxlen=max(spec.frame_stack, 3) + 1)
 

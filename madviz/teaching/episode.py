@@ -23,6 +23,7 @@ import numpy as np
 from madviz.analysis.probes import Probe, probe
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
+from madviz.evaluation.mean_picture import mean_pictures
 from madviz.observation.ablation import Ablation, Occlusion, noise_generator
 from madviz.observation.streams import StreamStack
 from madviz.subsets import camera_of, cameras_of, mask_of
@@ -94,7 +95,12 @@ def moments(
         raise UserError(f"{spec.name} cannot act on {subset!r}; pick a subset it supports")
     ablation = Ablation.from_mask(mask, spec.streams, dict(occlusions or {}))
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
-        stack = StreamStack(env.spec, spec.streams, spec.frame_stack)
+        stack = StreamStack(
+            env.spec,
+            spec.streams,
+            spec.frame_stack,
+            lambda: mean_pictures(env.spec, spec.streams),
+        )
         now, step = env.reset(seed), 0
         while True:
             views = {camera: env.view(camera) for camera in cameras_of(spec.streams)}

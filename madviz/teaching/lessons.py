@@ -19,6 +19,7 @@ from madviz.agent.networks import NetworkConfig
 from madviz.drawing.colours import heat
 from madviz.errors import UserError
 from madviz.evaluation.evaluate import evaluate
+from madviz.evaluation.mean_picture import mean_pictures
 from madviz.evaluation.statistics import wilson
 from madviz.observation.ablation import Occlusion, OcclusionKind, noise_generator
 from madviz.observation.streams import depth_code
@@ -78,7 +79,10 @@ def occlusion_sheet(moment: Moment, camera: str = "first", size: int = 140) -> P
     shown = {}
     for kind in get_args(OcclusionKind):
         occlusion, rng = Occlusion(kind), noise_generator(0, moment.step, camera)
-        shown[kind] = occlusion.apply(before if occlusion.late else frame, before, rng)
+        seen = before if occlusion.late else frame
+        if kind == "mean":
+            seen = mean_pictures(moment.env, moment.policy.spec.streams)[camera]
+        shown[kind] = occlusion.apply(seen, before, rng)
     return sheet(shown, size, columns=4)
 
 

@@ -45,6 +45,7 @@ INPUTS: dict[str, CameraInput] = {"colour": "rgb", "depth": "depth", "both": "bo
 OCCLUSIONS: dict[str, OcclusionKind] = {
     "sees": "none",
     "sends black": "black",
+    "sends its mean": "mean",
     "sends noise": "noise",
     "is frozen": "freeze",
     "is blurred": "blur",

@@ -22,6 +22,7 @@ INPUTS = {"rgb": "RGB", "depth": "depth", "both": "both", "off": "off"}
 OCCLUSIONS = {
     "none": "none",
     "black": "black",
+    "mean": "mean",
     "noise": "noise",
     "freeze": "freeze",
     "blur": "blur",

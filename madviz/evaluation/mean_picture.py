@@ -1,0 +1,48 @@
+"""The mean picture of every camera: what it sees on average, and so nothing of this episode.
+
+A camera that cannot be dropped has to send something. Black is a picture that no training has
+shown; the mean picture is near those it has, blurred where things move or differ between episodes.
+It is the same for every episode and step, so that what a policy still does with it comes from
+elsewhere.
+
+The task's expert plays EPISODES episodes, of whose pictures PICTURES each are averaged, pixel by
+pixel, spread over the episode: 8 x 5 = 40 pictures. With a horizon of 100 they are those of the
+steps 0, 20, 40, 60 and 80. The seeds are selection seeds (``policies/seeds.py``), no scene that a
+reported rate is measured on. The same environment gives the same picture to the bit, so worker
+processes make theirs by themselves, once each. On Meta-World that takes some seconds.
+"""
+
+from __future__ import annotations
+
+from contextlib import closing
+from functools import lru_cache
+
+import numpy as np
+
+from madviz.envs.registry import make_env
+from madviz.observation.streams import MeanPictures, stream_frame
+from madviz.subsets import camera_of, cameras_of
+from madviz.types import EnvSpec
+
+FIRST_SEED = 1900
+EPISODES, PICTURES = 8, 5
+
+
+@lru_cache(maxsize=4)
+def mean_pictures(env: EnvSpec, streams: tuple[str, ...]) -> MeanPictures:
+    """The mean picture of each of ``streams``, (H, W, C) uint8, from an environment of its own with
+    the cameras where ``env`` has them; made at the first call."""
+    sums: dict[str, np.ndarray] = {}
+    steps = {round(env.horizon * number / PICTURES) for number in range(PICTURES)}
+    with closing(make_env(env.task, env.render_profile, env.cameras)) as world:
+        for seed in range(FIRST_SEED, FIRST_SEED + EPISODES):
+            world.reset(seed)
+            for step in range(max(steps) + 1):
+                if step in steps:
+                    views = {camera: world.view(camera) for camera in cameras_of(streams)}
+                    for stream in streams:
+                        frame = stream_frame(views[camera_of(stream)], stream, world.spec)
+                        sums[stream] = sums.get(stream, 0.0) + frame.astype(np.float64)
+                world.step(world.expert())
+    count = EPISODES * len(steps)
+    return {stream: np.round(total / count).astype(np.uint8) for stream, total in sums.items()}

@@ -1,0 +1,96 @@
+"""A camera that sends its mean picture: the same one always, and nothing of the episode."""
+
+import numpy as np
+import pytest
+
+from madviz.envs.registry import SETTINGS, make_env
+from madviz.envs.toy import ToyReach
+from madviz.errors import UserError
+from madviz.evaluation.episodes import run_episode
+from madviz.evaluation.evaluate import evaluate
+from madviz.evaluation.mean_picture import EPISODES, FIRST_SEED, PICTURES, mean_pictures
+from madviz.observation.ablation import Ablation, Occlusion
+from madviz.observation.grammar import parse_occlusions
+from madviz.observation.streams import StreamStack, stream_frame
+from madviz.session.commands import SetCamera
+from madviz.session.simulation import Simulation
+from madviz.subsets import camera_of
+from tests.fakes import FakePolicy
+
+STREAMS, RGBD = SETTINGS["three"].streams, SETTINGS["three-rgbd"].streams
+ALL = np.ones(3, bool)
+
+
+@pytest.mark.parametrize("streams", [STREAMS, RGBD])
+def test_it_is_the_mean_of_the_experts_pictures(streams):
+    env = ToyReach()
+    found = mean_pictures(env.spec, streams)
+    for stream in streams:
+        frames = []
+        for seed in range(FIRST_SEED, FIRST_SEED + EPISODES):
+            env.reset(seed)
+            for step in range(env.spec.horizon):
+                if step in [round(k * env.spec.horizon / PICTURES) for k in range(PICTURES)]:
+                    view = env.view(camera_of(stream))
+                    frames.append(stream_frame(view, stream, env.spec).astype(np.float64))
+                env.step(env.expert())
+        assert len(frames) == EPISODES * PICTURES
+        assert np.abs(found[stream] - np.mean(frames, 0)).max() <= 0.5
+        assert found[stream].dtype == np.uint8
+
+
+def test_it_does_not_depend_on_the_episode():
+    env = make_env("toy/reach")
+    stacks = []
+    for seed in (1, 2):
+        env.reset(seed)
+        stack = StreamStack(env.spec, STREAMS, means=lambda: mean_pictures(env.spec, STREAMS))
+        ablation = Ablation.from_mask(ALL, STREAMS, parse_occlusions(["third_a=mean"]))
+        stack.push({camera: env.view(camera) for camera in STREAMS}, ablation, seed, 0)
+        stacks.append(stack.views)
+    same = [np.array_equal(stacks[0][i], stacks[1][i]) for i in range(3)]
+    assert same == [False, True, False]
+
+
+def test_without_mean_pictures_it_says_so():
+    env = make_env("toy/reach")
+    env.reset(0)
+    ablation = Ablation.from_mask(ALL, STREAMS, {"first": Occlusion("mean")})
+    with pytest.raises(UserError, match="expected mean pictures"):
+        StreamStack(env.spec, STREAMS).push({}, ablation, 0, 0)
+
+
+def test_an_evaluation_and_the_page_send_the_same_one():
+    policy, env = FakePolicy(), make_env("toy/reach")
+    blind = Ablation.from_mask(ALL, STREAMS, {name: Occlusion("mean") for name in STREAMS})
+    first = run_episode(policy, env, ALL, blind, 5)
+    assert run_episode(policy, env, ALL, blind, 5) == first
+    simulation = Simulation(make_env("toy/reach"), policy, Ablation())
+    for name in STREAMS:
+        simulation.ablation = simulation.ablation.replace(name, blind.camera(name))
+    simulation.begin(5)
+    while not simulation.ended:
+        simulation.step(lambda: None)
+    # All subsets are read in one product there: the last bits differ.
+    assert simulation.total_reward == pytest.approx(first.total_reward, rel=1e-4)
+
+
+def test_it_begins_in_mid_episode_at_once():
+    simulation = Simulation(make_env("toy/reach"), FakePolicy(), Ablation())
+    simulation.begin(5)
+    simulation.step(lambda: None)
+    wanted = mean_pictures(simulation.env.spec, STREAMS)["third_b"]
+    assert not np.array_equal(simulation.arrived["third_b"], wanted)
+    blind = Ablation.from_mask(ALL, STREAMS, {"third_b": Occlusion("mean")})
+    simulation.set_camera(SetCamera("third_b", blind.camera("third_b")))
+    assert np.array_equal(simulation.arrived["third_b"], wanted)
+
+
+def test_it_is_another_input_than_black():
+    rates = {
+        what: evaluate(
+            FakePolicy(), ("all",), episodes=2, occlusions=parse_occlusions([f"first={what}"])
+        ).episodes
+        for what in ("mean", "black")
+    }
+    assert rates["mean"] != rates["black"]
