@@ -76,6 +76,12 @@ def every_mask(count: int) -> Array:
     return np.array(list(product((True, False), repeat=count)), bool).reshape(-1, count)
 
 
+def row_of(mask: Array) -> int:
+    """Where ``mask`` (V,) stands in ``every_mask``: its bits as a binary number, inverted."""
+    bits = np.asarray(mask, bool)
+    return int((~bits) @ (1 << np.arange(len(bits))[::-1]))
+
+
 def single_streams(streams: tuple[str, ...]) -> tuple[str, ...]:
     """The subsets of one stream each, by name."""
     return tuple(name_of(np.arange(len(streams)) == i, streams) for i in range(len(streams)))

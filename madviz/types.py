@@ -77,6 +77,8 @@ class EnvSpec:
     """The state numbers that the paper's table counts, where its code has more."""
     success: str = "at the last step"
     """The task's own success condition, in words."""
+    instruction: str = ""
+    """What a policy that takes words is told to do."""
 
     def camera(self, name: str) -> CameraSpec:
         """The camera called ``name``. Raises UserError naming the known ones."""
@@ -228,6 +230,17 @@ class PolicySpec:
     """S, A and decisions in an episode of the environment it was trained in; 0: it does not say."""
     action_dim: int = 0
     horizon: int = 0
+    image_size: int = 84
+    """H and W of ``views``; a camera that is drawn at another size (``cameras``) is resized."""
+    instruction: str = ""
+    """What it is told to do, in words, where it takes words."""
+    chunk: int = 1
+    """Decisions it may take from one look; a camera that fails meanwhile counts at the next."""
+    can_drop: bool = True
+    """Whether a camera can be left out. If not, each needs a picture: black, the mean, noise."""
+    reads_together: bool = True
+    """Whether many subsets are read in one pass; False: each costs a pass, and a page reads those
+    that are asked for."""
 
 
 @runtime_checkable
@@ -246,4 +259,33 @@ class Policy(Protocol):
 
     def supports(self, mask: Array) -> bool:
         """Whether this policy can act at all on the subset ``mask`` (V,)."""
+        ...
+
+
+@runtime_checkable
+class Player(Protocol):
+    """Who acts in one episode. What a policy remembers of an episode is kept here, so that two
+    episodes that run at the same time do not mix."""
+
+    planned: int
+    """Decisions that are settled already, whatever the cameras send."""
+
+    def act(self, encoded: Encoded, mask: Array) -> Array:
+        """The next decision (A,), on the subset ``mask`` (V,); called once for each, in order."""
+        ...
+
+    def close(self) -> None:
+        """The episode is over, or was left."""
+        ...
+
+
+@runtime_checkable
+class PolicyWithMemory(Policy, Protocol):
+    """A policy that acts from earlier steps of an episode, too: it has a history, or takes several
+    decisions from one look. ``read`` says what it would do if it looked anew, and changes nothing.
+    """
+
+    def reset(self, seed: int) -> Player:
+        """An episode begins. ``seed`` fixes the policy's own noise, so that two subsets differ by
+        their cameras alone: the same seed and the same looks give the same decisions."""
         ...

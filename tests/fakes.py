@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from madviz.envs.registry import SETTINGS
@@ -72,3 +74,63 @@ def policies(name: str) -> FakePolicy:
     if name not in table:
         raise UserError(f"unknown policy {name!r}")
     return table[name]()
+
+
+class ChunkPlayer:
+    """Looks every few decisions; the time since the episode began is in every action, so that who
+    forgets it, or mixes two episodes, is found out."""
+
+    def __init__(self, policy: Chunked, seed: int) -> None:
+        self._policy, self._seed, self._plan = policy, seed, list[Array]()
+        self._taken = 0
+        self.closed = False
+
+    @property
+    def planned(self) -> int:
+        return len(self._plan)
+
+    def act(self, encoded: Encoded, mask: Array) -> Array:
+        if not self._plan:
+            look = self._policy.read(encoded, mask[None]).action[0]
+            self._policy.looks += 1
+            self._plan = [look * 0.9**i for i in range(self._policy.spec.chunk)]
+        self._taken += 1
+        drift = np.float32(0.01 * self._taken + 0.01 * (self._seed % 7))
+        return np.clip(self._plan.pop(0) + drift + self._policy.noise(), -1, 1)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Chunked(FakePolicy):
+    """Takes four decisions from one look, and reads one set of cameras at a time."""
+
+    def __init__(self, name: str = "toy-chunked") -> None:
+        super().__init__(name)
+        self.spec = replace(self.spec, chunk=4, reads_together=False)
+        self.looks, self.read_rows = 0, 0
+        self.players: list[ChunkPlayer] = []
+
+    def read(self, encoded: Encoded, masks: Array) -> Readout:
+        self.read_rows += len(masks)
+        merged = np.atleast_2d(masks).astype(np.float32) @ encoded.features
+        action = np.tanh(0.05 * merged @ self._hand)  # Small: no action is cut off at 1.
+        return Readout(merged, action, np.full(len(merged), np.nan, np.float32))
+
+    def reset(self, seed: int) -> ChunkPlayer:
+        self.players.append(ChunkPlayer(self, seed))
+        return self.players[-1]
+
+    def noise(self) -> float:
+        """None: the seed fixes everything."""
+        return 0.0
+
+
+class Restless(Chunked):
+    """Draws noise that no seed fixes."""
+
+    _drawn = 0
+
+    def noise(self) -> float:
+        self._drawn += 1
+        return 0.01 * (self._drawn % 3)

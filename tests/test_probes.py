@@ -19,7 +19,7 @@ def probe_of(merged: Array, features: Array = FEATURES, supported: Array | None 
     masks = every_mask(len(features))
     action, q = np.zeros((len(masks), 2), np.float32), np.zeros(len(masks), np.float32)
     known = np.ones(len(masks), bool) if supported is None else supported
-    return Probe(features, masks, known, Readout(merged.astype(np.float32), action, q))
+    return Probe(features, masks, known, Readout(merged.astype(np.float32), action, q), known)
 
 
 def summed(features: Array = FEATURES) -> Array:

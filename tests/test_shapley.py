@@ -50,7 +50,7 @@ def probe_of(streams: tuple[str, ...], *, seed: int = 0, blind: bool = False) ->
     if blind:
         supported[-1], action[-1], q[-1] = False, np.nan, np.nan
     readout = Readout(np.zeros((len(masks), 8), np.float32), action, q)
-    return Probe(np.ones((len(streams), 8), np.float32), masks, supported, readout)
+    return Probe(np.ones((len(streams), 8), np.float32), masks, supported, readout, supported)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])

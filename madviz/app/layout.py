@@ -114,7 +114,7 @@ class Panels:
         explain = self._explain if send else None
         table: list[tuple[str, list[tuple[Callable[[], Panel], float]]]] = [
             ("Features", [(lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25)]),
-            ("Subsets", [(lambda: SubsetsPanel(gui, frame), 0.5)]),
+            ("Subsets", [(lambda: SubsetsPanel(gui, send, frame), 0.5)]),
             ("Shapley", [(lambda: ShapleyPanel(gui, frame, shared.rates), 0.5)]),
             (
                 "Inside",

@@ -44,6 +44,10 @@ class SuiteEnvironment(Protocol):
         self, task: str, render_profile: str, cameras: tuple[CameraSpec, ...]
     ) -> Environment: ...
 
+    def describe(self, task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> EnvSpec:
+        """The facts of an environment, without building it."""
+        ...
+
     def own_cameras(self, task: str) -> tuple[CameraSpec, ...]:
         """Those that ``task`` has where nobody gives others."""
         ...
@@ -210,6 +214,19 @@ def _draw_without_a_display() -> None:
     """MuJoCo chooses its OpenGL while it is imported; its own choice on Linux needs a display."""
     if sys.platform == "linux":
         os.environ.setdefault("MUJOCO_GL", "egl")
+
+
+def env_spec(
+    task: str, render_profile: str = "fast", cameras: tuple[CameraSpec, ...] = ()
+) -> EnvSpec:
+    """The ``spec`` of the environment that ``make_env`` would build, without building it; one of
+    your own is built once. Raises UserError for unknown names."""
+    check_task(task)
+    _draw_without_a_display()
+    if custom.is_own(task):
+        return custom.own_spec(task)
+    suite, name = task.split("/")
+    return SUITES[suite].load().describe(name, render_profile, cameras)
 
 
 def make_env(

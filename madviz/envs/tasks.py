@@ -1,5 +1,5 @@
-"""The tasks, and when each is a success in the pinned version of its simulator, in words for cards
-and pages."""
+"""The tasks: when each is a success in the pinned version of its simulator, in words for cards and
+pages, and what a policy that takes words is told to do."""
 
 from __future__ import annotations
 
@@ -29,3 +29,28 @@ MANISKILL_SUCCESS = {
     "place-sphere": "the sphere rests in the bin, at most 5 mm from its middle, and is let go",
     "poke-cube": "the cube is within 0.05 m of the target and no joint is faster than 0.2 rad/s",
 }
+
+INSTRUCTIONS = {
+    "metaworld/basketball": "Put the ball through the hoop.",
+    "metaworld/hammer": "Pick up the hammer and drive the nail in.",
+    "metaworld/peg-insert-side": "Put the peg into the hole in the side of the box.",
+    "metaworld/soccer": "Push the ball into the goal.",
+    "metaworld/sweep-into": "Sweep the cube into the hole.",
+    "metaworld/assembly": "Pick up the wrench and put its ring over the peg.",
+    "metaworld/hand-insert": "Put the cube into the hole.",
+    "metaworld/pick-out-of-hole": "Pick the puck out of the hole and bring it to the goal.",
+    "metaworld/pick-place": "Pick up the puck and bring it to the goal.",
+    "metaworld/push": "Push the puck to the goal.",
+    "metaworld/shelf-place": "Pick up the cube and put it on the shelf.",
+    "metaworld/disassemble": "Lift the wrench off the peg.",
+    "metaworld/stick-pull": "Pull the thermos to the goal with the stick.",
+    "metaworld/stick-push": "Push the thermos to the goal with the stick.",
+    "metaworld/pick-place-wall": "Pick up the puck and bring it over the wall to the goal.",
+    "maniskill/push-cube": "Push the cube to the target.",
+    "maniskill/pull-cube": "Pull the cube to the target.",
+    "maniskill/pick-cube": "Pick up the cube and bring it to the goal.",
+    "maniskill/place-sphere": "Pick up the sphere and put it into the bin.",
+    "maniskill/poke-cube": "Poke the cube to the target with the peg.",
+    "toy/reach": "Go to the orange target.",
+}
+"""By task. The sentences are ours: neither the paper nor the simulators have any."""

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from madviz.envs.checks import check_action, resized_cameras
 from madviz.envs.placement import PlacedCameras
+from madviz.envs.tasks import INSTRUCTIONS
 from madviz.types import Array, Body, CameraSpec, EnvSpec, Part, TimeStep, View
 
 STEP = 0.12
@@ -51,6 +52,19 @@ class ToyReach(PlacedCameras):
         """The three, for any task."""
         return CAMERAS
 
+    @staticmethod
+    def describe(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> EnvSpec:
+        """The facts of ``task``; ``render_profile`` makes no difference."""
+        return EnvSpec(
+            f"toy/{task}",
+            resized_cameras(f"toy/{task}", CAMERAS, cameras),
+            state_dim=6,
+            action_dim=2,
+            horizon=25,
+            success=f"the hand is within {RADIUS} m of the target",
+            instruction=INSTRUCTIONS[f"toy/{task}"],
+        )
+
     def __init__(
         self,
         task: str = "reach",
@@ -59,15 +73,7 @@ class ToyReach(PlacedCameras):
     ) -> None:
         """``task`` and ``render_profile`` are those of ``make_env``; there is one picture for both
         profiles. Raises UserError for ``cameras`` that are not its own in other sizes."""
-        spec = EnvSpec(
-            f"toy/{task}",
-            resized_cameras(f"toy/{task}", CAMERAS, cameras),
-            state_dim=6,
-            action_dim=2,
-            horizon=25,
-            success=f"the hand is within {RADIUS} m of the target",
-        )
-        super().__init__(spec, ("hand",))
+        super().__init__(self.describe(task, render_profile, cameras), ("hand",))
         self._hand = self._target = np.zeros(2)
         self._history: list[Array] = []
         self._step = 0

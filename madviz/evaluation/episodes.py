@@ -17,20 +17,20 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.evaluation.mean_picture import mean_pictures
+from madviz.evaluation.mean_picture import stack_of
 from madviz.evaluation.store import EpisodeResult, ResultKey
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.displacement import Displacement, Moves
-from madviz.observation.streams import StreamStack
 from madviz.policies import checkpoint
 from madviz.policies.config import check_environment, definition_of
+from madviz.policies.players import player_of
 from madviz.subsets import camera_of, cameras_of, mask_of, name_of
 from madviz.system.processes import set_up_worker
 from madviz.types import Array, Environment, Policy, PolicySpec
@@ -122,20 +122,18 @@ def run_episode(
     if not policy.supports(mask):
         raise unsupported(policy.spec, mask)
     cameras = dict.fromkeys(camera_of(s) for s, on in zip(streams, mask, strict=True) if on)
-    stack = StreamStack(
-        env.spec, streams, policy.spec.frame_stack, lambda: mean_pictures(env.spec, streams)
-    )
+    stack = stack_of(policy.spec, env.spec)
     now, total, success_any, decision = env.reset(seed), 0.0, False, 0
-    while not now.last:
-        if stop():
-            raise Stopped
-        views = {camera: env.view(camera) for camera in cameras}
-        stack.push(views, ablation, seed, decision)
-        encoded = policy.encode(stack.views, now.state)
-        now = env.step(policy.read(encoded, mask[None]).action[0])
-        total += float(now.reward)
-        success_any |= bool(now.success)
-        decision += 1
+    with closing(player_of(policy, seed)) as player:
+        while not now.last:
+            if stop():
+                raise Stopped
+            views = {camera: env.view(camera) for camera in cameras}
+            stack.push(views, ablation, seed, decision)
+            now = env.step(player.act(policy.encode(stack.views, now.state), mask))
+            total += float(now.reward)
+            success_any |= bool(now.success)
+            decision += 1
     return EpisodeResult(name_of(mask, streams), seed, bool(now.success), success_any, total)
 
 

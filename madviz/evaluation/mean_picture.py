@@ -20,18 +20,18 @@ from functools import lru_cache
 import numpy as np
 
 from madviz.envs.registry import make_env
-from madviz.observation.streams import MeanPictures, stream_frame
+from madviz.observation.streams import IMAGE_SIZE, MeanPictures, StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of
-from madviz.types import EnvSpec
+from madviz.types import EnvSpec, PolicySpec
 
 FIRST_SEED = 1900
 EPISODES, PICTURES = 8, 5
 
 
 @lru_cache(maxsize=4)
-def mean_pictures(env: EnvSpec, streams: tuple[str, ...]) -> MeanPictures:
-    """The mean picture of each of ``streams``, (H, W, C) uint8, from an environment of its own with
-    the cameras where ``env`` has them; made at the first call."""
+def mean_pictures(env: EnvSpec, streams: tuple[str, ...], size: int = IMAGE_SIZE) -> MeanPictures:
+    """The mean picture of each of ``streams``, (H, W, C) uint8, H and W being ``size``, from an
+    environment of its own with the cameras where ``env`` has them; made at the first call."""
     sums: dict[str, np.ndarray] = {}
     steps = {round(env.horizon * number / PICTURES) for number in range(PICTURES)}
     with closing(make_env(env.task, env.render_profile, env.cameras)) as world:
@@ -41,8 +41,19 @@ def mean_pictures(env: EnvSpec, streams: tuple[str, ...]) -> MeanPictures:
                 if step in steps:
                     views = {camera: world.view(camera) for camera in cameras_of(streams)}
                     for stream in streams:
-                        frame = stream_frame(views[camera_of(stream)], stream, world.spec)
+                        frame = stream_frame(views[camera_of(stream)], stream, world.spec, size)
                         sums[stream] = sums.get(stream, 0.0) + frame.astype(np.float64)
                 world.step(world.expert())
     count = EPISODES * len(steps)
     return {stream: np.round(total / count).astype(np.uint8) for stream, total in sums.items()}
+
+
+def stack_of(policy: PolicySpec, env: EnvSpec) -> StreamStack:
+    """An empty stack of what ``policy`` gets in ``env``; a camera may send its mean picture."""
+    return StreamStack(
+        env,
+        policy.streams,
+        policy.frame_stack,
+        policy.image_size,
+        lambda: mean_pictures(env, policy.streams, policy.image_size),
+    )

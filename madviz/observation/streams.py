@@ -21,7 +21,8 @@ from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, EnvSpec, View
 
 IMAGE_SIZE = 84
-"""Rows and columns every policy gets; cameras drawn at another size are resized to it."""
+"""Rows and columns a policy gets unless it says otherwise; a camera drawn at another size is
+resized."""
 
 
 MeanPictures = Mapping[str, Array]
@@ -40,15 +41,16 @@ def depth_code(depth: Array, depth_range: tuple[float, float]) -> Array:
     return np.round(unit * 255).astype(np.uint8)[..., None]
 
 
-def stream_frame(view: View, stream: str, env: EnvSpec) -> Array:
-    """What ``stream`` takes from its camera's view: (H, W, 3) colour or (H, W, 1) coded depth."""
+def stream_frame(view: View, stream: str, env: EnvSpec, size: int = IMAGE_SIZE) -> Array:
+    """What ``stream`` takes from its camera's view: (H, W, 3) colour or (H, W, 1) coded depth, H
+    and W being ``size``."""
     if modality_of(stream) == "depth":
         frame = depth_code(view.depth, env.camera(camera_of(stream)).depth_range)
     else:
         frame = view.rgb
-    if frame.shape[0] != IMAGE_SIZE:
-        frame = cv2.resize(frame, (IMAGE_SIZE, IMAGE_SIZE), interpolation=cv2.INTER_AREA)
-        frame = frame.reshape(IMAGE_SIZE, IMAGE_SIZE, -1)
+    if frame.shape[0] != size:
+        frame = cv2.resize(frame, (size, size), interpolation=cv2.INTER_AREA)
+        frame = frame.reshape(size, size, -1)
     return frame
 
 
@@ -69,6 +71,8 @@ class StreamStack:
     env: EnvSpec
     streams: tuple[str, ...]
     length: int = 3
+    size: int = IMAGE_SIZE
+    """H and W."""
     means: Callable[[], MeanPictures] = no_mean_pictures
     """Asked when a camera sends its mean picture."""
     _frames: list[dict[str, Array]] = field(default_factory=list)
@@ -80,9 +84,9 @@ class StreamStack:
     def push(self, views: dict[str, View], ablation: Ablation, seed: int, step: int) -> None:
         """Takes the views of one step. Cameras absent from ``views`` arrive black; at ``step`` 0
         the stack is filled with the first frame."""
-        black = np.zeros((IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
+        black = np.zeros((self.size, self.size, 3), np.uint8)
         seen = {
-            stream: stream_frame(views[camera_of(stream)], stream, self.env)
+            stream: stream_frame(views[camera_of(stream)], stream, self.env, self.size)
             if camera_of(stream) in views
             else black
             for stream in self.streams
@@ -106,7 +110,7 @@ class StreamStack:
         """Exchanges what ``camera`` saw last, as if it had always been so; ``replace_last`` lets it
         arrive."""
         streams = [stream for stream in self.streams if camera_of(stream) == camera]
-        fresh = {stream: stream_frame(view, stream, self.env) for stream in streams}
+        fresh = {stream: stream_frame(view, stream, self.env, self.size) for stream in streams}
         self._seen = [*self._seen[:-1], {**self._seen[-1], **fresh}]
 
     def snapshot(self) -> tuple:

@@ -107,6 +107,13 @@ class Fork:
 
 
 @dataclass(frozen=True)
+class ReadSubsets:
+    """Whether every subset is read where each costs a pass, as far as there is time for it."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
 class SetSaliency:
     """Which pixels to find, those that Q or those that the action hangs on; None for none."""
 
@@ -138,4 +145,5 @@ Command = (
     | Compare
     | SetSchedule
     | SetSaliency
+    | ReadSubsets
 )

@@ -71,4 +71,4 @@ class SecondSimulation:
         return Pair(first, second)
 
     def close(self) -> None:
-        self.simulation.env.close()
+        self.simulation.close()

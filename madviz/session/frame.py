@@ -144,6 +144,8 @@ class World:
     hand: Array
     """(3,) float32 metres, world frame: the middle between the gripper's fingertips."""
     probe: Probe
+    planned: int
+    """Decisions that the policy has settled already; cameras count again at the one after."""
     reward: float
     total_reward: float
     success: bool

@@ -34,6 +34,7 @@ from madviz.session.commands import (
     Fork,
     Pause,
     Play,
+    ReadSubsets,
     Reset,
     Scrub,
     SetAutoNext,
@@ -90,6 +91,7 @@ class Session:
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         self._speed, self._auto_next = speed, True
+        self._read_all, self._pass_takes = False, 0.0
         self._phase: Phase = "paused" if script else "playing"
         self._due = 0.0
         self._intervals: deque[float] = deque(maxlen=RATE_WINDOW)
@@ -161,7 +163,18 @@ class Session:
         if self._moving() and now >= self._due and not self._closing.is_set():
             self._guarded(lambda: self._advance(now))
         self._guarded(lambda: self._explain(now))
+        if self._read_all and self._read_more(now):
+            return now  # More may be waiting.
         return self._due if self._moving() else None
+
+    def _read_more(self, now: float) -> bool:
+        """One subset more, if the next step leaves time for it; whether one was read."""
+        if self._error or (self._moving() and now + self._pass_takes >= self._due):
+            return False
+        began, numbers = time.monotonic(), self._number
+        self._guarded(lambda: self._stage.read_more() and self._emit())
+        self._pass_takes = time.monotonic() - began
+        return self._number > numbers and not self._error
 
     def _explain(self, now: float) -> None:
         """After everything else, because it takes as long as a step."""
@@ -282,6 +295,8 @@ class Session:
             case SetSaliency(target):
                 self._stage.saliency.ask(target, lambda: self.send(command))
                 self._emit()
+            case ReadSubsets(on):
+                self._read_all = on
             case SetSchedule(events):
                 self._stage.reschedule(events)
                 self._emit()

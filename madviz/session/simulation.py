@@ -15,54 +15,25 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from madviz.analysis.probes import Probe, probe
+from madviz.analysis.probes import Probe, probe, read_row
 from madviz.analysis.saliency import LiveSaliency
 from madviz.errors import UserError
-from madviz.evaluation.mean_picture import mean_pictures
+from madviz.evaluation.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
 from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera
 from madviz.session.frame import Change, Condition, Outcome, World, condition_of, untouched
-from madviz.session.journal import Journal, Mark
-from madviz.subsets import every_mask
-from madviz.types import Array, Body, CameraPose, Environment, Policy, TimeStep, View
-
-
-@dataclass(frozen=True)
-class StepData:
-    """What one step brought: everything that does not depend on the ablation."""
-
-    time: TimeStep
-    step: int
-    views: dict[str, View]
-    poses: dict[str, CameraPose]
-    bodies: tuple[Body, ...]
-    body_poses: Array
-    hand: Array
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """A step of an episode, with all that it takes to go on from it; pictures are shared."""
-
-    actions: tuple[Array, ...]
-    """What led here from the start."""
-    recent: tuple[StepData, ...]
-    stack: tuple
-    policy: Policy
-    ablation: Ablation
-    probe: Probe
-    total_reward: float
-    success_any: bool
-    worst: dict[str, str]
-    conditions: frozenset[tuple[str, Condition]]
-    mark: Mark
+from madviz.session.journal import Journal
+from madviz.session.playing import Playing
+from madviz.session.snapshot import Snapshot, StepData
+from madviz.subsets import every_mask, row_of
+from madviz.types import Array, Encoded, Environment, Policy, TimeStep, View
 
 
 class Simulation:
@@ -87,7 +58,9 @@ class Simulation:
         self._worst: dict[str, str] = {}
         self._conditions: set[tuple[str, Condition]] = set()
         self._actions: list[Array] = []
+        self._playing = Playing()
         self._stack: StreamStack
+        self._encoded: Encoded
         self.probe: Probe
         self._adopt(policy)
         for camera in env.spec.cameras:
@@ -128,6 +101,7 @@ class Simulation:
             body_poses=now.body_poses,
             hand=now.hand,
             probe=self.probe,
+            planned=self._playing.planned,
             reward=now.time.reward,
             total_reward=self.total_reward,
             success=now.time.success,
@@ -148,6 +122,7 @@ class Simulation:
         """Starts the episode of ``seed``; camera settings stay."""
         moment = self.env.reset(seed)
         self.episode, self.seed = self.episode + 1, seed
+        self._playing.begin(self.policy, seed)
         self.total_reward, self.success_any, self.change = 0.0, moment.success, None
         self._recent.clear()
         self._worst, self._conditions, self._actions = {}, set(), []
@@ -164,7 +139,7 @@ class Simulation:
                 f"{self.policy.spec.name} cannot act on {self.condition.subset!r}; "
                 "switch another camera on"
             )
-        action = self.probe.readout.action[row]
+        action = self._playing.decide(self._encoded, mask, self._reading()[1])
         moment = self.env.step(action)
         self._actions.append(action)
         self.journal.decided(self.now.step, action, moment)
@@ -173,6 +148,19 @@ class Simulation:
         self._arrive(moment, self._draw(between))
         if moment.last:
             self._conclude(moment)
+
+    def close(self) -> None:
+        """Frees the environment, and what the policy holds for this episode."""
+        self._playing.close()
+        self.env.close()
+
+    def read_more(self) -> bool:
+        """Reads one more subset of this step, for a policy that reads one at a time; whether there
+        was one."""
+        waiting = np.flatnonzero(self.probe.supported & ~self.probe.known)
+        if len(waiting):
+            self.probe = read_row(self.probe, self.policy, self._encoded, int(waiting[0]))
+        return bool(len(waiting))
 
     def set_camera(self, command: SetCamera, preview: bool = False) -> None:
         """Another state for one camera, seen at once. Raises UserError for an unknown camera."""
@@ -231,6 +219,7 @@ class Simulation:
         """Another policy in the same episode; it gets the newest frames as its past."""
         past = list(self._recent)
         self._adopt(policy)
+        self._playing.begin(policy, self.seed)
         self._recent.clear()
         for data in past[-policy.spec.frame_stack - 1 :]:
             self._push(data)
@@ -246,6 +235,8 @@ class Simulation:
             recent=tuple(self._recent),
             stack=self._stack.snapshot(),
             policy=self.policy,
+            looks=tuple(self._playing.looks),
+            encoded=self._encoded,
             ablation=self.ablation,
             probe=self.probe,
             total_reward=self.total_reward,
@@ -278,6 +269,14 @@ class Simulation:
         self._recent.extend(saved.recent)
         self._stack.restore(saved.stack)
         self._actions, self.probe = list(saved.actions), saved.probe
+        self._encoded = saved.encoded
+        if not self._playing.again(self.policy, self.seed, saved.looks, saved.actions):
+            self.journal.spoil()
+            raise UserError(
+                f"expected {self.policy.spec.name} to decide the same from the same pictures, "
+                "found another action: its noise is not fixed by a seed, so an earlier step of it "
+                "cannot be gone back to; start the seed again"
+            )
         self.total_reward, self.success_any = saved.total_reward, saved.success_any
         self._worst, self._conditions = dict(saved.worst), set(saved.conditions)
         self._settled, self.change = saved.ablation, None
@@ -286,12 +285,7 @@ class Simulation:
     def _adopt(self, policy: Policy) -> None:
         self.policy = policy
         spec = policy.spec
-        self._stack = StreamStack(
-            self.env.spec,
-            spec.streams,
-            spec.frame_stack,
-            lambda: mean_pictures(self.env.spec, spec.streams),
-        )
+        self._stack = stack_of(spec, self.env.spec)
         self._masks = every_mask(len(spec.streams))
         self._recent = deque(self._recent, maxlen=max(spec.frame_stack, 3) + 1)
 
@@ -334,12 +328,19 @@ class Simulation:
         self._recent.append(data)
 
     def _read(self) -> None:
-        encoded = self.policy.encode(self._stack.views, self.now.time.state)
-        self.probe = probe(self.policy, encoded, self._masks)
+        self._encoded = self.policy.encode(self._stack.views, self.now.time.state)
+        only = None if self.policy.spec.reads_together else self._row
+        self.probe = probe(self.policy, self._encoded, self._masks, only)
+
+    @property
+    def _row(self) -> int:
+        """Where the present subset stands among all."""
+        return row_of(self.ablation.mask(self.policy.spec.streams))
 
     def _reading(self) -> tuple[Condition, Array, float]:
         """The present condition, and the action and Q under it."""
-        row = self.probe.row(self.ablation.mask(self.policy.spec.streams))
+        row = self._row
+        self.probe = read_row(self.probe, self.policy, self._encoded, row)
         return self.condition, self.probe.readout.action[row], float(self.probe.readout.q[row])
 
     def _note_condition(self) -> None:

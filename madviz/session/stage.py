@@ -87,7 +87,7 @@ class Stage:
         """Closes the environment, and B's."""
         self.compare(None)
         if self.simulation is not None:
-            self.simulation.env.close()
+            self.simulation.close()
             self.simulation = None
 
     def begin(self, seed: int) -> None:
@@ -157,6 +157,14 @@ class Stage:
         if live is None or not hasattr(live, "probe") or self._timeline.shown is not None:
             return False
         return live.explain(self.saliency, now, moving, hurried)
+
+    def read_more(self) -> bool:
+        """Reads one more subset of the newest step, if it is the one that is shown; whether there
+        was one to read."""
+        live = self.simulation
+        if live is None or not hasattr(live, "probe") or self._timeline.shown is not None:
+            return False
+        return live.read_more()
 
     def show_step(self, step: int | None) -> None:
         """Shows an earlier step from now on; None: the newest one."""

@@ -23,9 +23,9 @@ import numpy as np
 from madviz.analysis.probes import Probe, probe
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.evaluation.mean_picture import mean_pictures
+from madviz.evaluation.mean_picture import stack_of
 from madviz.observation.ablation import Ablation, Occlusion, noise_generator
-from madviz.observation.streams import StreamStack
+from madviz.policies.players import player_of
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array, EnvSpec, Policy, View
 
@@ -94,13 +94,11 @@ def moments(
     if not policy.supports(mask):
         raise UserError(f"{spec.name} cannot act on {subset!r}; pick a subset it supports")
     ablation = Ablation.from_mask(mask, spec.streams, dict(occlusions or {}))
-    with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
-        stack = StreamStack(
-            env.spec,
-            spec.streams,
-            spec.frame_stack,
-            lambda: mean_pictures(env.spec, spec.streams),
-        )
+    with (
+        closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env,
+        closing(player_of(policy, seed)) as player,
+    ):
+        stack = stack_of(spec, env.spec)
         now, step = env.reset(seed), 0
         while True:
             views = {camera: env.view(camera) for camera in cameras_of(spec.streams)}
@@ -119,7 +117,7 @@ def moments(
             if now.last:
                 return
             encoded = policy.encode(moment.stack, moment.state)
-            now, step = env.step(policy.read(encoded, mask[None]).action[0]), step + 1
+            now, step = env.step(player.act(encoded, mask)), step + 1
 
 
 def moment_at(

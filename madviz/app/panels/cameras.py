@@ -202,8 +202,17 @@ def step_of(frame: Frame) -> str:
     return f"{frame.world.episode}:{frame.world.step}"
 
 
+NO_DROPPING = (
+    "This policy needs a picture of every camera: none can be left out, and <b>off</b> stops it. "
+    "Give it black, the mean picture or noise instead; it then sees something: not the same."
+)
+
+
 def unused_note(frame: Frame) -> str:
-    """Says so where a visitor shows the policy something it does not take."""
+    """Says so where a visitor shows the policy something it does not take, or where no camera can
+    be left out."""
+    if not frame.world.policy.can_drop:
+        return f'<div class="mv dim">{NO_DROPPING}</div>'
     known = {modality_of(stream) for stream in frame.world.policy.streams}
     asked = set()
     for camera in frame.world.env.cameras:

@@ -34,6 +34,7 @@ NO_VIEWS = (
     "This policy puts the pictures of all cameras on top of each other before anything else. No "
     "camera has a feature of its own, so there is only one row here, and no camera can be left out."
 )
+NO_FEATURES = "This policy does not show what it makes of single cameras."
 NO_POINTS = uplot.Series_Points(show=False)
 
 
@@ -168,6 +169,8 @@ def features_html(frame: Frame) -> str:
     whole = "100 %" if np.isfinite(shares).all() else ""
     numbers = (f"{probe.merged_norm(row):.1f}", "", whole)
     rows.append(_row(MERGED, merged_words(frame), _bins(merged) / top, numbers, False))
+    if alone and not merged.any():
+        return f'<div class="mv"><div class="boxed">{NO_FEATURES}</div></div>'
     note = f'<div class="boxed">{NO_VIEWS}</div>'
     return f'<div class="mv">{note if alone else ""}<table>{_HEAD}{"".join(rows)}</table></div>'
 

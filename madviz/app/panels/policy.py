@@ -162,16 +162,40 @@ def status_html(frame: Frame) -> str:
     return (
         f'<div class="mv mv-status" {attributes}>'
         f'<div class="dim" style="font-size:12px">{escape(policy_words(frame.world.policy))}</div>'
-        f"{_progress(frame)}{_goal(frame)}<h4>{seed}Action and its value Q</h4>"
+        f"{_progress(frame)}{_goal(frame)}<h4>{seed}{_heading(frame)}</h4>"
         '<div class="mv-action" style="display:flex;gap:8px;align-items:center">'
-        f'<div style="flex:1">{_action(frame)}</div>'
-        f'<span class="num">Q <b>{_value(frame.q)}</b></span></div>{_error(frame)}</div>'
+        f'<div style="flex:1">{_action(frame)}</div>{_value(frame)}</div>'
+        f"{_planned(frame)}{_error(frame)}</div>"
     )
 
 
-def _value(q: float) -> str:
-    """A policy without a critic has none."""
-    return f"{q:.1f}" if np.isfinite(q) else "–"
+def _has_critic(frame: Frame) -> bool:
+    """Whether the policy forecasts anything, on whichever set of cameras was read."""
+    return bool(np.isfinite(frame.world.probe.readout.q).any())
+
+
+def _heading(frame: Frame) -> str:
+    return "Action and its value Q" if _has_critic(frame) else "Action"
+
+
+def _value(frame: Frame) -> str:
+    """Q of the present set; nothing where the policy has no critic."""
+    if not _has_critic(frame):
+        return ""
+    value = f"{frame.q:.1f}" if np.isfinite(frame.q) else "–"
+    return f'<span class="num">Q <b>{value}</b></span>'
+
+
+def _planned(frame: Frame) -> str:
+    """For a policy that takes several decisions from one look."""
+    if frame.world.policy.chunk == 1:
+        return ""
+    left = frame.world.planned
+    when = f"after {left} more decisions" if left else "now"
+    return (
+        f'<div class="dim">Acts in chunks of up to {frame.world.policy.chunk} decisions: it looks '
+        f"again {when}. Above: what it would do if it looked now.</div>"
+    )
 
 
 def _progress(frame: Frame) -> str:

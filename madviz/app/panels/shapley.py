@@ -139,6 +139,8 @@ def _undefined(frame: Frame) -> str:
     streams, probe = frame.world.policy.streams, frame.world.probe
     names = dict.fromkeys(set_names(streams, frame.mask))
     cannot = [name for name in names if not probe.supported[probe.row(mask_of(name, streams))]]
+    if not cannot and not probe.known.all():
+        return "needs every set of cameras: switch <b>Read every set</b> on, under Subsets."
     if not cannot:
         return "some of its numbers are broken (not finite), so there is nothing to share."
     said = ", ".join(escape(subset_label(frame, name)) for name in cannot[:3])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from html import escape
 
 import numpy as np
@@ -12,6 +13,7 @@ from madviz.app.markup import band, track
 from madviz.app.panel import Assign, apply
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import NOTE, camera_colours
+from madviz.session.commands import Command, ReadSubsets
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, mask_of, modality_of, name_of
 
@@ -20,6 +22,10 @@ MIDDLE = 50
 """Percent of an action cell's width where 0 is."""
 
 
+ONE_BY_ONE = (
+    "This policy looks at all its cameras in one pass, so every set costs a pass. On: between two "
+    "decisions as many sets are read as there is time for; while paused, all."
+)
 FEW = 16
 """Rows up to which all are shown; six streams have 64, four pages of them."""
 
@@ -28,14 +34,22 @@ class SubsetsPanel(WidgetPanel):
     """A table with a row per subset: its action as bars, how far that is from other actions, its Q,
     whether it was trained."""
 
-    def __init__(self, gui: viser.GuiApi, frame: Frame) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
+    ) -> None:
+        """``send`` None: read-only."""
         self._frame = frame
+        self._read = gui.add_checkbox("Read every set", False, hint=ONE_BY_ONE)
+        self._read.visible = send is not None and not frame.world.policy.reads_together
+        if send is not None:
+            on_value(self._read, lambda _, on: send(ReadSubsets(bool(on))))
+        self._may_read = send is not None
         self._everything = gui.add_checkbox(
             "Every row", False, hint="Also sets in which a camera gives half of what it could."
         )
         self._everything.visible = len(frame.world.probe.masks) > FEW
         self._table = gui.add_html(subsets_html(frame, everything=False))
-        self.handles = [self._everything, self._table]
+        self.handles = [self._read, self._everything, self._table]
         on_value(self._everything, lambda *_: apply(self.update(self._frame)))
 
     def update(self, frame: Frame) -> list[Assign]:
@@ -44,6 +58,7 @@ class SubsetsPanel(WidgetPanel):
         return [
             Assign(self._table, "content", html),
             Assign(self._everything, "visible", len(frame.world.probe.masks) > FEW),
+            Assign(self._read, "visible", self._may_read and not frame.world.policy.reads_together),
         ]
 
 
@@ -68,6 +83,8 @@ def subsets_html(frame: Frame, everything: bool = True) -> str:
     lines = [_row(frame, row, masks[row].tobytes() in trained, row == here) for row in order]
     left_out = len(masks) - len(lines)
     more = f" · {left_out} sets with half a camera are not shown" if left_out else ""
+    if any(_waits(frame, row) for row in rows):
+        more += " · not read: every set costs this policy a pass; see <b>Read every set</b>"
     key = (
         '<div class="dim">† not trained on this subset · apart: distance between '
         f"this row's action and the one taken now, and the one of all cameras{more}</div>"
@@ -102,13 +119,20 @@ def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
         q = f"{readout.q[row]:.1f}" if np.isfinite(readout.q[row]) else "–"
         cells = f'<td>{action_bars(readout.action[row])}</td>{apart}<td class="num">{q}</td>'
     else:
-        cells = '<td class="dim" colspan="4">cannot act on this</td>'
+        why = "cannot act on this" if not _waits(frame, row) else "not read"
+        cells = f'<td class="dim" colspan="4">{why}</td>'
     style = ' style="background:rgba(255,209,102,0.12)"' if here else ""
     return (
         f"<tr{style}><td>{presence(frame, mask)}</td>"
         f'<td style="max-width:190px;overflow:hidden;text-overflow:ellipsis" title="{label}">'
         f"{now}{dagger}{label}</td>{cells}</tr>"
     )
+
+
+def _waits(frame: Frame, row: int) -> bool:
+    """Whether ``row`` could be read, and was not."""
+    probe = frame.world.probe
+    return bool(probe.supported[row] and not probe.known[row])
 
 
 def presence(frame: Frame, mask: np.ndarray) -> str:

@@ -25,7 +25,7 @@ from madviz.envs.maniskill.experts import ManiSkillExpert
 from madviz.envs.maniskill.tasks import STATE_DIM, build, position, states
 from madviz.envs.maniskill.vulkan import renderer
 from madviz.envs.placement import PlacedCameras, drawn_cameras
-from madviz.envs.tasks import MANISKILL_SUCCESS
+from madviz.envs.tasks import INSTRUCTIONS, MANISKILL_SUCCESS
 from madviz.types import Array, Body, CameraSpec, EnvSpec, TimeStep, View
 
 HORIZON = 50
@@ -78,13 +78,10 @@ class ManiSkill(PlacedCameras):
     setting_cameras = SETTING_CAMERAS
     own_cameras = staticmethod(cameras_of)
 
-    def __init__(
-        self, task: str, render_profile: str = "fast", cameras: tuple[CameraSpec, ...] = ()
-    ) -> None:
-        """``cameras`` as in ``make_env``. Raises UserError where SAPIEN finds no Vulkan that it can
-        draw with, and for a camera on a body that is not there."""
-        renderer()
-        spec = EnvSpec(
+    @staticmethod
+    def describe(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> EnvSpec:
+        """The facts of ``task``, without a simulator."""
+        return EnvSpec(
             f"maniskill/{task}",
             drawn_cameras(cameras_of(task), cameras),
             state_dim=STATE_DIM.get(task, 28),
@@ -92,7 +89,16 @@ class ManiSkill(PlacedCameras):
             horizon=HORIZON,
             render_profile=render_profile,
             success=MANISKILL_SUCCESS[task],
+            instruction=INSTRUCTIONS[f"maniskill/{task}"],
         )
+
+    def __init__(
+        self, task: str, render_profile: str = "fast", cameras: tuple[CameraSpec, ...] = ()
+    ) -> None:
+        """``cameras`` as in ``make_env``. Raises UserError where SAPIEN finds no Vulkan that it can
+        draw with, and for a camera on a body that is not there."""
+        renderer()
+        spec = self.describe(task, render_profile, cameras)
         self._task, self._expert = task, ManiSkillExpert(task)
         self.simulation = build(task)
         super().__init__(spec, list(self.simulation.agent.robot.links_map))

@@ -28,7 +28,7 @@ from madviz.envs.metaworld.experts import MetaWorldExpert
 from madviz.envs.mujoco.gl import check_gl
 from madviz.envs.mujoco.world import MuJoCoWorld
 from madviz.envs.placement import drawn_cameras
-from madviz.envs.tasks import METAWORLD_SUCCESS
+from madviz.envs.tasks import INSTRUCTIONS, METAWORLD_SUCCESS
 from madviz.types import Array, CameraSpec, EnvSpec, TimeStep
 
 ACTION_REPEAT = 2
@@ -95,11 +95,10 @@ class MetaWorld(MuJoCoWorld):
         """The paper's three, which are the same for every task."""
         return CAMERAS
 
-    def __init__(
-        self, task: str, render_profile: str = "fast", cameras: tuple[CameraSpec, ...] = ()
-    ) -> None:
-        """``cameras`` as in ``make_env``. Raises UserError for one on a body that is not there."""
-        spec = EnvSpec(
+    @staticmethod
+    def describe(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> EnvSpec:
+        """The facts of ``task``, without a simulator."""
+        return EnvSpec(
             f"metaworld/{task}",
             drawn_cameras(CAMERAS, cameras),
             state_dim=24,
@@ -109,7 +108,14 @@ class MetaWorld(MuJoCoWorld):
             action_repeat=ACTION_REPEAT,
             render_profile=render_profile,
             success=METAWORLD_SUCCESS[task],
+            instruction=INSTRUCTIONS[f"metaworld/{task}"],
         )
+
+    def __init__(
+        self, task: str, render_profile: str = "fast", cameras: tuple[CameraSpec, ...] = ()
+    ) -> None:
+        """``cameras`` as in ``make_env``. Raises UserError for one on a body that is not there."""
+        spec = self.describe(task, render_profile, cameras)
         self.simulation = _simulation(task)
         super().__init__(spec, self.simulation.model, self.simulation.data)
         self._expert = MetaWorldExpert(task)

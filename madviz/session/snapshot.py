@@ -1,0 +1,46 @@
+"""What a simulation keeps of a step: enough to show it, and to go on from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from madviz.analysis.probes import Probe
+from madviz.observation.ablation import Ablation
+from madviz.session.frame import Condition
+from madviz.session.journal import Mark
+from madviz.session.playing import Look
+from madviz.types import Array, Body, CameraPose, Encoded, Policy, TimeStep, View
+
+
+@dataclass(frozen=True)
+class StepData:
+    """What one step brought: everything that does not depend on the ablation."""
+
+    time: TimeStep
+    step: int
+    views: dict[str, View]
+    poses: dict[str, CameraPose]
+    bodies: tuple[Body, ...]
+    body_poses: Array
+    hand: Array
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A step of an episode, with all that it takes to go on from it; pictures are shared."""
+
+    actions: tuple[Array, ...]
+    """What led here from the start."""
+    recent: tuple[StepData, ...]
+    stack: tuple
+    policy: Policy
+    looks: tuple[Look, ...]
+    """What it acted on so far, where it remembers."""
+    encoded: Encoded
+    ablation: Ablation
+    probe: Probe
+    total_reward: float
+    success_any: bool
+    worst: dict[str, str]
+    conditions: frozenset[tuple[str, Condition]]
+    mark: Mark
