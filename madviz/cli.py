@@ -164,6 +164,13 @@ COMMANDS: dict[str, Command] = {
         work="madviz.bench.live:bench_live",
         words=PRETTY,
     ),
+    "bench crowd": Command(
+        "Visitors with a simulation each: decisions a second, cores, memory.",
+        "bench crowd --visitors 1 4 8",
+        config="madviz.bench.crowd:CrowdConfig",
+        work="madviz.bench.crowd:bench_crowd",
+        words=PRETTY,
+    ),
     "bench update": Command(
         "One training update against a straightforward implementation.",
         "bench update --batch-size 64 --hidden-dim 512",
@@ -193,7 +200,7 @@ OTHERS = (
     "      madviz --completion bash > ~/.local/share/bash-completion/completions/madviz",
 )
 """The options of ``madviz`` itself."""
-GROUPS = {"bench": "Measures speed: bench render, live, update, buffer, evaluate."}
+GROUPS = {"bench": "Measures speed: bench render, live, crowd, update, buffer, evaluate."}
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -22,9 +22,12 @@ from madviz.app.layout import Panels, Shared
 from madviz.app.panel import apply
 from madviz.app.toolkit import window_is_wide
 from madviz.session.frame import Change, Frame, NoFrame
-from madviz.session.session import Session
+from madviz.session.session import LiveSession
 
 log = logging.getLogger(__name__)
+
+STAYS = 10.0
+"""Seconds for which the page still says why there was no frame, once there are frames again."""
 
 
 class Page:
@@ -33,7 +36,7 @@ class Page:
     def __init__(
         self,
         client: viser.ClientHandle,
-        session: Session,
+        session: LiveSession,
         shared: Shared,
         notice: str = "",
         readonly: bool = False,
@@ -46,6 +49,8 @@ class Page:
         self._wanted: object = None
         """The task and cameras whose panels were to be built last."""
         self._reported = ""
+        self._said: float | None = None
+        """When the page said that there is no frame."""
         self._expected: Change | None = None
         self._drawing = threading.Lock()
         self._urgent = threading.Event()
@@ -152,8 +157,12 @@ class Page:
         """Shows ``frame``. Returns in how many seconds a panel that was left out is due."""
         assert self._waiting is not None
         if isinstance(frame, NoFrame):
-            self._waiting.content = waiting_html("The simulator could not start.", frame.error)
+            self._waiting.content = waiting_html(frame.title, frame.error)
+            self._said = now
             return None
+        if self._said is not None and now > self._said + STAYS:
+            self._said = None
+            self._waiting.content = waiting_html(self._notice) if self._notice else ""
         wanted = (frame.world.env.task, frame.world.env.cameras)
         if wanted != self._wanted:  # Once: what cannot be built now cannot at the next frame.
             self._wanted = wanted
@@ -172,7 +181,8 @@ class Page:
     def _build(self, frame: Frame) -> None:
         self._strip()
         assert self._waiting is not None
-        self._waiting.content = waiting_html(self._notice) if self._notice else ""
+        if self._said is None:
+            self._waiting.content = waiting_html(self._notice) if self._notice else ""
         with self.client.atomic():
             self._panels = Panels(
                 self.client,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import sys
 import threading
 import warnings
@@ -17,24 +16,26 @@ from madviz.app.address import Address, check_port, reached_at, with_token
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.rates import SuccessRates
+from madviz.app.session_maker import References, SessionMaker
 from madviz.app.toolkit import theme
 from madviz.app.users import Limits, Users
 from madviz.app.viser_patches import patch_sender
 from madviz.envs.custom import allow_task
-from madviz.envs.registry import TaskName, check_task, make_env
+from madviz.envs.registry import TaskName, check_task
 from madviz.errors import UserError
 from madviz.evaluation.live import Evaluator, Tally
 from madviz.evaluation.store import Store
 from madviz.policies import checkpoint
 from madviz.policies.checkpoint import PolicyName
 from madviz.policies.listing import list_policies
+from madviz.session.process import SessionProcess, prepare
 from madviz.session.replay import check_policies, differences, finder
-from madviz.session.session import Session
+from madviz.session.session import LiveSession
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
 from madviz.system.numbers import Count, CountOrNone, Port, Rate, ThreadsOrNone, check_numbers
 from madviz.system.processes import limit_heaps
-from madviz.types import CameraSpec, Environment, Policy, PolicySpec
+from madviz.types import PolicySpec
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"
 
@@ -72,25 +73,12 @@ class ExploreConfig:
     """Which one of them, from 1; by default the last."""
 
 
-def env_in_one_thread(
-    task: str, render_profile: str, cameras: tuple[CameraSpec, ...] = ()
-) -> Environment:
-    """``make_env``, called by the thread that will own it; that thread computes on one core, as
-    evaluation workers do. A policy's small matrices are no quicker on two, and on a busy machine a
-    hundred times slower: threads that spin for each other."""
-    if "torch" in sys.modules:
-        import torch
-
-        torch.set_num_threads(1)
-    return make_env(task, render_profile, cameras)
-
-
 class App:
     """A running page. ``stop`` frees the port and every simulation."""
 
     def __init__(
         self,
-        new_session: Callable[[], Session],
+        new_session: Callable[[], LiveSession],
         shared: Shared,
         address: Address | None = None,
         limits: Limits | None = None,
@@ -165,28 +153,28 @@ def explore(config: ExploreConfig | None = None) -> None:
 def open_app(config: ExploreConfig) -> App:
     """The page as configured, running."""
     limit_heaps()
-    # Python threads take turns of 5 ms by default; a visitor's click crosses four of them.
+    # Python threads take turns of 5 ms by default; a visitor's click crosses three of them.
     sys.setswitchinterval(0.001)
+    prepare("madviz.app.session_maker")
     allow_task(config.task)
     choices = policy_choices(config.task)
     script, given = saved_episode(config)
     name = next(iter(given), None) or config.policy or first_choice(choices, config.task)
-    if name not in given and not checkpoint.is_folder(name):
-        given[name] = checkpoint.load_policy(name)
-    # Loading a folder takes seconds, most of them spent on importing torch. Describing it takes
-    # none, and a browser can use those seconds to open the page.
-    spec = given[name].spec if name in given else checkpoint.describe(name).spec
+    given = given or {name: described(name)}
+    references = References()
+    for reference, spec in given.items():
+        references.note(reference, spec)
     if name not in [choice.name for choice in choices]:
-        choices = [PolicyChoice(name, spec.name), *choices]
-    policies = LoadedPolicies(given)
+        choices = [PolicyChoice(name, given[name].name), *choices]
+    make = SessionMaker(name, config.policy, config.task, config.speed, script)
 
-    def new_session() -> Session:
-        return Session(env_in_one_thread, name, policies.load, speed=config.speed, script=script)
+    def new_session() -> SessionProcess:
+        return SessionProcess(make, references.note)
 
     def evaluator(listener: Callable[[Tally], None]) -> Evaluator:
         return Evaluator(config.workers, Store(), listener)
 
-    rates = SuccessRates(shipped_rates, evaluator if config.workers else None, policies.name_of)
+    rates = SuccessRates(shipped_rates, evaluator if config.workers else None, references.name_of)
     return App(
         new_session,
         Shared(choices, rates),
@@ -196,32 +184,6 @@ def open_app(config: ExploreConfig) -> App:
     )
 
 
-class LoadedPolicies:
-    """Policies by name, each loaded once for all visitors."""
-
-    def __init__(self, policies: dict[str, Policy]) -> None:
-        self._policies = policies
-
-    def load(self, name: str) -> Policy:
-        """Raises UserError for a name that is none."""
-        if name not in self._policies:
-            self._policies[name] = checkpoint.load_policy(name)
-            settle()
-        return self._policies[name]
-
-    def name_of(self, spec: PolicySpec) -> str:
-        """What ``load`` knows a policy by."""
-        found = (name for name, policy in self._policies.items() if policy.spec == spec)
-        return next(found, spec.name)
-
-
-def settle() -> None:
-    """Takes what is there now out of garbage collection: going through it after every visit would
-    take a fifth of a second from everybody else."""
-    gc.collect()
-    gc.freeze()
-
-
 def gate_for(config: ExploreConfig) -> Gate:
     """The tokens that a configuration asks for, new ones at every start."""
     local = stays_here(config.host)
@@ -229,7 +191,15 @@ def gate_for(config: ExploreConfig) -> Gate:
     return Gate(new_token() if guarded else None, new_token() if config.present else None, local)
 
 
-def saved_episode(config: ExploreConfig) -> tuple[SavedEpisode | None, dict[str, Policy]]:
+def described(policy: str) -> PolicySpec:
+    """What ``policy`` is. A folder says so without its weights or torch; the simulation's process
+    loads both."""
+    if checkpoint.is_folder(policy):
+        return checkpoint.describe(policy).spec
+    return checkpoint.load_policy(policy).spec
+
+
+def saved_episode(config: ExploreConfig) -> tuple[SavedEpisode | None, dict[str, PolicySpec]]:
     """The episode to replay, if there is one, and all its policies by name, the first one
     first. Says what is known to be different here. Raises UserError for a file that won't do."""
     if config.replay is None:
@@ -240,7 +210,7 @@ def saved_episode(config: ExploreConfig) -> tuple[SavedEpisode | None, dict[str,
     check_policies(script, find)
     for difference in differences(script, saved, find):
         print(f"madviz: it may come out differently: {difference}", file=sys.stderr)
-    return script, {policy.name: find(policy) for policy in script.policies}
+    return script, {policy.name: find(policy).spec for policy in script.policies}
 
 
 def shipped_rates(spec: PolicySpec) -> dict:

@@ -26,7 +26,7 @@ from madviz.app.browser import equip
 from madviz.app.layout import Shared
 from madviz.app.page import Page, waiting_html
 from madviz.app.viser_patches import patch_rendering
-from madviz.session.session import Session
+from madviz.session.session import LiveSession
 from madviz.system.processes import release_memory
 
 log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ class Visit:
 
     client: viser.ClientHandle
     page: Page
-    session: Session
+    session: LiveSession
     owner: bool
 
 
@@ -67,7 +67,7 @@ class Users:
     def __init__(
         self,
         server: viser.ViserServer,
-        new_session: Callable[[], Session],
+        new_session: Callable[[], LiveSession],
         shared: Shared,
         limits: Limits,
         presents: Callable[[viser.ClientHandle], bool] | None = None,
@@ -81,7 +81,7 @@ class Users:
         self._tidying: threading.Timer | None = None
         self._lock = threading.Lock()
         """Guards all of these; never held while a widget is assigned."""
-        self._spare: Session | None = new_session().start()
+        self._spare: LiveSession | None = new_session().start()
         """Started before anybody comes, so that the first picture is ready when somebody does. In
         presenter mode it stays here: it is the one that is presented."""
         server.on_client_connect(self.join)
@@ -105,7 +105,7 @@ class Users:
         with self._lock:
             return len(self._queue)
 
-    def session_of(self, client_id: int) -> Session | None:
+    def session_of(self, client_id: int) -> LiveSession | None:
         """The session a browser shows, if it has one."""
         with self._lock:
             visit = self._visits.get(client_id)
@@ -141,7 +141,7 @@ class Users:
         if client.client_id not in self._server.get_clients():
             self.leave(client)  # It left while its page was being made.
 
-    def _place(self, presents: bool) -> tuple[Session, bool] | None:
+    def _place(self, presents: bool) -> tuple[LiveSession, bool] | None:
         """The session for one more browser, and whether it gets the controls; None: all places
         are taken. Called with the lock held."""
         visits = self._visits.values()

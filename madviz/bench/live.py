@@ -194,7 +194,7 @@ def readout_ms(policy: str, repeats: int = 100) -> float:
     import numpy as np
 
     from madviz.analysis.probes import probe
-    from madviz.app.server import env_in_one_thread
+    from madviz.app.session_maker import env_in_one_thread
     from madviz.observation.streams import IMAGE_SIZE
     from madviz.policies.checkpoint import load_policy
 

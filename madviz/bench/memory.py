@@ -1,4 +1,4 @@
-"""Memory of a process as Linux counts it, in ``/proc/PID/status``."""
+"""Memory of processes as Linux counts it, in ``/proc/PID``."""
 
 from __future__ import annotations
 
@@ -14,3 +14,28 @@ def kilobytes(field: str, status: Path = HERE) -> int | None:
         return None
     lines = status.read_text().splitlines()
     return next((int(line.split()[1]) for line in lines if line.startswith(f"{field}:")), 0)
+
+
+def family(pid: int) -> list[int]:
+    """``pid`` and all processes under it that live."""
+    found = [pid]
+    for one in found:
+        try:
+            for task in Path(f"/proc/{one}/task").iterdir():
+                found += map(int, (task / "children").read_text().split())
+        except OSError:  # It ended meanwhile.
+            continue
+    return found
+
+
+def proportional_megabytes(pid: int) -> float:
+    """Memory of ``pid`` and all processes under it; a page that n processes share counts a nth for
+    each, so that it counts once in all (PSS)."""
+    total = 0
+    for one in family(pid):
+        try:
+            lines = Path(f"/proc/{one}/smaps_rollup").read_text().splitlines()
+        except OSError:
+            continue
+        total += next((int(line.split()[1]) for line in lines if line.startswith("Pss:")), 0)
+    return total / 1024

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from madviz.bench.memory import kilobytes
+from madviz.bench.memory import family, kilobytes
 from madviz.bench.server import serving
 from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
@@ -210,18 +210,15 @@ def sample(pid: int) -> Sample:
     if kilobytes("VmRSS") is None:
         raise UserError("expected Linux for a soak, found no /proc/self/status; run it there")
     memory = threads = 0
-    family = [pid]
-    for one in family:
+    processes = family(pid)
+    for one in processes:
         try:
             occupied = kilobytes("VmRSS", Path(f"/proc/{one}/status"))
-            tasks = list(Path(f"/proc/{one}/task").iterdir())
-            for task in tasks:
-                family += map(int, (task / "children").read_text().split())
+            threads += len(list(Path(f"/proc/{one}/task").iterdir()))
         except OSError:  # It ended meanwhile.
             continue
-        threads += len(tasks)
         memory += occupied or 0
-    return Sample(memory / 1024, threads, len(family))
+    return Sample(memory / 1024, threads, len(processes))
 
 
 def soak_words(result: dict[str, Any]) -> str:

@@ -119,6 +119,7 @@ class NoFrame:
     """There is no frame to show, for a simulation could not be started or drawn."""
 
     error: str
+    title: str = "The simulator could not start."
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
+from typing import Protocol
 
 from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
@@ -66,9 +67,37 @@ RATE_WINDOW = 20
 Listener = Callable[[Frame | NoFrame], None]
 
 
+class LiveSession(Protocol):
+    """What a page needs of a session, wherever that runs; all of it from any thread."""
+
+    def send(self, command: Command) -> None:
+        """Queues a command; the session carries it out within one camera render, a step at most."""
+        ...
+
+    def subscribe(self, listener: Listener) -> None:
+        """``listener`` gets every frame that comes, in the thread that brings it, and the latest
+        one at once. It must return quickly: put the frame somewhere and leave."""
+        ...
+
+    def unsubscribe(self, listener: Listener) -> None:
+        """Does nothing for a listener that is none."""
+        ...
+
+    def save(self) -> SavedSession:
+        """The last episodes, to be replayed. Raises UserError if there is no step yet."""
+        ...
+
+    def start(self) -> LiveSession:
+        """Begins; returns itself."""
+        ...
+
+    def close(self) -> None:
+        """Ends the simulation, which closes its environment."""
+        ...
+
+
 class Session:
-    """``send``, ``subscribe``, ``unsubscribe``, ``start`` and ``close`` are for everybody; the rest
-    belongs to the thread that ticks."""
+    """A ``LiveSession`` in a thread of its own; the rest belongs to the thread that ticks."""
 
     def __init__(
         self,
@@ -100,19 +129,15 @@ class Session:
         self.latest: Frame | NoFrame | None = None
 
     def send(self, command: Command) -> None:
-        """Queues a command; the session carries it out within one camera render, a step at most."""
         self._inbox.put(command)
 
     def subscribe(self, listener: Listener) -> None:
-        """``listener`` gets every frame, in the session's thread, and the latest one at once. It
-        must return quickly: put the frame somewhere and leave."""
         with self._lock:
             self._listeners = (*self._listeners, listener)
         if self.latest is not None:
             listener(self.latest)
 
     def save(self) -> SavedSession:
-        """The last episodes, to be replayed. Raises UserError if there is no step yet."""
         return self._stage.journal.saved()
 
     def unsubscribe(self, listener: Listener) -> None:

@@ -37,6 +37,7 @@ class SceneCameras:
         model.vis.global_.offwidth = model.vis.global_.offheight = MAX_SIZE
         if render_profile == "fast":
             model.vis.quality.offsamples = 0
+            model.vis.quality.shadowsize = 0  # Else 64 MB for a shadow map that nothing reads.
         gl = _gl_context()
         gl.make_current()
         self._gl: mujoco.GLContext | None = gl

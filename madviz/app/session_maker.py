@@ -1,0 +1,99 @@
+"""What a visitor's simulation is made of, in words that can be sent to another process."""
+
+from __future__ import annotations
+
+import gc
+import os
+from dataclasses import dataclass
+
+from madviz.envs.custom import allow_task
+from madviz.envs.registry import make_env
+from madviz.policies import checkpoint
+from madviz.session.process import Noted
+from madviz.session.replay import finder
+from madviz.session.session import Session
+from madviz.session.session_file import SavedEpisode
+from madviz.types import CameraSpec, Environment, Policy, PolicySpec
+
+
+@dataclass(frozen=True)
+class SessionMaker:
+    """Makes sessions that begin alike. ``Session`` says what ``speed`` and ``script`` are."""
+
+    policy: str
+    """A name, a folder or module:factory, as ``checkpoint.load_policy`` takes it; of a ``script``,
+    the name of its first policy."""
+    typed: str | None = None
+    """What the user typed for --policy: the one place where a script's policies may be paths."""
+    task: str | None = None
+    """A task of the user's own that may be imported."""
+    speed: float | None = 10.0
+    script: SavedEpisode | None = None
+
+    def __call__(self, noted: Noted = lambda name, spec: None) -> Session:
+        """A session that is not started yet. Raises UserError where a script's policy is gone."""
+        allow_task(self.task)
+        policies = LoadedPolicies(self._of_script(), noted)
+        return Session(
+            env_in_one_thread, self.policy, policies.load, speed=self.speed, script=self.script
+        )
+
+    def _of_script(self) -> dict[str, Policy]:
+        if self.script is None:
+            return {}
+        find = finder(() if self.typed is None else (self.typed,))
+        return {policy.name: find(policy) for policy in self.script.policies}
+
+
+class LoadedPolicies:
+    """Policies by reference, each loaded once in this process."""
+
+    def __init__(self, policies: dict[str, Policy], noted: Noted) -> None:
+        """``noted`` hears of every policy once, as what it is known here."""
+        self._policies, self._noted = policies, noted
+        self._told: set[str] = set()
+
+    def load(self, name: str) -> Policy:
+        """Raises UserError for a name that is none."""
+        if name not in self._policies:
+            self._policies[name] = checkpoint.load_policy(name)
+            settle()
+        if name not in self._told:
+            self._told.add(name)
+            self._noted(name, self._policies[name].spec)
+        return self._policies[name]
+
+
+class References:
+    """What the policies of all visitors' simulations are loaded by."""
+
+    def __init__(self) -> None:
+        self._names: dict[PolicySpec, str] = {}
+
+    def note(self, name: str, spec: PolicySpec) -> None:
+        """``load_policy`` knows the policy ``spec`` by ``name``."""
+        self._names = {spec: name, **self._names}
+
+    def name_of(self, spec: PolicySpec) -> str:
+        """What ``load_policy`` knows a policy by: its own name unless noted otherwise."""
+        return self._names.get(spec, spec.name)
+
+
+def env_in_one_thread(
+    task: str, render_profile: str, cameras: tuple[CameraSpec, ...] = ()
+) -> Environment:
+    """``make_env``, called by the thread that will own it; that thread computes on one core, as
+    evaluation workers do. A policy's small matrices are no quicker on two, and on a busy machine a
+    hundred times slower: threads that spin for each other."""
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    import torch
+
+    torch.set_num_threads(1)
+    return make_env(task, render_profile, cameras)
+
+
+def settle() -> None:
+    """Takes what is there now out of garbage collection: going through it at every turn would cost
+    a step of the simulation each time."""
+    gc.collect()
+    gc.freeze()

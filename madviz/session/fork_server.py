@@ -1,0 +1,30 @@
+"""What simulations share: imported once, by the process that they are forked from.
+
+Importing this module is its whole purpose. ``SHARED`` is all that a simulation needs, with what
+torch and its simulator import late: 130 MB and three seconds. No simulator is among it, as OpenGL
+does not survive a fork. Garbage collection leaves the objects of before the fork alone from then
+on: going through them writes into each, and memory that was written to is not shared any more
+(64 MB).
+"""
+
+import gc
+from contextlib import suppress
+from importlib import import_module
+
+SHARED = (
+    "gymnasium",
+    "imageio",
+    "madviz.agent.agent",
+    "madviz.policies.checkpoint",
+    "madviz.session.process",
+    "safetensors.torch",
+    "scipy.spatial.transform",
+    "sympy",
+    "torch._meta_registrations",
+)
+
+for name in SHARED:
+    with suppress(ImportError):  # Whoever needs it says so; another package may do without.
+        import_module(name)
+gc.collect()
+gc.freeze()

@@ -1,0 +1,306 @@
+"""A session in a process of its own: the same commands in, the same frames out.
+
+The problem: threads of one process take turns at Python's interpreter lock. Eight visitors whose
+simulations are threads of the page's process get 5.5 of 10 decisions a second each, it never uses
+more than 1.46 cores, and a crash in native code (a renderer, a simulator) ends the page for all.
+
+The idea: a session knows nothing of pages, so it can live elsewhere. Commands are small. Of frames
+only the newest counts; one is under way at a time, and older ones that were not sent are left out.
+
+    page's process                            simulation's process
+    send(command) ── writer ── pipe ───────►  reader ── Session.send
+    listeners ◄───── reader ◄─ pipe ─ sender ◄── newest frame ◄── Session
+
+A frame is 0.3 MB: 0.4 ms to write, 0.3 ms to read and 0.2 ms on the way, where drawing it took
+15 ms; so it goes through the pipe, and no memory is shared that could be left behind.
+
+Processes are forked from a *fork server* (``fork_server.py``), which has imported torch and done
+nothing else, so a simulation starts in a moment and shares that memory. A process that ends by
+itself is started again, on the same seed with the same cameras, and the page says so. The third
+time within a minute it stays as it is until the visitor does something.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import queue
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING
+
+from madviz.errors import UserError
+from madviz.observation.displacement import MoveCamera
+from madviz.session.commands import (
+    Command,
+    Pause,
+    SetAutoNext,
+    SetCamera,
+    SetPolicy,
+    SetSeed,
+    SetSpeed,
+)
+from madviz.session.frame import Frame, NoFrame
+from madviz.session.session import NICENESS, Listener, Session
+from madviz.session.session_file import SavedSession
+from madviz.session.transfer import FrameDecoder, FrameEncoder
+from madviz.system.processes import limit_heaps, release_memory, set_up_worker
+from madviz.types import PolicySpec
+
+if TYPE_CHECKING:
+    from multiprocessing.context import ForkServerProcess
+
+log = logging.getLogger(__name__)
+
+Noted = Callable[[str, PolicySpec], None]
+"""Called with a policy's reference and what it is, whenever a session has loaded one."""
+MakeSession = Callable[[Noted], Session]
+"""Makes a session that is not started yet, in the process where it shall live. Picklable."""
+PRELOADED = "madviz.session.fork_server"
+MOST_ENDS = 3
+"""Times that a process may end within ``ENDS_WITHIN`` seconds and is started again."""
+ENDS_WITHIN = 60.0
+SAVING = 10.0
+"""Seconds that ``save`` waits."""
+_CONTEXT = multiprocessing.get_context("forkserver")
+
+
+class SessionProcess:
+    """See the module. What a ``Session`` offers to a page, and may be called from any thread."""
+
+    def __init__(self, make: MakeSession, noted: Noted = lambda name, spec: None) -> None:
+        self._make, self._noted = make, noted
+        self._outbox: queue.SimpleQueue[Command | str | None] = queue.SimpleQueue()
+        """For the process that is running; a command, or what else it shall do."""
+        self._saved: queue.SimpleQueue[SavedSession | str] = queue.SimpleQueue()
+        self._saving, self._lock = threading.Lock(), threading.Lock()
+        """``_lock`` guards the listeners."""
+        self._listeners: tuple[Listener, ...] = ()
+        self._closing, self._wanted = threading.Event(), threading.Event()
+        self._kept: dict[type, Command] = {}
+        """The last command of each kind that a process which is started again must hear."""
+        self._process: ForkServerProcess | None = None
+        self._thread = threading.Thread(target=self._run, name="madviz-session", daemon=True)
+        self.latest: Frame | NoFrame | None = None
+
+    def send(self, command: Command) -> None:
+        """As ``Session.send``. Never waits for the process."""
+        if isinstance(command, SetPolicy | SetSpeed | SetAutoNext):
+            self._kept[type(command)] = command
+        self._outbox.put(command)
+        self._wanted.set()
+
+    def subscribe(self, listener: Listener) -> None:
+        """As ``Session.subscribe``; ``listener`` is called in this session's reading thread."""
+        with self._lock:
+            self._listeners = (*self._listeners, listener)
+        if self.latest is not None:
+            listener(self.latest)
+
+    def unsubscribe(self, listener: Listener) -> None:
+        with self._lock:
+            self._listeners = tuple(one for one in self._listeners if one != listener)
+
+    def save(self) -> SavedSession:
+        """The last episodes, to be replayed. Raises UserError if there is no step yet, and where
+        the process gives no answer."""
+        with self._saving:
+            while not self._saved.empty():  # An answer that came too late for whoever asked.
+                self._saved.get()
+            self._outbox.put("save")
+            try:
+                answer = self._saved.get(timeout=SAVING)
+            except queue.Empty:
+                raise UserError(
+                    f"expected the saved session within {SAVING:g} s, found no answer from the "
+                    "simulation's process; try again"
+                ) from None
+        if isinstance(answer, str):
+            raise UserError(answer)
+        return answer
+
+    def start(self) -> SessionProcess:
+        """Starts the process, and a thread that reads what comes from it."""
+        self._thread.start()
+        return self
+
+    def close(self, timeout: float = 10.0) -> None:
+        """Ends the process, which closes its environment; kills it if that takes longer."""
+        self._closing.set()
+        self._wanted.set()
+        self._outbox.put(None)
+        if self._thread.ident is None:
+            return
+        self._thread.join(timeout)
+        process = self._process
+        if process is not None and process.is_alive():
+            process.kill()
+            self._thread.join(timeout)
+
+    # The reading thread.
+
+    def _run(self) -> None:
+        ends: deque[float] = deque(maxlen=MOST_ENDS)
+        while not self._closing.is_set():
+            how = self._one_life()
+            if self._closing.is_set():
+                return
+            ends.append(time.monotonic())
+            words = f"The simulation's process ended by itself ({how})."
+            log.error("%s", words)
+            if len(ends) == MOST_ENDS and ends[-1] - ends[0] < ENDS_WITHIN:
+                ends.clear()
+                self._wanted.clear()
+                again = "Choose another policy, or press Play to start it again."
+                self._tell(NoFrame("", f"{words} That was the third time in a minute. {again}"))
+                self._wanted.wait()
+            else:
+                self._tell(NoFrame("", f"{words} It starts again with the same seed."))
+
+    def _one_life(self) -> str:
+        """Runs a process until it ends. Returns how it ended, in words."""
+        here, there = _CONTEXT.Pipe()
+        self._process = process = _CONTEXT.Process(
+            target=_live, args=(there, self._make), name="madviz-simulation", daemon=True
+        )
+        process.start()
+        there.close()
+        writer = threading.Thread(target=_write, args=(self._outbox, here), daemon=True)
+        writer.start()
+        self._read(here)
+        process.join()
+        self._begin_anew()
+        writer.join()
+        here.close()
+        return _how(process.exitcode)
+
+    def _begin_anew(self) -> None:
+        """What was meant for the last process is left there: it may be what ended it."""
+        before, outbox = self._outbox, queue.SimpleQueue()
+        for command in self._to_begin_with():
+            outbox.put(command)
+        self._outbox = outbox
+        before.put(None)
+        if self._closing.is_set():
+            outbox.put(None)
+
+    def _to_begin_with(self) -> list[Command]:
+        """What brings a new process to where the last one was."""
+        latest, commands = self.latest, list(self._kept.values())
+        if isinstance(latest, Frame):
+            world = latest.world
+            commands += [SetCamera(name, state) for name, state in world.ablation.cameras.items()]
+            commands += [MoveCamera(name, move) for name, move in world.ablation.moves.items()]
+            commands.append(SetSeed(world.seed))
+            commands += [Pause()] if latest.pace.phase == "paused" else []
+        return commands
+
+    def _read(self, pipe: Connection) -> None:
+        """Until the process ends."""
+        decoder = FrameDecoder()
+        while True:
+            try:
+                kind, what = pipe.recv()
+            except (EOFError, OSError):
+                return
+            if kind == "frame":
+                self._tell(decoder.decode(what))
+            elif kind == "policy":
+                self._noted(*what)
+            elif kind == "saved":
+                self._saved.put(what)
+
+    def _tell(self, news: Frame | NoFrame) -> None:
+        self.latest = news
+        for listener in self._listeners:
+            try:
+                listener(news)
+            except Exception:
+                log.exception("somebody who listens to a session failed")
+
+
+def prepare(*modules: str) -> None:
+    """Starts the fork server, which imports ``modules``, too, without waiting for it."""
+    from multiprocessing.forkserver import ensure_running
+
+    _CONTEXT.set_forkserver_preload([*modules, PRELOADED])
+    ensure_running()
+
+
+def _write(outbox: queue.SimpleQueue[Command | str | None], pipe: Connection) -> None:
+    """Sends what is asked for, until None; for a process that has ended, nothing."""
+    while True:
+        command = outbox.get()
+        try:
+            pipe.send(command)
+        except OSError:
+            return
+        if command is None:
+            return
+
+
+def _how(code: int | None) -> str:
+    """``SIGSEGV``, ``exit status 1``."""
+    if code is not None and code < 0:
+        return signal.Signals(-code).name
+    return f"exit status {code}"
+
+
+# --- In the process ---------------------------------------------------------------------------
+
+
+def _live(pipe: Connection, make: MakeSession) -> None:
+    """Runs a session until the page's process says None, or is gone."""
+    set_up_worker(NICENESS)
+    limit_heaps()
+    sending = threading.Lock()
+
+    def say(kind: str, what: object) -> None:
+        with sending:
+            try:
+                pipe.send((kind, what))
+            except OSError:  # The page's process is gone, and so is this one in a moment.
+                pass
+
+    session = make(lambda name, spec: say("policy", (name, spec)))
+    newest: queue.SimpleQueue[Frame | NoFrame] = queue.SimpleQueue()
+    session.subscribe(newest.put)
+    threading.Thread(target=_send_frames, args=(newest, say), daemon=True).start()
+    session.start()
+    try:
+        while (asked := pipe.recv()) is not None:
+            if asked == "save":
+                say("saved", _saved(session))
+            else:
+                session.send(asked)
+    except (EOFError, OSError):
+        pass
+    session.close()
+    os._exit(0)  # Python's own end would wait for threads, and libraries tidy up for a second.
+
+
+def _saved(session: Session) -> SavedSession | str:
+    """Or why it cannot be had."""
+    try:
+        return session.save()
+    except UserError as error:
+        return str(error)
+
+
+def _send_frames(
+    newest: queue.SimpleQueue[Frame | NoFrame], say: Callable[[str, object], None]
+) -> None:
+    """Sends the newest frame; those that came while the last one was sent are left out."""
+    encoder = FrameEncoder()
+    say("frame", encoder.encode(newest.get()))
+    release_memory()  # What it took to get here: 30 MB of meshes and XML.
+    while True:
+        frame = newest.get()
+        while not newest.empty():
+            frame = newest.get()
+        say("frame", encoder.encode(frame))

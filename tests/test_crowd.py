@@ -1,0 +1,54 @@
+"""What a crowd of visitors takes, counted over a family of processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+import pytest
+
+from madviz.bench import crowd
+from madviz.bench.crowd import CrowdConfig, bench_crowd
+from madviz.bench.memory import family, proportional_megabytes
+from madviz.errors import UserError
+
+PARENT = (
+    "import subprocess, sys\n"
+    "block = bytearray(b'x' * 40_000_000)\n"
+    "child = subprocess.Popen([sys.executable, '-c', 'while True: pass'])\n"
+    "print(child.pid, flush=True)\n"
+    "input()\n"
+    "child.kill()\n"
+)
+
+
+def test_processor_time_and_memory_of_children_count():
+    with subprocess.Popen(
+        [sys.executable, "-c", PARENT], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None and process.stdin is not None
+        child = int(process.stdout.readline())
+        assert family(process.pid) == [process.pid, child]
+        assert proportional_megabytes(process.pid) > 40
+        before = crowd._cpu_seconds(process.pid)
+        deadline = time.monotonic() + 30
+        while crowd._cpu_seconds(process.pid) < before + 0.2 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert crowd._cpu_seconds(process.pid) >= before + 0.2
+        print(file=process.stdin, flush=True)
+
+
+def test_each_number_of_visitors_has_its_figures(monkeypatch):
+    figures = {"decisions_per_s": 9.5, "least": 9.0, "cores": 1.2, "mb": 700}
+    monkeypatch.setattr(crowd, "_measured", lambda config, count: figures | {"mb": 100 * count})
+    result = bench_crowd(CrowdConfig(visitors=(1, 4)))
+    assert result["visitors"] == [1, 4] and result["mb"] == [100, 400]
+    assert result["decisions_per_s"] == [9.5, 9.5] and result["cores"] == [1.2, 1.2]
+
+
+def test_visitors_who_get_no_picture_are_an_error(monkeypatch):
+    monkeypatch.setattr(crowd, "STARTING", 0.2)
+    silent = type("Silent", (), {"steps": []})()
+    with pytest.raises(UserError, match="a picture for every visitor within 0.2 s"):
+        crowd._await_pictures([silent])
