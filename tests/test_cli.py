@@ -183,7 +183,7 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
         "list, record, replay, report, soak, sweep, train\n"
     )
     assert cli.main(["bench", "wurst"]) == 2
-    assert "known: buffer, evaluate, live, render, update" in capsys.readouterr().err
+    assert "known: buffer, crowd, evaluate, live, render, update" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
 from madviz.app.tour import Tour
 from madviz.session.commands import SetSaliency
 from madviz.session.frame import Frame, NoFrame
-from madviz.session.session import LiveSession
+from madviz.session.live_session import LiveSession
 from madviz.training.job import TrainingJob
 
 

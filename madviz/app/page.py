@@ -22,7 +22,7 @@ from madviz.app.layout import Panels, Shared
 from madviz.app.panel import apply
 from madviz.app.toolkit import window_is_wide
 from madviz.session.frame import Change, Frame, NoFrame
-from madviz.session.session import LiveSession
+from madviz.session.live_session import LiveSession
 
 log = logging.getLogger(__name__)
 

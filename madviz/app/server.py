@@ -28,9 +28,9 @@ from madviz.evaluation.store import Store
 from madviz.policies import checkpoint
 from madviz.policies.checkpoint import PolicyName
 from madviz.policies.listing import list_policies
+from madviz.session.live_session import LiveSession
 from madviz.session.process import SessionProcess, prepare
 from madviz.session.replay import check_policies, differences, finder
-from madviz.session.session import LiveSession
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
 from madviz.system.numbers import Count, CountOrNone, Port, Rate, ThreadsOrNone, check_numbers

@@ -26,7 +26,7 @@ from madviz.app.browser import equip
 from madviz.app.layout import Shared
 from madviz.app.page import Page, waiting_html
 from madviz.app.viser_patches import patch_rendering
-from madviz.session.session import LiveSession
+from madviz.session.live_session import LiveSession
 from madviz.system.processes import release_memory
 
 log = logging.getLogger(__name__)

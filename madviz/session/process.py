@@ -46,7 +46,8 @@ from madviz.session.commands import (
     SetSpeed,
 )
 from madviz.session.frame import Frame, NoFrame
-from madviz.session.session import NICENESS, Listener, Session
+from madviz.session.live_session import Listener
+from madviz.session.session import NICENESS, Session
 from madviz.session.session_file import SavedSession
 from madviz.session.transfer import FrameDecoder, FrameEncoder
 from madviz.system.processes import limit_heaps, release_memory, set_up_worker

@@ -25,7 +25,6 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
 
 from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
@@ -48,6 +47,7 @@ from madviz.session.commands import (
     StepOnce,
 )
 from madviz.session.frame import Frame, NoFrame, Phase, SessionPace
+from madviz.session.live_session import Listener
 from madviz.session.session_file import SavedEpisode, SavedSession
 from madviz.session.stage import EnvFactory, Stage
 from madviz.system.processes import lower_thread_priority
@@ -63,37 +63,6 @@ NICENESS = 10
 """Of the simulating thread, on a scale where 19 yields to all others; workers are at 15."""
 RATE_WINDOW = 20
 """Decisions over which the achieved rate is measured."""
-
-Listener = Callable[[Frame | NoFrame], None]
-
-
-class LiveSession(Protocol):
-    """What a page needs of a session, wherever that runs; all of it from any thread."""
-
-    def send(self, command: Command) -> None:
-        """Queues a command; the session carries it out within one camera render, a step at most."""
-        ...
-
-    def subscribe(self, listener: Listener) -> None:
-        """``listener`` gets every frame that comes, in the thread that brings it, and the latest
-        one at once. It must return quickly: put the frame somewhere and leave."""
-        ...
-
-    def unsubscribe(self, listener: Listener) -> None:
-        """Does nothing for a listener that is none."""
-        ...
-
-    def save(self) -> SavedSession:
-        """The last episodes, to be replayed. Raises UserError if there is no step yet."""
-        ...
-
-    def start(self) -> LiveSession:
-        """Begins; returns itself."""
-        ...
-
-    def close(self) -> None:
-        """Ends the simulation, which closes its environment."""
-        ...
 
 
 class Session:
@@ -197,9 +166,13 @@ class Session:
         if self._error or (self._moving() and now + self._pass_takes >= self._due):
             return False
         began, numbers = time.monotonic(), self._number
-        self._guarded(lambda: self._stage.read_more() and self._emit())
+        self._guarded(self._read_one)
         self._pass_takes = time.monotonic() - began
         return self._number > numbers and not self._error
+
+    def _read_one(self) -> None:
+        if self._stage.read_more():
+            self._emit()
 
     def _explain(self, now: float) -> None:
         """After everything else, because it takes as long as a step."""
