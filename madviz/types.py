@@ -75,6 +75,9 @@ class EnvSpec:
     render_profile: str = "fast"
     paper_state: tuple[int, ...] = ()
     """The state numbers that the paper's table counts, where its code has more."""
+    state_changes: tuple[tuple[int, int], ...] = ()
+    """Pairs of state numbers, the same quantity now and a decision ago, whose difference is a speed
+    that the state does not hold by itself."""
     success: str = "at the last step"
     """The task's own success condition, in words."""
     instruction: str = ""
@@ -181,6 +184,17 @@ class Environment(Protocol):
 
     def close(self) -> None:
         """Frees what the simulator and the renderer hold."""
+        ...
+
+
+@runtime_checkable
+class KnowsPlaces(Protocol):
+    """An environment that also tells where what matters is. For training and measuring alone: no
+    policy gets it."""
+
+    def places(self) -> Array:
+        """(3 P,) float32 metres, world frame: x, y, z of the task's objects and of its goal now, in
+        a fixed order."""
         ...
 
 

@@ -290,6 +290,10 @@ WRONG_FIELDS = {
     "unknown network": ({"networks": {"layers": 3}}, "networks that cannot be built"),
     "negative network": ({"networks": {"hidden_dim": -1}}, "networks that cannot be built"),
     "giant network": ({"networks": {"hidden_dim": 10**7}}, "of shape"),
+    "a mean without a spread": (
+        {"networks": {"state_dim": 2, "state_mean": [0.5, 0.5]}},
+        "expected state_spread of 2 finite numbers above 0, found none",
+    ),
     "no pair": (
         {"networks": {"log_std_bounds": [1]}},
         "'networks.log_std_bounds' to be a list of length 2",

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from madviz.agent.agent import Agent, random_policy
+from madviz.agent.agent import Agent, TorchPolicy, random_policy
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
+from madviz.policies.checkpoint import load_policy
 from madviz.training.demonstrations import Dataset, Driver, Episode, record_episode
 from madviz.training.light import LightConfig, LightRun, imitation_loss, run_rounds
 from madviz.training.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
@@ -28,6 +29,11 @@ TINY = LightConfig(
     rounds=4, demonstrations=2, episodes_per_round=4, updates_per_round=3, batch_size=4,
     critic_updates=0,
 )  # fmt: skip
+DIALS = replace(
+    TINY, final_rounds=2, recency=1.0, learning_rate_floor=0.1, standard_state=True,
+    position_weight=0.1, gripper_loss="cross-entropy", noise_share=0.0, noise_spread=0.2,
+)  # fmt: skip
+"""Everything that is off by default."""
 
 
 class InlineRecorder:
@@ -75,7 +81,8 @@ def test_imitation_loss_is_the_formula(streams: tuple[str, ...]) -> None:
     method, alpha = METHODS["mad"], 0.3
     masks = torch.from_numpy(method.masks(streams))
     share = torch.from_numpy(method.row_weights(streams, alpha))
-    found = imitation_loss(agent, views, state, label, masks, share).item()
+    rows = agent.encode_and_merge(views, masks)[1]
+    found = imitation_loss(agent, rows, state, label, share).item()
 
     exact = agent.double()
     subsets = ["all", *method.subsets(streams)]
@@ -101,7 +108,8 @@ def test_imitation_reaches_encoder_and_actor_alone() -> None:
     views = torch.randint(0, 256, (2, 3, 9, 84, 84), dtype=torch.uint8)
     masks = torch.from_numpy(METHODS["mad"].masks(THREE))
     share = torch.from_numpy(METHODS["mad"].row_weights(THREE, 0.5))
-    imitation_loss(agent, views, torch.randn(2, 6), torch.rand(2, 2), masks, share).backward()
+    rows = agent.encode_and_merge(views, masks)[1]
+    imitation_loss(agent, rows, torch.randn(2, 6), torch.rand(2, 2), share).backward()
     touched = {name.split(".")[0] for name, p in agent.named_parameters() if p.grad is not None}
     assert touched == {"encoder", "actor"}
 
@@ -162,21 +170,29 @@ def test_stacks_of_a_dataset_do_not_reach_over_a_start() -> None:
     assert not torch.equal(later[0, :3], later[0, 6:])
 
 
-def test_a_killed_run_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:
-    whole = RunFolder(tmp_path / "whole", TINY, resume=False, listener=None)
-    uninterrupted = run_in(whole)
+@pytest.mark.parametrize("config", [TINY, DIALS], ids=["default", "dials"])
+def test_a_killed_run_goes_on_as_if_nothing_had_happened(
+    tmp_path: Path, config: LightConfig
+) -> None:
+    whole = RunFolder(tmp_path / "whole", config, resume=False, listener=None)
+    uninterrupted = run_in(whole, config)
     finish(uninterrupted, whole, InlineRecorder())
 
-    broken = RunFolder(tmp_path / "broken", TINY, resume=False, listener=None)
+    broken = RunFolder(tmp_path / "broken", config, resume=False, listener=None)
     with pytest.raises(KeyboardInterrupt):
-        finish(run_in(broken), broken, InlineRecorder(breaks_after=3))
-    again = RunFolder(tmp_path / "broken", TINY, resume=True, listener=None)
-    resumed = run_in(again)
-    assert 0 < resumed.round < TINY.rounds
+        finish(run_in(broken, config), broken, InlineRecorder(breaks_after=3))
+    again = RunFolder(tmp_path / "broken", config, resume=True, listener=None)
+    resumed = run_in(again, config)
+    assert 0 < resumed.round < config.rounds
     finish(resumed, again, InlineRecorder())
-    assert resumed.updates == uninterrupted.updates == 12
+    assert resumed.updates == uninterrupted.updates == config.all_rounds * 3
     assert torch.equal(weights(resumed), weights(uninterrupted))
-    assert (whole.path / "curve.csv").read_text().count("\n") == TINY.rounds + 1
+    assert resumed.data.episodes == 2 + 3 * 4, "the last rounds record nothing"
+    assert (whole.path / "curve.csv").read_text().count("\n") == config.all_rounds + 1
+    found = load_policy(whole.path)
+    assert isinstance(found, TorchPolicy)
+    assert found.agent.config == uninterrupted.average.config
+    assert bool(found.agent.config.state_mean) == config.standard_state
 
 
 def test_students_see_their_methods_subsets_and_demonstrations_are_shared(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from madviz.agent.agent import Agent
 from madviz.agent.methods import METHODS, method
-from madviz.agent.networks import Critic, NetworkConfig
+from madviz.agent.networks import NetworkConfig
 from madviz.agent.objectives import (
     Batch,
     actor_losses,
@@ -341,19 +341,22 @@ def test_a_step_asks_only_for_the_gradients_it_uses() -> None:
     assert moved == reached(agent) == {"actor"}
 
 
-def test_targets_and_the_actors_q_do_not_see_single_features() -> None:
+def test_targets_and_the_actors_q_are_read_on_the_merged_feature_alone() -> None:
     agent, batch = make_agent(), make_batch(3)
-    noise = torch.randn(4, B, 2, dtype=torch.float64)
+    learner = make_learner(agent, "mad", STREAMS["three"])
+    draw = learner.draw(B)
+    still = replace(draw, shifts=np.zeros_like(draw.shifts))
     rows = rows_of(agent, batch).detach()
-    spoiled = rows.clone()
-    spoiled[1:] += 1
-    plain, other = (td_target(agent, r[:1], batch, noise[:1]) for r in (rows, spoiled))
-    assert plain.shape == (1, B) and torch.equal(plain, other)
-    calls: list[Tensor] = []
-    assert isinstance(agent.critic, Critic)
-    agent.critic.trunk.register_forward_hook(lambda _, inputs, __: calls.append(inputs[0]))
-    actor_losses(agent, rows, batch, noise, rows[:1])
-    assert len(calls) == 1 and torch.equal(calls[0], rows[:1])
+    following = rows_of(agent, replace(batch, views=batch.next_views)).detach()
+    read: dict[str, list[Tensor]] = {"target": [], "critic": []}
+    for name, seen in read.items():
+        trunk = getattr(agent, name).trunk
+        trunk.register_forward_hook(lambda _, inputs, __, seen=seen: seen.append(inputs[0]))
+    learner.update(batch, still)
+    (target,), (critic, actor) = read["target"], read["critic"]
+    torch.testing.assert_close(target, following[:1])
+    torch.testing.assert_close(critic, rows)
+    torch.testing.assert_close(actor, rows[:1])
 
 
 def test_the_target_discounts_by_the_stored_discount() -> None:

@@ -14,16 +14,19 @@ import numpy as np
 import pytest
 import torch
 
-from madviz.agent.agent import TorchPolicy
+from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.update import Learner
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
+from madviz.policies.seeds import use_of
 from madviz.training import loop, reinforcement
 from madviz.training.config import TrainConfig, resolve
 from madviz.training.paper import PaperConfig, PaperRun, train_paper
+from madviz.training.reinforcement import SuiteNumbers
 from madviz.training.run_folder import Event, RunFolder
-from madviz.types import Environment
+from madviz.training.vectorised import VectorisedConfig
+from madviz.types import Array, Environment
 from tests.plans import toy_plan
 
 TINY = PaperConfig(
@@ -112,12 +115,57 @@ def test_the_defaults_are_the_papers_table() -> None:
     assert (config.steps, config.exploration_steps, config.update_every) == (500_000, 2_000, 2)
     assert (config.batch_size, config.buffer_capacity, config.hidden_dim) == (256, 500_000, 1024)
     assert (config.alpha, config.learning_rate, config.target_rate) == (0.8, 5e-4, 0.01)
-    assert (config.temperature, config.discount) == (0.1, 0.99)
-    assert (config.eval_every, config.eval_episodes) == (25_000, 20)
+    assert config.temperature == 0.1 and config.eval_episodes == 20
     learning = config.learning()
     assert (learning.alpha, learning.learning_rate, learning.target_rate) == (0.8, 5e-4, 0.01)
-    assert learning.same_shift_for_views and config.bootstrap_at_time_limit
-    assert not config.shift_when_acting
+    assert learning.same_shift_for_views and not config.shift_when_acting
+
+
+def test_what_differs_between_suites_follows_from_the_task_unless_an_option_says_it() -> None:
+    config = PaperConfig()
+    assert config.numbers_of("metaworld/hammer") == SuiteNumbers(0.99, 25_000, bootstraps=True)
+    assert config.numbers_of("maniskill/push-cube") == SuiteNumbers(0.8, 20_000, bootstraps=False)
+    asked = PaperConfig(discount=0.5, eval_every=7, time_limit="goes-on")
+    assert asked.numbers_of("maniskill/push-cube") == SuiteNumbers(0.5, 7, bootstraps=True)
+    assert not PaperConfig(time_limit="ends").numbers_of("metaworld/hammer").bootstraps
+
+
+def test_a_run_takes_its_tasks_numbers(tmp_path: Path) -> None:
+    plan = toy_plan(recipe="paper", streams=("first", "third_a"), horizon=HORIZON, hidden_dim=8)
+    plan = replace(plan, spec=replace(plan.spec, task="maniskill/push-cube"))
+    config = replace(TINY, eval_every=None, eval_episodes=0)
+    env = ToyReach()
+    env.spec = replace(env.spec, horizon=HORIZON)
+    training = PaperRun(plan, config, env, RunFolder(tmp_path, config, False, None))
+    training.evaluate(lambda: False)
+    assert training.evaluate_at == 20_000
+    for _ in range(HORIZON + 1):
+        training.advance()
+    stored = training.buffer.batch(np.arange(HORIZON)).discount.tolist()
+    assert stored == pytest.approx([0.8] * (HORIZON - 1) + [0])
+
+
+def test_every_reset_draws_a_scene_that_serves_nothing_else(tmp_path: Path) -> None:
+    plan = toy_plan(recipe="paper", streams=("first", "third_a"), horizon=HORIZON, hidden_dim=8)
+    training = PaperRun(plan, TINY, ToyReach(), RunFolder(tmp_path, TINY, False, None))
+    seeds = training.draw_seeds(5000)
+    assert use_of(seeds) == "reinforcement learning" and len(set(seeds)) == 5000
+    assert max(seeds) < 2**31
+
+
+def test_both_recipes_learn_on_a_device_and_in_float32(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(UserError, match="expected a CUDA device for the option device = cuda"):
+        PaperConfig(device="cuda").torch_device()
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert PaperConfig().torch_device() == VectorisedConfig().torch_device() == "cuda"
+    asked: list[Any] = []
+    moved = Agent.to
+    monkeypatch.setattr(Agent, "to", lambda agent, device: (asked.append(device), moved(agent))[1])
+    plan = toy_plan(recipe="paper", streams=("first", "third_a"), horizon=HORIZON, hidden_dim=8)
+    training = PaperRun(plan, TINY, ToyReach(), RunFolder(tmp_path, TINY, False, None))
+    assert asked == ["cuda"] and not training.learner.low_precision
 
 
 def test_the_schedule(whole_run: Path) -> None:
@@ -196,9 +244,26 @@ def stored_discounts(tmp_path: Path, config: PaperConfig) -> list[float]:
     return training.buffer.batch(np.array([0, 1, 2, 4, 5, 6])).discount.tolist()
 
 
+def test_a_run_explores_uniformly_and_begins_with_the_temperature_asked_for(tmp_path: Path) -> None:
+    config = replace(TINY, temperature=0.37, steps=600, exploration_steps=600, eval_every=10**6)
+    plan = toy_plan(recipe="paper", streams=("first", "third_a"), horizon=HORIZON, hidden_dim=8)
+    env = ToyReach()
+    env.spec = replace(env.spec, horizon=HORIZON)
+    training = PaperRun(plan, config, env, RunFolder(tmp_path, config, False, None))
+    assert training.learner.agent.log_temperature.exp().item() == pytest.approx(0.37)
+    done: list[Array] = []
+    step = env.step
+    env.step = lambda action: (done.append(action), step(action))[1]  # type: ignore[method-assign]
+    for _ in range(600):
+        training.advance()
+    actions = np.array(done)
+    assert actions.shape == (600, 2) and (np.abs(actions) <= 1).all()
+    np.testing.assert_allclose(np.quantile(actions, [0.1, 0.5, 0.9]), [-0.8, 0, 0.8], atol=0.1)
+
+
 def test_bootstrapping_at_the_time_limit_is_a_switch(tmp_path: Path) -> None:
     assert stored_discounts(tmp_path / "yes", TINY) == pytest.approx([0.99] * 6)
-    cut = replace(TINY, bootstrap_at_time_limit=False)
+    cut = replace(TINY, time_limit="ends")
     assert stored_discounts(tmp_path / "no", cut) == pytest.approx([0.99, 0.99, 0] * 2)
 
 

@@ -226,8 +226,8 @@ def test_numbers_that_make_no_sense_are_refused(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_mad_learns_toy_reach_with_many_environments(tmp_path: Path) -> None:
     config = VectorisedConfig(
-        steps=3_000, exploration_steps=500, batch_size=48, buffer_capacity=3_000, hidden_dim=128,
-        discount=0.9, learning_rate=1e-3, eval_every=3_000, eval_episodes=20, environments=8,
+        steps=4_000, exploration_steps=500, batch_size=48, buffer_capacity=4_000, hidden_dim=128,
+        discount=0.9, learning_rate=1e-3, eval_every=4_000, eval_episodes=20, environments=8,
         workers=2,
     )  # fmt: skip
     run(tmp_path / "run", config)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from torch import Tensor, nn
 
 from madviz.agent.merges.base import MergeFunctions, Noise
 from madviz.agent.merges.table import MERGES, merge_functions
-from madviz.agent.networks import NetworkConfig
+from madviz.agent.networks import Actor, Critic, NetworkConfig
 from madviz.errors import UserError
 from madviz.subsets import name_of
 from madviz.types import Array, Encoded, PolicySpec, Readout
@@ -69,6 +70,14 @@ class Agent(nn.Module):
     def noise(self, batch: int, generator: torch.Generator) -> Noise:
         """The random tensor of ``rows`` for ``batch`` samples; None if the merge has none."""
         return self.merge.noise(self.config, self.streams, batch, generator)
+
+    def scale_state(self, mean: tuple[float, ...], spread: tuple[float, ...]) -> None:
+        """From now on the heads read the state minus ``mean`` in units of ``spread``; both are as
+        long as what they read of it."""
+        self.config = replace(self.config, state_mean=mean, state_spread=spread)
+        for module in self.modules():
+            if isinstance(module, Actor | Critic):
+                module.config = self.config
 
     def acting_state(self) -> dict[str, Tensor]:
         """What a policy needs to act and to show Q: no target, no temperature."""

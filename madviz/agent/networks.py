@@ -20,6 +20,7 @@ from torch.nn import functional as F
 
 from madviz.agent.sizes import FEATURE_MAP as FEATURE_MAP
 from madviz.agent.sizes import FEATURE_SIZE as FEATURE_SIZE
+from madviz.agent.sizes import FURTHEST
 from madviz.agent.sizes import NetworkConfig as NetworkConfig
 
 
@@ -62,6 +63,19 @@ class Trunk(nn.Module):
 
     def forward(self, feature: Tensor) -> Tensor:
         return torch.tanh(self.norm(self.linear(feature)))
+
+
+def read_state(config: NetworkConfig, state: Tensor) -> Tensor:
+    """(..., S) -> (..., state_inputs): the numbers that the heads read of a state. As they are in
+    the paper; with speeds, and in units of their spread, where ``config`` says so."""
+    read = state[..., list(config.state_columns)] if config.state_columns else state
+    if config.state_changes:
+        now, before = (list(numbers) for numbers in zip(*config.state_changes, strict=True))
+        read = torch.cat([read, state[..., now] - state[..., before]], -1)
+    if config.state_mean:
+        mean, spread = read.new_tensor(config.state_mean), read.new_tensor(config.state_spread)
+        read = ((read - mean) / spread).clamp(-FURTHEST, FURTHEST)
+    return read
 
 
 def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
@@ -135,9 +149,12 @@ class Actor(ActorHead):
         self.mlp = _mlp(inputs, config.hidden_dim, 2 * config.action_dim)
         orthogonal(self)
 
+    def inputs(self, feature: Tensor, state: Tensor) -> Tensor:
+        """(..., Z), (..., S) -> (..., K), what the MLP reads."""
+        return torch.cat([read_state(self.config, state), self.trunk(feature)], -1)
+
     def forward(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        known = self.config.read_state(state)
-        output = _read(self.mlp, torch.cat([known, self.trunk(feature)], -1))
+        output = _read(self.mlp, self.inputs(feature, state))
         mean, raw = output.chunk(2, -1)
         low, high = self.config.log_std_bounds
         return mean, low + 0.5 * (high - low) * (torch.tanh(raw) + 1)
@@ -170,5 +187,5 @@ class Critic(CriticHead):
         orthogonal(self)
 
     def heads(self, hidden: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        x = torch.cat([hidden, action, self.config.read_state(state)], -1)
+        x = torch.cat([hidden, action, read_state(self.config, state)], -1)
         return _read(self.q1, x).squeeze(-1), _read(self.q2, x).squeeze(-1)

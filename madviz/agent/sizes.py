@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from torch import Tensor
+from math import inf
 
 FEATURE_MAP = (64, 7, 7)
 FEATURE_SIZE = 64 * 7 * 7
 """Z: the 3136 numbers a stream is encoded to."""
+FURTHEST = 5.0
+"""Spreads from the mean beyond which a state number is cut off: nothing like it was trained on."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +32,31 @@ class NetworkConfig:
     """The state numbers the heads read; all of them if empty."""
     bottleneck_dim: int = FEATURE_SIZE
     """VIB's Gaussian per third-person view (``light`` uses 64); no other method reads it."""
+    state_changes: tuple[tuple[int, int], ...] = ()
+    """Pairs of state numbers, now and before, whose difference the heads read as well: speeds."""
+    state_mean: tuple[float, ...] = ()
+    """What is subtracted from each number that the heads read; nothing if empty."""
+    state_spread: tuple[float, ...] = ()
+    """What each is divided by after that, above 0; as many as ``state_mean``."""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a reading of the state that cannot be carried out."""
+        read = [*self.state_columns, *(number for pair in self.state_changes for number in pair)]
+        if not all(0 <= number < self.state_dim for number in read):
+            raise ValueError(f"expected state numbers below {self.state_dim}, found {read}")
+        if len(self.state_mean) not in (0, self.state_inputs):
+            raise ValueError(
+                f"expected state_mean of {self.state_inputs} numbers, found {len(self.state_mean)}"
+            )
+        if not all(-inf < mean < inf for mean in self.state_mean):
+            raise ValueError(f"expected a finite state_mean, found {list(self.state_mean)}")
+        many, spreads = len(self.state_mean), list(self.state_spread)
+        if len(spreads) != many or not all(0 < spread < inf for spread in spreads):
+            raise ValueError(
+                f"expected state_spread of {many} finite numbers above 0, found {spreads or 'none'}"
+            )
 
     @property
     def state_inputs(self) -> int:
-        """How many state numbers the heads read."""
-        return len(self.state_columns) or self.state_dim
-
-    def read_state(self, state: Tensor) -> Tensor:
-        """(..., S) -> (..., state_inputs)."""
-        return state[..., list(self.state_columns)] if self.state_columns else state
+        """How many numbers the heads read of a state."""
+        return (len(self.state_columns) or self.state_dim) + len(self.state_changes)

@@ -111,6 +111,8 @@ class Learner:
         self.low_precision = self.config.precision == "bfloat16" or (
             self.config.precision == "auto" and _fast_bfloat16(self._device)
         )
+        if self._device.type == "cuda" and self.config.precision == "float32":
+            torch.backends.cudnn.allow_tf32 = False  # 10 bits of 23 in convolutions, by default.
         self._average = get_ema_multi_avg_fn(1 - self.config.target_rate)
 
     def draw(self, batch: int) -> Draw:

@@ -61,6 +61,7 @@ class ToyReach(PlacedCameras):
             state_dim=6,
             action_dim=2,
             horizon=25,
+            state_changes=((4, 2), (5, 3)),
             success=f"the hand is within {RADIUS} m of the target",
             instruction=INSTRUCTIONS[f"toy/{task}"],
         )
@@ -128,6 +129,9 @@ class ToyReach(PlacedCameras):
 
     def hand(self) -> Array:
         return np.array([*self._hand, _HAND_SIZE[1]], np.float32)
+
+    def places(self) -> Array:
+        return np.array([*self._target, _TARGET_SIZE[1]], np.float32)
 
     def expert(self) -> Array:
         return np.clip((self._target - self._hand) / STEP, -1, 1).astype(np.float32)

@@ -26,6 +26,7 @@ USES = {
 """The first seed of each use."""
 DEVELOPMENT, REPORTING = "development", "reporting"
 FIRST_REPORTING = 10_000
+FIRST_LEARNING = 1_000_000
 
 
 def use_of(seeds: Iterable[int]) -> str:

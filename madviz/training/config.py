@@ -17,7 +17,6 @@ from typing import Annotated, Any, Literal, get_args
 
 from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import METHODS, Method, method
-from madviz.agent.networks import NetworkConfig
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import SETTINGS, RenderProfile, TaskName, choose
 from madviz.errors import UserError, unknown
@@ -126,13 +125,7 @@ def resolve(config: TrainConfig) -> TrainingPlan:
         ),
         drawn_task,
         facts,
-        NetworkConfig(
-            facts.state_dim,
-            facts.action_dim,
-            hidden_dim=options.hidden_dim,
-            bottleneck_dim=options.bottleneck_dim,
-            state_columns=facts.paper_state if config.state == "paper" else (),
-        ),
+        options.networks(facts, facts.paper_state if config.state == "paper" else ()),
         merge,
         config.seed,
         camera,

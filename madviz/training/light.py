@@ -5,7 +5,7 @@ The problem: the paper's schedule takes hours on a GPU. The idea: Meta-World shi
 experts, so actions can be learned by imitation, and what MAD is about (one head that reads the
 merged feature and every singular one) stays exactly as it is:
 
-    L = alpha |pi(M) - a*|^2 + (1 - alpha) mean_i |pi(V_i) - a*|^2
+    L = alpha |pi(M) - a*|^2 + (1 - alpha) mean_i |pi(V_i) - a*|^2      (light_losses)
 
 A run is a sequence of rounds. While round k's updates run on one core, a worker process records
 the episodes of round k+1 on the other, driven by the student as it was when the round began; so
@@ -29,7 +29,6 @@ from __future__ import annotations
 import copy
 import time
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,89 +36,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from madviz.agent.agent import Agent, TorchPolicy, autocast
+from madviz.agent.agent import TorchPolicy, autocast
 from madviz.agent.augment import random_shift
+from madviz.agent.networks import read_state
 from madviz.policies.config import TrainingRecord
 from madviz.subsets import mask_of
-from madviz.system.numbers import (
-    Count,
-    CountOrNone,
-    PixelsOrNone,
-    Rate,
-    Share,
-    Threads,
-    Weight,
-    Width,
-)
 from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder
 from madviz.training.light_critic import REWARD_SCALE, fit_critic
+from madviz.training.light_losses import PlacesHead as PlacesHead
+from madviz.training.light_losses import imitation_loss as imitation_loss
+from madviz.training.light_losses import mean_and_spread
+from madviz.training.light_losses import row_errors as row_errors
+from madviz.training.light_options import LightConfig as LightConfig
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder, interruptible
 from madviz.types import Array
-
-
-@dataclass(frozen=True)
-class LightConfig:
-    """The options of the light recipe; defaults were chosen by measurement on hammer."""
-
-    rounds: Count = 12
-    """Rounds of recording and updates after the first demonstrations."""
-    demonstrations: Count = 10
-    """Episodes driven by the (perturbed) expert before the first update."""
-    episodes_per_round: Count = 8
-    """Episodes recorded in a round, each driven by the student on one of its trained subsets."""
-    updates_per_round: Count = 300
-    """Gradient steps in a round."""
-    batch_size: Width = 64
-    """Labelled states in a gradient step; each is encoded once per stream."""
-    learning_rate: Rate = 1e-3
-    """Adam's at the start; falls linearly to 0 over the run."""
-    alpha: Share = 0.5
-    """Weight of the merged feature; 1 - alpha is shared by the singular subsets."""
-    hidden_dim: Width = 512
-    """Width of the heads' hidden layers."""
-    shift: PixelsOrNone = 4
-    """Pixels of random shift."""
-    average: Share = 0.998
-    """Decay of the exponential average of the weights that acts and is shipped."""
-    expert_share: Share = 0.5
-    """Probability that the expert drives a step in the first round; decays by ``share_decay``."""
-    share_decay: Share = 0.8
-    """Factor on ``expert_share`` from round to round."""
-    noise_share: Share = 0.2
-    """Probability that an action is replaced by a random one while recording."""
-    noise_decay: Share = 1.0
-    """Factor on ``noise_share`` from round to round. Below 1 the last rounds show where the student
-    goes by itself, which is what a task needs whose end few episodes reach under noise."""
-    critic_updates: CountOrNone = 1500
-    """Gradient steps of the critic at the end."""
-    workers: Threads = 1
-    """Recording processes."""
-    bottleneck_dim: Width = 64
-    """VIB alone: numbers in the Gaussian of a third-person view (the paper has 3136)."""
-    kl_weight: Weight = 0.01
-    """VIB alone: weight of the bottleneck's cost, a mean over its numbers."""
-
-
-def imitation_loss(
-    agent: Agent, views: Tensor, state: Tensor, label: Tensor, masks: Tensor, weights: Tensor
-) -> Tensor:
-    """Weighted squared error of every row's deterministic action to the expert's, for merges
-    without noise.
-
-    views (B, V, C, H, W), state (B, S), label (B, A), masks (N, V), weights (N,) -> scalar.
-    """
-    return (
-        row_errors(agent, agent.encode_and_merge(views, masks)[1], state, label) * weights
-    ).sum()
-
-
-def row_errors(agent: Agent, merged: Tensor, state: Tensor, label: Tensor) -> Tensor:
-    """(N,) mean squared errors of the actions on ``merged`` (N, B, ...)."""
-    rows, batch = merged.shape[:2]
-    mean, _ = agent.actor(merged.flatten(0, 1), state.repeat(rows, 1))
-    error = (torch.tanh(mean).unflatten(0, (rows, batch)) - label).square()
-    return error.mean((1, 2))
 
 
 class LightRun:
@@ -145,6 +76,7 @@ class LightRun:
         total = config.demonstrations + config.rounds * config.episodes_per_round
         self.data = Dataset(streams, total, plan.env.horizon)
         self.rng = np.random.default_rng(plan.seed)
+        self.places: PlacesHead | None = None
         self.round = self.updates = 0
         self.seconds = 0.0
         self._episodes = folder / "episodes"
@@ -157,16 +89,17 @@ class LightRun:
         """
         config = self.config
         if round_index == 0:
-            demonstration = Driver(1.0, config.noise_share)
+            demonstration = Driver(1.0, config.noise_share, noise_spread=config.noise_spread)
             return [(demonstration, self._train_seed(i)) for i in range(config.demonstrations)]
         share = config.expert_share * config.share_decay ** (round_index - 1)
-        noise = config.noise_share * config.noise_decay ** (round_index - 1)
+        fade = config.noise_decay ** (round_index - 1)
         student = TorchPolicy(self.plan.spec, copy.deepcopy(self.average))
         first = config.demonstrations + (round_index - 1) * config.episodes_per_round
         planned = []
         for number in range(first, first + config.episodes_per_round):
             mask = self.driven[number % len(self.driven)]
-            driver = Driver(share, noise, student, mask)
+            noise, spread = config.noise_share * fade, config.noise_spread * fade
+            driver = Driver(share, noise, student, mask, spread)
             planned.append((driver, self._train_seed(number)))
         return planned
 
@@ -175,6 +108,21 @@ class LightRun:
         for number, episode in enumerate(episodes):
             episode.save(self._episodes / f"{round_index:03d}-{number:02d}.npz")
             self.data.add(episode)
+        if round_index == 0:
+            self._look_at_demonstrations()
+
+    def _look_at_demonstrations(self) -> None:
+        """What depends on how states and places vary in the first episodes."""
+        config, index = self.config, np.arange(self.config.demonstrations * self.data.horizon)
+        if config.standard_state:
+            read = read_state(self.plan.networks, self.data.column("states", index))
+            for agent in (self.agent, self.average):
+                agent.scale_state(*mean_and_spread(read.numpy()))
+        if config.position_weight:
+            places = self.data.column("places", index).numpy()
+            self.places = PlacesHead(self.agent.actor, places)
+            group = {"params": list(self.places.parameters())}
+            self.optimisers["optimiser"].add_param_group(group)
 
     def learn(self) -> float:
         """One round of updates; the mean loss."""
@@ -187,7 +135,7 @@ class LightRun:
     def update(self) -> float:
         """One gradient step; the imitation loss."""
         config = self.config
-        index = self.rng.integers(0, len(self.data), config.batch_size)
+        index = self.drawn()
         # Of this update alone, so that a resumed run draws the same.
         generator = torch.Generator().manual_seed(self.plan.seed * 1_000_003 + self.updates)
         noise = self.agent.noise(config.batch_size, generator)
@@ -195,9 +143,15 @@ class LightRun:
         state, label = self.data.column("states", index), self.data.column("labels", index)
         with autocast():
             features, merged = self.agent.encode_and_merge(views, self.masks, noise)
-            loss = (row_errors(self.agent, merged, state, label) * self.weights).sum()
+            gripper = config.gripper_loss
+            loss = imitation_loss(self.agent, merged, state, label, self.weights, gripper)
+            total = loss
+            if self.places is not None:
+                places = self.data.column("places", index)
+                errors = self.places.row_errors(self.agent.actor, merged, state, places)
+                total = total + config.position_weight * (errors * self.weights).sum()
         penalty = self.agent.merge.penalty(self.agent.encoder, features)
-        self._step("optimiser", loss if penalty is None else loss + config.kl_weight * penalty)
+        self._step("optimiser", total if penalty is None else total + config.kl_weight * penalty)
         if self.agent.merge.own_optimiser:
             self._own_step(index, generator)
         decay = min(config.average, (1 + self.updates) / (10 + self.updates))
@@ -207,6 +161,14 @@ class LightRun:
                 slow.lerp_(fast, 1 - decay)
         self.updates += 1
         return loss.item()
+
+    def drawn(self) -> Array:
+        """(B,) decisions, late ones likelier where ``recency`` is above 0."""
+        many, size, recency = len(self.data), self.config.batch_size, self.config.recency
+        if not recency:
+            return self.rng.integers(0, many, size)
+        place = self.rng.random(size) ** (1 / (1 + recency))  # Its density is as x ** recency.
+        return np.minimum((place * many).astype(int), many - 1)
 
     def _own_step(self, index: Array, generator: torch.Generator) -> None:
         """The merge's own loss, on freshly shifted pictures; the last decision of an episode has
@@ -223,9 +185,10 @@ class LightRun:
 
     def _step(self, name: str, loss: Tensor) -> None:
         config, optimiser = self.config, self.optimisers[name]
-        progress = self.updates / (config.rounds * config.updates_per_round)
+        progress = self.updates / (config.all_rounds * config.updates_per_round)
+        share = 1 - progress * (1 - config.learning_rate_floor)
         for group in optimiser.param_groups:
-            group["lr"] = config.learning_rate * (1 - progress)
+            group["lr"] = config.learning_rate * share
         for every in self.optimisers.values():
             every.zero_grad(set_to_none=True)
         loss.backward()
@@ -240,6 +203,7 @@ class LightRun:
         return {
             "agent": self.agent.state_dict(),
             "average": self.average.state_dict(),
+            "places": self.places.state_dict() if self.places else {},
             **{name: optimiser.state_dict() for name, optimiser in self.optimisers.items()},
             "rng": _plain(self.rng.bit_generator.state),
             "round": self.round,
@@ -249,15 +213,18 @@ class LightRun:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continues from ``state``; episodes come back from the run folder."""
-        self.agent.load_state_dict(state["agent"])
-        self.average.load_state_dict(state["average"])
-        for name, optimiser in self.optimisers.items():
-            optimiser.load_state_dict(state[name])
-        self.rng.bit_generator.state = _unplain(state["rng"])
         self.round, self.updates, self.seconds = (state[k] for k in ("round", "updates", "seconds"))
         for file in sorted(self._episodes.glob("*.npz")):
             if int(file.name.split("-")[0]) <= self.round:
                 self.data.add(Episode.load(file))
+        self._look_at_demonstrations()
+        self.agent.load_state_dict(state["agent"])
+        self.average.load_state_dict(state["average"])
+        if self.places is not None:
+            self.places.load_state_dict(state["places"])
+        for name, optimiser in self.optimisers.items():
+            optimiser.load_state_dict(state[name])
+        self.rng.bit_generator.state = _unplain(state["rng"])
 
 
 def train_light(plan: TrainingPlan, config: LightConfig, folder: RunFolder) -> None:
@@ -280,7 +247,7 @@ def run_rounds(run: LightRun, folder: RunFolder, recorder: Recorder) -> None:
     if len(run.data) == 0:
         run.add(Recorder.finish(recorder.start(run.drivers(0))), 0)
     with interruptible(folder) as stop:
-        while run.round < config.rounds and not stop.is_set():
+        while run.round < config.all_rounds and not stop.is_set():
             ahead = run.round + 1
             recording = recorder.start(run.drivers(ahead)) if ahead < config.rounds else []
             loss = run.learn()
@@ -289,9 +256,9 @@ def run_rounds(run: LightRun, folder: RunFolder, recorder: Recorder) -> None:
             run.seconds = time.monotonic() - began
             folder.save_state(run.state())
             _report(run, folder, loss, episodes)
-            if run.round < config.rounds:
+            if run.round < config.all_rounds:
                 _save(run, folder, final=False)
-        if run.round >= config.rounds:
+        if run.round >= config.all_rounds:
             _save(run, folder, final=True)
             folder.finish()
 
@@ -321,7 +288,7 @@ def _save(run: LightRun, folder: RunFolder, final: bool) -> None:
 
 
 def _report(run: LightRun, folder: RunFolder, loss: float, episodes: list[Episode]) -> None:
-    done = run.round / run.config.rounds
+    done = run.round / run.config.all_rounds
     rate = float(np.mean([e.success for e in episodes])) if episodes else float("nan")
     folder.report(
         "curve",

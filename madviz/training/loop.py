@@ -15,8 +15,9 @@ from collections.abc import Callable
 
 from madviz.evaluation.episodes import Stopped
 from madviz.policies.config import TrainingRecord
+from madviz.policies.seeds import FIRST_LEARNING
 from madviz.training.curve import draw_curve
-from madviz.training.reinforcement import SELECTION_SEED, ReinforcementRun
+from madviz.training.reinforcement import ReinforcementRun
 from madviz.training.run_folder import interruptible
 
 PROGRESS_SECONDS = 20
@@ -123,7 +124,7 @@ def _save(run: ReinforcementRun) -> None:
         updates=run.updates,
         batch_size=run.config.batch_size,
         alpha=run.config.alpha,
-        seeds=f"network and data {run.plan.seed}, episodes below {SELECTION_SEED}",
+        seeds=f"network and data {run.plan.seed}, episodes from {FIRST_LEARNING} on",
         wall_time_s=round(run.seconds),
         finished=run.finished,
     )

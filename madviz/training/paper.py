@@ -6,8 +6,10 @@
              (Singular Only, which never learns to act on all: on one of its streams)
 
 That is 249,000 updates and, where a decision lasts two simulator steps (Meta-World), a million of
-those. Every 25,000 *simulator* steps (the paper's words; its code counts decisions), at the next
-end of an episode, 20 deterministic episodes are run on all streams and on each alone.
+those. Every 25,000 *simulator* steps, in ManiSkill every 20,000 (the paper's words; its code counts
+decisions), at the next end of an episode, 20 deterministic episodes are run on all streams and on
+each alone. The networks learn on a CUDA device where there is one; the paper's float32 is
+``--paper.precision float32``.
 """
 
 from __future__ import annotations
@@ -52,7 +54,7 @@ class PaperRun(ReinforcementRun):
             self.updates += 1
         action = self.explore() if exploring else self.act()[0]
         now = self.env.step(action)
-        discount = 0 if now.last and not config.bootstrap_at_time_limit else config.discount
+        discount = self.discount_of(now.last)
         frames = newest_frames(self.env, streams)
         self.buffer.add(action, now.reward, discount, now.state, frames)
         self.step += 1

@@ -4,6 +4,10 @@ What all recipes share is here: their numbers, the learner and its buffer, evalu
 go on from. How decisions and updates alternate is a recipe's own (``paper``, ``vectorised``); the
 loop around them is ``loop.train_on``.
 
+Discount, evaluations and time limits are the paper's for the task at hand: they differ between
+its two suites (``SuiteNumbers``). Where an option says otherwise, the option counts. Every reset
+draws a new scene, of 2,146 million.
+
 A run is a function of its plan and configuration. Resume state holds weights, optimisers,
 generators and what is new in the buffer; a killed run goes on in mid-episode, by resetting to the
 episode's seed and repeating its actions, and ends with the weights of a run that was left alone.
@@ -15,32 +19,47 @@ import copy
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.augment import random_shift
-from madviz.agent.networks import FEATURE_SIZE
+from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.agent.update import Learner, LearningConfig, Precision
+from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread, run_episode
 from madviz.observation.ablation import Ablation
+from madviz.policies.seeds import FIRST_LEARNING
 from madviz.subsets import mask_of, single_streams
 from madviz.system.numbers import CountOrNone, Rate, Share, Steps, StepsOrNone, Weight, Width
 from madviz.training.buffer import BufferSpec, ReplayBuffer
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder
-from madviz.types import Array, Encoded, Environment
+from madviz.types import Array, Encoded, Environment, EnvSpec
 
 SELECTION_SEED = 1000
-"""Where the seeds of evaluations during training begin; training itself stays below."""
+"""Where the seeds of evaluations during training begin."""
+
+
+@dataclass(frozen=True)
+class SuiteNumbers:
+    """What the paper has differently for its two suites; time limits are as in its code."""
+
+    discount: float
+    eval_every: int
+    """Simulator steps."""
+    bootstraps: bool
+    """Whether the last step of an episode still expects a future."""
+
+
+METAWORLD, MANISKILL = SuiteNumbers(0.99, 25_000, True), SuiteNumbers(0.8, 20_000, False)
 
 
 @dataclass(frozen=True)
 class ReinforcementConfig:
-    """What every recipe of reinforcement learning has; the defaults are the paper's numbers
-    (discount: Meta-World's)."""
+    """What every recipe of reinforcement learning has; the defaults are the paper's numbers."""
 
     steps: Steps = 500_000
     """Decisions in the whole run."""
@@ -54,10 +73,11 @@ class ReinforcementConfig:
     """Pack frames in memory without loss: a quarter of the bytes; every batch is the same."""
     buffer_on_disk: bool = False
     """Keep frames, as they are, in files of the run's folder; memory need not hold them."""
-    discount: Share = 0.99
-    """Gamma (ManiSkill: 0.8)."""
-    bootstrap_at_time_limit: bool = True
-    """Whether the last step of an episode still expects a future; nothing really ends there."""
+    discount: Share | None = None
+    """Gamma; by default 0.99, and 0.8 for ManiSkill."""
+    time_limit: Literal["suite", "goes-on", "ends"] = "suite"
+    """Whether the last step of an episode still expects a future, as nothing really ends there; by
+    default it does, and in ManiSkill its reward is all."""
     hidden_dim: Width = 1024
     """Width of the heads' hidden layers."""
     bottleneck_dim: Width = FEATURE_SIZE
@@ -77,13 +97,44 @@ class ReinforcementConfig:
     shift_when_acting: bool = False
     """Also shift what the policy acts on, in training and in evaluation (as the code does)."""
     precision: Precision = "auto"
-    """Of matrix products in updates."""
-    eval_every: Steps = 25_000
-    """Simulator steps between evaluations."""
+    """Of matrix products in updates; the paper has float32."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the networks learn; ``auto`` takes CUDA where there is one."""
+    eval_every: Steps | None = None
+    """Simulator steps between evaluations; by default 25000, and 20000 for ManiSkill."""
     eval_episodes: CountOrNone = 20
     """Deterministic episodes for each subset; 0: none, and no success in the curve."""
     save_every: Steps = 2_000
     """Decisions between checkpoints."""
+
+    def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
+        """Of an agent that reads ``state_columns`` of the state, or all of it if empty."""
+        return NetworkConfig(
+            env.state_dim,
+            env.action_dim,
+            hidden_dim=self.hidden_dim,
+            bottleneck_dim=self.bottleneck_dim,
+            state_columns=state_columns,
+        )
+
+    def numbers_of(self, task: str) -> SuiteNumbers:
+        """The paper's for ``task``, but where an option says otherwise."""
+        suite = MANISKILL if task.startswith("maniskill/") else METAWORLD
+        return SuiteNumbers(
+            suite.discount if self.discount is None else self.discount,
+            suite.eval_every if self.eval_every is None else self.eval_every,
+            suite.bootstraps if self.time_limit == "suite" else self.time_limit == "goes-on",
+        )
+
+    def torch_device(self) -> str:
+        """Raises UserError where CUDA is asked for and not there."""
+        there = torch.cuda.is_available()
+        if self.device == "cuda" and not there:
+            raise UserError(
+                "expected a CUDA device for the option device = cuda, found none that PyTorch can "
+                "use; see `nvidia-smi`, or leave the option out"
+            )
+        return "cuda" if there and self.device != "cpu" else "cpu"
 
     def learning(self) -> LearningConfig:
         """The part an update needs."""
@@ -110,13 +161,13 @@ class ReinforcementRun:
         env: Environment,
         folder: RunFolder,
         lanes: int = 1,
-        device: str = "cpu",
     ) -> None:
         """``env`` is what ``plan.drawn_task`` builds; ``lanes`` environments fill the buffer in
-        turn. Raises UserError if the buffer will not fit."""
+        turn. Raises UserError if the buffer will not fit, and for a device that is not there."""
         self.plan, self.config, self.env, self.folder = plan, config, env, folder
+        self.numbers = config.numbers_of(plan.spec.task)
         self.learner = Learner(
-            plan.new_agent(config.temperature).to(device),
+            plan.new_agent(config.temperature).to(config.torch_device()),
             plan.method,
             plan.spec.streams,
             config.learning(),
@@ -182,7 +233,8 @@ class ReinforcementRun:
             row[f"success_{subset}"] = round(float(np.mean([r.success for r in results])), 4)
             row[f"return_{subset}"] = round(float(np.mean([r.total_reward for r in results])), 3)
         self.evaluated_step = self.step
-        self.evaluate_at = (self.env_steps // self.config.eval_every + 1) * self.config.eval_every
+        every = self.numbers.eval_every
+        self.evaluate_at = (self.env_steps // every + 1) * every
         return row
 
     def acting_agent(self) -> Agent:
@@ -215,8 +267,12 @@ class ReinforcementRun:
         raise NotImplementedError
 
     def draw_seeds(self, lanes: int) -> list[int]:
-        """Of the next training episodes."""
-        return [int(self.rng.integers(0, SELECTION_SEED)) for _ in range(lanes)]
+        """Of the next training episodes: new scenes at every reset."""
+        return self.rng.integers(FIRST_LEARNING, 2**31, lanes).tolist()
+
+    def discount_of(self, last: bool) -> float:
+        """What is stored with a decision; ``last`` of its episode."""
+        return 0.0 if last and not self.numbers.bootstraps else self.numbers.discount
 
     def explore(self, *lanes: int) -> Array:
         """(*lanes, A) uniform actions."""

@@ -59,8 +59,6 @@ class VectorisedConfig(ReinforcementConfig):
     resumed run then goes on nearly, not exactly, as if it had never stopped."""
     update_ratio: Weight = 0.5
     """Updates per decision; the paper makes one for every second decision."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the networks learn; ``auto`` takes CUDA where there is one."""
     compile: bool = False
     """Compile the encoder with torch.compile; on CUDA into CUDA graphs. Needs a C++ compiler."""
 
@@ -76,16 +74,6 @@ class VectorisedConfig(ReinforcementConfig):
         if self.simulation == "gpu":
             check_batched(task)
             claim_gpu()
-
-    def torch_device(self) -> str:
-        """Raises UserError where CUDA is asked for and not there."""
-        there = torch.cuda.is_available()
-        if self.device == "cuda" and not there:
-            raise UserError(
-                "expected a CUDA device for --vectorised.device cuda, found none that PyTorch can "
-                "use; see `nvidia-smi`, or leave the option out"
-            )
-        return "cuda" if there and self.device != "cpu" else "cpu"
 
 
 class VectorisedRun(ReinforcementRun):
@@ -103,11 +91,10 @@ class VectorisedRun(ReinforcementRun):
         envs: VectorEnvs | BatchedEnvs,
     ) -> None:
         """``env`` only evaluates; ``envs`` are learned from."""
-        device = config.torch_device()
-        super().__init__(plan, config, env, folder, lanes=config.environments, device=device)
+        super().__init__(plan, config, env, folder, lanes=config.environments)
         self.envs = envs
         if config.compile:
-            mode = "reduce-overhead" if device == "cuda" else "default"
+            mode = "reduce-overhead" if config.torch_device() == "cuda" else "default"
             self.learner.agent.encoder.compile(mode=mode)
 
     def advance(self) -> None:
@@ -124,7 +111,7 @@ class VectorisedRun(ReinforcementRun):
             self.envs.receive()  # Whatever happened, no answer may be left in a pipe.
         board = self.envs.board
         last = bool(board["last"].all())
-        discount = 0.0 if last and not config.bootstrap_at_time_limit else config.discount
+        discount = self.discount_of(last)
         for lane in lanes:
             reward, state = float(board["reward"][lane, 0]), board["state"][lane]
             self.buffer.add(actions[lane], reward, discount, state, self.envs.frames(lane))

@@ -89,6 +89,22 @@ def states(task: str, simulation: Any, info: dict[str, Any]) -> Array:
     return np.concatenate([each.cpu().numpy().astype(np.float32) for each in numbers], axis=1)
 
 
+PLACES = {
+    "push-cube": ("obj", "goal_region"),
+    "pull-cube": ("obj", "goal_region"),
+    "pick-cube": ("cube", "goal_site"),
+    "place-sphere": ("obj", "bin"),
+    "poke-cube": ("peg", "cube", "goal_region"),
+}
+"""The simulation's objects and its goal, by task."""
+
+
+def places(task: str, simulation: Any) -> Array:
+    """(3 P,) float32 metres, world frame: where they are now."""
+    found = [position(getattr(simulation, name)) for name in PLACES[task]]
+    return np.concatenate(found).astype(np.float32)
+
+
 def position(thing: Any) -> Array:
     """(3,) float64, metres, world frame, of an actor or a link."""
     return np.asarray(thing.pose.p[0], float)

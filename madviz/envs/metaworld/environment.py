@@ -103,6 +103,7 @@ class MetaWorld(MuJoCoWorld):
             drawn_cameras(CAMERAS, cameras),
             state_dim=24,
             paper_state=(16, 17, 18, 19),
+            state_changes=((16, 8), (17, 9), (18, 10), (19, 11)),
             action_dim=4,
             horizon=HORIZON,
             action_repeat=ACTION_REPEAT,
@@ -148,6 +149,11 @@ class MetaWorld(MuJoCoWorld):
 
     def hand(self) -> Array:
         return np.asarray(self.simulation.tcp_center, np.float32)
+
+    def places(self) -> Array:
+        # Two objects, of which the second may not be there and is then zero, and the goal.
+        parts = [self.observation[4:7], self.observation[11:14], self.observation[36:39]]
+        return np.concatenate(parts).astype(np.float32)
 
     def expert(self) -> Array:
         return self._expert.action(self.observation, self._success)

@@ -1,0 +1,103 @@
+"""The options of the light recipe, each with what it changes.
+
+The defaults are what the included policies were trained with. The options below them, that are off,
+were tried beside them; ``results/tried.json`` has the rates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from madviz.agent.networks import NetworkConfig
+from madviz.system.numbers import (
+    Count,
+    CountOrNone,
+    PixelsOrNone,
+    Rate,
+    Share,
+    Threads,
+    Weight,
+    Width,
+)
+from madviz.types import EnvSpec
+
+
+@dataclass(frozen=True)
+class LightConfig:
+    """The options of the light recipe; defaults were chosen by measurement on hammer."""
+
+    rounds: Count = 12
+    """Rounds of recording and updates after the first demonstrations."""
+    demonstrations: Count = 10
+    """Episodes driven by the (perturbed) expert before the first update."""
+    episodes_per_round: Count = 8
+    """Episodes recorded in a round, each driven by the student on one of its trained subsets."""
+    updates_per_round: Count = 300
+    """Gradient steps in a round."""
+    final_rounds: CountOrNone = 0
+    """Rounds of updates alone after those, when all episodes are there."""
+    batch_size: Width = 64
+    """Labelled states in a gradient step; each is encoded once per stream."""
+    recency: Weight = 0.0
+    """How much likelier late states are drawn: the chance of the state at x, from 0 for the first
+    recorded to 1 for the last, grows with x ** recency."""
+    learning_rate: Rate = 1e-3
+    """Adam's at the start; falls linearly over the run, to ``learning_rate_floor`` of it."""
+    learning_rate_floor: Share = 0.0
+    """Share of the learning rate that is left at the end, when the best episodes are there."""
+    alpha: Share = 0.5
+    """Weight of the merged feature; 1 - alpha is shared by the singular subsets."""
+    hidden_dim: Width = 512
+    """Width of the heads' hidden layers."""
+    feature_dim: Width = 50
+    """Numbers that a head's trunk makes of a feature."""
+    standard_state: bool = False
+    """The heads read speeds where the state has none, and every number less its mean in units of
+    its spread in the demonstrations."""
+    position_weight: Weight = 0.0
+    """Weight of the squared errors of one more head, in training alone, that tells from what the
+    actor reads where objects and goal are, in spreads of each coordinate."""
+    gripper_loss: Literal["square", "cross-entropy"] = "square"
+    """Of the last action number: how far it is off, or how unlikely it makes the expert's choice
+    between open and closed."""
+    shift: PixelsOrNone = 4
+    """Pixels of random shift."""
+    average: Share = 0.998
+    """Decay of the exponential average of the weights that acts and is shipped."""
+    expert_share: Share = 0.5
+    """Probability that the expert drives a step in the first round; decays by ``share_decay``."""
+    share_decay: Share = 0.8
+    """Factor on ``expert_share`` from round to round."""
+    noise_share: Share = 0.2
+    """Probability that an action is replaced by a random one while recording."""
+    noise_spread: Share = 0.0
+    """Spread of a noise that is added to every action while recording and changes slowly."""
+    noise_decay: Share = 1.0
+    """Factor on both noises from round to round. Below 1 the last rounds show where the student
+    goes by itself, which is what a task needs whose end few episodes reach under noise."""
+    critic_updates: CountOrNone = 1500
+    """Gradient steps of the critic at the end."""
+    workers: Threads = 1
+    """Recording processes."""
+    bottleneck_dim: Width = 64
+    """VIB alone: numbers in the Gaussian of a third-person view (the paper has 3136)."""
+    kl_weight: Weight = 0.01
+    """VIB alone: weight of the bottleneck's cost, a mean over its numbers."""
+
+    @property
+    def all_rounds(self) -> int:
+        """Rounds of updates."""
+        return self.rounds + self.final_rounds
+
+    def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
+        """Of an agent that reads ``state_columns`` of the state, or all of it if empty."""
+        return NetworkConfig(
+            env.state_dim,
+            env.action_dim,
+            feature_dim=self.feature_dim,
+            hidden_dim=self.hidden_dim,
+            bottleneck_dim=self.bottleneck_dim,
+            state_columns=state_columns,
+            state_changes=env.state_changes if self.standard_state and not state_columns else (),
+        )
