@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from madviz.app.server import ExploreConfig as ExploreConfig
     from madviz.app.server import explore as explore
+    from madviz.auditing.audit import audit as audit
     from madviz.envs.custom import allow_task as allow_task
     from madviz.envs.registry import make_env as make_env
     from madviz.errors import UserError as UserError
@@ -32,6 +33,7 @@ __version__ = "0.1.0"
 PUBLIC = {
     "ExploreConfig": "madviz.app.server",
     "allow_task": "madviz.envs.custom",
+    "audit": "madviz.auditing.audit",
     "evaluate": "madviz.evaluation.evaluate",
     "explore": "madviz.app.server",
     "list_policies": "madviz.policies.listing",

@@ -79,6 +79,13 @@ COMMANDS: dict[str, Command] = {
         work="madviz.evaluation.evaluate:run_eval",
         words="madviz.cli:success_table",
     ),
+    "audit": Command(
+        "Does a policy use its cameras? Each one removed and alone, as a page with a verdict.",
+        "audit --policy metaworld-hammer-mad-light --episodes 40 --out audit-hammer",
+        config="madviz.auditing.audit:AuditConfig",
+        work="madviz.auditing.audit:run_audit",
+        words="madviz.auditing.audit:audit_words",
+    ),
     "list": Command(
         "Lists tasks, settings, methods and policies.",
         "list --json list.json",

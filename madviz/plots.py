@@ -61,13 +61,18 @@ STYLES: dict[str, Style] = {
     "attention": Style("#ee93c4", "*"),
     "vit": Style("#8f8600", "h"),
     "q-mean": Style("#7d92e0", "d"),
+    "dropped": Style("#222222", "o"),
+    "black": Style("#a8550f", "s"),
+    "mean-picture": Style("#2f8fc9", "D"),
+    "noise": Style("#b03a8c", "^"),
+    "frozen": Style("#5c9a3a", "v"),
     "all": Style("#222222", "o"),
     "first": Style("#c98500", "^"),
     "third_a": Style("#2f8fc9", "s"),
     "third_b": Style("#cc79a7", "D"),
 }
-"""By method, and for the subsets of three cameras, which never share a figure's legend with a
-method; a camera has the colour that it has on the page."""
+"""By method; by what happens to a camera; and for the subsets of three cameras. Those three never
+share a figure's legend. A camera has the colour that it has on the page."""
 SAME = {"sum": "merged-only"}
 """Other names of a method."""
 SPARE = (
@@ -140,15 +145,16 @@ def dots(
     groups: Sequence[str],
     series: Mapping[str, Sequence[Bar | None]],
     marks: Collection[float] = (),
+    signed: bool = False,
 ) -> str:
     """SVG text as of ``bars``, with the rates from left to right and a group in each line; the
-    rates of ``marks`` are drawn as dashed lines."""
+    rates of ``marks`` are drawn as dashed lines. ``signed``: differences from -1 to 1."""
     size = max(20, 9 * len(series) + 8)
     left = 30 + 6.2 * max(map(len, groups), default=0)
     with _style(title):
         figure = _figure(_width(left + 430, title, series), 70 + size * len(groups))
         axes, step = figure.subplots(), 0.8 / len(series)
-        _rate_axis(axes, "x")
+        _rate_axis(axes, "x", -1 if signed else 0)
         axes.set_ylim(len(groups) - 0.5, -0.5)
         axes.set_yticks(range(len(groups)), groups)
         for place in range(0, len(groups), 2):
@@ -329,9 +335,10 @@ def _marker(style: Style) -> dict[str, Any]:
     }
 
 
-def _rate_axis(axes: Axes, which: Literal["x", "y"] = "y") -> None:
-    """The grid of success rates."""
-    axes.set(**{f"{which}lim": (0, 1), f"{which}ticks": [tenth / 10 for tenth in range(0, 11, 2)]})
+def _rate_axis(axes: Axes, which: Literal["x", "y"] = "y", low: int = 0) -> None:
+    """The grid of success rates, or of differences where ``low`` is -1."""
+    ticks = [tenth / 10 for tenth in range(10 * low, 11, 2)]
+    axes.set(**{f"{which}lim": (low, 1), f"{which}ticks": ticks})
     axes.grid(axis=which, clip_on=False)
 
 

@@ -179,8 +179,8 @@ def test_without_a_command_the_usage_is_an_error() -> None:
 def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["wurst"]) == 2
     assert capsys.readouterr().err == (
-        "madviz: unknown command 'wurst'; known: bench, compare, displace, doctor, eval, explore, "
-        "list, record, replay, report, soak, sweep, train\n"
+        "madviz: unknown command 'wurst'; known: audit, bench, compare, displace, doctor, eval, "
+        "explore, list, record, replay, report, soak, sweep, train\n"
     )
     assert cli.main(["bench", "wurst"]) == 2
     assert "known: buffer, crowd, evaluate, live, render, update" in capsys.readouterr().err

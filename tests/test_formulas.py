@@ -71,9 +71,9 @@ def test_newcombe_agrees_with_the_paper_written_down_once_more(confidence):
     z = float(norm.isf((1 - confidence) / 2))
     counts = np.random.default_rng(1).multinomial(60, (0.5, 0.2, 0.1, 0.2), 100)
     counts = np.vstack([counts, [[60, 0, 0, 0], [0, 60, 0, 0], [0, 0, 0, 60], [30, 30, 0, 0]]])
-    low, high = newcombe(*counts.T, confidence)
-    for row, *found in zip(counts, low, high, strict=True):
-        expected = np.clip(newcombe_by_hand(*map(int, row), z), -1, 1)
+    low, high = newcombe(counts[:, 0], counts[:, 1], counts[:, 2], counts[:, 3], confidence)
+    for (both, first, second, neither), *found in zip(counts, low, high, strict=True):
+        expected = np.clip(newcombe_by_hand(both, first, second, neither, z), -1, 1)
         assert found == pytest.approx(list(expected), abs=1e-9)
     assert [float(end) for end in newcombe(0, 0, 0, 0)] == [-1.0, 1.0]
 

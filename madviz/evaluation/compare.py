@@ -9,7 +9,7 @@ scene says nothing about which is better. With 100 scenes, 12 of which only A so
 are refused: the difference could come from easier scenes. Several policies are each
 compared with the first. The figure shows every method with its trainings: bars are means, dots are
 trainings; with ``--curves``, success against environment steps where the recipe measured it on the
-way.
+way. With ``--conditions``, conditions of one policy are compared instead (``conditions.py``).
 """
 
 from __future__ import annotations
@@ -23,12 +23,15 @@ from typing import Any
 
 from madviz import plots
 from madviz.errors import UserError
+from madviz.evaluation.conditions import compare_conditions, conditions_table
+from madviz.evaluation.episodes import FIRST_SEED
 from madviz.evaluation.evidence import Evidence, Outcomes, alike, readable
 from madviz.evaluation.statistics import Interval, pair, wilson
 from madviz.evaluation.store import ResultKey, Store
 from madviz.policies import checkpoint
 from madviz.policies.listing import BrokenRow
 from madviz.system.files import write_bytes, written_to
+from madviz.system.numbers import Count, Seed, ThreadsOrNone
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class CompareConfig:
     """Compares policies with the first one, on the seeds they all met."""
 
     policies: tuple[checkpoint.PolicyName, ...]
-    """Two or more names of policies, or their folders."""
+    """Two or more names of policies, or their folders; with ``--conditions``, one policy."""
     subset: tuple[str, ...] = ()
     """For example ``all first``; by default every subset that all of them were measured on."""
     store: str | None = None
@@ -45,6 +48,15 @@ class CompareConfig:
     """Write success by method and subset to this SVG file."""
     curves: Path | None = None
     """Write success against environment steps to this SVG file; recipe ``paper`` measures it."""
+    conditions: tuple[str, ...] = ()
+    """Compare conditions of one policy, for example ``all black:third_a late:first``: subsets of
+    cameras, and failures of whole episodes. They are played now, with the three options below."""
+    episodes: Count = 50
+    """Episodes of each condition."""
+    seed: Seed = FIRST_SEED
+    """The first episode's seed; the same for every condition."""
+    workers: ThreadsOrNone | None = None
+    """Processes; by default one per core. 0 runs everything in this one."""
     json: str | None = None
     """Where to write the result; - is standard output."""
 
@@ -52,6 +64,8 @@ class CompareConfig:
 def run_compare(config: CompareConfig) -> dict[str, Any]:
     """``madviz compare``. A policy whose files are broken is named and left out, unless it is the
     first. Raises UserError for policies that cannot be compared."""
+    if config.conditions:
+        return _conditions(config)
     if len(config.policies) < 2:
         raise UserError(f"expected two or more policies, found {len(config.policies)}")
     for option, file in (("--figure", config.figure), ("--curves", config.curves)):
@@ -93,6 +107,21 @@ def run_compare(config: CompareConfig) -> dict[str, Any]:
         ],
         "broken": broken,
     }
+
+
+def _conditions(config: CompareConfig) -> dict[str, Any]:
+    if len(config.policies) != 1:
+        raise UserError(f"expected one policy with --conditions, found {len(config.policies)}")
+    for name in ("subset", "store", "figure", "curves"):
+        if getattr(config, name):
+            raise UserError(f"--{name} is about policies; leave it out, or --conditions")
+    return compare_conditions(
+        config.policies[0],
+        config.conditions,
+        episodes=config.episodes,
+        seed=config.seed,
+        workers=config.workers,
+    )
 
 
 def _words(each: BrokenRow) -> str:
@@ -252,6 +281,8 @@ def _curve(evidence: Evidence) -> dict[float, dict[str, float]]:
 
 def comparison_table(result: dict[str, Any]) -> str:
     """A comparison as lines."""
+    if "conditions" in result:
+        return conditions_table(result)
     lines = [f"{result['task']}: success {result['definition']}"]
     for each in result["comparisons"]:
         lines.append(f"{each['first']} minus {each['second']}, paired by seed")

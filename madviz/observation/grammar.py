@@ -13,19 +13,26 @@ page.
                             and its height follow, as shares of the picture
 
 An older spelling, ``first=noise,strength=0.5``, is still read, with a line that names the new one.
+
+A *condition*, for a comparison, is a subset of cameras or a failure for the whole episode, or
+several of those with commas: ``all``, ``first+third_b``, ``black:third_a``, ``late:first``,
+``noise:all:0.5``, ``off:first,black:third_a``. What comes before the colon are the words of the
+page, too: lossy, late, frozen.
 """
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
 from madviz.errors import UserError, unknown
 from madviz.observation.ablation import PLACE, Occlusion, OcclusionKind, by_sides
 
+SAME = {"dropped": "off", "frozen": "freeze", "lossy": "dropout", "late": "delay"}
+"""The page's words."""
 DROPPED = "off"
 """What ``third_a@20`` means when spelled out: ``third_a=off@20``."""
 HOW = "camera@step, camera@from-to or camera=black@step, for example third_b=noise:0.5@10-30"
@@ -68,9 +75,10 @@ def parse_failure(word: str) -> CameraFailure:
 def parse_what(what: str) -> Occlusion | None:
     """``off`` (None), ``kind``, ``kind:strength`` or, of a patch,
     ``kind:strength:x:y:width:height``. Raises UserError."""
-    if what == DROPPED:
-        return None
     kind, *numbers = what.split(":")
+    kind = SAME.get(kind, kind)
+    if kind == DROPPED and not numbers:
+        return None
     known = [name for name in get_args(OcclusionKind) if name != "none"]
     if kind not in known:
         raise unknown("failure", kind, [DROPPED, *known])
@@ -106,6 +114,47 @@ def parse_occlusions(words: Iterable[str]) -> dict[str, Occlusion]:
             )
         found[failure.camera] = failure.occlusion
     return found
+
+
+@dataclass(frozen=True)
+class CameraCondition:
+    """What a policy is given in whole episodes: streams, and cameras that are occluded."""
+
+    subset: str
+    """In the language of ``subsets.py``."""
+    occlusions: dict[str, Occlusion]
+
+
+def parse_condition(word: str, cameras: Sequence[str]) -> CameraCondition:
+    """``all``, ``first+third_b``, ``black:third_a`` and the other forms of the module. Raises
+    UserError, also for a subset beside a dropped camera."""
+    subsets, dropped, occlusions = [], [], {}
+    for part in word.split(","):
+        if "=" in part or ":" not in part:
+            what, _, strength = part.partition("=")[2].partition(":")
+            name = part.partition("=")[0]
+        else:
+            what, _, rest = part.partition(":")
+            name, _, strength = rest.partition(":")
+        if not what:
+            subsets.append(part)
+            continue
+        occlusion = parse_what(f"{what}:{strength}" if strength else what)
+        if name not in (*cameras, "all"):
+            raise unknown(f"camera in the condition {word!r:.60}:", name, [*cameras, "all"])
+        for camera in cameras if name == "all" else (name,):
+            if camera in dropped or camera in occlusions:
+                raise UserError(f"expected {camera!r} once in a condition, found {word!r:.60}")
+            if occlusion is None:
+                dropped.append(camera)
+            else:
+                occlusions[camera] = occlusion
+    if len(subsets) + bool(dropped) > 1:
+        raise UserError(
+            f"expected one subset of cameras, found {word!r:.60}; write those that are present"
+        )
+    present = "+".join(camera for camera in cameras if camera not in dropped) or "none"
+    return CameraCondition(subsets[0] if subsets else present if dropped else "all", occlusions)
 
 
 def failure_text(camera: str, occlusion: Occlusion | None, begin: int | None = None) -> str:

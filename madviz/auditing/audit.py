@@ -1,0 +1,208 @@
+"""``madviz audit --policy P``: does a policy use its cameras?
+
+    madviz audit --policy metaworld-hammer-mad-light --out audit-hammer
+
+plays the same scenes with every camera removed and alone, and with none, and writes audit.html,
+audit.json and audit.md. Every episode is kept in episodes.sqlite of that folder as it finishes, so
+that an audit which was stopped goes on where it was, with the same command.
+"""
+
+from __future__ import annotations
+
+import shlex
+import signal
+import sys
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from madviz.auditing.conditions import HOWS, INTACT, Cameras, How, Played
+from madviz.auditing.page import html, markdown
+from madviz.auditing.plan import AuditPlan
+from madviz.auditing.result import AuditFile, result
+from madviz.auditing.words import in_words, plan_words, planned
+from madviz.envs.registry import TaskName
+from madviz.errors import Interrupted, UserError, saving
+from madviz.evaluation.episodes import FIRST_SEED, Job, Runner, claimed_definition
+from madviz.evaluation.evaluate import adopted, run_anywhere
+from madviz.evaluation.store import MEMORY, Store
+from madviz.policies import checkpoint
+from madviz.policies.config import definition_of
+from madviz.system.files import read_json, write_bytes, write_json, written_to
+from madviz.system.numbers import Count, Seed, ThreadsOrNone
+from madviz.types import Policy
+
+EPISODES = "episodes.sqlite"
+FILES = ("audit.html", "audit.json", "audit.md")
+
+
+@dataclass(frozen=True)
+class AuditConfig:
+    """Finds out which of its cameras a policy uses, and writes a page about it."""
+
+    policy: checkpoint.PolicyName
+    """A name from ``madviz list``, a folder, or module:factory."""
+    out: Path
+    """The folder for audit.html, audit.json, audit.md and the episodes; one for each audit."""
+    task: TaskName | None = None
+    """The task that the policy must be for; by default its own."""
+    episodes: Count = 100
+    """Episodes of each condition, at most: the audit stops early when all is decided."""
+    seed: Seed = FIRST_SEED
+    """The first episode's seed; the others count up, the same for every condition."""
+    how: tuple[How, ...] = HOWS
+    """The ways in which cameras are away; fewer take less time. Verdicts rest on ``dropped``, or on
+    ``mean`` where the policy cannot drop a camera: what they need is always played."""
+    workers: ThreadsOrNone | None = None
+    """Processes; by default one per core. 0 runs everything in this one."""
+    json: str | None = None
+    """Where to write the result, too; - is standard output."""
+
+
+def audit(
+    policy: str | Path | Policy,
+    *,
+    episodes: int = 100,
+    seed: int = FIRST_SEED,
+    how: tuple[How, ...] = HOWS,
+    workers: int | None = None,
+    store: Store | None = None,
+    progress: bool = False,
+) -> AuditFile:
+    """Audits ``policy`` on the seeds ``seed`` to ``seed + episodes - 1``, or fewer where all is
+    decided before.
+
+    ``policy`` and ``workers`` as in ``madviz.evaluate``; ``how`` are the ways in which cameras are
+    away. ``store`` answers for episodes that it has
+    seen, and keeps the new ones. ``progress`` says on standard error what is planned and done.
+    """
+    if episodes < 1 or seed < 0:
+        raise UserError(f"expected episodes >= 1 and seed >= 0, found {episodes} and {seed}")
+    here = Runner()
+    reference, loaded = adopted(policy, here)
+    plan = AuditPlan(Cameras(loaded.spec.streams, loaded.supports, how), episodes, seed)
+    if progress:
+        words = plan_words(plan.episodes, plan.detectable)
+        print(f"{len(plan.every)} conditions. {words}", file=sys.stderr)
+    played = Episodes(store or Store(MEMORY), reference, loaded)
+    played.recall(plan)
+    while wanted := plan.wanted(played.outcomes):
+        played.play(wanted, workers, here, progress)
+    try:
+        return result(plan, played.outcomes, played.facts(here))
+    finally:
+        here.close()
+
+
+class Episodes:
+    """What was played of an audit, in memory and in a store."""
+
+    def __init__(self, store: Store, reference: str, policy: Policy) -> None:
+        """Where the policy has no digest, its episodes are kept under ``reference``."""
+        self._store, self._reference, self._policy = store, reference, policy
+        self._spec = replace(policy.spec, digest=policy.spec.digest or f"of {reference}")
+        folder = bool(reference) and checkpoint.is_folder(reference)
+        self._definition = claimed_definition(reference) if folder else ""
+        """Part of the key. Whether a user's own task is still the same cannot be known."""
+        self.outcomes: dict[Played, dict[int, bool]] = {}
+
+    def recall(self, plan: AuditPlan) -> None:
+        """Begins with what the store has."""
+        for played in plan.every:
+            known = self._store.results(self._job(played, 0).key(self._spec, self._definition))
+            self.outcomes[played] = {seed: one.success for seed, one in known.items()}
+
+    def play(
+        self, wanted: list[tuple[Played, int]], workers: int | None, here: Runner, progress: bool
+    ) -> None:
+        """Plays the episodes ``wanted``, and keeps each as it finishes."""
+        jobs = {self._job(played, seed): (played, seed) for played, seed in wanted}
+        for job, (one, _) in run_anywhere(list(jobs), workers, here, progress):
+            played, seed = jobs[job]
+            self._store.put(job.key(self._spec, self._definition), one)
+            self.outcomes[played][seed] = one.success
+
+    def facts(self, here: Runner) -> dict[str, Any]:
+        """What ``result`` says of the policy; an environment knows what a success is."""
+        spec = self._policy.spec
+        env, _ = here.opened(self._job(INTACT, 0))
+        return {
+            "policy": spec.name,
+            "task": spec.task,
+            "digest": spec.digest,
+            "definition": definition_of(env.spec),
+            "labels": {camera.name: camera.label for camera in env.spec.cameras},
+        }
+
+    def _job(self, played: Played, seed: int) -> Job:
+        digest = self._policy.spec.digest
+        return Job(self._reference, digest, played.subset, played.occlusions, seed)
+
+
+# --- The command ----------------------------------------------------------------------------
+
+
+def run_audit(config: AuditConfig) -> AuditFile:
+    """``madviz audit``; progress goes to standard error. Raises Interrupted at Ctrl-C, and
+    UserError for a policy of another task and a folder with another audit."""
+    policy = checkpoint.load_policy(config.policy)
+    if config.task not in (None, policy.spec.task):
+        raise UserError(
+            f"expected a policy for {config.task}, found {policy.spec.name!r} for "
+            f"{policy.spec.task}; leave --task out, or name another policy"
+        )
+    _check_folder(config.out, policy)
+    with closing(Store(config.out / EPISODES)) as store:
+        try:
+            found = audit(
+                config.policy,
+                episodes=config.episodes,
+                seed=config.seed,
+                how=config.how,
+                workers=config.workers,
+                store=store,
+                progress=True,
+            )
+        except KeyboardInterrupt as stopped:
+            raise Interrupted(command(config), signal.SIGINT) from stopped
+    with saving(found, f"--out {config.out}"):
+        write_json(config.out / "audit.json", found)
+        write_bytes(config.out / "audit.md", markdown(found, command(config)).encode())
+        write_bytes(config.out / "audit.html", html(found, command(config)).encode())
+    return found
+
+
+def _check_folder(out: Path, policy: Policy) -> None:
+    """Makes the folder. Raises UserError where it holds another policy's audit."""
+    if not out.exists():
+        written_to(out, "--out")
+        out.mkdir()
+    if not out.is_dir():
+        raise UserError(f"--out {out}: expected a folder, found a file; choose another name")
+    for name in (*FILES, EPISODES):
+        written_to(out / name, "--out")
+    if (out / "audit.json").is_file():
+        before = read_json(out / "audit.json")
+        name = before.get("policy") if isinstance(before, dict) else None
+        if name != policy.spec.name:
+            raise UserError(
+                f"--out {out}: expected a folder of its own for the audit of {policy.spec.name!r}, "
+                f"found one of {name!r:.100}; choose another"
+            )
+
+
+def command(config: AuditConfig) -> str:
+    """The command line that makes the audit again."""
+    words = ["madviz", "audit", "--policy", config.policy]
+    if config.task is not None:
+        words += ["--task", config.task]
+    words += ["--episodes", str(config.episodes), "--seed", str(config.seed)]
+    if config.how != HOWS:
+        words += ["--how", *config.how]
+    return shlex.join([*words, "--out", str(config.out)])
+
+
+def audit_words(found: AuditFile) -> str:
+    """What the command prints."""
+    return "\n".join([*in_words(found), planned(found)])

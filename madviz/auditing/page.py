@@ -1,0 +1,214 @@
+"""audit.html and audit.md: one account of an audit, as a page that needs nothing else and as text.
+
+Both are made from the same blocks. The page loads nothing and runs nothing; a content security
+policy in its head tells the browser so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from madviz import plots
+from madviz.auditing.conditions import HOWS
+from madviz.auditing.result import AuditFile, ConditionRow
+from madviz.auditing.words import HOW_WORDS, MEANING, change, deciding, in_words, planned
+from madviz.evaluation.statistics import SuccessRate
+from madviz.policies.seeds import use_of
+
+HOW_TO_READ = (
+    "Success counts at the last step of an episode. All conditions met the same scenes, so that a "
+    "difference comes from the cameras. Brackets are 95 % intervals: Wilson's for a rate, "
+    "Newcombe's for a paired difference, Agresti and Min's for a Shapley value.",
+    "p is McNemar's, exact, with Holm's correction for the other tests of its kind, and for the "
+    "looks at which the audit could have stopped: 0.05 is the limit. The verdicts together claim a "
+    "significant difference that is not there in at most 5 of 100 audits.",
+    "'Makes no difference' is said only where the whole interval lies within 5 points either way. "
+    "'No use shown' is not the same: more episodes may show one.",
+    "The Shapley value of a camera is the success that it adds, on average over all orders in "
+    "which cameras can come. The values sum to the difference between all cameras and none.",
+    "An audit is about one training of a policy, in simulation, on the scenes of these seeds.",
+)
+
+_STYLE = """
+body{font:15px/1.55 sans-serif;max-width:960px;margin:28px auto;padding:0 18px;color:#222;
+background:#fff}h1{font-size:24px;margin:0 0 10px;overflow-wrap:anywhere}
+h2{font-size:17px;margin:30px 0 8px}
+ul{padding-left:20px;margin:0}li{margin:0 0 5px}ul.words{font-size:17px}
+table{border-collapse:collapse;margin:0 0 8px}.wide{overflow-x:auto}
+td,th{padding:3px 16px 3px 0;text-align:left;white-space:nowrap;
+border-bottom:1px solid #e4e4e4}th{font-weight:600;color:#555}
+code{background:#f1f1f1;padding:2px 5px;overflow-wrap:anywhere}p{margin:0 0 8px}
+svg{max-width:100%;height:auto;display:block;margin-bottom:10px}
+"""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A piece of an account: a heading, lines, a table or a picture."""
+
+    kind: str
+    """``h1``, ``h2``, ``p``, ``words``, ``list``, ``code``, ``table`` or ``svg``."""
+    lines: Sequence[str] = ()
+    """Text; of a table, its heads."""
+    rows: Sequence[Sequence[str]] = ()
+
+
+def account(found: AuditFile, command: str) -> list[Block]:
+    """All blocks; ``command`` makes the audit again."""
+    return [
+        Block("h1", [f"Does {found['policy']} use its cameras?"]),
+        Block("words", in_words(found)),
+        Block("p", [planned(found)]),
+        Block("h2", ["Verdicts"]),
+        Block("table", VERDICT_HEADS, _verdict_rows(found)),
+        Block("list", [f"{name}: {meaning}." for name, meaning in MEANING.items()]),
+        Block("h2", ["Success by condition"]),
+        Block("svg", [rates_picture(found)]),
+        *_shapley(found),
+        Block("h2", ["Every condition"]),
+        Block("table", CONDITION_HEADS, [_condition_row(found, r) for r in found["conditions"]]),
+        Block("h2", ["How to read this"]),
+        Block("list", HOW_TO_READ),
+        Block("h2", ["What was measured"]),
+        Block("table", ("", ""), _facts(found)),
+        Block("h2", ["To make it again"]),
+        Block("code", [command]),
+    ]
+
+
+VERDICT_HEADS = ("camera", "verdict", "without it", "p", "alone", "alone against none", "p")
+CONDITION_HEADS = ("cameras", "how", "success", "against all cameras", "p")
+
+
+def _verdict_rows(found: AuditFile) -> list[list[str]]:
+    rows = []
+    for name, verdict in found["verdict"].items():
+        removed, alone = deciding(found, name, "removed"), deciding(found, name, "alone")
+        above = alone.get("above_none")
+        rows.append(
+            [
+                found["labels"][name],
+                verdict,
+                change(removed),
+                f"{removed['p_holm']:.2g}",
+                str(_rate(alone)),
+                change(above) if above else "",
+                f"{above['p_holm']:.2g}" if above else "",
+            ]
+        )
+    return rows
+
+
+def _condition_row(found: AuditFile, row: ConditionRow) -> list[str]:
+    label, how = condition_label(found, row), HOW_WORDS[row["how"]]
+    return [label, how, str(_rate(row)), change(row), f"{row['p_holm']:.2g}"]
+
+
+def condition_label(found: AuditFile, row: ConditionRow) -> str:
+    """``First person removed``, ``no camera``."""
+    if row["camera"] is None:
+        return "no camera"
+    return f"{found['labels'][row['camera']]} {row['what']}"
+
+
+def _rate(row: ConditionRow) -> SuccessRate:
+    n = row["n"]
+    return SuccessRate.of(round(row["success"] * n), n)
+
+
+def _shapley(found: AuditFile) -> list[Block]:
+    if not found["shapley"]:
+        return []
+    labels = [found["labels"][name] for name in found["shapley"]]
+    bars = [
+        plots.Bar(row["value"], row["ci95"][0], row["ci95"][1]) for row in found["shapley"].values()
+    ]
+    away = "cameras are dropped" if found["shapley_how"] == "dropped" else "cameras send the mean"
+    title = f"Shapley values: what a camera adds to success ({away})"
+    return [Block("svg", [plots.dots(title, labels, {found["shapley_how"]: bars}, signed=True)])]
+
+
+def rates_picture(found: AuditFile) -> str:
+    """SVG: a line for every camera removed and alone and for none, a dot for every way."""
+    labels = list(dict.fromkeys(condition_label(found, row) for row in found["conditions"]))
+    series: dict[str, list[plots.Bar | None]] = {}
+    for how in HOWS:
+        rows = {condition_label(found, r): r for r in found["conditions"] if r["how"] == how}
+        if rows:
+            words = HOW_WORDS[how].removeprefix("the ")
+            series[words] = [_bar(rows[label]) if label in rows else None for label in labels]
+    intact = found["intact"]["success"]
+    title = f"{found['policy']}: success; the dashed line is all cameras"
+    return plots.dots(title, labels, series, marks=(intact,))
+
+
+def _bar(row: ConditionRow) -> plots.Bar:
+    rate = _rate(row)
+    return plots.Bar(rate.value, *rate.interval)
+
+
+def _facts(found: AuditFile) -> list[tuple[str, str]]:
+    n, seed = found["intact"]["n"], found["seed"]
+    used = range(seed, seed + n)
+    return [
+        ("policy", found["policy"]),
+        ("digest", found["digest"] or "none"),
+        ("task", found["task"]),
+        ("a success is", found["definition"]),
+        ("seeds", f"{used[0]} to {used[-1]} ({use_of(used)})"),
+        ("looks", ", ".join(map(str, found["looks"])) + " episodes"),
+    ]
+
+
+def markdown(found: AuditFile, command: str) -> str:
+    """audit.md: the account without its pictures."""
+    return "\n\n".join(filter(None, map(_as_markdown, account(found, command)))) + "\n"
+
+
+def _as_markdown(block: Block) -> str:
+    if block.kind == "table":
+        heads = [list(block.lines), ["---"] * len(block.lines)]
+        lines = [*heads, *block.rows]
+        return "\n".join(
+            "| " + " | ".join(c.replace("|", "/") for c in line) + " |" for line in lines
+        )
+    if block.kind in ("words", "list"):
+        return "\n".join(f"- {line}" for line in block.lines)
+    text = " ".join(block.lines)
+    marks = {"h1": "# {}", "h2": "## {}", "code": "```sh\n{}\n```", "svg": ""}
+    return marks.get(block.kind, "{}").format(text)
+
+
+def html(found: AuditFile, command: str) -> str:
+    """audit.html."""
+    blocks = account(found, command)
+    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+        '<meta name="viewport" content="width=device-width">'
+        f"<title>{escape(blocks[0].lines[0])}</title><style>{_STYLE}</style></head>"
+        f"<body>{''.join(map(_as_html, blocks))}</body></html>\n"
+    )
+
+
+def _as_html(block: Block) -> str:
+    if block.kind == "svg":
+        return block.lines[0]
+    if block.kind == "table":
+        heads = "".join(f"<th>{escape(head)}</th>" for head in block.lines)
+        head = f"<tr>{heads}</tr>" if any(block.lines) else ""
+        rows = "".join(
+            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
+            for row in block.rows
+        )
+        return f'<div class="wide"><table>{head}{rows}</table></div>'
+    if block.kind in ("words", "list"):
+        items = "".join(f"<li>{escape(line)}</li>" for line in block.lines)
+        return f'<ul class="{block.kind}">{items}</ul>'
+    text = escape(" ".join(block.lines))
+    if block.kind == "code":
+        return f"<p><code>{text}</code></p>"
+    return f"<{block.kind}>{text}</{block.kind}>"

@@ -1,0 +1,147 @@
+"""An audit in plain words: what a reader should know before any number."""
+
+from __future__ import annotations
+
+import math
+
+from madviz.auditing.result import AuditFile, ConditionRow, DifferenceRow
+from madviz.auditing.rule import LEVEL, MARGIN
+from madviz.evaluation.statistics import SuccessRate
+
+HOW_WORDS = {
+    "dropped": "dropped",
+    "black": "black",
+    "mean": "the mean picture",
+    "noise": "noise",
+    "frozen": "frozen",
+}
+"""What a camera is then, or sends."""
+MEANING = {
+    "needed": "success falls significantly without it, by half of what it was or more",
+    "used": "success falls significantly without it, by less than half",
+    "redundant": "no significant fall without it, but alone it is significantly better than no "
+    "camera",
+    "no use shown": "no significant fall without it, and alone not significantly better than no "
+    "camera",
+}
+FAILS = 0.5
+"""A policy below this with all cameras is no evidence about its cameras."""
+
+
+def in_words(found: AuditFile) -> list[str]:
+    """One sentence or two for the policy, for each camera, and for what is not the same as
+    dropping."""
+    lines = [_intact(found)]
+    lines += [_camera(found, name) for name in found["verdict"]]
+    lines += _occluded(found)
+    if any("mean" in how.values() for how in found["decided_by"].values()):
+        lines.append(
+            "This policy cannot leave out every camera. Where it cannot, the verdict comes from "
+            "the mean picture: the camera sends what it sees on average."
+        )
+    return lines
+
+
+def planned(found: AuditFile) -> str:
+    """What was to be seen, and how many episodes it took."""
+    return plan_words(found["episodes"], found["detectable"], found["intact"]["n"])
+
+
+def plan_words(episodes: int, smallest: float | None, played: int | None = None) -> str:
+    """The plan in words; ``smallest`` is the change that is found 8 times in 10, ``played`` what an
+    audit that is done has taken."""
+    seen = (
+        "no change of success can be shown with so few: plan more"
+        if smallest is None or math.isnan(smallest)
+        else f"a change of {points(smallest)} or more is found 8 times in 10"
+    )
+    stop = "" if played in (None, episodes) else f" It stopped after {played}: all was decided."
+    return f"Planned: {episodes} episodes of each condition; {seen}.{stop}"
+
+
+def points(share: float, sign: bool = False) -> str:
+    """0.83 as ``83 points``."""
+    number = round(100 * share)
+    said = f"{number:+d}" if sign and number else f"{number}"
+    return f"{said} point{'' if abs(number) == 1 else 's'}"
+
+
+def change(row: ConditionRow | DifferenceRow) -> str:
+    """``-83 points [-90, -74]``."""
+    low, high = (round(100 * end) for end in row["ci95"])
+    return f"{points(row['difference'], sign=True)} [{low:+d}, {high:+d}]"
+
+
+def makes_no_difference(row: ConditionRow | DifferenceRow) -> bool:
+    """Whether the whole interval lies within the margin."""
+    return -MARGIN <= row["ci95"][0] and row["ci95"][1] <= MARGIN
+
+
+def deciding(found: AuditFile, camera: str, what: str) -> ConditionRow:
+    """The row that the verdict on ``camera`` rests on."""
+    how = found["decided_by"][camera][what]
+    return next(
+        row
+        for row in found["conditions"]
+        if (row["camera"], row["what"], row["how"]) == (camera, what, how)
+    )
+
+
+def _intact(found: AuditFile) -> str:
+    row = found["intact"]
+    low, high = row["ci95"]
+    rate = SuccessRate(row["success"], (low, high), row["n"])
+    said = f"With all cameras, success is {rate}."
+    if row["success"] < FAILS:
+        said += (
+            " A policy that fails so often is no evidence about cameras: what follows says little."
+        )
+    return said
+
+
+def _camera(found: AuditFile, name: str) -> str:
+    label, verdict = found["labels"][name], found["verdict"][name]
+    removed, alone = deciding(found, name, "removed"), deciding(found, name, "alone")
+    without = f"without it success changes by {change(removed)}"
+    if makes_no_difference(removed):
+        without += ", so that makes no difference"
+    if verdict in ("needed", "used"):
+        return f"{label} is {verdict}: {without}."
+    if verdict == "redundant":
+        return f"{label} is redundant: {without}; alone it has {alone['success']:.2f}."
+    above = alone.get("above_none")
+    against = "" if above is None else f", {change(above)} against no camera at all"
+    said = f"{label}: no use shown. W{without[1:]}; alone it has {alone['success']:.2f}{against}."
+    if removed["p_holm"] <= LEVEL and removed["difference"] > 0:
+        said += " The policy is better without it."
+    return said
+
+
+def _occluded(found: AuditFile) -> list[str]:
+    """For each way to occlude, the camera at which it differs most from dropping, if it does."""
+    lines = []
+    for how in dict.fromkeys(row["how"] for row in found["occluded"]):
+        rows = [row for row in found["occluded"] if row["how"] == how and row["p_holm"] <= LEVEL]
+        if rows:
+            worst = max(rows, key=lambda row: abs(row["difference"]))
+            rates = {
+                row["how"]: row["success"]
+                for row in found["conditions"]
+                if (row["camera"], row["what"]) == (worst["camera"], "removed")
+            }
+            subject = HOW_WORDS[how].capitalize()
+            lines.append(
+                f"{subject} is not dropped: with {found['labels'][worst['camera']]} "
+                f"{_predicate(how)}, success is {rates[how]:.2f}; with it dropped, "
+                f"{rates['dropped']:.2f}."
+            )
+    return lines
+
+
+def _predicate(how: str) -> str:
+    return {
+        "black": "black",
+        "mean": "sending its mean picture",
+        "noise": "sending noise",
+        "frozen": "frozen from the start",
+    }[how]
