@@ -5,7 +5,8 @@ The first word picks a line of ``COMMANDS``, and only then are its modules impor
 works on it, and what that returns is handed over.
 
     exit code 0 only for success; 1 something failed (doctor: something needed is missing);
-    2 the user's own mistake, in one line and without a traceback; 130 Ctrl-C; 143 SIGTERM
+    2 the user's own mistake, in one line and without a traceback; 130 Ctrl-C; 143 SIGTERM. A
+    reader of standard output who leaves (``| head -1``) changes none of them
     --json FILE writes the result as JSON; --json - prints it, and then nothing else goes to
     standard output: whatever the work prints meanwhile, worker processes included, goes to stderr
 """
@@ -23,10 +24,12 @@ from pathlib import Path
 from typing import Any
 
 from madviz import __version__
-from madviz.errors import Interrupted, NotWritten, UserError, saving, unknown
+from madviz.errors import Interrupted, NotWritten, UserError, saving, signal_of, unknown
 from madviz.evaluation.statistics import SuccessRate
 from madviz.system.command_line import completion, read
 from madviz.system.files import pretty, write_json, written_to
+from madviz.system.signals import terminable
+from madviz.system.streams import open_standard_streams, say, telling
 
 
 @dataclass(frozen=True)
@@ -212,24 +215,26 @@ GROUPS = {"bench": "Measures speed: bench render, live, crowd, update, buffer, e
 
 def main(words: Sequence[str] | None = None) -> int:
     """Runs one command; the exit code."""
+    open_standard_streams()
     if sys.platform == "linux":
         # MuJoCo reads this while it is imported, and its own default needs a display.
         os.environ.setdefault("MUJOCO_GL", "egl")
     try:
-        return run(sys.argv[1:] if words is None else words)
+        with terminable():
+            return run(sys.argv[1:] if words is None else words)
     except UserError as error:
-        print(f"madviz: {error}", file=sys.stderr)
+        say(f"madviz: {error}")
         return 2
     except Interrupted as stopped:
-        print(f"madviz: stopped; resume with: {stopped}", file=sys.stderr)
+        say(f"madviz: stopped; {stopped}")
         return stopped.exit_code
-    except KeyboardInterrupt:
-        print("madviz: stopped", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as stopped:
+        say("madviz: stopped")
+        return 128 + signal_of(stopped)
     except OSError as error:
         if error.filename is None:
             raise
-        print(f"madviz: {error.filename!s:.200}: {error.strerror}", file=sys.stderr)
+        say(f"madviz: {error.filename!s:.200}: {error.strerror}")
         return 2
 
 
@@ -238,13 +243,19 @@ def run(words: Sequence[str], group: str = "") -> int:
     UserError for an unknown one."""
     first, rest = (words[0], words[1:]) if words else ("", ())
     if first in ("", "-h", "--help"):
-        print(usage(group), file=sys.stdout if first else sys.stderr)
-        return 0 if first else 2
+        if not first:
+            say(usage(group))
+            return 2
+        with telling():
+            print(usage(group))
+        return 0
     if first == "--version" and not group:
-        print(f"madviz {__version__}")
+        with telling():
+            print(f"madviz {__version__}")
         return 0
     if first == "--completion" and not group:
-        print(script_of(rest[0] if rest else ""))
+        with telling():
+            print(script_of(rest[0] if rest else ""))
         return 0
     if first not in summaries(group):
         raise unknown("benchmark" if group else "command", first, list(summaries(group)))
@@ -252,9 +263,12 @@ def run(words: Sequence[str], group: str = "") -> int:
         return run(rest, first)
     name = f"{group} {first}".strip()
     command = COMMANDS[name]
-    config = parse(name, rest)
-    in_words = named(command.words) if command.words else None
-    return 0 if command.ok(deliver(config, named(command.work), in_words)) else 1
+    try:
+        config, work = parse(name, rest), named(command.work)
+        in_words = named(command.words) if command.words else None
+    except KeyboardInterrupt as stopped:
+        raise Interrupted("", signal_of(stopped)) from stopped
+    return 0 if command.ok(deliver(config, work, in_words)) else 1
 
 
 def named(reference: str) -> Any:
@@ -305,22 +319,23 @@ def deliver(
     if place == "-":
         with printing_to_stderr():
             result, unwritten = worked(config, work)
-        sys.stdout.write(pretty(result))
+        with telling():
+            sys.stdout.write(pretty(result))
     else:
         if place is not None:
             written_to(Path(place), "--json")
         result, unwritten = worked(config, work)
-        if in_words is not None:
-            print(in_words(result))
         if place is not None:
             try:
                 with saving(result, f"--json {place}"):
                     write_json(Path(place), result)
             except NotWritten as error:
                 unwritten = unwritten or error
-        if unwritten:
-            sys.stdout.write(pretty(result))
-    sys.stdout.flush()
+        with telling():
+            if in_words is not None:
+                print(in_words(result))
+            if unwritten:
+                sys.stdout.write(pretty(result))
     if unwritten:
         raise unwritten
     return result

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -33,13 +34,24 @@ def saving(result: Any, what: str) -> Iterator[None]:
         ) from error
 
 
+class Terminated(KeyboardInterrupt):
+    """A SIGTERM: whatever stops and tidies up at Ctrl-C does so here, too."""
+
+
 class Interrupted(KeyboardInterrupt):
-    """Work was stopped by a signal and can go on; the message is the command that does so."""
+    """Work was stopped by a signal; the message says how it goes on."""
 
     def __init__(self, command: str, number: int) -> None:
-        """``number``: of the signal."""
-        super().__init__(command)
+        """``command`` goes on with it; '' where it had not begun. ``number``: of the signal."""
+        super().__init__(
+            f"resume with: {command}" if command else "it had not begun, so nothing is lost"
+        )
         self.exit_code = 128 + number
+
+
+def signal_of(stopped: KeyboardInterrupt) -> int:
+    """The number of the signal behind it."""
+    return signal.SIGTERM if isinstance(stopped, Terminated) else signal.SIGINT
 
 
 def unknown(kind: str, found: str, known: list[str]) -> UserError:

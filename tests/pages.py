@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+import threading
 from types import SimpleNamespace
 from typing import Any
 
@@ -65,13 +66,29 @@ def recorded(api: Any) -> Any:
     return Recorded(api)
 
 
+class Wire:
+    """In place of viser's connection of a page: what is sent goes nowhere at once."""
+
+    def __init__(self) -> None:
+        self.buffer = SimpleNamespace(buffer_lock=threading.Lock(), message_from_id={})
+
+    def queue_message(self, message: Any) -> None: ...
+
+    def get_message_buffer(self) -> Any:
+        return self.buffer
+
+
 def browser(server: viser.ViserServer, number: int = 1, **more: Any) -> Any:
     """A client that nobody sees: it draws into the server's own widgets, and keeps its ``notes``
     and what was registered to follow its ``camera``."""
     notes: list[tuple[str, str]] = []
     followers: list[Any] = []
     camera = SimpleNamespace(
-        image_width=1280, image_height=800, position=np.zeros(3), on_update=followers.append
+        image_width=1280,
+        image_height=800,
+        position=np.zeros(3),
+        on_update=lambda callback: followers.append(callback) or callback,
+        _state=SimpleNamespace(camera_cb=followers),
     )
     client = SimpleNamespace(
         client_id=number,
@@ -83,7 +100,7 @@ def browser(server: viser.ViserServer, number: int = 1, **more: Any) -> Any:
         followers=followers,
         notes=notes,
         add_notification=lambda title, body, **_: notes.append((title, body)),
-        _websock_connection=SimpleNamespace(queue_message=lambda message: None),
+        _websock_connection=Wire(),
     )
     vars(client).update(more)
     return client
@@ -93,7 +110,9 @@ def use(handle: Any, value: Any = None, client: Any = None) -> list[tuple[str, s
     """A visitor presses a button, or gives a widget a ``value``. Returns the notes they get."""
     notes: list[tuple[str, str]] = []
     somebody: Any = SimpleNamespace(
-        client_id=1, add_notification=lambda title, body, **_: notes.append((title, body))
+        client_id=1,
+        add_notification=lambda title, body, **_: notes.append((title, body)),
+        _websock_connection=Wire(),
     )
     if value is not None:
         handle._impl.value = value

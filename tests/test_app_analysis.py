@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -318,8 +319,8 @@ def test_arrows_follow_the_visitors_eye(server) -> None:
     client, frame = browser(server), frame_with()
     panel = ArrowsPanel(client, frame, 1.0)
     client.camera.position = np.array([-3.0, 0.0, 1.0])
-    client.followers[0](client.camera)
+    asyncio.run(client.followers[0](client.camera))
     expected = towards(arrows(frame, 1.0)[0], client.camera.position)
     np.testing.assert_allclose(client.scene.find("/arrows").points, expected, atol=1e-6)
     panel.remove()
-    client.followers[0](client.camera)  # A page that was closed is not drawn on.
+    assert client.followers == []  # A page that was closed is not drawn on, nor kept.

@@ -27,6 +27,7 @@ from madviz.session.journal import Journal
 from madviz.session.session import Session
 from madviz.session.session_reader import parse
 from tests.fakes import FakePolicy, policies
+from tests.pages import Wire
 
 CAMERAS = ("first", "third_a", "third_b")
 ENV = make_env("toy/reach").spec
@@ -258,6 +259,7 @@ def test_the_save_panel_hands_out_what_was_played() -> None:
         client = SimpleNamespace(
             send_file_download=lambda name, content, **_: sent.append((name, content)),
             add_notification=lambda *words, **_: sent.append((words[0], b"")),
+            _websock_connection=Wire(),
         )
         panel._download(client, last=True)  # type: ignore[arg-type]
         ((name, content),) = sent

@@ -16,7 +16,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from madviz.app.access import TAKEN, Gate
+from madviz.app.access import Gate
+from madviz.app.connection import TAKEN
 from madviz.app.server import App
 from madviz.bench.visitor import Visitor
 from tests.pages import fake_app
@@ -51,6 +52,8 @@ def sample(hint: Any) -> Any:
         return [sample(each) for each in get_args(hint) if each is not ...]
     if get_origin(hint) is Union:
         return sample(get_args(hint)[0])
+    if get_origin(hint) is dict:
+        return {"value": 1}
     return {float: 0.5, int: 1, bool: True, str: "x", bytes: b"x"}.get(hint)
 
 

@@ -142,3 +142,15 @@ def test_help_has_the_words_and_the_keys():
     assert "| **space** | Play or pause |" in table and table.count("\n") == 3
     for word in ("off", "black", "merged", "Q", "action"):
         assert f"**{word}**" in HELP
+
+
+def test_help_that_is_asked_for_again_takes_the_place_of_the_first() -> None:
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        tour = Tour(browser(server), None, lambda: None, [], [("?", "help")])
+        for _ in range(5):
+            tour.help()
+        assert len(server.gui._modal_handle_from_uuid) == 1
+        tour.remove()
+    finally:
+        server.stop()

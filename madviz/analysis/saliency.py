@@ -103,7 +103,7 @@ class LiveSaliency:
         self._of: tuple[object, bytes]
         """The time step and the mask that the maps belong to."""
         self._done: float
-        self._ready = False
+        self._ready = self._loading = False
         self.forget()
 
     def ask(self, target: Target | None, again: Callable[[], None]) -> None:
@@ -112,11 +112,15 @@ class LiveSaliency:
         if target != self.target:
             self.target = target
             self.forget()
-        if target is not None and not self._ready:
+        if target is not None and not self._ready and not self._loading:
+            self._loading = True
 
             def load() -> None:
-                import_module("captum.attr")
-                self._ready = True
+                try:
+                    import_module("captum.attr")
+                    self._ready = True
+                finally:
+                    self._loading = False
                 again()
 
             threading.Thread(target=load, name="madviz-captum", daemon=True).start()

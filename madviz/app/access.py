@@ -21,10 +21,6 @@ to what a proxy passes on: that has a port of its own, or says so in a header th
 with a websocket. What is left open is a tunnel (``ssh -L``) whose port here has another number than
 there: it looks like a proxy that says nothing.
 
-What a page sends is checked, too. viser takes messages that no page here sends: one asks for a
-public address of this server, one begins an upload of any size, one goes on to all other visitors.
-Only the kinds in ``TAKEN`` reach viser; whoever sends another one is let go.
-
 There are two tokens. The visitors' lets in; where the page serves beyond this machine, it is there
 by default. The presenter's, in presenter mode, also hands over the controls, so a page that is
 loaded again has them again. Both are 128 random bits, compared in constant time: at five tries a
@@ -37,7 +33,6 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
-import logging
 import secrets
 import threading
 import time
@@ -49,44 +44,27 @@ from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, Literal
 from urllib.parse import parse_qsl, urlencode, urlsplit
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakSet
 
-import msgspec.msgpack
 import viser
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
-from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
-from websockets.typing import Data
 
 from madviz.app.browser import read
+from madviz.app.connection import LARGEST, PageConnection, quiet
 from madviz.errors import UserError
 
 Role = Literal["presenter", "visitor"]
 TRIES, WINDOW = 5, 1.0
 """Wrong tokens that one address may send in so many seconds."""
+MOST = 200
+"""Websockets that are open at once, where nothing else is said."""
 MOST_ADDRESSES = 1000
 """Addresses whose tries are remembered."""
 LONGEST_NAME = 200
 """Letters of a file's name in an address; no disk has names of more than 255 bytes."""
-LARGEST = 2**20
-"""Bytes of the longest message a page may send; viser's own 50 MB are for rendered pictures."""
-TAKEN = frozenset(
-    {
-        "ViewerCameraMessage",
-        "GuiUpdateMessage",
-        "CommandTriggerMessage",
-        "SceneNodeClickMessage",
-        "TransformControlsDragStartMessage",
-        "TransformControlsUpdateMessage",
-        "TransformControlsDragEndMessage",
-    }
-)
-"""The kinds of messages that the page sends: where one looks from, widgets, keys, clicks on a
-frustum, and a camera that is moved by its arrows. A page that sends more must add it here."""
-
-log = logging.getLogger(__name__)
 _starting = threading.Lock()
 
 ASKED = "This page needs the token that was printed where it was started."
@@ -96,6 +74,7 @@ RENAMED = (
     "This page is for this machine alone; open it as http://127.0.0.1:{}, or start it with --host."
 )
 TOO_MANY = "Too many wrong tokens from here; wait a second."
+CROWDED = "As many pages as this server holds are open; come back later."
 
 
 def new_token() -> str:
@@ -144,6 +123,9 @@ class Gate:
         self, visit: str | None = None, present: str | None = None, local: bool = False
     ) -> None:
         self.visit, self.present, self.local = visit, present, local
+        self.most = MOST
+        """Websockets that may be open at once."""
+        self._open: WeakSet[ServerConnection] = WeakSet()
         self.tries = Tries()
         self._roles: WeakKeyDictionary[ServerConnection, Role] = WeakKeyDictionary()
 
@@ -162,7 +144,7 @@ class Gate:
         if _is_websocket(request) and _is_foreign(request):
             return _refusal(HTTPStatus.FORBIDDEN, FOREIGN)
         if self.visit is None and self.present is None:
-            return None
+            return self._place(connection, request)
         address = str((connection.remote_address or ("?",))[0])
         asked, carried = _asked(request), _cookie(request, port)
         said = carried if asked is None else asked
@@ -180,7 +162,29 @@ class Gate:
         if role is None:
             return _refusal(HTTPStatus.UNAUTHORIZED, ASKED)
         self._roles[connection] = role
+        return self._place(connection, request)
+
+    def _place(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Each open page takes memory, also one that only waits: so there is a most of them."""
+        if not _is_websocket(request):
+            return None
+        if len(self._open) >= self.most:
+            return _refusal(HTTPStatus.SERVICE_UNAVAILABLE, CROWDED)
+        self._open.add(connection)
         return None
+
+    def _counted(
+        self, handler: Callable[[ServerConnection], Awaitable[None]]
+    ) -> Callable[[ServerConnection], Awaitable[None]]:
+        """``handler``, which gives its place back at its end."""
+
+        async def handle(connection: ServerConnection) -> None:
+            try:
+                await handler(connection)
+            finally:
+                self._open.discard(connection)
+
+        return handle
 
     def presents(self, server: viser.ViserServer, client_id: int) -> bool:
         """Whether a connected browser came with the presenter's token."""
@@ -204,7 +208,7 @@ class Gate:
                 return process_request(connection, request)
 
             options |= {"max_size": LARGEST, "create_connection": PageConnection}
-            return real(quiet(handler), *words, process_request=gated, **options)
+            return real(self._counted(quiet(handler)), *words, process_request=gated, **options)
 
         with _starting:
             setattr(websockets.asyncio.server, "serve", serve)  # noqa: B010
@@ -214,43 +218,6 @@ class Gate:
                 setattr(websockets.asyncio.server, "serve", real)  # noqa: B010
         if not hooked:
             raise UserError("expected viser 1.1 behind the token, found one that starts otherwise")
-
-
-class PageConnection(ServerConnection):
-    """A visitor's websocket, from which viser reads only what a page sends."""
-
-    async def recv(self, decode: bool | None = None) -> Data:  # pyright: ignore[reportIncompatibleMethodOverride]
-        data = await super().recv(decode)
-        check_kind(data)
-        return data
-
-
-def check_kind(data: Data) -> None:
-    """Raises an exception for what is no message, and for one of a kind that no page sends. It is
-    decoded as viser will do it, so that both read the same kind."""
-    if not isinstance(data, bytes):
-        raise TypeError("expected bytes, found text")
-    kind = msgspec.msgpack.decode(data)["type"]
-    if kind not in TAKEN:
-        raise ValueError(f"expected one of {len(TAKEN)} kinds of message, found {kind!r:.60}")
-
-
-def quiet(
-    handler: Callable[[ServerConnection], Awaitable[None]],
-) -> Callable[[ServerConnection], Awaitable[None]]:
-    """``handler``, but a browser that sends what no page sends is let go with one line in the log
-    instead of a traceback."""
-
-    async def handle(connection: ServerConnection) -> None:
-        try:
-            await handler(connection)
-        except ConnectionClosed:
-            return
-        except Exception as error:
-            log.warning("let go of a connection: no page sends such a message (%r)", error)
-            await connection.close(1002, "not a message that a page sends")
-
-    return handle
 
 
 def same(said: str, token: str | None) -> bool:

@@ -23,6 +23,9 @@ Shipped = Callable[[PolicySpec], Mapping[str, Mapping[str, Any]]]
 
 
 NOTHING = SuccessRate.of(0, 0)
+MOST_CONDITIONS = 1000
+"""Conditions whose episodes are kept, those that were seen last: a slider that is dragged makes
+many."""
 
 
 class SuccessRates:
@@ -81,8 +84,12 @@ class SuccessRates:
         with self._lock:
             before = self._live.get(key, {})
             news = not outcomes.items() <= before.items() or self._errors.get(key, "") != error
-            self._live = {**self._live, key: {**before, **outcomes}}
-            self._errors = {**self._errors, key: error}
+            others = {k: v for k, v in self._live.items() if k != key}
+            for oldest in list(others)[: max(0, len(others) + 1 - MOST_CONDITIONS)]:
+                del others[oldest]
+            self._live = {**others, key: {**before, **outcomes}}
+            self._errors = {k: v for k, v in self._errors.items() if k in others}
+            self._errors |= {key: error} if error else {}
         if news:
             for listener in self._listeners:
                 listener()

@@ -13,12 +13,13 @@ import viser
 
 from madviz.app.access import Gate, new_token, stays_here
 from madviz.app.address import Address, check_port, reached_at, with_token
+from madviz.app.connection import guard
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.rates import SuccessRates
 from madviz.app.session_maker import References, SessionMaker
 from madviz.app.toolkit import theme
-from madviz.app.users import Limits, Users
+from madviz.app.users import MOST_WAITING, Limits, Users
 from madviz.app.viser_patches import patch_sender
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import TaskName, check_task
@@ -35,6 +36,7 @@ from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
 from madviz.system.numbers import Count, CountOrNone, Port, Rate, ThreadsOrNone, check_numbers
 from madviz.system.processes import limit_heaps
+from madviz.system.streams import say, telling
 from madviz.types import PolicySpec
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"
@@ -93,14 +95,17 @@ class App:
         warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
         patch_sender()
         self.shared = shared
+        limits = limits or Limits()
         self.gate = address.gate or Gate(local=stays_here(address.host))
+        self.gate.most = limits.visitors + limits.watchers + MOST_WAITING
         with self.gate.guarding():
             self.server = viser.ViserServer(
                 host=address.host, port=address.port, label="madviz", verbose=False
             )
+        guard(self.server)
         theme(self.server.gui, light)
         presents = self._presents if self.gate.present else None
-        self.users = Users(self.server, new_session, shared, limits or Limits(), presents)
+        self.users = Users(self.server, new_session, shared, limits, presents)
 
     def _presents(self, client: viser.ClientHandle) -> bool:
         return self.gate.presents(self.server, client.client_id)
@@ -141,10 +146,11 @@ def explore(config: ExploreConfig | None = None) -> None:
         check_task(config.task)
     check_port(config.host, config.port)
     app = open_app(config)
-    for what, address in app.addresses().items():
-        print(f"{what} {address}", flush=True)
-    print("(Ctrl-C ends it)", flush=True)
     try:
+        with telling():
+            for what, address in app.addresses().items():
+                print(f"{what} {address}", flush=True)
+            print("(Ctrl-C ends it)", flush=True)
         threading.Event().wait()
     finally:
         app.stop()
@@ -209,7 +215,7 @@ def saved_episode(config: ExploreConfig) -> tuple[SavedEpisode | None, dict[str,
     find = finder(() if config.policy is None else (config.policy,))
     check_policies(script, find)
     for difference in differences(script, saved, find):
-        print(f"madviz: it may come out differently: {difference}", file=sys.stderr)
+        say(f"madviz: it may come out differently: {difference}")
     return script, {policy.name: find(policy).spec for policy in script.policies}
 
 

@@ -13,18 +13,18 @@ would change the state.
 
 from __future__ import annotations
 
+import asyncio
 import json
-import logging
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Coroutine, Sequence
 from html import escape
 from typing import Any, NamedTuple
 
 import viser
 
+from madviz.app.connection import MISTAKES, is_downloading, note
 from madviz.app.panel import Assign
 from madviz.errors import UserError
-
-log = logging.getLogger(__name__)
 
 LEFT_WIDTH, LEFT_WIDTH_WIDE, RIGHT_WIDTH = 640, 790, 320
 WIDE = 1600
@@ -59,6 +59,14 @@ def notify(client: viser.ClientHandle, title: str, body: str, seconds: float = 8
     client.add_notification(title, body, auto_close_seconds=seconds, color="orange")
 
 
+def download(client: viser.ClientHandle, name: str, content: bytes) -> None:
+    """Gives the visitor a file. Raises UserError while another one is on its way: to a browser that
+    does not read, files would pile up."""
+    if is_downloading(client):
+        raise UserError("expected one file at a time, found another on its way; wait for it")
+    client.send_file_download(name, content, save_immediately=True)
+
+
 def commands(
     client: viser.ClientHandle, table: Sequence[tuple[str, Any, Callable[[], None]]]
 ) -> list[viser.CommandHandle]:
@@ -78,9 +86,42 @@ def guarded(client: viser.ClientHandle, work: Callable[[], None]) -> None:
         work()
     except UserError as error:
         notify(client, "That did not work", str(error))
-    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
-        log.warning("a page sent what no page sends (%r)", error)
-        notify(client, "That did not work", "The page sent a value that means nothing here.")
+    except MISTAKES as error:
+        if note(client._websock_connection, error):
+            notify(client, "That did not work", "The page sent a value that means nothing here.")
+
+
+def heard(work: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+    """``work`` as a coroutine, for what is done at once. viser calls coroutines in the thread that
+    heard the visitor. Anything else goes to its threads for callbacks, behind what waits there for
+    all visitors: on a busy machine that was up to 0.15 s, and nothing bounds how much waits."""
+
+    async def callback(event: Any) -> None:
+        work(event)
+
+    return callback
+
+
+def one_at_a_time(work: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+    """``work`` for what takes its time, in a thread of its own. Whoever presses again meanwhile has
+    pressed once: a visitor can keep one thread busy for each such button, never a row of jobs."""
+    busy = threading.Lock()
+
+    async def callback(event: Any) -> None:
+        if not busy.acquire(blocking=False):
+            return
+        try:
+            await asyncio.to_thread(work, event)
+        finally:
+            busy.release()
+
+    return callback
+
+
+def forget_camera(camera: viser.CameraHandle, callback: Any) -> None:
+    """Takes back ``camera.on_update(callback)``; a callback keeps alive all that it reads."""
+    if callback in camera._state.camera_cb:
+        camera._state.camera_cb.remove(callback)
 
 
 class Cell(NamedTuple):
@@ -141,14 +182,13 @@ class Choice:
         said = {text: value for value, text in options.items()}
         self.handle = gui.add_button_group(label, list(said), hint=hint)
 
-        # Coroutines run in the thread that heard the click; anything else waits for another one,
-        # and on a busy machine that was up to 0.15 s.
-        @self.handle.on_click
-        async def _(event: viser.GuiEvent) -> None:
+        def choose(event: viser.GuiEvent) -> None:
             client = event.client
             if client is None or event.target.value not in said:
                 return
             guarded(client, lambda: on_choice(client, said[event.target.value]))
+
+        self.handle.on_click(heard(choose))
 
     def style(self, active: str, disabled: bool = False) -> str:
         """CSS that marks the active button."""
@@ -184,21 +224,23 @@ def on_value(handle: Any, work: Callable[[viser.ClientHandle, Any], None]) -> No
     """Calls ``work(client, value)`` when a visitor changes ``handle``; never for our own
     assignments."""
 
-    @handle.on_update
-    async def _(event: viser.GuiEvent) -> None:
+    def change(event: viser.GuiEvent) -> None:
         client = event.client
-        if client is None:
-            return
-        guarded(client, lambda: work(client, event.target.value))
+        if client is not None:
+            guarded(client, lambda: work(client, event.target.value))
+
+    handle.on_update(heard(change))
 
 
 def on_press(button: viser.GuiButtonHandle, work: Callable[[], None]) -> None:
-    """Calls ``work`` when a visitor presses ``button``; its UserError becomes a note."""
+    """Calls ``work``, which is done at once, when a visitor presses ``button``; its UserError
+    becomes a note."""
 
-    @button.on_click
-    def _(event: viser.GuiEvent) -> None:
+    def press(event: viser.GuiEvent) -> None:
         if event.client is not None:
             guarded(event.client, work)
+
+    button.on_click(heard(press))
 
 
 class WidgetPanel:

@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from html import escape
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import viser
 
 from madviz.app.panels.policy import PolicyChoice
-from madviz.app.toolkit import Cell, guarded, place, theme
+from madviz.app.toolkit import Cell, guarded, heard, place, theme
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.session.commands import Command, Play, Reset, Scrub, SetCamera, SetPolicy, SetSpeed
 from madviz.session.frame import Frame, NoFrame, untouched
@@ -163,6 +163,7 @@ class Tour:
         self._client, self._send, self._newest = client, send, newest
         self._choices, self._keys = choices, keys
         self._panel: viser.PanelHandle | None = None
+        self._help: Any = None
         self._start: Frame | None = None
         self._steps: list[Step] = []
         self._at, self._acting = 0, ""
@@ -173,7 +174,7 @@ class Tour:
             options,
             hint="What there is to try; what words and keys (?) mean.",
         )
-        self._row.on_click(lambda event: self._pressed(event.target.value))
+        self._row.on_click(heard(lambda event: self._pressed(event.target.value)))
 
     def _pressed(self, button: str) -> None:
         if button == TOUR_BUTTON:
@@ -199,8 +200,8 @@ class Tour:
             self._next = gui.add_button("next step", hint="The tour's next step.")
             self._end = gui.add_button("end the tour", hint="Everything as it was before the tour.")
             place(gui, "tour-steps", 2, [Cell(self._next, 1), Cell(self._end, 2)])
-        self._next.on_click(lambda _: self.next())
-        self._end.on_click(lambda _: self.end())
+        self._next.on_click(heard(lambda _: self.next()))
+        self._end.on_click(heard(lambda _: self.end()))
 
     def next(self) -> None:
         """One step on; after the last one the tour is over."""
@@ -244,7 +245,9 @@ class Tour:
     def help(self) -> None:
         """What the words mean, what the keys do, and light or dark."""
         gui = self._client.gui
-        modal = gui.add_modal("Help and keys")
+        if self._help is not None and not self._help.closed:
+            self._help.close()  # A browser that shows none of them could ask for thousands.
+        modal = self._help = gui.add_modal("Help and keys")
         with modal:
             gui.add_markdown(HELP)
             if self._keys:
@@ -252,8 +255,8 @@ class Tour:
             shade = gui.add_button_group(
                 "This page", ("dark", "light"), hint="Only here; other visitors choose theirs."
             )
-            shade.on_click(lambda event: theme(gui, event.target.value == "light"))
-            gui.add_button("close").on_click(lambda _: modal.close())
+            shade.on_click(heard(lambda event: theme(gui, event.target.value == "light")))
+            gui.add_button("close").on_click(heard(lambda _: modal.close()))
 
     def remove(self) -> None:
         """Takes all of it off the page, without touching the simulation."""

@@ -42,6 +42,9 @@ from madviz.types import Array, PolicySpec
 
 NICENESS = 15
 """Of worker processes: a visitor's own simulation goes first."""
+MOST_REQUESTS = 1000
+"""Requests whose episodes are remembered, besides those that are measured now: a slider that is
+dragged makes many. What is stored is read again if somebody comes back to it."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,11 @@ class Request:
     def job(self, seed: int) -> Job:
         """The episode ``seed`` of this request."""
         return Job(self.policy, self.digest, self.subset, self.occlusions, seed, self.moves)
+
+
+def request_of(job: Job) -> Request:
+    """What ``job`` is an episode of."""
+    return Request(job.policy, job.digest, job.subset, job.occlusions, job.moves)
 
 
 @dataclass(frozen=True)
@@ -188,7 +196,18 @@ class Evaluator:
             if request not in self._tallies:
                 self._specs[request] = spec
                 self._tallies[request] = self._remembered(request, spec)
+                self._forget_oldest()
+            else:
+                self._tallies[request] = self._tallies.pop(request)  # Now the newest one.
         return request
+
+    def _forget_oldest(self) -> None:
+        """Called with the lock held, when the newest request was added last."""
+        busy = {request_of(job) for job in self._running} | set(self._wanted.values())
+        idle = [request for request in self._tallies if request not in busy]
+        for request in idle[:-MOST_REQUESTS]:
+            del self._tallies[request], self._specs[request]
+            self._errors.pop(request, None)
 
     def _remembered(self, request: Request, spec: PolicySpec) -> dict[int, EpisodeResult]:
         if self._store is None or not checkpoint.is_folder(request.policy):
@@ -227,7 +246,7 @@ class Evaluator:
 
     def _ended(self, job: Job, generation: int, future: Future[Finished]) -> None:
         """A job came to an end, with a result or an error; its worker is free again."""
-        request = Request(job.policy, job.digest, job.subset, job.occlusions, job.moves)
+        request = request_of(job)
         with self._lock:
             self._running.discard(job)
             if self._closed or future.cancelled():

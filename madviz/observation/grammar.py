@@ -23,13 +23,13 @@ page, too: lossy, late, frozen.
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
 from madviz.errors import UserError, unknown
 from madviz.observation.ablation import PLACE, Occlusion, OcclusionKind, by_sides
+from madviz.system.streams import say
 
 SAME = {"dropped": "off", "frozen": "freeze", "lossy": "dropout", "late": "delay"}
 """The page's words."""
@@ -181,7 +181,7 @@ def _old_spelling(word: str, camera: str, kind: str, details: str) -> CameraFail
     except (TypeError, ValueError) as error:
         raise UserError(f"expected a failure such as {HOW}; found {word!r:.60}: {error}") from error
     new = failure_text(camera, occlusion)
-    print(f"note: {word!r} is an older spelling, write {new!r}", file=sys.stderr)
+    say(f"note: {word!r} is an older spelling, write {new!r}")
     return CameraFailure(camera, occlusion)
 
 

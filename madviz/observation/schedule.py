@@ -26,6 +26,8 @@ from madviz.types import EnvSpec
 
 LATEST = 100_000
 """The last step that a schedule may name; no task here has as many."""
+MOST_FAILURES = 200
+"""In one schedule."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,11 @@ def events_of(failure: CameraFailure) -> list[Event]:
 
 def parse_schedule(words: Sequence[str], cameras: Sequence[str]) -> Schedule:
     """The schedule of ``words``, in the grammar of ``grammar.py``. Raises UserError for an unknown
-    camera or failure, and for what is none of the forms."""
+    camera or failure, for what is none of the forms, and for more than ``MOST_FAILURES``."""
+    if len(words) > MOST_FAILURES:
+        raise UserError(
+            f"expected at most {MOST_FAILURES} failures, found {len(words)}; leave some out"
+        )
     failures = [parse_failure(word) for word in words]
     for failure in failures:
         if failure.camera not in cameras:

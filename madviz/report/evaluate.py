@@ -10,7 +10,6 @@ already is passed over.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from madviz.policies import checkpoint
 from madviz.policies.card import AGAIN
 from madviz.policies.measured import EvaluationFile, seeds_of
 from madviz.policies.seeds import FIRST_REPORTING, REPORTING
+from madviz.system.streams import say
 
 EPISODES = 100
 STORE = Path(AGAIN) / "reporting.sqlite"
@@ -47,7 +47,7 @@ def _evaluate(path: Path, episodes: int, workers: int | None, store: Store) -> b
         return False  # A broken file; the report says so.
     if before is not None and seeds_of(before) == REPORTING and _least(before) >= episodes:
         return False
-    print(f"{path}: {episodes} episodes of each subset", file=sys.stderr)
+    say(f"{path}: {episodes} episodes of each subset")
     made = evaluate(
         path,
         None if before is None else before["subsets"],

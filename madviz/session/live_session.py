@@ -17,7 +17,8 @@ class LiveSession(Protocol):
     (``SessionProcess``); all of it may be called from any thread."""
 
     def send(self, command: Command) -> None:
-        """Queues a command; the session carries it out within one camera render, a step at most."""
+        """Queues a command; the session carries it out within one camera render, a step at most.
+        Raises UserError where too many wait already."""
         ...
 
     def subscribe(self, listener: Listener) -> None:

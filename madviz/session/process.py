@@ -47,7 +47,7 @@ from madviz.session.commands import (
 )
 from madviz.session.frame import Frame, NoFrame
 from madviz.session.live_session import Listener
-from madviz.session.session import NICENESS, Session
+from madviz.session.session import MOST_WAITING, NICENESS, TOO_MANY, Session
 from madviz.session.session_file import SavedSession
 from madviz.session.transfer import FrameDecoder, FrameEncoder
 from madviz.system.processes import limit_heaps, release_memory, set_up_worker
@@ -91,6 +91,8 @@ class SessionProcess:
 
     def send(self, command: Command) -> None:
         """As ``Session.send``. Never waits for the process."""
+        if self._outbox.qsize() >= MOST_WAITING:
+            raise UserError(TOO_MANY)
         if isinstance(command, SetPolicy | SetSpeed | SetAutoNext):
             self._kept[type(command)] = command
         self._outbox.put(command)
@@ -278,6 +280,8 @@ def _live(pipe: Connection, make: MakeSession) -> None:
             if asked == "save":
                 say("saved", _saved(session))
             else:
+                while session.is_full:  # What comes next then waits in the page's process.
+                    time.sleep(0.01)
                 session.send(asked)
     except (EOFError, OSError):
         pass

@@ -64,6 +64,10 @@ NICENESS = 10
 RATE_WINDOW = 20
 """Decisions over which the achieved rate is measured."""
 
+MOST_WAITING = 1000
+"""Commands that wait to be carried out; a camera is touched within 5 ms, so that is 5 s of work."""
+TOO_MANY = f"expected at most {MOST_WAITING} commands at once, found more; wait a moment"
+
 
 class Session:
     """A ``LiveSession`` in a thread of its own; the rest belongs to the thread that ticks."""
@@ -98,7 +102,14 @@ class Session:
         self.latest: Frame | NoFrame | None = None
 
     def send(self, command: Command) -> None:
+        if self.is_full:
+            raise UserError(TOO_MANY)
         self._inbox.put(command)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether ``MOST_WAITING`` commands wait, so that ``send`` takes no more."""
+        return self._inbox.qsize() + len(self._backlog) >= MOST_WAITING
 
     def subscribe(self, listener: Listener) -> None:
         with self._lock:
@@ -291,7 +302,7 @@ class Session:
                 self._auto_next = on
                 self._emit()
             case SetSaliency(target):
-                self._stage.saliency.ask(target, lambda: self.send(command))
+                self._stage.saliency.ask(target, lambda: self._inbox.put(command))
                 self._emit()
             case ReadSubsets(on):
                 self._read_all = on

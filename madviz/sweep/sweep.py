@@ -17,14 +17,11 @@ Backends differ only in where ``carry_out`` is called, so results are the same f
 from __future__ import annotations
 
 import os
-import signal
-import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -45,6 +42,8 @@ from madviz.sweep.run import (
     result_rows,
 )
 from madviz.system.numbers import Threads
+from madviz.system.signals import terminable
+from madviz.system.streams import say
 
 BUSY_SECONDS = 2.0
 """How long a run that another process works on is left alone."""
@@ -143,7 +142,7 @@ def run_sweep(
     engine = backend or _backend(config, out, program)
     watch = Watch(len(plan.runs), len(left), lambda run: expected_seconds(out / run.name))
     try:
-        with watch, interrupted_by_sigterm():
+        with watch, terminable():
             outcomes = carry_all_out(left, engine, watch)
     except KeyboardInterrupt:
         watch.say("stopping: trainings save first; the same command goes on from there")
@@ -283,26 +282,9 @@ class Watch:
         self._said = self._now()
         # Through the bar where there is one, so that their lines do not mix.
         if self._bar.disable:
-            print(f"[sweep] {line}", file=sys.stderr, flush=True)
+            say(f"[sweep] {line}")
         else:
             self._bar.console.print(line, markup=False, highlight=False)
-
-
-@contextmanager
-def interrupted_by_sigterm() -> Iterator[None]:
-    """SIGTERM ends the sweep as Ctrl-C does: its commands get SIGTERM in turn."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(number: int, frame: Any) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def duration(seconds: float) -> str:

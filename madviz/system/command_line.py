@@ -8,6 +8,7 @@ was chosen.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import redirect_stdout, suppress
 from dataclasses import field, fields, is_dataclass, make_dataclass
@@ -30,6 +31,7 @@ from madviz.system.options import (
     notes,
     options,
 )
+from madviz.system.streams import telling
 
 SHELLS = ("bash", "fish", "zsh")
 
@@ -46,14 +48,19 @@ def read(
     if not asked:
         check_options(config, words)
         check_words(config, words)
-    filled = tyro.cli(
-        _as_read(config, foreign_groups(config, words) if asked else ()),
-        prog=prog,
-        description=_above(config, summary, example) if asked else summary,
-        args=list(words),
-        config=(tyro.conf.PositionalRequiredArgs,) if positional else (),
-    )
-    return _plain(config, filled)
+    with telling():
+        try:
+            filled = tyro.cli(
+                _as_read(config, foreign_groups(config, words) if asked else ()),
+                prog=prog,
+                description=_above(config, summary, example) if asked else summary,
+                args=list(words),
+                config=(tyro.conf.PositionalRequiredArgs,) if positional else (),
+            )
+            return _plain(config, filled)
+        finally:
+            sys.stdout.flush()
+    raise SystemExit(0)  # Whoever read the help has left.
 
 
 def _plain(config: type, filled: Any) -> Any:

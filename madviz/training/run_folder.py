@@ -29,7 +29,7 @@ from typing import Any
 
 import torch
 
-from madviz.errors import UserError
+from madviz.errors import Terminated, UserError
 from madviz.policies.checkpoint import CONFIG
 from madviz.system.files import PART, replacing, write_bytes
 from madviz.system.lock import locked
@@ -127,6 +127,11 @@ class RunFolder:
         """Whether the run is over; a run that is, has no state."""
         return self._over.exists()
 
+    @property
+    def began(self) -> bool:
+        """Whether there is a run to go on with."""
+        return (self.resume / "run.json").exists()
+
     def finish(self) -> None:
         """The run is over: removes what only a run that goes on needs."""
         self._over.touch()
@@ -209,7 +214,7 @@ def interruptible(folder: RunFolder) -> Iterator[threading.Event]:
 
     def ask(number: int, frame: Any) -> None:
         if stop.is_set():
-            raise KeyboardInterrupt
+            raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
         folder.stopped_by = number
         stop.set()
 

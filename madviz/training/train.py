@@ -11,16 +11,16 @@ from __future__ import annotations
 
 import os
 import shlex
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import torch
 
-from madviz.errors import Interrupted, UserError
+from madviz.errors import Interrupted, UserError, signal_of
 from madviz.system.numbers import check_numbers
 from madviz.system.processes import reuse_large_blocks
+from madviz.system.streams import say
 from madviz.training.config import RECIPES, TrainConfig, identity, resolve
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import Event, RunFolder, alone_in, not_written
@@ -31,6 +31,15 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
     on standard error. Raises UserError for unknown names and for a folder that holds another run
     or in which another process trains. A Ctrl-C or SIGTERM saves, then raises
     Interrupted with the command to go on."""
+    try:
+        return _train(config, listener)
+    except Interrupted:
+        raise
+    except KeyboardInterrupt as stopped:
+        raise Interrupted("", signal_of(stopped)) from stopped
+
+
+def _train(config: TrainConfig, listener: Callable[[Event], None] | None) -> Path:
     check_numbers(config)
     if config.recipe == "paper-vectorised":
         config.vectorised.prepare(config.task)
@@ -54,14 +63,19 @@ def _work(config: TrainConfig, plan: TrainingPlan, folder: RunFolder) -> None:
         folder.report("done", seconds=0.0, path=str(folder.path))
         return
     recipe, began = RECIPES[config.recipe], time.monotonic()
+    goes_on = f"{plan.command} {shlex.join(['--out', str(folder.path), '--resume'])}"
     try:
         recipe.train(plan, getattr(config, recipe.options), folder)
     except (UserError, OSError):
         folder.forget()
         raise
+    except KeyboardInterrupt as stopped:  # Before its loop, or a second one.
+        folder.forget()
+        if folder.began:
+            raise Interrupted(goes_on, signal_of(stopped)) from stopped
+        raise
     if folder.stopped_by and not folder.finished:
-        goes_on = shlex.join(["--out", str(folder.path), "--resume"])
-        raise Interrupted(f"{plan.command} {goes_on}", folder.stopped_by)
+        raise Interrupted(goes_on, folder.stopped_by)
     folder.report("done", seconds=round(time.monotonic() - began, 1), path=str(folder.path))
 
 
@@ -75,4 +89,4 @@ def _usual_threads(config: TrainConfig) -> int:
 def print_event(event: Event) -> None:
     """One line on standard error."""
     words = [f"{key} {value}" for key, value in event.items() if key != "kind"]
-    print("  ".join([f"[{event['kind']}]", *words]), file=sys.stderr, flush=True)
+    say("  ".join([f"[{event['kind']}]", *words]))

@@ -9,7 +9,7 @@ from html import escape
 import viser
 
 from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, WidgetPanel, guarded, place
+from madviz.app.toolkit import Cell, WidgetPanel, download, guarded, one_at_a_time, place
 from madviz.session.frame import Frame
 from madviz.session.session_file import SavedSession
 
@@ -26,8 +26,8 @@ class SavePanel(WidgetPanel):
         self._keep = keep
         one = gui.add_button("save this episode", icon=viser.Icon.DOWNLOAD, hint=HINTS["one"])
         several = gui.add_button("save the last 20", hint=HINTS["all"])
-        one.on_click(lambda event: self._download(event.client, last=True))
-        several.on_click(lambda event: self._download(event.client, last=False))
+        one.on_click(one_at_a_time(lambda event: self._download(event.client, last=True)))
+        several.on_click(one_at_a_time(lambda event: self._download(event.client, last=False)))
         cells = [Cell(one, 1), Cell(several, 2)]
         self._words = gui.add_html(save_html(frame))
         self.handles = [*place(gui, "save", 2, cells), self._words]
@@ -38,8 +38,7 @@ class SavePanel(WidgetPanel):
 
         def save() -> None:
             saved = self._keep().last() if last else self._keep()
-            content = saved.to_json().encode()
-            client.send_file_download(file_name(saved), content, save_immediately=True)
+            download(client, file_name(saved), saved.to_json().encode())
 
         guarded(client, save)
 

@@ -17,7 +17,7 @@ import viser
 from madviz.agent.methods import METHODS
 from madviz.app.markup import progress_bar
 from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, WidgetPanel, guarded, notify, on_value, place
+from madviz.app.toolkit import Cell, WidgetPanel, guarded, notify, on_value, one_at_a_time, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.envs.registry import known_tasks
 from madviz.session.commands import Command, SetPolicy
@@ -111,8 +111,7 @@ class TrainingPanel(WidgetPanel):
     ) -> viser.GuiButtonHandle:
         button = gui.add_button(name, hint=HINTS[name])
 
-        @button.on_click
-        def _(event: viser.GuiEvent) -> None:
+        def press(event: viser.GuiEvent) -> None:
             if event.client is None:
                 return
             guarded(event.client, work)
@@ -120,6 +119,7 @@ class TrainingPanel(WidgetPanel):
             if name == "start":
                 notify(event.client, "Training", "The first round takes half a minute to show.")
 
+        button.on_click(one_at_a_time(press))
         return button
 
     def update(self, frame: Frame) -> list[Assign]:

@@ -25,6 +25,7 @@ import viser
 
 from madviz.analysis.shapley import camera_masks
 from madviz.app.panel import Assign
+from madviz.app.toolkit import forget_camera, heard
 from madviz.drawing.colours import MERGED, NOTE, camera_colours, rgb
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, cameras_of, mask_of
@@ -62,7 +63,7 @@ class ArrowsPanel:
             thickness=3.0,
             thickness_units="screen",
         )
-        client.camera.on_update(lambda _: self._look())
+        self._looking = client.camera.on_update(heard(lambda _: self._look()))
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
@@ -82,6 +83,7 @@ class ArrowsPanel:
 
     def remove(self) -> None:
         self._gone = True
+        forget_camera(self._camera, self._looking)
         self._lines.remove()
 
     def _eye(self) -> Array:

@@ -24,6 +24,7 @@ from madviz.app.panel import Assign
 from madviz.app.pictures import picture
 from madviz.app.scene.bodies import Bodies
 from madviz.app.scene.fitted_view import FittedView
+from madviz.app.toolkit import guarded, heard
 from madviz.drawing.colours import camera_colours, rgb
 from madviz.drawing.viewpoint import WIDTH, WIDTH_ON_BODY, extent, first_view
 from madviz.session.frame import Frame
@@ -172,7 +173,7 @@ class ScenePanel:
             receive_shadow=False,
         )
         if on_click is not None:
-            frustum.on_click(lambda _: on_click(name))
+            frustum.on_click(heard(lambda _: guarded(client, lambda: on_click(name))))
         label = client.scene.add_label(
             f"/cameras/{name}/label",
             frame.world.env.camera(name).label,
