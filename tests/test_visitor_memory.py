@@ -39,6 +39,7 @@ from madviz.observation.ablation import Occlusion
 from madviz.observation.schedule import MOST_FAILURES, parse_schedule
 from madviz.session.commands import Pause, SetCamera
 from madviz.session.frame import Condition
+from madviz.session.process import SessionProcess
 from madviz.session.session import MOST_WAITING, Session
 from tests.fakes import FakePolicy, policies
 from tests.pages import browser, fake_app
@@ -125,7 +126,7 @@ def test_whoever_floods_is_read_later_and_others_go_on(open_: App) -> None:
         assert len(heard) <= BURST + PACE * (seconds + 1)
         assert open_.server._thread_executor._work_queue.qsize() < 20
         session = open_.users.session_of(client.client_id)
-        assert session is not None and session._inbox.qsize() <= MOST_WAITING
+        assert isinstance(session, Session) and session._inbox.qsize() <= MOST_WAITING
         until(lambda: len(other.steps) > seen + 5)
 
 
@@ -214,6 +215,15 @@ def test_commands_that_wait_have_a_bound() -> None:
         session.send(SetCamera("first", BLACK))
     session.tick(0.0)
     session.send(Pause())
+
+
+def test_what_waits_for_a_process_has_a_bound_too() -> None:
+    process = SessionProcess(lambda noted: Session(make_env, FakePolicy(), policies))
+    for _ in range(MOST_WAITING):
+        process.send(SetCamera("first", OFF))
+    with pytest.raises(UserError, match=f"at most {MOST_WAITING} commands"):
+        process.send(Pause())
+    process.close()
 
 
 def test_conditions_that_were_seen_long_ago_are_forgotten() -> None:
