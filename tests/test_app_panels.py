@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from base64 import b64decode
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import replace
 
 import cv2
@@ -15,7 +15,13 @@ import viser
 from madviz.app.panel import CROSSED, Assign, apply
 from madviz.app.panels.cameras import CamerasPanel
 from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
-from madviz.app.panels.policy import PolicyChoice, PolicyPanel, status_html, verdict
+from madviz.app.panels.policy import (
+    PolicyChoice,
+    PolicyPanel,
+    purpose,
+    status_html,
+    verdict,
+)
 from madviz.app.panels.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
 from madviz.app.panels.success import (
     Curve,
@@ -23,16 +29,17 @@ from madviz.app.panels.success import (
     bars_html,
     strip_html,
 )
-from madviz.app.panels.words import WordsPanel, sentence
-from madviz.app.rates import SuccessRates
+from madviz.app.panels.words import WordsPanel, both_sides, sentence
+from madviz.app.rates import SuccessRates, side_b
 from madviz.app.scene.scene import ScenePanel
 from madviz.app.screen import Screen
 from madviz.drawing.viewpoint import focus
 from madviz.envs.registry import make_env
+from madviz.evaluation.live import Request, Tally
 from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.policies.checkpoint import load_policy
-from madviz.session.commands import Pause, SetCamera, SetPolicy, StepOnce
+from madviz.session.commands import Compare, Link, Pause, SetCamera, SetPolicy, StepOnce
 from madviz.session.frame import Condition, Frame
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
@@ -50,7 +57,7 @@ def server() -> Iterator[viser.ViserServer]:
 
 
 def test_camera_switches_send_commands_and_never_echo(server):
-    sent: list[SetCamera] = []
+    sent: list = []
     gui = recorded(server.gui)
     panel = CamerasPanel(gui, sent.append, frame_with(), 622)
     noisy = CameraState("rgb", Occlusion("noise", 0.3))
@@ -80,7 +87,7 @@ def test_an_old_frame_does_not_take_back_a_choice(server):
 
 
 def test_a_slider_being_dragged_is_not_pulled_back(server):
-    sent: list[SetCamera] = []
+    sent: list = []
     gui = recorded(server.gui)
     panel = CamerasPanel(gui, sent.append, frame_with(), 622)
     old = frame_with(SetCamera("first", CameraState("rgb", Occlusion("blur", 0.5))))
@@ -319,6 +326,104 @@ def test_policy_panel_shows_without_sending(server):
     apply(panel.update(frame_with(SetPolicy("toy-rgbd"))))
     assert gui.find("Policy").value == "RGB-D" and sent == []
     panel.remove()
+
+
+def test_policies_are_offered_by_task(server):
+    sent: list = []
+    choices = [
+        PolicyChoice("pusher", "MAD: push", "metaworld/push"),
+        PolicyChoice("toy-mad", "MAD: reach", "toy/reach"),
+        PolicyChoice("mine", "broken"),
+    ]
+    gui = recorded(server.gui)
+    panel = PolicyPanel(gui, sent.append, frame_with(), choices)
+    assert gui.find("Policy").options == ("MAD: reach", "broken")
+    assert gui.find("Task").value == "toy/reach"
+    assert gui.find("Task").options == ("metaworld/push", "toy/reach")
+    use(gui.find("Task"), "metaworld/push")
+    assert sent == [SetPolicy("pusher")]
+    panel.remove()
+
+
+def test_what_a_policy_is_for_tells_those_of_one_task_apart():
+    words = [
+        purpose("mad", "three", "light"),
+        purpose("mad", "three-rgbd", "light"),
+        purpose("merged-only", "three", "paper"),
+    ]
+    assert words[0].startswith("MAD: ") and words[1] == f"{words[0]} (three-rgbd)"
+    assert words[2].startswith("Merged Only: ") and words[2].endswith("only (paper)")
+
+
+def test_both_sides_of_a_comparison_stand_side_by_side(server):
+    sent: list = []
+    gui = recorded(server.gui)
+    panel = CamerasPanel(gui, sent.append, frame_with(), 622)
+    alone = frame_with()
+    apply(panel.update(alone))
+    unlink, end = gui.find("Switches act on"), gui.find("end comparison")
+    assert not (unlink.visible or end.visible) and "mv-side" not in gui.html
+    frame = frame_with(Compare("toy-other"), SetCamera("first", OFF))
+    apply(panel.update(frame))
+    apply(panel.update(frame))
+    shown = [one.content for one in gui.present if "mv-side" in getattr(one, "content", "")]
+    assert len(shown) == 2 and all("RUNNING" in one for one in shown)
+    sizes = re.findall(r'class="mv-mosaic" alt="[^"]*" width="(\d+)" height="(\d+)"', gui.html)
+    assert sizes == [sizes[0]] * 2 and int(sizes[0][1]) < 203
+    use(unlink, "A only")
+    use(end)
+    assert sent == [Link(False), Compare(None)]
+    apply(panel.update(alone))
+    assert not unlink.visible and not end.visible
+    panel.remove()
+
+
+def test_bars_and_outcomes_of_both_sides_stand_under_each_other(server):
+    shipped = {"toy-mad": {"all": {"success": 0.94, "n": 100}}, "toy-other": {}}
+    rates = SuccessRates(lambda spec: shipped[spec.name])
+    frame = frame_with(Compare("toy-other"))
+    html = bars_html(frame, rates)
+    rows = bars_html(frame_with(), rates).count('class="rate')
+    assert html.count("<b>A</b>") == html.count("<b>B</b>") == rows
+    assert "shipped 0.94" in html and html.count("first episode is still running") == 0
+    assert strip_html(frame).count("the first episode is still running") == 2
+
+
+def test_both_sides_are_measured_while_there_are_two(server):
+    asked = Asked()
+    rates = SuccessRates(make_evaluator=lambda listener: asked)  # type: ignore[arg-type]
+    panel = SuccessPanel(server.gui, frame_with(), rates, visitor=1)
+    apply(panel.update(frame_with(Compare("toy-other"))))
+    assert asked.by == {1: "toy-mad", side_b(1): "toy-other"}
+    apply(panel.update(frame_with()))
+    assert asked.by == {1: "toy-mad"}
+    panel.remove()
+    assert asked.by == {}
+
+
+class Asked:
+    """In place of an evaluator: who wants which policy measured."""
+
+    trouble = ""
+
+    def __init__(self) -> None:
+        self.by: dict[Hashable, str] = {}
+
+    def request(self, visitor: Hashable, policy: str, mask, occlusions, moves) -> Tally:
+        self.by[visitor] = policy
+        return Tally(Request(policy, "", "all"), ())
+
+    def forget(self, visitor: Hashable) -> None:
+        self.by.pop(visitor, None)
+
+
+def test_words_say_what_came_of_it_on_both_sides():
+    frame = frame_with(Compare("toy-other"), SetCamera("third_a", OFF))
+    rates = SuccessRates(lambda spec: {"all": {"success": 0.94, "n": 100}})
+    assert frame.world.change is not None and frame.second is not None
+    said = both_sides(frame.world.change, frame, rates)
+    assert said.startswith("Third A dropped: A's action changed by ")
+    assert "; B's action changed by " in said
 
 
 def test_frusta_stand_where_the_cameras_are_and_dim_when_dropped(server):

@@ -8,7 +8,9 @@ import numpy as np
 
 from madviz.app.panels.comparison import comparison_html
 from madviz.observation.ablation import Ablation, CameraState
-from madviz.session.commands import Compare, Scrub, SetCamera, SetPolicy
+from madviz.observation.displacement import Displacement, MoveCamera
+from madviz.observation.schedule import Event
+from madviz.session.commands import Compare, Link, Scrub, SetCamera, SetPolicy, SetSchedule
 from madviz.session.comparison import tally
 from madviz.session.frame import Condition, Outcome, Pair
 from tests.fakes import FakePolicy
@@ -44,6 +46,45 @@ def test_what_happens_to_a_does_not_happen_to_b() -> None:
         "third_a+third_b",
     )
     assert not np.array_equal(frame.second.action, frame.action)
+
+
+def test_what_happens_to_a_happens_to_b_until_they_are_unlinked() -> None:
+    play = Played()
+    frame = play(Compare("toy-other"), 2, SetCamera("third_a", OFF))
+    assert frame.second is not None and frame.linked
+    assert frame.condition.subset == frame.second.condition.subset == "first+third_b"
+    frame = play(MoveCamera("first", Displacement(right=0.1)), 1)
+    assert frame.second is not None and frame.second.condition == frame.condition
+    frame = play(Link(False), SetCamera("third_b", OFF), 1)
+    assert frame.second is not None and not frame.linked
+    assert (frame.condition.subset, frame.second.condition.subset) == ("first", "first+third_b")
+    frame = play(Link(True))
+    assert frame.second is not None and frame.second.condition == frame.condition
+
+
+def test_a_camera_that_fails_by_itself_fails_on_both_sides_at_the_same_step() -> None:
+    play = Played()
+    frame = play(Compare("toy-other"), SetSchedule((Event(4, "first", dropped=True),)), 4)
+    for seen in (frame, play(3)):
+        assert seen.second is not None
+        assert seen.second.condition == seen.condition
+    assert frame.world.step >= 4 and frame.condition.subset == "third_a+third_b"
+    frame = play(SetSchedule(()))
+    assert frame.second is not None and frame.second.condition.subset == "all"
+
+
+def test_cameras_that_begin_apart_are_not_linked() -> None:
+    frame = Played()(Compare("toy-mad", FIRST_OFF), 1)
+    assert frame.second is not None and not frame.linked
+    assert (frame.condition.subset, frame.second.condition.subset) == ("all", "third_a+third_b")
+
+
+def test_both_sides_of_a_switched_camera_make_a_pair_in_the_next_episode() -> None:
+    play = Played()
+    play(Compare("toy-mad"), 3, SetCamera("first", OFF), 25)
+    frame = play(30)
+    assert [pair.sides[0][1] for pair in frame.pairs] == ["third_a+third_b"] * len(frame.pairs)
+    assert frame.pairs
 
 
 def test_only_untouched_episodes_make_a_pair() -> None:

@@ -8,14 +8,15 @@ import pytest
 import viser
 
 from madviz.app.panels.policy import PolicyChoice
-from madviz.app.tour import HELP, Tour, keys_table, steps
+from madviz.app.tour import HELP, Tour, keys_table
+from madviz.app.tour_steps import GOES_AT, comparison_steps, steps
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import SetCamera, SetPolicy, SetSpeed, StepOnce
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy
-from tests.pages import browser
+from tests.pages import browser, use
 
 PAIR = {
     "toy-mad-light": FakePolicy("toy-mad-light"),
@@ -124,13 +125,83 @@ def test_a_tour_clicked_through_fast_brings_the_policy_back(
     assert swaps == ["toy-merged-only-light", "toy-mad-light"]
 
 
+def buttons(client) -> list[str]:
+    """What the buttons of the tour's window say."""
+    return [one.label for one in client.gui.present if type(one).__name__ == "GuiButtonHandle"]
+
+
+def test_the_comparison_is_offered_and_drops_a_camera_on_both_sides(
+    table: Table, server: viser.ViserServer
+):
+    client = browser(server)
+    tour = Tour(client, table.session.send, lambda: table.frame, CHOICES, [])
+    tour.greet()
+    assert buttons(client) == ["MAD against Merged Only", "explore one policy"]
+    assert table.tick().second is None
+    use(client.gui.find("MAD against Merged Only"))
+    frame = table.tick()
+    assert frame.second is not None and frame.linked and frame.world.step < 2
+    assert (frame.world.policy.method, frame.second.world.policy.method) == ("mad", "merged-only")
+    while (frame := table.tick()).world.step < GOES_AT:
+        assert frame.condition.subset == "all"
+    assert frame.second is not None
+    assert frame.condition.subset == frame.second.condition.subset == "third_a+third_b"
+    tour.next()
+    assert table.tick().schedule
+    tour.next()
+    assert buttons(client) == ["keep comparing", "explore one policy"]
+    frame = table.tick()
+    assert not frame.schedule and frame.condition.subset == "all" and frame.second is not None
+    tour.next()
+    assert table.tick().second is not None and "Your turn" not in client.gui.html
+
+
+def test_one_click_leads_past_the_comparison_and_leaves_all_as_it_is(
+    table: Table, server: viser.ViserServer
+):
+    client = browser(server)
+    tour = Tour(client, table.session.send, lambda: table.frame, CHOICES, [])
+    tour.greet()
+    table.session.send(SetCamera("first", CameraState("off")))
+    use(client.gui.find("explore one policy"))
+    frame = table.tick()
+    assert frame.second is None and frame.camera("first").input == "off"
+    assert buttons(client) == []
+
+
+def test_whenever_the_comparison_is_left_all_is_as_before(table: Table, server: viser.ViserServer):
+    table.session.send(SetCamera("third_a", CameraState("off")))
+    before = table.tick()
+    for leave_after in range(1, 4):
+        tour = Tour(browser(server), table.session.send, lambda: table.frame, CHOICES, [])
+        tour.greet()
+        for _ in range(leave_after):
+            tour.next()
+            table.tick()
+        tour.end()
+        frame = table.tick()
+        assert frame.second is None and not frame.schedule
+        assert frame.condition == before.condition and frame.pace.speed == before.pace.speed
+
+
+def test_there_is_no_comparison_without_a_policy_to_compare_with(
+    table: Table, server: viser.ViserServer
+):
+    client = browser(server)
+    tour = Tour(client, table.session.send, lambda: table.frame, CHOICES[:1], [])
+    tour.greet()
+    assert buttons(client) == [] and "compare" not in client.gui.find("New?").options
+    for step in comparison_steps(table.frame, "toy-merged-only-light"):
+        assert 60 < len(step.words) < 320
+
+
 def test_a_watcher_is_offered_help_and_no_tour(table: Table, server: viser.ViserServer):
     offered = []
     for send in (None, table.session.send):
         client = browser(server)
         Tour(client, send, lambda: table.frame, CHOICES, [])
-        offered.append(client.gui.find("New here?").options)
-    assert offered == [("help, keys",), ("2-minute tour", "help, keys")]
+        offered.append(client.gui.find("New?").options)
+    assert offered == [("help, keys",), ("compare", "tour", "help, keys")]
     table.session.send(StepOnce())
     client = browser(server)
     Tour(client, None, lambda: table.frame, CHOICES, []).begin()

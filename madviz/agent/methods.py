@@ -150,7 +150,7 @@ METHODS: dict[str, Method] = {
         "all streams summed and nothing else: the baseline that was never disentangled",
         subsets=_nothing,
         weights=_merged_only,
-        page_words="Trained on all cameras together only.",
+        page_words="Merged Only: trained on all cameras together only.",
     ),
     "singular-only": Method(
         "every subset alone and never the merge: each is its own teacher",
@@ -158,7 +158,7 @@ METHODS: dict[str, Method] = {
         weights=lambda alpha: {"singular": 1.0},
         targets="own",
         needs=SEVERAL_STREAMS,
-        page_words="Trained on single cameras only.",
+        page_words="Singular Only: trained on single cameras only.",
     ),
     "naive-both": Method(
         "merged and singular rows as if they were different samples: each is its own teacher and "
@@ -167,7 +167,7 @@ METHODS: dict[str, Method] = {
         weights=lambda alpha: {"every": 1.0},
         targets="own",
         needs=SEVERAL_STREAMS,
-        page_words="Trained on all cameras and each one alone, each its own teacher.",
+        page_words="Naive Both: trained on all cameras and each one alone, each its own teacher.",
     ),
     "single": Method(
         "one camera from the start, --camera: what the others are measured against",
@@ -175,7 +175,7 @@ METHODS: dict[str, Method] = {
         weights=_merged_only,
         other_merges=False,
         one_camera=True,
-        page_words="Trained on one camera.",
+        page_words="Single: trained on one camera.",
     ),
     **{name: _merging(name, merge) for name, merge in MERGES.items() if name != "sum"},
 }

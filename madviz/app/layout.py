@@ -42,6 +42,10 @@ from madviz.session.frame import Frame, NoFrame
 from madviz.session.live_session import LiveSession
 from madviz.training.job import TrainingJob
 
+PAIRED, PAIRED_WIDE = 156, 216
+"""Pixels of a camera's picture where there are two rows of them: then nothing has to be scrolled in
+a window of 1280 x 800, or 1920 x 1080."""
+
 
 @dataclass(frozen=True)
 class Shared:
@@ -51,6 +55,8 @@ class Shared:
     rates: SuccessRates = field(default_factory=SuccessRates)
     training: TrainingJob = field(default_factory=lambda: TrainingJob(Path("runs")))
     """Trainings from the page get folders in its own."""
+    greets: bool = True
+    """Whether a new visitor is offered a comparison, where there is one to offer."""
 
 
 class Panels:
@@ -66,9 +72,10 @@ class Panels:
         *,
         wide: bool,
         readonly: bool,
+        greet: bool,
     ) -> None:
         """``newest`` is what the page shows last; ``wide`` windows have more room; who is
-        ``readonly`` watches somebody else's session."""
+        ``readonly`` watches somebody else's session; ``greet`` offers a comparison."""
         self._client, self._session, self._shared = client, session, shared
         self._send = None if readonly else session.send
         self._wide = wide
@@ -81,7 +88,7 @@ class Panels:
         dockable = dock(client, wide)
         with dockable.add_tab("Cameras", viser.Icon.CAMERA):
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
-            cameras = CamerasPanel(gui, self._send, frame, width)
+            cameras = CamerasPanel(gui, self._send, frame, width, PAIRED_WIDE if wide else PAIRED)
             words = WordsPanel(gui, frame, rates)
             tabs = gui.add_tab_group()
         tabbed = self._build_tabs(tabs, frame)
@@ -99,6 +106,8 @@ class Panels:
                 TimedPanel(arrows, 0.25),
             ]
         )
+        if greet:
+            tour.greet()
         self.curves = next(t.panel for t in tabbed if isinstance(t.panel, FeaturesPanel))
 
     def remove(self) -> None:

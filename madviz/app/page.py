@@ -20,7 +20,7 @@ import viser
 
 from madviz.app.layout import Panels, Shared
 from madviz.app.panel import apply
-from madviz.app.toolkit import window_is_wide
+from madviz.app.toolkit import window_is_upright, window_is_wide
 from madviz.session.frame import Change, Frame, NoFrame
 from madviz.session.live_session import LiveSession
 
@@ -44,6 +44,8 @@ class Page:
         self.client, self.session, self._shared = client, session, shared
         self._notice, self._readonly = notice, readonly
         self._wide = window_is_wide(client)
+        self._greets = shared.greets and not window_is_upright(client)
+        """Until it has: whoever comes is offered a comparison once."""
         self._waiting: viser.GuiHtmlHandle | None = None
         self._panels: Panels | None = None
         self._wanted: object = None
@@ -179,6 +181,7 @@ class Page:
         return panels.refresh.wait(frame, now)
 
     def _build(self, frame: Frame) -> None:
+        greet, self._greets = self._greets, False
         self._strip()
         assert self._waiting is not None
         if self._said is None:
@@ -192,6 +195,7 @@ class Page:
                 lambda: self._newest,
                 wide=self._wide,
                 readonly=self._readonly,
+                greet=greet,
             )
 
 

@@ -108,9 +108,10 @@ class SuccessRates:
             self._hear(self._evaluator.request(visitor, reference, *asked))
 
     def forget(self, visitor: Hashable) -> None:
-        """This visitor wants nothing measured any more."""
+        """This visitor wants nothing measured any more, nor the B that they compare with."""
         if self._evaluator is not None:
             self._evaluator.forget(visitor)
+            self._evaluator.forget(side_b(visitor))
 
     def error(self, spec: PolicySpec, condition: Condition) -> str:
         """Why a condition cannot be measured; empty while it can."""
@@ -142,6 +143,11 @@ class SuccessRates:
         """Does nothing for a listener that is none."""
         with self._lock:
             self._listeners = tuple(one for one in self._listeners if one != listener)
+
+
+def side_b(visitor: Hashable) -> Hashable:
+    """Who wants B measured while ``visitor`` compares."""
+    return visitor, "B"
 
 
 def key_of(spec: PolicySpec) -> str:

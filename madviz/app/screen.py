@@ -38,15 +38,23 @@ class Screen:
     ) -> None:
         """``rgb`` (H, W, 3) uint8, the first picture. ``step`` names what it shows; scripts find
         the ``attributes`` on the image."""
-        self._id = f"mv-screen-{next(_number)}"
+        self._id, self._alt = f"mv-screen-{next(_number)}", alt
+        self.handle = gui.add_html(self._element(rgb, step, attributes))
+        self._feed = gui.add_html("")
+
+    def _element(self, rgb: Array, step: str, attributes: str) -> str:
         height, width = rgb.shape[:2]
-        self._image = gui.add_html(
-            f'<div style="padding:0 10px 6px"><img id="{self._id}" class="mv-mosaic" alt="{alt}" '
-            f'width="{width}" height="{height}" style="width:100%;height:auto;display:block" '
+        return (
+            f'<div style="padding:0 10px 6px"><img id="{self._id}" class="mv-mosaic" '
+            f'alt="{self._alt}" width="{width}" height="{height}" '
+            'style="width:100%;height:auto;display:block" '
             f'{attributes} fetchpriority="high" decoding="sync" data-step="{step}" '
             f'src="{jpeg_url(rgb)}"></div>'
         )
-        self._feed = gui.add_html("")
+
+    def fit(self, rgb: Array, step: str, attributes: str) -> Assign:
+        """A picture of another size."""
+        return Assign(self.handle, "content", self._element(rgb, step, attributes))
 
     def show(self, rgb: Array, step: str) -> Assign:
         """Another picture of the same size."""
@@ -58,5 +66,5 @@ class Screen:
 
     def remove(self) -> None:
         """Takes it off the page."""
-        self._image.remove()
+        self.handle.remove()
         self._feed.remove()

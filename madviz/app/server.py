@@ -15,7 +15,7 @@ from madviz.app.access import Gate, new_token, stays_here
 from madviz.app.address import Address, check_port, reached_at, with_token
 from madviz.app.connection import guard
 from madviz.app.layout import Shared
-from madviz.app.panels.policy import PolicyChoice
+from madviz.app.panels.policy import PolicyChoice, purpose
 from madviz.app.rates import SuccessRates
 from madviz.app.session_maker import References, SessionMaker
 from madviz.app.toolkit import theme
@@ -171,7 +171,7 @@ def open_app(config: ExploreConfig) -> App:
     for reference, spec in given.items():
         references.note(reference, spec)
     if name not in [choice.name for choice in choices]:
-        choices = [PolicyChoice(name, given[name].name), *choices]
+        choices = [PolicyChoice(name, given[name].name, given[name].task), *choices]
     make = SessionMaker(name, config.policy, config.task, config.speed, script)
 
     def new_session() -> SessionProcess:
@@ -183,7 +183,7 @@ def open_app(config: ExploreConfig) -> App:
     rates = SuccessRates(shipped_rates, evaluator if config.workers else None, references.name_of)
     return App(
         new_session,
-        Shared(choices, rates),
+        Shared(choices, rates, greets=script is None),
         Address(config.host, config.port, gate_for(config)),
         Limits(config.visitors, config.watchers),
         light=config.light,
@@ -235,17 +235,17 @@ def policy_choices(task: str | None) -> list[PolicyChoice]:
     those that are broken, last, and why."""
     listed, broken = list_policies()
     fitting = [one for one in listed if task in (None, one["task"])]
-    choices = [
-        PolicyChoice(
-            one["name"],
-            f"{one['task'].split('/')[-1]} · {one['method']} · {one['setting']} · {one['recipe']}",
-        )
-        for one in fitting
-    ]
+    choices: list[PolicyChoice] = []
+    for one in fitting:
+        label = purpose(one["method"], one["setting"], one["recipe"])
+        if any((other.task, other.label) == (one["task"], label) for other in choices):
+            label += f" · {one['name']}"
+        choices.append(PolicyChoice(one["name"], label, one["task"]))
     if task is None:
         for each in broken:
             why = each["error"].removeprefix(each["path"]).lstrip("/")
-            choices.append(PolicyChoice(each["name"], f"{each['name']} · broken: {why:.80}", True))
+            label = f"{each['name']} · broken: {why:.80}"
+            choices.append(PolicyChoice(each["name"], label, broken=True))
     return choices
 
 

@@ -1,38 +1,33 @@
-"""A tour of two minutes for newcomers, and help for everybody.
+"""What greets a newcomer, a tour of two minutes, and help for everybody.
 
-A tour is a list of steps. Each one says something in plain words and does it on the page at the
-same time, with the commands that a visitor's click would send, so that the page itself is the
-picture beside the text:
+A visitor is first offered a comparison: MAD and Merged Only act side by side on the same episode,
+and after a few seconds a camera is dropped on both sides. One click leads to it, another past it.
 
-    1 the page ─► 2 drop a camera ─► 3 switch it on again ─► 4 black instead ─► 5 a single camera
-               ─► 6 another policy ─► 7 back in time ─► 8 your turn
-
-Steps that make no sense here (another policy where there is none, a single camera of one) are left
-out, and the count says so. However it ends, cameras, policy and pace are as they were before it.
-Watchers see what the presenter's tour does, and are not offered one.
+A tour is a list of steps (``tour_steps.py``). Each one says something in plain words and does it on
+the page at the same time, with the commands that a visitor's click would send, so that the page
+itself is the picture beside the text. However it ends, cameras, policy and pace are as they were
+before it, unless a visitor chooses to keep the comparison. Watchers see what the presenter's tour
+does, and are not offered one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from html import escape
-from typing import Any, NamedTuple
+from typing import Any
 
 import viser
 
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.toolkit import Cell, guarded, heard, place, theme
-from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
-from madviz.session.commands import Command, Play, Reset, Scrub, SetCamera, SetPolicy, SetSpeed
-from madviz.session.frame import Frame, NoFrame, untouched
-from madviz.types import PolicySpec
+from madviz.app.tour_steps import Step, compares, comparison_steps, never_alone, restored, steps
+from madviz.session.commands import Command, Play, Scrub, SetPolicy
+from madviz.session.frame import Frame, NoFrame
 
 WIDTH = 300
 """Pixels of the tour's window: at 1280 the scene between the panels has 320."""
-BACK = 10
-"""Steps that the tour goes back in time."""
 
-TOUR_BUTTON, HELP_BUTTON = "2-minute tour", "help, keys"
+COMPARE_BUTTON, TOUR_BUTTON, HELP_BUTTON = "compare", "tour", "help, keys"
 
 HELP = """
 **What this is.** A robot works at a task. Several cameras watch it; a *policy*, a trained network,
@@ -45,6 +40,8 @@ gets their pictures and says how the hand moves next. You may take cameras away 
 
 **Q** is how much reward the policy expects from here on. **action** is how the hand moves next.
 
+**compare** puts two policies side by side, on the same episode and with the same cameras.
+
 **Subsets** shows what it would do, at this time step, with every other choice of cameras.
 
 Rest the pointer on a control's name, and it says what it does. Ctrl + K (or ⌘ + K) finds every
@@ -52,104 +49,8 @@ command by name.
 """
 
 
-class Step(NamedTuple):
-    """What is said, and what is done meanwhile."""
-
-    title: str
-    words: str
-    commands: tuple[Command, ...] = ()
-    back: int = 0
-    """How many steps to look back."""
-
-
-def steps(frame: Frame, choices: Sequence[PolicyChoice]) -> list[Step]:
-    """The tour of what ``frame`` shows, beginning with all cameras and the policy that acts now."""
-    return list(_steps(frame, choices))
-
-
-def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
-    cameras = frame.world.env.cameras
-    label = [camera.label for camera in cameras]
-    middle, last = len(cameras) // 2, len(cameras) - 1
-    yield Step(
-        "What you see",
-        f"A robot works at a task; it is done when: {frame.world.env.success}. The pictures on the "
-        "left are all that the robot's policy gets. Nothing here is a recording: it decides anew "
-        "at every step, now, on this machine.",
-        (*whole(frame), SetSpeed(10.0), Reset(), Play()),
-    )
-    yield Step(
-        "A camera is dropped",
-        f"We have just dropped {label[middle]}: its picture is dim. The line under the pictures "
-        "says by how much the robot's next movement has changed. Does it still do its task?",
-        (_camera(frame, middle, "off"),),
-    )
-    yield Step(
-        "The camera is back",
-        f"{label[middle]} is back, and the movement is as it was. The robot did not have to start "
-        "again: the features of all cameras are added up anew at every step.",
-        (_camera(frame, middle),),
-    )
-    yield Step(
-        "Black is not dropped",
-        f"{label[last]} sends a black picture now. That is worse than no picture: the feature of a "
-        "black picture is added to the others. A camera that breaks is better dropped.",
-        (_camera(frame, last, kind="black"),),
-    )
-    if len(cameras) > 1:
-        yield Step(
-            f"Only {label[0]}",
-            "Now one camera is left, the others are dropped. The tab Subsets shows what it would "
-            "do, at this very time step, with every other choice of cameras.",
-            (
-                _camera(frame, 0),
-                *(_camera(frame, index, "off") for index in range(1, len(cameras))),
-            ),
-        )
-    other = never_alone(frame.world.policy, choices)
-    if other is not None:
-        yield Step(
-            "Another policy",
-            "The same camera, but another policy: this one learned with all cameras and never with "
-            "a single one. Watch the success under the pictures, and how the hand moves.",
-            (SetPolicy(other), Reset(), Play()),
-        )
-    yield Step(
-        "Back in time",
-        "It has stopped, and the page shows what was a few steps ago, as it was then. The tab "
-        "Timeline has a slider for that: go back, drop a camera there, and see another run.",
-        back=BACK,
-    )
-    yield Step(
-        "Your turn",
-        "Press off under any picture, or the keys 1, 2, 3; space stops and goes on. Which camera "
-        "can this robot do without, and when? The button help, keys has the rest.",
-        (Play(), *whole(frame)),
-    )
-
-
-def whole(frame: Frame) -> tuple[Command, ...]:
-    """Commands for all cameras as nobody has touched them, and the policy of ``frame``."""
-    cameras = (_camera(frame, index) for index in range(len(frame.world.env.cameras)))
-    return (SetPolicy(frame.world.policy.name), *cameras)
-
-
-def never_alone(policy: PolicySpec, choices: Sequence[PolicyChoice]) -> str | None:
-    """The name of the policy like this one that learned with all cameras only, if it is offered."""
-    wanted = policy.name.replace("-mad-", "-merged-only-")
-    names = [choice.name for choice in choices]
-    return wanted if wanted != policy.name and wanted in names else None
-
-
-def _camera(
-    frame: Frame, index: int, switch: CameraInput | None = None, kind: OcclusionKind = "none"
-) -> SetCamera:
-    state = CameraState(switch or untouched(frame.world.policy).input, Occlusion(kind))
-    return SetCamera(frame.world.env.cameras[index].name, state)
-
-
 class Tour:
-    """The two buttons, the tour's window, and the help."""
+    """The buttons, the tour's window, and the help."""
 
     def __init__(
         self,
@@ -165,69 +66,92 @@ class Tour:
         self._panel: viser.PanelHandle | None = None
         self._help: Any = None
         self._start: Frame | None = None
+        """What a step of the tour has changed, as it was before."""
         self._steps: list[Step] = []
         self._at, self._acting = 0, ""
         gui = client.gui
         options = (HELP_BUTTON,) if send is None else (TOUR_BUTTON, HELP_BUTTON)
+        if send is not None and self._other() is not None:
+            options = (COMPARE_BUTTON, *options)
         self._row = gui.add_button_group(
-            "New here?",
-            options,
-            hint="What there is to try; what words and keys (?) mean.",
+            "New?", options, hint="What there is to try; what words and keys (?) mean."
         )
         self._row.on_click(heard(lambda event: self._pressed(event.target.value)))
 
     def _pressed(self, button: str) -> None:
-        if button == TOUR_BUTTON:
+        if button == COMPARE_BUTTON:
+            self.greet()
+        elif button == TOUR_BUTTON:
             self.begin()
         elif button == HELP_BUTTON:
             self.help()
 
+    def _other(self) -> str | None:
+        """The policy to compare with, if there is one."""
+        frame = self._newest()
+        here = isinstance(frame, Frame)
+        return never_alone(frame.world.policy, self._choices) if here else None
+
+    def greet(self) -> None:
+        """Offers the comparison, if there is a policy to compare with."""
+        frame, other = self._newest(), self._other()
+        if isinstance(frame, Frame) and other is not None:
+            self._open(frame, comparison_steps(frame, other))
+
     def begin(self) -> None:
         """Opens the tour's window at its first step."""
         frame = self._newest()
-        if isinstance(frame, Frame) and self._send is not None and self._panel is None:
-            self._start, self._steps, self._at = frame, steps(frame, self._choices), 0
-            self._acting = frame.world.policy.name
-            self._open()
-            self._show()
+        if isinstance(frame, Frame):
+            self._open(frame, steps(frame, self._choices))
 
-    def _open(self) -> None:
+    def _open(self, frame: Frame, steps: list[Step]) -> None:
+        if self._send is None or self._panel is not None:
+            return
+        self._start, self._steps, self._at = None, steps, 0
+        self._acting = frame.world.policy.name
         gui = self._client.gui
         self._panel = gui.add_panel()
-        self._panel.float(x=10, y=-10, width=WIDTH)
+        self._panel.float(x=10, y=10, width=WIDTH)
         with self._panel.add_tab("Tour", viser.Icon.ROUTE):
             self._text = gui.add_html("")
-            self._next = gui.add_button("next step", hint="The tour's next step.")
-            self._end = gui.add_button("end the tour", hint="Everything as it was before the tour.")
-            place(gui, "tour-steps", 2, [Cell(self._next, 1), Cell(self._end, 2)])
+            self._next = gui.add_button("next step", hint="Goes on.")
+            self._end = gui.add_button("end the tour", color="gray", hint="All as it was before.")
+            place(gui, "tour-steps", 1, [Cell(self._next, 1), Cell(self._end, 1)])
         self._next.on_click(heard(lambda _: self.next()))
         self._end.on_click(heard(lambda _: self.end()))
+        self._show()
 
     def next(self) -> None:
         """One step on; after the last one the tour is over."""
         if self._panel is None:
             return
+        keep = self._steps[self._at].keep
         self._at += 1
         if self._at < len(self._steps):
             self._show()
         else:
+            self._start = None if keep else self._start
             self.end()
 
     def end(self) -> None:
-        """Closes the window; cameras, policy and speed are as they were."""
+        """Closes the window; cameras, policy, speed and B are as they were."""
         panel, self._panel = self._panel, None
-        if panel is None or self._start is None:
+        if panel is None:
             return
         panel.remove()
-        # First to the newest step: a camera that is touched in the past begins another run.
-        self._do((Play(), *restored(self._start)))
+        if self._start is not None:
+            # First to the newest step: a camera that is touched in the past begins another run.
+            self._do((Play(), *restored(self._start, any(map(compares, self._steps)))))
 
     def _show(self) -> None:
         step, count = self._steps[self._at], len(self._steps)
         self._text.content = step_html(step, self._at + 1, count)
-        if self._at + 1 == count:
+        self._next.label, self._end.label = step.go, step.leave
+        if self._at + 1 == count and not step.keep:
             self._next.visible = False
         frame = self._newest()
+        if isinstance(frame, Frame) and (step.commands or step.back):
+            self._start = self._start or frame
         if step.back and isinstance(frame, Frame):
             self._do((Scrub(max(0, frame.world.step - step.back)),))
         self._do(step.commands)
@@ -264,12 +188,6 @@ class Tour:
             self._panel.remove()
             self._panel = None
         self._row.remove()
-
-
-def restored(frame: Frame) -> tuple[Command, ...]:
-    """Commands for cameras, policy and speed as in ``frame``."""
-    cameras = (SetCamera(c.name, frame.camera(c.name)) for c in frame.world.env.cameras)
-    return (SetPolicy(frame.world.policy.name), *cameras, SetSpeed(frame.pace.speed))
 
 
 def step_html(step: Step, number: int, count: int) -> str:

@@ -29,20 +29,23 @@ GLOW = 0.85
 """How much of a pixel the brightest saliency covers."""
 
 
-def mosaic(frame: Frame, tile: int) -> Array:
-    """(HEADER + tile, V tiles, 3) uint8: all cameras side by side, ``tile`` pixels wide each."""
-    cameras = frame.world.env.cameras
-    width = len(cameras) * tile + (len(cameras) - 1) * GAP
+def mosaic(frame: Frame, tile: int, column: int | None = None) -> Array:
+    """(HEADER + tile, V columns, 3) uint8: all cameras side by side, ``tile`` pixels wide each, in
+    the middle of columns that are ``column`` wide, or no wider."""
+    cameras, column = frame.world.env.cameras, column or tile
+    inset = (column - tile) // 2
+    width = len(cameras) * column + (len(cameras) - 1) * GAP
     canvas = np.empty((HEADER + tile, width, 3), np.uint8)
     canvas[:] = _GROUND
     colours = camera_colours(cameras)
     for index, camera in enumerate(cameras):
-        left = index * (tile + GAP)
-        block = canvas[:, left : left + tile]
+        left = index * (column + GAP)
+        block = canvas[:, left : left + column]
         _header(block[:HEADER], camera.label, badge(frame, camera.name), colours[camera.name])
-        block[HEADER:] = _tile(frame, camera, tile)
+        picture = block[HEADER:, inset : inset + tile]
+        picture[:] = _tile(frame, camera, tile)
         if frame.camera(camera.name).input == "off":
-            _stamp(block[HEADER:], "DROPPED")
+            _stamp(picture, "DROPPED")
     return canvas
 
 

@@ -95,10 +95,17 @@ class Scrub:
 @dataclass(frozen=True)
 class Compare:
     """Start B beside this simulation, on the same seeds: another policy or the same one, under
-    ``ablation`` from now on. None ends it."""
+    ``ablation``; linked to A if that is A's now, too. None ends it."""
 
     policy: str | None
     ablation: Ablation = Ablation()
+
+
+@dataclass(frozen=True)
+class Link:
+    """Whether what is done to A's cameras is done to B's, too. Once it is, they are as A's."""
+
+    on: bool
 
 
 @dataclass(frozen=True)
@@ -143,6 +150,7 @@ Command = (
     | Scrub
     | Fork
     | Compare
+    | Link
     | SetSchedule
     | SetSaliency
     | ReadSubsets

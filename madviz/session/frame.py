@@ -185,6 +185,8 @@ class Frame:
     branch: Branch | None = None
     second: Frame | None = None
     """B's side, at the same step."""
+    linked: bool = True
+    """Whether what is done to A's cameras is done to B's, too."""
     pairs: tuple[Pair, ...] = ()
     """The last seeds that A and B both finished."""
     schedule: Schedule = ()
@@ -251,8 +253,13 @@ def words(change: Change, env: EnvSpec) -> str:
         effect = "this policy cannot act on that"
     if np.isfinite([change.q_before, change.q_after]).all():
         effect += f", Q {change.q_before:.1f} → {change.q_after:.1f}"
-    deed = change.moved or _deed(change.before, change.after)
-    return f"{env.camera(change.camera).label} {deed}: {effect}"
+    return f"{deed(change, env)}: {effect}"
+
+
+def deed(change: Change, env: EnvSpec) -> str:
+    """``Third A dropped``."""
+    done = change.moved or _deed(change.before, change.after)
+    return f"{env.camera(change.camera).label} {done}"
 
 
 def _deed(before: CameraState, after: CameraState) -> str:

@@ -32,6 +32,7 @@ from madviz.session.commands import (
     Command,
     Compare,
     Fork,
+    Link,
     Pause,
     Play,
     ReadSubsets,
@@ -319,6 +320,9 @@ class Session:
             case Compare(name, ablation):
                 self._stage.compare(name, ablation)
                 self._began(now)
+            case Link(on):
+                self._stage.link(on)
+                self._emit()
 
     def _restart(self, seed: int, now: float) -> None:
         if self._error or not self._stage.is_open or self._stage.ended:

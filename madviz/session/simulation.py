@@ -215,6 +215,17 @@ class Simulation:
         self._note_condition()
         self.journal.camera(self.now.step, command)
 
+    def follow(self, other: Simulation) -> None:
+        """Gives each camera the state and the place that it has in ``other``."""
+        intact = untouched(self.policy.spec)
+        for name in (camera.name for camera in self.env.spec.cameras):
+            state = other.ablation.cameras.get(name, intact)
+            if state != self.ablation.cameras.get(name, intact):
+                self.set_camera(SetCamera(name, state))
+            move = other.ablation.moves.get(name)
+            if move != self.ablation.moves.get(name):
+                self.move_camera(MoveCamera(name, move))
+
     def swap(self, policy: Policy) -> None:
         """Another policy in the same episode; it gets the newest frames as its past."""
         past = list(self._recent)

@@ -54,6 +54,7 @@ class Stage:
         self.simulation: Simulation | None = None
         self.saliency = LiveSaliency()
         self._second: SecondSimulation | None = None
+        self._linked = True
         self._pairs: deque[Pair] = deque(maxlen=MOST_PAIRS)
 
     @property
@@ -106,6 +107,7 @@ class Stage:
         live.step(between)
         if self._second is not None:
             self._second.step()
+            self._follow_a()
         self._follow()
         if live.ended and self._second is not None:
             paired = self._second.concluded(live.outcomes[-1])
@@ -116,12 +118,15 @@ class Stage:
         if self._timeline.shown is not None:
             self.fork()
         self._live.set_camera(command, preview)
+        if not preview:  # In the middle of a step B waits for its end, which is where A's begins.
+            self._follow_a()
 
     def move_camera(self, command: MoveCamera) -> None:
         """A camera elsewhere; in the past, another future begins with it."""
         if self._timeline.shown is not None:
             self.fork()
         self._live.move_camera(command)
+        self._follow_a()
 
     def swap(self, name: str) -> None:
         """Another policy; in the same episode where it belongs to the same task and render profile,
@@ -183,8 +188,9 @@ class Stage:
             self._second.part()
 
     def compare(self, name: str | None, ablation: Ablation | None = None) -> None:
-        """Starts B, and the episode again for both; None ends B. Raises UserError if B's policy
-        belongs to another task: there would be nothing to compare."""
+        """Starts B, and the episode again for both; None ends B. They are linked if their cameras
+        begin alike. Raises UserError if B's policy belongs to another task: there would be nothing
+        to compare."""
         if self._second is not None:
             self._second.close()
             self._second = None
@@ -197,13 +203,26 @@ class Stage:
                 f"expected a policy for {live.env.spec.task} on B's side, found {name!r} for "
                 f"{policy.spec.task}; choose one of the same task"
             )
-        self._second = SecondSimulation(self._make_env, policy, ablation or Ablation())
+        cameras = ablation or Ablation()
+        self._second = SecondSimulation(self._make_env, policy, cameras)
+        self._linked = cameras == live.ablation
         self.begin(self.seed)
+
+    def link(self, on: bool) -> None:
+        """Whether what is done to A's cameras is done to B's, too."""
+        self._linked = on
+        self._follow_a()
+
+    def _follow_a(self) -> None:
+        """Does to B's cameras what was done to A's, if they are linked."""
+        if self._second is not None and self._linked:
+            self._second.simulation.follow(self._live)
 
     def reschedule(self, events: Schedule) -> None:
         """Another schedule of failures; an empty one ends them."""
         for command in self._plan.reschedule(events, self.simulation):
             self._live.set_camera(command)
+        self._follow_a()
 
     def frame(self, keep: bool, pace: SessionPace) -> Frame | None:
         """All of it at this time step, with what the session says of its pace; None where nothing
@@ -215,6 +234,7 @@ class Stage:
             live.world(),
             pace,
             second=Frame(self._second.simulation.world(), pace) if self._second else None,
+            linked=self._linked,
             pairs=tuple(self._pairs),
             schedule=self._plan.schedule,
             saliency=self.saliency.maps,
@@ -238,3 +258,4 @@ class Stage:
                 self._live.move_camera(command)
             else:
                 self._live.set_camera(command)
+        self._follow_a()

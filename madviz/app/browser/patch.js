@@ -6,11 +6,11 @@ const SHORTEST = 8, THINNEST = 2;
 
 let drag = null, count = 0;
 const tileAt = (image, event) => {
-  const {tile, gap, header, tiles} = Object.fromEntries(
-    ['tile', 'gap', 'header', 'tiles'].map(name => [name, Number(image.dataset[name])]));
+  const {tile, pitch, inset, header, tiles} = Object.fromEntries(
+    ['tile', 'pitch', 'inset', 'header', 'tiles'].map(name => [name, Number(image.dataset[name])]));
   const box = image.getBoundingClientRect(), scale = box.width / image.getAttribute('width');
-  const index = Math.floor((event.clientX - box.left) / scale / (tile + gap));
-  const left = box.left + index * (tile + gap) * scale, top = box.top + header * scale;
+  const index = Math.floor((event.clientX - box.left) / scale / pitch);
+  const left = box.left + (index * pitch + inset) * scale, top = box.top + header * scale;
   const x = event.clientX - left, y = event.clientY - top, side = tile * scale;
   const inside = index >= 0 && index < tiles && x >= 0 && x < side && y >= 0 && y < side;
   return inside ? {image, index, left, top, side, x, y} : null;

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from html import escape
 
 import viser
 
 from madviz.app.panel import Assign
 from madviz.app.panels.patch import HINT, Box, attributes, field_style, parse_box, patched
+from madviz.app.panels.policy import policy_words, verdict
 from madviz.app.screen import Screen
-from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_value, place
+from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.mosaic import GAP, mosaic
 from madviz.observation.ablation import CameraState, Occlusion
-from madviz.session.commands import SetCamera
+from madviz.session.commands import Compare, Link, SetCamera
 from madviz.session.frame import Frame, untouched
 from madviz.subsets import modality_of
 from madviz.types import CameraSpec
@@ -46,6 +48,8 @@ HINTS = {
     "x": "Centre of the patch, from the left; 0.5 is the middle.",
     "y": "Centre of the patch, from the top; 0.5 is the middle.",
     "width": "Width of the patch, as a share of the picture's; 1 is all of it.",
+    "link": "Both sides lose the same cameras, or only A does.",
+    "end": "Back to one policy. Its cameras stay as they are.",
     "height": "Height of the patch, as a share of the picture's; 1 is all of it.",
 }
 
@@ -129,33 +133,77 @@ class CameraControls:
         self._ask(replace(self._state, occlusion=occlusion))
 
 
-class CamerasPanel(WidgetPanel):
-    """The mosaic with a column of controls under every tile. ``send`` None: read-only."""
+class Mosaic:
+    """All cameras of one side in one picture. Above or below another one, it is smaller."""
 
     def __init__(
         self,
         gui: viser.GuiApi,
-        send: Callable[[SetCamera], None] | None,
         frame: Frame,
         width: int,
+        most: int,
+        alt: str,
+        field: viser.GuiTextHandle | None,
     ) -> None:
-        """``width`` in pixels of the picture; tiles share it."""
+        """``width`` in pixels of the picture; tiles share it. ``most``: of a tile where there are
+        two mosaics. ``field`` takes what is drawn on the picture (``patch``)."""
+        self._count, self._field = len(frame.world.env.cameras), field
+        self._column = (width - (self._count - 1) * GAP) // self._count
+        self._most, self.paired = min(self._column, most), False
+        picture = mosaic(frame, self.tile, self._column)
+        self.screen = Screen(gui, picture, step_of(frame), alt, self._attributes())
+
+    @property
+    def tile(self) -> int:
+        """Pixels that a camera's picture is wide and high."""
+        return self._most if self.paired else self._column
+
+    def _attributes(self) -> str:
+        return attributes(self._field, self._count, self.tile, self._column) if self._field else ""
+
+    def show(self, frame: Frame, paired: bool) -> Assign:
+        """The next picture; ``paired``: one of two."""
+        changed, self.paired = paired != self.paired, paired
+        picture, step = mosaic(frame, self.tile, self._column), step_of(frame)
+        if changed:
+            return self.screen.fit(picture, step, self._attributes())
+        return self.screen.show(picture, step)
+
+
+class CamerasPanel(WidgetPanel):
+    """The mosaic with a column of controls under every tile; B's mosaic below A's where there is a
+    B, and what the controls act on. ``send`` None: read-only."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        send: Callable[[SetCamera | Link | Compare], None] | None,
+        frame: Frame,
+        width: int,
+        paired: int = 150,
+    ) -> None:
+        """``width`` in pixels of the picture; tiles share it. ``paired``: pixels of a tile where
+        there are two mosaics."""
         count = len(frame.world.env.cameras)
-        self._tile = (width - (count - 1) * GAP) // count
         self._style = gui.add_html("")
-        picture = mosaic(frame, self._tile)
         self._controls: list[CameraControls] = []
         self._field = gui.add_text("box", "") if send is not None else None
-        drawable = attributes(self._field, count, self._tile) if self._field else ""
-        step, alt = step_of(frame), "what every camera sends"
-        self._screen = Screen(gui, picture, step, alt, drawable)
+        self._titles, self._mosaics = [], []
+        for name in ("A", "B"):
+            self._titles.append(gui.add_html("", visible=False))
+            alt = f"what every camera sends{', B' if name == 'B' else ''}"
+            field = self._field if name == "A" else None
+            self._mosaics.append(Mosaic(gui, frame, width, paired, alt, field))
+        self._mosaics[1].screen.handle.visible = False
+        self._link = LinkControls(gui, send) if send is not None else None
         if send is not None:
             self._build(gui, send, frame.world.env.cameras)
         if self._field is not None:
             on_value(self._field, lambda _, text: self._draw(text))
-        self.handles = [self._style, self._screen, *place(gui, "cameras", count, self._cells())]
+        screens = [one.screen for one in self._mosaics]
         self._note = gui.add_html("")
-        self.handles.append(self._note)
+        grid = place(gui, "cameras", count, self._cells())
+        self.handles = [self._style, *self._titles, *screens, *grid, self._note]
 
     def _build(
         self,
@@ -175,10 +223,14 @@ class CamerasPanel(WidgetPanel):
 
     def _draw(self, text: str) -> None:
         box = parse_box(text, len(self._controls))
-        self._controls[box.tile].cover(box, self._tile)
+        self._controls[box.tile].cover(box, self._mosaics[0].tile)
 
     def _cells(self) -> list[Cell]:
         cells = [Cell(self._field, 1)] if self._field else []
+        count = len(self._controls)
+        if self._link is not None:
+            cells.append(Cell(self._link.choice.handle, 1, max(count - 1, 1), "11em"))
+            cells.append(Cell(self._link.end, count))
         for index, control in enumerate(self._controls):
             cells.append(Cell(control.input.handle, index + 1, label="above"))
             cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="21%"))
@@ -186,15 +238,57 @@ class CamerasPanel(WidgetPanel):
         return cells
 
     def update(self, frame: Frame) -> list[Assign]:
-        changes = [self._screen.show(mosaic(frame, self._tile), step_of(frame))]
+        second, paired = frame.second, frame.second is not None
+        changes = [Assign(self._mosaics[1].screen.handle, "visible", paired)]
+        changes += [Assign(title, "visible", paired) for title in self._titles]
+        for index, side in enumerate((frame, second)):
+            if side is not None:
+                changes.append(self._mosaics[index].show(side, paired))
+                title = side_html("AB"[index], side) if paired else ""
+                changes.append(Assign(self._titles[index], "content", title))
         for control in self._controls:
             changes += control.show(frame.camera(control.name))
         marks = "".join(control.style() for control in self._controls)
         marks += field_style(self._field) if self._field else ""
+        if self._link is not None:
+            changes += self._link.show(paired)
+            marks += self._link.choice.style("both" if frame.linked else "a")
         changes.append(Assign(self._style, "content", f"<style>{marks}</style>"))
-        hint = f'<div class="mv"><span class="dim">{HINT}</span></div>' if self._field else ""
+        hinted = self._field is not None and not paired
+        hint = f'<div class="mv"><span class="dim">{HINT}</span></div>' if hinted else ""
         changes.append(Assign(self._note, "content", unused_note(frame) or hint))
         return changes
+
+
+class LinkControls:
+    """What the switches act on while A and B are compared, and the way back to one policy."""
+
+    def __init__(self, gui: viser.GuiApi, send: Callable[[Link | Compare], None]) -> None:
+        self.choice = Choice(
+            gui,
+            "Switches act on",
+            {"both": "A and B", "a": "A only"},
+            lambda _, value: send(Link(value == "both")),
+            HINTS["link"],
+        )
+        self.end = gui.add_button("end comparison", color="gray", hint=HINTS["end"], visible=False)
+        self.choice.handle.visible = False
+        on_press(self.end, lambda: send(Compare(None)))
+
+    def show(self, on: bool) -> list[Assign]:
+        """Whether they are to be seen."""
+        return [Assign(handle, "visible", on) for handle in (self.choice.handle, self.end)]
+
+
+def side_html(name: str, frame: Frame) -> str:
+    """Whose pictures these are, what kind of policy it is, and how its episode stands."""
+    word, colour = verdict(frame)
+    words = escape(policy_words(frame.world.policy))
+    return (
+        f'<div class="mv mv-side"><b>{name}</b><span class="words">{words}</span>'
+        f'<span class="num">step <b>{frame.world.step}</b></span>'
+        f'<span class="tag" style="background:{colour}">{word}</span></div>'
+    )
 
 
 def step_of(frame: Frame) -> str:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from html import escape
 
 import viser
 
 from madviz.app.panel import Assign
-from madviz.app.panels.policy import PolicyChoice, verdict
-from madviz.app.panels.subsets import subset_label
-from madviz.app.pictures import strip_html
-from madviz.app.toolkit import Cell, WidgetPanel, on_press, place
+from madviz.app.panels.policy import PolicyChoice, offered
+from madviz.app.toolkit import Cell, SyncedInput, WidgetPanel, on_press, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, NOTE
 from madviz.evaluation.statistics import Paired
 from madviz.session.commands import Command, Compare
@@ -19,9 +16,9 @@ from madviz.session.comparison import tally
 from madviz.session.frame import Frame
 
 INTRODUCTION = (
-    "A is the page. <b>Start B</b> keeps the cameras as they are now, on the same seeds, with "
-    "the policy you choose here. Then switch A's cameras, or give A another policy, and see how "
-    "often only one of them succeeds."
+    "A is the page. <b>Start B</b> puts a second policy beside it, on the same seeds: the one you "
+    "choose here, with the cameras as they are now. Its pictures appear under A's. The switches "
+    "act on both, until you choose <b>A only</b>."
 )
 HINTS = {
     "policy": "Who acts on B's side.",
@@ -42,18 +39,19 @@ class ComparisonPanel(WidgetPanel):
     ) -> None:
         self._frame = frame
         self.handles = []
-        self._names = {choice.label: choice.name for choice in choices}
+        self._names = offered(choices, frame.world.env.task)
+        self._labels = {name: label for label, name in self._names.items()}
+        self._shown: SyncedInput | None = None
         if send is not None and self._names:
             self._add_controls(gui, send)
         self._html = gui.add_html(comparison_html(frame))
         self.handles.append(self._html)
 
     def _add_controls(self, gui: viser.GuiApi, send: Callable[[Command], None]) -> None:
-        labels = {name: label for label, name in self._names.items()}
         picker = gui.add_dropdown(
             "B",
             list(self._names),
-            initial_value=labels.get(self._frame.world.policy.name, next(iter(self._names))),
+            initial_value=self._labels.get(self._frame.world.policy.name, next(iter(self._names))),
             hint=HINTS["policy"],
         )
         start = gui.add_button("start B", hint=HINTS["start"])
@@ -66,43 +64,21 @@ class ComparisonPanel(WidgetPanel):
             on_press(button, work)
         cells = [Cell(picker, 1, 6, "1.2em"), Cell(start, 7, 2), Cell(stop, 9, 2)]
         self.handles = place(gui, "versus", 10, cells)
+        self._shown = SyncedInput(picker)
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
-        return [Assign(self._html, "content", comparison_html(frame))]
+        changes = [Assign(self._html, "content", comparison_html(frame))]
+        if self._shown is not None and frame.second is not None:
+            acting = frame.second.world.policy.name
+            changes += self._shown.show(self._labels.get(acting, acting))
+        return changes
 
 
 def comparison_html(frame: Frame) -> str:
-    """Both sides in a table, B's cameras, and the tally under them."""
-    if frame.second is None:
-        return f'<div class="mv mv-comparison">{INTRODUCTION}</div>'
-    rows = "".join(_side(name, side) for name, side in (("A", frame), ("B", frame.second)))
-    head = (
-        '<tr class="dim"><td></td><td>policy</td><td>gets</td><td class="num">Q</td>'
-        '<td class="num">reward</td><td></td></tr>'
-    )
-    return (
-        f'<div class="mv mv-comparison"><table>{head}{rows}</table>'
-        '<div style="display:flex;gap:12px;margin-top:6px;align-items:center">'
-        f'<div><div class="dim">B, step {frame.second.world.step}</div>'
-        f"{strip_html(frame.second, 'the cameras of B')}</div>"
-        f"<div>{_tally(frame)}</div></div></div>"
-    )
-
-
-def _side(name: str, frame: Frame) -> str:
-    word, colour = verdict(frame)
-    return (
-        f"<tr><td><b>{name}</b></td><td>{escape(frame.world.policy.name)}</td>"
-        f"<td>{escape(_gets(frame))}</td>"
-        f'<td class="num">{frame.q:.0f}</td><td class="num">{frame.world.total_reward:.0f}</td>'
-        f'<td><b style="color:{colour}">{word}</b></td></tr>'
-    )
-
-
-def _gets(frame: Frame) -> str:
-    label = subset_label(frame, frame.condition.subset)
-    return f"{label} · {frame.condition.occlusions}" if frame.condition.occlusions else label
+    """The tally, or what there is to try."""
+    said = INTRODUCTION if frame.second is None else _tally(frame)
+    return f'<div class="mv mv-comparison">{said}</div>'
 
 
 def _tally(frame: Frame) -> str:

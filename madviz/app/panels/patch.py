@@ -91,9 +91,11 @@ def field_style(field: viser.GuiTextHandle) -> str:
     return f"{selector(field)} {{display:none}}"
 
 
-def attributes(field: viser.GuiTextHandle, tiles: int, tile: int) -> str:
-    """What the script must know of a mosaic of ``tiles`` tiles, ``tile`` pixels wide."""
+def attributes(field: viser.GuiTextHandle, tiles: int, tile: int, column: int) -> str:
+    """What the script must know of a mosaic of ``tiles`` tiles, ``tile`` pixels wide, in columns
+    that are ``column`` wide."""
     return (
-        f'data-draw="{field._impl.uuid}" data-tiles="{tiles}" data-tile="{tile}" data-gap="{GAP}" '
+        f'data-draw="{field._impl.uuid}" data-tiles="{tiles}" data-tile="{tile}" '
+        f'data-pitch="{column + GAP}" data-inset="{(column - tile) // 2}" '
         f'data-header="{HEADER}" draggable="false" title="{HINT}"'
     )

@@ -39,8 +39,17 @@ class PolicyChoice:
 
     name: str
     label: str
+    """What it is, among those of its task."""
+    task: str = ""
+    """'' where that is not known."""
     broken: bool = False
     """Whether the label says what is wrong with it."""
+
+
+def offered(choices: Sequence[PolicyChoice], task: str) -> dict[str, str]:
+    """Names of policies by what they are called on a page: those of ``task``, and those of which
+    no task is known."""
+    return {one.label: one.name for one in choices if one.task in (task, "")}
 
 
 class PolicyPanel(WidgetPanel):
@@ -54,8 +63,13 @@ class PolicyPanel(WidgetPanel):
         choices: Sequence[PolicyChoice],
     ) -> None:
         self._gui, self._send = gui, send
-        self._names = {choice.label: choice.name for choice in choices}
-        self._labels = {choice.name: choice.label for choice in choices}
+        task = frame.world.env.task
+        self._names = offered(choices, task)
+        self._labels = {name: label for label, name in self._names.items()}
+        self._tasks: dict[str, str] = {}
+        """Each with the first policy for it."""
+        for one in choices:
+            self._tasks.setdefault(one.task or task, one.name)
         self.handles: list = []
         self._run: Choice | None = None
         self._speed: Choice | None = None
@@ -76,6 +90,16 @@ class PolicyPanel(WidgetPanel):
                 frame.world.policy.name,
                 current,
             )
+        tasks = list({frame.world.env.task: "", **self._tasks})
+        self._task = gui.add_dropdown(
+            "Task",
+            sorted(tasks),
+            initial_value=frame.world.env.task,
+            hint="Another task, with the first of its policies.",
+            visible=len(tasks) > 1,
+        )
+        on_value(self._task, lambda _, task: send(SetPolicy(self._tasks[task])))
+        self._shown_task = SyncedInput(self._task)
         self._picker = gui.add_dropdown(
             "Policy", labels, initial_value=current, hint="Swap the policy in mid-episode."
         )
@@ -100,6 +124,7 @@ class PolicyPanel(WidgetPanel):
         self._shown_auto = SyncedInput(auto)
         on_value(auto, lambda _, on: send(SetAutoNext(bool(on))))
         cells = [
+            Cell(self._task, 1, 8),
             Cell(self._picker, 1, 8),
             Cell(self._run.handle, 1, 8),
             Cell(self._speed.handle, 1, 8),
@@ -131,7 +156,9 @@ class PolicyPanel(WidgetPanel):
         changes += self._shown_auto.show(frame.pace.auto_next)
         label = self._labels.get(frame.world.policy.name, frame.world.policy.name)
         # After an error the policy may be another than the one that was picked.
-        return changes + self._shown_policy.show(label, force=bool(frame.pace.error))
+        failed = bool(frame.pace.error)
+        changes += self._shown_task.show(frame.world.env.task, force=failed)
+        return changes + self._shown_policy.show(label, force=failed)
 
 
 def policy_words(spec: PolicySpec) -> str:
@@ -139,6 +166,13 @@ def policy_words(spec: PolicySpec) -> str:
     if spec.method in METHODS:
         return METHODS[spec.method].page_words
     return f"Method {spec.method}, recipe {spec.recipe}."
+
+
+def purpose(method: str, setting: str, recipe: str) -> str:
+    """What a policy is, in a list of those of one task."""
+    words = METHODS[method].page_words.rstrip(".") if method in METHODS else method
+    more = [word for word in (setting, recipe) if word not in ("three", "light")]
+    return f"{words} ({', '.join(more)})" if more else words
 
 
 def verdict(frame: Frame) -> tuple[str, str]:

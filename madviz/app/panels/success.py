@@ -14,7 +14,7 @@ from madviz.app.markup import band, dot, track
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_POINTS, small_axes
 from madviz.app.panels.subsets import is_trained, presence, subset_label
-from madviz.app.rates import NOTHING, SuccessRates
+from madviz.app.rates import NOTHING, SuccessRates, side_b
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.evaluation.statistics import SuccessRate
@@ -44,8 +44,9 @@ class SuccessPanel(WidgetPanel):
     ) -> None:
         """``visitor`` has the present condition measured; None only watches."""
         self._rates, self._visitor = rates, visitor
-        self._wanted: tuple[PolicySpec, Condition] | None = None
-        self._known: tuple[Outcome, ...] = ()
+        self._wanted: dict[Hashable, tuple[PolicySpec, Condition]] = {}
+        """By side: what is measured for it."""
+        self._known: dict[Hashable, tuple[Outcome, ...]] = {}
         self._curve = Curve()
         self._bars = gui.add_html(bars_html(frame, rates))
         self._strip = gui.add_html(strip_html(frame))
@@ -61,7 +62,7 @@ class SuccessPanel(WidgetPanel):
             scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=(0.0, 1.0))},
             axes=small_axes(30),
             legend=uplot.Legend(show=False),
-            height=84,
+            height=64,
             padding=(6, 10, 0, 0),
         )
         self.handles = [self._bars, self._strip, self._plot]
@@ -75,6 +76,7 @@ class SuccessPanel(WidgetPanel):
         if self._visitor is not None:
             self._keep(frame)
             self._want(frame)
+        paired = frame.second is not None
         condition = frame.condition
         moved = self._curve.add(
             frame.world.policy, condition, self._rates.live(frame.world.policy, condition)
@@ -82,37 +84,52 @@ class SuccessPanel(WidgetPanel):
         changes = [
             Assign(self._bars, "content", bars_html(frame, self._rates)),
             Assign(self._strip, "content", strip_html(frame)),
+            Assign(self._plot, "visible", not paired),
         ]
         if moved:
             changes.append(Assign(self._plot, "data", self._curve.data()))
         return changes
 
     def remove(self) -> None:
-        self._rates.forget(self._visitor)
+        self._forget()
         super().remove()
 
+    def _sides(self, frame: Frame) -> list[tuple[Hashable, Frame]]:
+        """What measures for A and, where there is one, for B; and their frames."""
+        first = (self._visitor, frame)
+        return [first] if frame.second is None else [first, (side_b(self._visitor), frame.second)]
+
     def _want(self, frame: Frame) -> None:
-        """Has the condition of this moment measured, if it is not the one that already is."""
-        wanted = (frame.world.policy, frame.condition)
-        measuring = self._switch is not None and self._switch.value
-        if measuring and wanted != self._wanted and frame.world.probe.supported[frame.row]:
-            self._wanted = wanted
-            self._rates.want(self._visitor, frame.world.policy, frame.mask, frame.world.ablation)
+        """Has the conditions of this moment measured, if they are not those that already are."""
+        if self._switch is None or not self._switch.value:
+            return
+        sides = self._sides(frame)
+        for gone in self._wanted.keys() - {who for who, _ in sides}:
+            self._rates.forget(gone)
+            del self._wanted[gone]
+        for who, side in sides:
+            wanted = (side.world.policy, side.condition)
+            if wanted != self._wanted.get(who) and side.world.probe.supported[side.row]:
+                self._wanted[who] = wanted
+                self._rates.want(who, side.world.policy, side.mask, side.world.ablation)
 
     def _set_measuring(self, on: bool) -> None:
-        self._wanted = None
         if not on:
-            self._rates.forget(self._visitor)
+            self._forget()
+
+    def _forget(self) -> None:
+        self._rates.forget(self._visitor)
+        self._wanted.clear()
 
     def _keep(self, frame: Frame) -> None:
         """Episodes seen on this page that had one condition throughout are measurements, too."""
-        fresh = [one for one in frame.world.outcomes if one not in self._known]
-        self._known = frame.world.outcomes
-        for outcome in fresh:
-            if outcome.condition is not None and outcome.policy == frame.world.policy:
-                self._rates.add(
-                    frame.world.policy, outcome.condition, {outcome.seed: outcome.success}
-                )
+        for who, side in self._sides(frame):
+            known = self._known.get(who, ())
+            fresh = [one for one in side.world.outcomes if one not in known]
+            self._known[who] = side.world.outcomes
+            for one in fresh:
+                if one.condition is not None and one.policy == side.world.policy:
+                    self._rates.add(one.policy, one.condition, {one.seed: one.success})
 
 
 class Curve:
@@ -168,29 +185,38 @@ def bar_rows(frame: Frame, rates: SuccessRates) -> list[Condition]:
 
 
 def bars_html(frame: Frame, rates: SuccessRates) -> str:
-    """One bar per condition: rate, interval and count, shipped above, measured here below."""
-    spec = frame.world.policy
-    rows = []
-    conditions = bar_rows(frame, rates)
-    for condition in conditions:
-        shipped = rates.shipped(spec).get(condition.subset, NOTHING)
-        shipped = NOTHING if condition.occlusions else shipped
-        live = rates.live(spec, condition)
-        rows.append(_bar_row(frame, condition, shipped, live, 20 if len(conditions) < 10 else 17))
+    """One bar per condition: rate, interval and count, shipped above, measured here below. Where
+    there is a B, its bar stands under A's."""
+    sides = [frame] if frame.second is None else [frame, frame.second]
+    own = [bar_rows(side, rates) for side in sides]
+    conditions = list(dict.fromkeys(row for rows in own for row in rows))
+    conditions.sort(key=lambda row: row.subset == "none")
+    height = 15 if len(sides) == 2 else 20 if len(conditions) < 10 else 17
+    rows = [
+        _bar_row(side, condition, rates, "" if len(sides) == 1 else "AB"[index], height)
+        for condition in conditions
+        for index, side in enumerate(sides)
+        if condition in own[index] or side.world.policy.streams == frame.world.policy.streams
+    ]
     key = (
         f"{dot(MUTED, 'height:5px')}shipped{dot(GOOD, 'height:5px;margin-left:8px')}"
         f'here · † not trained on · <b style="color:{NOTE}">▸</b> now'
     )
+    troubles = {rates.error(side.world.policy, side.condition): None for side in sides}
     return (
         f'<div class="mv"><h4>Success at the last step</h4><div class="dim">{key}'
-        f"</div>{''.join(rows)}{_trouble('not measured', rates.error(spec, frame.condition))}"
+        f"</div>{''.join(rows)}{''.join(_trouble('not measured', one) for one in troubles)}"
         f"{_trouble('not stored', rates.trouble)}</div>"
     )
 
 
 def _bar_row(
-    frame: Frame, condition: Condition, shipped: SuccessRate, live: SuccessRate, height: int
+    frame: Frame, condition: Condition, rates: SuccessRates, side: str, height: int
 ) -> str:
+    """``side``: A or B, of which B leaves out what A's row above it says; '' where there is one."""
+    spec = frame.world.policy
+    known = {} if condition.occlusions else rates.shipped(spec)
+    shipped, live = known.get(condition.subset, NOTHING), rates.live(spec, condition)
     mask = mask_of(condition.subset, frame.world.policy.streams)
     label = subset_label(frame, condition.subset)
     short = label if len(label) <= LABEL else condition.subset
@@ -204,10 +230,12 @@ def _bar_row(
     now = f'<b style="color:{NOTE}">▸</b>' if here else ""
     title = escape(f"{label}: {_in_words(shipped, 'shipped')}; {_in_words(live, 'measured here')}")
     intervals = _interval(shipped, MUTED, 0) + _interval(live, GOOD, 6)
+    named = f"{now}{dagger}{escape(short)}" if side != "B" else ""
+    squares = f"<span{' class=hidden' if side == 'B' else ''}>{presence(frame, mask)}</span>"
     return (
         f'<div title="{title}" class="rate{" now" if here else ""}" style="height:{height}px">'
-        f"<span>{presence(frame, mask)}</span>"
-        f'<span class="name">{now}{dagger}{escape(short)}</span>{track(intervals, 12)}'
+        f'{squares}<span class="name">{named}</span>{side and f"<b>{side}</b>"}'
+        f"{track(intervals, 12)}"
         f'<span class="num" style="width:82px">{number}</span></div>'
     )
 
@@ -235,15 +263,19 @@ def _interval(rate: SuccessRate, colour: str, top: int) -> str:
 
 
 def strip_html(frame: Frame) -> str:
-    """The last live outcomes, newest on the right, with the cameras that were missing in each."""
-    if not frame.world.outcomes:
-        body = '<span class="dim">the first episode is still running</span>'
-    else:
-        body = "".join(_outcome(frame, outcome) for outcome in frame.world.outcomes)
+    """The last live outcomes, newest on the right, with the cameras that were missing in each; of
+    both sides where there is a B."""
+    sides = [frame] if frame.second is None else [frame, frame.second]
+    rows = []
+    for index, side in enumerate(sides):
+        body = "".join(_outcome(side, outcome) for outcome in side.world.outcomes)
+        body = body or '<span class="dim">the first episode is still running</span>'
+        name = f"<b>{'AB'[index]}</b>" if len(sides) == 2 else ""
+        rows.append(f'<div class="mv-outcomes">{name}{body}</div>')
+    curve = "" if len(sides) == 2 else "<h4>Success now, by episode</h4>"
     return (
         '<div class="mv"><h4>Last episodes <span class="plain">● dropped, ○ occluded</span></h4>'
-        f'<div style="display:flex;gap:3px;min-height:38px">{body}</div>'
-        "<h4>Success now, by episode</h4></div>"
+        f"{''.join(rows)}{curve}</div>"
     )
 
 

@@ -10,7 +10,7 @@ from madviz.app.panel import Assign
 from madviz.app.rates import SuccessRates
 from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import NOTE
-from madviz.session.frame import Change, Frame, words
+from madviz.session.frame import Change, Frame, deed, words
 from madviz.types import PolicySpec
 
 
@@ -37,11 +37,25 @@ class WordsPanel(WidgetPanel):
         if self._last is None or self._last[1] != frame.world.policy:
             said = f'<span class="dim">{self.HINT}</span>'
         else:
-            said = escape(sentence(self._last[0], frame, self._rates))
+            said = escape(both_sides(self._last[0], frame, self._rates))
         return (
             f'<div class="mv mv-words" style="border-left:3px solid {NOTE};margin:0 10px 4px;'
             f'padding:2px 8px;min-height:36px">{said}</div>'
         )
+
+
+def both_sides(change: Change, frame: Frame, rates: SuccessRates) -> str:
+    """The sentence; where the same was done to B, short, with what came of it on each side."""
+    second = frame.second
+    other = second.world.change if second is not None else None
+    if second is None or other is None or other.camera != change.camera:
+        return sentence(change, frame, rates)
+    parts = []
+    for name, side, done in (("A", frame, change), ("B", second, other)):
+        rate = rates.best(side.world.policy, done.condition_after)
+        known = f", success so far {rate.value:.2f} (n={rate.n})" if rate.n else ""
+        parts.append(f"{name}'s action changed by {done.action_change:.2f}{known}")
+    return f"{deed(change, frame.world.env)}: {'; '.join(parts)}"
 
 
 def sentence(change: Change, frame: Frame, rates: SuccessRates) -> str:

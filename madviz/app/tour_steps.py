@@ -1,0 +1,199 @@
+"""What a tour says and does, step by step: commands that a visitor's click would send, too.
+
+The tour of two minutes:
+
+    1 the page ─► 2 drop a camera ─► 3 switch it on again ─► 4 black instead ─► 5 a single camera
+               ─► 6 another policy ─► 7 back in time ─► 8 your turn
+
+Steps that make no sense here (another policy where there is none, a single camera of one) are left
+out, and the count says so. The comparison has four steps: what it is, the same episode twice, what
+the bars say, your turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from madviz.app.panels.policy import PolicyChoice
+from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
+from madviz.observation.schedule import Event
+from madviz.session.commands import (
+    Command,
+    Compare,
+    Link,
+    Play,
+    Reset,
+    SetCamera,
+    SetPolicy,
+    SetSchedule,
+    SetSpeed,
+)
+from madviz.session.frame import Frame, untouched
+from madviz.types import PolicySpec
+
+BACK = 10
+"""Steps that the tour goes back in time."""
+GOES_AT = 15
+"""The step at which the comparison drops a camera: a second and a half after the start."""
+
+
+class Step(NamedTuple):
+    """What is said, and what is done meanwhile."""
+
+    title: str
+    words: str
+    commands: tuple[Command, ...] = ()
+    back: int = 0
+    """How many steps to look back."""
+    go: str = "next step"
+    """What the button says that leads on."""
+    leave: str = "end the tour"
+    keep: bool = False
+    """Whether leading on from the last step leaves things as they are."""
+
+
+def steps(frame: Frame, choices: Sequence[PolicyChoice]) -> list[Step]:
+    """The tour of what ``frame`` shows, beginning with all cameras and the policy that acts now."""
+    return list(_steps(frame, choices))
+
+
+def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
+    cameras = frame.world.env.cameras
+    label = [camera.label for camera in cameras]
+    middle, last = len(cameras) // 2, len(cameras) - 1
+    yield Step(
+        "What you see",
+        f"A robot works at a task; it is done when: {frame.world.env.success}. The pictures on the "
+        "left are all that the robot's policy gets. Nothing here is a recording: it decides anew "
+        "at every step, now, on this machine.",
+        (*whole(frame), SetSpeed(10.0), Reset(), Play()),
+    )
+    yield Step(
+        "A camera is dropped",
+        f"We have just dropped {label[middle]}: its picture is dim. The line under the pictures "
+        "says by how much the robot's next movement has changed. Does it still do its task?",
+        (_camera(frame, middle, "off"),),
+    )
+    yield Step(
+        "The camera is back",
+        f"{label[middle]} is back, and the movement is as it was. The robot did not have to start "
+        "again: the features of all cameras are added up anew at every step.",
+        (_camera(frame, middle),),
+    )
+    yield Step(
+        "Black is not dropped",
+        f"{label[last]} sends a black picture now. That is worse than no picture: the feature of a "
+        "black picture is added to the others. A camera that breaks is better dropped.",
+        (_camera(frame, last, kind="black"),),
+    )
+    if len(cameras) > 1:
+        yield Step(
+            f"Only {label[0]}",
+            "Now one camera is left, the others are dropped. The tab Subsets shows what it would "
+            "do, at this very time step, with every other choice of cameras.",
+            (
+                _camera(frame, 0),
+                *(_camera(frame, index, "off") for index in range(1, len(cameras))),
+            ),
+        )
+    other = never_alone(frame.world.policy, choices)
+    if other is not None:
+        yield Step(
+            "Another policy",
+            "The same camera, but another policy: this one learned with all cameras and never with "
+            "a single one. Watch the success under the pictures, and how the hand moves.",
+            (SetPolicy(other), Reset(), Play()),
+        )
+    yield Step(
+        "Back in time",
+        "It has stopped, and the page shows what was a few steps ago, as it was then. The tab "
+        "Timeline has a slider for that: go back, drop a camera there, and see another run.",
+        back=BACK,
+    )
+    yield Step(
+        "Your turn",
+        "Press off under any picture, or the keys 1, 2, 3; space stops and goes on. Which camera "
+        "can this robot do without, and when? The button help, keys has the rest.",
+        (Play(), *whole(frame)),
+    )
+
+
+def comparison_steps(frame: Frame, other: str) -> list[Step]:
+    """MAD, which acts in ``frame``, against the policy ``other``, trained on all cameras only."""
+    camera = frame.world.env.cameras[0]
+    dropped = (Event(GOES_AT, camera.name, dropped=True),)
+    return [
+        Step(
+            "Can a robot lose a camera?",
+            "Two policies for one task. MAD was trained on all cameras and on each one alone, "
+            "Merged Only on all of them together and nothing else. See both in the same episode, "
+            "while a camera goes.",
+            go="MAD against Merged Only",
+            leave="explore one policy",
+        ),
+        Step(
+            "The same episode, twice",
+            f"A is MAD, B is Merged Only. Both start from the same scene. At step {GOES_AT} "
+            f"{camera.label} is dropped on both sides: its pictures turn dim. Which of the two "
+            f"still does it? It is done when: {frame.world.env.success}.",
+            (
+                *whole(frame),
+                SetSpeed(10.0),
+                Compare(other),
+                Link(True),
+                SetSchedule(dropped),
+                Reset(),
+                Play(),
+            ),
+            leave="explore one policy",
+        ),
+        Step(
+            "What the bars say",
+            "One episode says little. The bars on the right count many: A and B, for every choice "
+            f"of cameras. Look at the row without {camera.label}, marked ▸ while it is dropped.",
+            leave="explore one policy",
+        ),
+        Step(
+            "Your turn",
+            "Nothing fails by itself now. Press off or black under any picture: the switches act "
+            "on both sides, and 'A only' unlinks them. Which cameras does each policy need?",
+            (SetSchedule(()), *whole(frame), Reset(), Play()),
+            go="keep comparing",
+            leave="explore one policy",
+            keep=True,
+        ),
+    ]
+
+
+def whole(frame: Frame) -> tuple[Command, ...]:
+    """Commands for all cameras as nobody has touched them, and the policy of ``frame``."""
+    cameras = (_camera(frame, index) for index in range(len(frame.world.env.cameras)))
+    return (SetPolicy(frame.world.policy.name), *cameras)
+
+
+def never_alone(policy: PolicySpec, choices: Sequence[PolicyChoice]) -> str | None:
+    """The name of the policy like this one that learned with all cameras only, if it is offered."""
+    wanted = policy.name.replace("-mad-", "-merged-only-")
+    names = [choice.name for choice in choices]
+    return wanted if wanted != policy.name and wanted in names else None
+
+
+def _camera(
+    frame: Frame, index: int, switch: CameraInput | None = None, kind: OcclusionKind = "none"
+) -> SetCamera:
+    state = CameraState(switch or untouched(frame.world.policy).input, Occlusion(kind))
+    return SetCamera(frame.world.env.cameras[index].name, state)
+
+
+def compares(step: Step) -> bool:
+    """Whether a step begins a comparison."""
+    return any(isinstance(command, Compare) for command in step.commands)
+
+
+def restored(frame: Frame, compared: bool = False) -> tuple[Command, ...]:
+    """Commands for cameras, policy and speed as in ``frame``; if something was ``compared``, also
+    for the failures that come by themselves, and without B."""
+    cameras = (SetCamera(c.name, frame.camera(c.name)) for c in frame.world.env.cameras)
+    alone = (Compare(None), SetSchedule(frame.schedule)) if compared else ()
+    return (*alone, SetPolicy(frame.world.policy.name), *cameras, SetSpeed(frame.pace.speed))
