@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz import __version__
-from madviz.errors import Interrupted, NotWritten, UserError, saving, signal_of, unknown
+from madviz.errors import Interrupted, NotWritten, Unfinished, UserError, saving, signal_of, unknown
 from madviz.evaluation.statistics import SuccessRate
 from madviz.system.command_line import completion, read
 from madviz.system.files import pretty, write_json, written_to
@@ -94,7 +94,7 @@ COMMANDS: dict[str, Command] = {
         "list --json list.json",
         config="madviz.cli:ListConfig",
         work="madviz.cli:run_list",
-        words="madviz.cli:catalogue",
+        words="madviz.policies.listing:catalogue",
     ),
     "doctor": Command(
         "Says what is missing on this machine and the command that fixes it; times a frame.",
@@ -144,6 +144,12 @@ COMMANDS: dict[str, Command] = {
         words="madviz.session.replay:replay_words",
         ok=itemgetter("same"),
         positional=True,
+    ),
+    "serve": Command(
+        "Serves a policy to other programs: the protocols of vla-eval and openpi.",
+        "serve --policy metaworld-hammer-mad-light --port 8000",
+        config="madviz.serving.serve:ServeConfig",
+        work="madviz.serving.serve:run_serve",
     ),
     "displace": Command(
         "Moves a camera away from where a policy was trained: success against distance.",
@@ -334,18 +340,19 @@ def deliver(
         with telling():
             if in_words is not None:
                 print(in_words(result))
-            if unwritten:
+            if isinstance(unwritten, NotWritten):
                 sys.stdout.write(pretty(result))
     if unwritten:
         raise unwritten
     return result
 
 
-def worked(config: Any, work: Callable[[Any], Any]) -> tuple[Any, NotWritten | None]:
-    """The result of ``work(config)``, also if some of it could not be written, and that error."""
+def worked(config: Any, work: Callable[[Any], Any]) -> tuple[Any, NotWritten | Unfinished | None]:
+    """The result of ``work(config)``, also if some of it could not be written or is not there, and
+    that error."""
     try:
         return work(config), None
-    except NotWritten as error:
+    except (NotWritten, Unfinished) as error:
         return error.result, error
 
 
@@ -380,17 +387,4 @@ def success_table(result: dict[str, Any]) -> str:
             f"   any step {row['success_any']:.2f}"
             + ("" if row["trained"] else "   not trained on this subset")
         )
-    return "\n".join(lines)
-
-
-def catalogue(listed: dict[str, Any]) -> str:
-    """The list as lines; a policy's line carries its success on all cameras, if it was measured."""
-    lines = [f"{word}: {', '.join(listed[word])}" for word in ("tasks", "settings", "methods")]
-    lines.append("policies:" if listed["policies"] else "policies: none found")
-    for policy in [*listed["policies"], *listed["without_weights"]]:
-        whole = policy["success"].get("all")
-        rate = f"all {whole['success']:.2f} (n={whole['n']})" if whole else "not evaluated"
-        weights = "" if policy["weights"] else "   no weights"
-        lines.append(f"  {policy['name']:44} {policy['task']:24} {rate}{weights}")
-    lines += [f"  {each['name']:44} broken: {each['error']}" for each in listed["broken"]]
     return "\n".join(lines)

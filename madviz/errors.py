@@ -20,6 +20,14 @@ class NotWritten(UserError):
         self.result = result
 
 
+class Unfinished(UserError):
+    """Work that stopped on the way; ``result`` is what was finished."""
+
+    def __init__(self, message: str, result: Any) -> None:
+        super().__init__(message)
+        self.result = result
+
+
 @contextmanager
 def saving(result: Any, what: str) -> Iterator[None]:
     """Whoever writes ``result`` in the block does not lose it: a disk that is full meanwhile raises

@@ -21,14 +21,13 @@ from madviz.app.access import (
     Tries,
     _is_owned,
     cookie_name,
-    new_token,
     same,
-    stays_here,
 )
 from madviz.app.server import App, ExploreConfig, gate_for
 from madviz.app.users import Limits
 from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
+from madviz.system.hosts import new_token, stays_here
 from tests.pages import fake_app
 
 NAMES = ("toy-mad", "toy-other")

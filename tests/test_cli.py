@@ -180,7 +180,7 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
     assert cli.main(["wurst"]) == 2
     assert capsys.readouterr().err == (
         "madviz: unknown command 'wurst'; known: audit, bench, compare, displace, doctor, eval, "
-        "explore, list, record, replay, report, soak, sweep, train\n"
+        "explore, list, record, replay, report, serve, soak, sweep, train\n"
     )
     assert cli.main(["bench", "wurst"]) == 2
     assert "known: buffer, crowd, evaluate, live, render, update" in capsys.readouterr().err

@@ -56,8 +56,8 @@ def test_what_is_settled_is_shown_and_a_camera_counts_at_the_next_look():
     untouched.steps(2)
     session.ask(SetCamera("first", OFF))
     for step, alike in ((3, True), (4, True), (5, False)):
-        hands = [each.steps(1).world.hand for each in (session, untouched)]
-        assert np.array_equal(*hands) == alike, step
+        one, other = (each.steps(1).world.hand for each in (session, untouched))
+        assert np.array_equal(one, other) == alike, step
 
 
 def test_noise_that_no_seed_fixes_cannot_be_gone_back_to():

@@ -33,7 +33,6 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
-import secrets
 import threading
 import time
 from collections import OrderedDict, deque
@@ -55,6 +54,7 @@ from websockets.http11 import Request, Response
 from madviz.app.browser import read
 from madviz.app.connection import LARGEST, PageConnection, quiet
 from madviz.errors import UserError
+from madviz.system.hosts import new_token
 
 Role = Literal["presenter", "visitor"]
 TRIES, WINDOW = 5, 1.0
@@ -75,19 +75,6 @@ RENAMED = (
 )
 TOO_MANY = "Too many wrong tokens from here; wait a second."
 CROWDED = "As many pages as this server holds are open; come back later."
-
-
-def new_token() -> str:
-    """128 random bits as text for an address."""
-    return secrets.token_urlsafe(16)
-
-
-def stays_here(host: str) -> bool:
-    """Whether only this machine reaches what is served on ``host``."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 class Tries:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import viser
 
-from madviz.app.access import Gate, new_token, stays_here
+from madviz.app.access import Gate
 from madviz.app.address import Address, check_port, reached_at, with_token
 from madviz.app.connection import guard
 from madviz.app.layout import Shared
@@ -34,10 +34,12 @@ from madviz.session.process import SessionProcess, prepare
 from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
+from madviz.system.hosts import new_token, stays_here
 from madviz.system.numbers import Count, CountOrNone, Port, Rate, ThreadsOrNone, check_numbers
 from madviz.system.processes import limit_heaps
 from madviz.system.streams import say, telling
 from madviz.types import PolicySpec
+from madviz.wire.reference import with_wire
 
 DEFAULT_POLICY = "metaworld-hammer-mad-light"
 
@@ -47,7 +49,11 @@ class ExploreConfig:
     """Serves the page: a policy at work, and cameras to take away from it."""
 
     policy: PolicyName | None = None
-    """A name of a policy, its folder, or module:factory. By default the first that fits."""
+    """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served. By
+    default the first that fits."""
+    wire: Path | None = None
+    """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
+    itself."""
     task: TaskName | None = None
     """Offer only policies of this task, for example metaworld/hammer or, one of your own,
     module:factory."""
@@ -165,14 +171,15 @@ def open_app(config: ExploreConfig) -> App:
     allow_task(config.task)
     choices = policy_choices(config.task)
     script, given = saved_episode(config)
-    name = next(iter(given), None) or config.policy or first_choice(choices, config.task)
+    named = with_wire(config.policy or "", config.wire)
+    name = next(iter(given), None) or named or first_choice(choices, config.task)
     given = given or {name: described(name)}
     references = References()
     for reference, spec in given.items():
         references.note(reference, spec)
     if name not in [choice.name for choice in choices]:
         choices = [PolicyChoice(name, given[name].name, given[name].task), *choices]
-    make = SessionMaker(name, config.policy, config.task, config.speed, script)
+    make = SessionMaker(name, named or None, config.task, config.speed, script)
 
     def new_session() -> SessionProcess:
         return SessionProcess(make, references.note)
@@ -212,7 +219,8 @@ def saved_episode(config: ExploreConfig) -> tuple[SavedEpisode | None, dict[str,
         return None, {}
     saved = read_session(config.replay)
     script = saved.episode(config.episode)
-    find = finder(() if config.policy is None else (config.policy,))
+    named = with_wire(config.policy or "", config.wire)
+    find = finder((named,) if named else ())
     check_policies(script, find)
     for difference in differences(script, saved, find):
         say(f"madviz: it may come out differently: {difference}")

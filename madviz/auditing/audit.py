@@ -32,6 +32,7 @@ from madviz.policies.config import definition_of
 from madviz.system.files import read_json, write_bytes, write_json, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
 from madviz.types import Policy
+from madviz.wire.reference import with_wire
 
 EPISODES = "episodes.sqlite"
 FILES = ("audit.html", "audit.json", "audit.md")
@@ -42,7 +43,7 @@ class AuditConfig:
     """Finds out which of its cameras a policy uses, and writes a page about it."""
 
     policy: checkpoint.PolicyName
-    """A name from ``madviz list``, a folder, or module:factory."""
+    """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served."""
     out: Path
     """The folder for audit.html, audit.json, audit.md and the episodes; one for each audit."""
     task: TaskName | None = None
@@ -58,6 +59,9 @@ class AuditConfig:
     """Processes; by default one per core. 0 runs everything in this one."""
     json: str | None = None
     """Where to write the result, too; - is standard output."""
+    wire: Path | None = None
+    """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
+    itself."""
 
 
 def audit(
@@ -146,7 +150,8 @@ class Episodes:
 def run_audit(config: AuditConfig) -> AuditFile:
     """``madviz audit``; progress goes to standard error. Raises Interrupted at Ctrl-C, and
     UserError for a policy of another task and a folder with another audit."""
-    policy = checkpoint.load_policy(config.policy)
+    reference = with_wire(config.policy, config.wire)
+    policy = checkpoint.load_policy(reference)
     if config.task not in (None, policy.spec.task):
         raise UserError(
             f"expected a policy for {config.task}, found {policy.spec.name!r} for "
@@ -156,7 +161,7 @@ def run_audit(config: AuditConfig) -> AuditFile:
     with closing(Store(config.out / EPISODES)) as store:
         try:
             found = audit(
-                config.policy,
+                reference,
                 episodes=config.episodes,
                 seed=config.seed,
                 how=config.how,
@@ -195,6 +200,7 @@ def _check_folder(out: Path, policy: Policy) -> None:
 def command(config: AuditConfig) -> str:
     """The command line that makes the audit again."""
     words = ["madviz", "audit", "--policy", config.policy]
+    words += ["--wire", str(config.wire)] if config.wire else []
     if config.task is not None:
         words += ["--task", config.task]
     words += ["--episodes", str(config.episodes), "--seed", str(config.seed)]

@@ -32,6 +32,7 @@ from madviz.policies import checkpoint
 from madviz.policies.listing import BrokenRow
 from madviz.system.files import write_bytes, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
+from madviz.wire.reference import with_wire
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ class CompareConfig:
     """Write success by method and subset to this SVG file."""
     curves: Path | None = None
     """Write success against environment steps to this SVG file; recipe ``paper`` measures it."""
+    wire: Path | None = None
+    """With ``--conditions`` and ws://HOST:PORT: how its names and shapes map to ours."""
     conditions: tuple[str, ...] = ()
     """Compare conditions of one policy, for example ``all black:third_a late:first``: subsets of
     cameras, and failures of whole episodes. They are played now, with the three options below."""
@@ -116,7 +119,7 @@ def _conditions(config: CompareConfig) -> dict[str, Any]:
         if getattr(config, name):
             raise UserError(f"--{name} is about policies; leave it out, or --conditions")
     return compare_conditions(
-        config.policies[0],
+        with_wire(config.policies[0], config.wire),
         config.conditions,
         episodes=config.episodes,
         seed=config.seed,

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from madviz.errors import UserError, saving, unknown
+from madviz.errors import Unfinished, UserError, saving, unknown
 from madviz.evaluation.episodes import (
     FIRST_SEED,
     GIVE_UP,
@@ -44,6 +44,7 @@ from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
 from madviz.types import Array, Policy, PolicySpec
+from madviz.wire.reference import with_wire
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,8 @@ def evaluate(
     ``policy`` is a path, a name, ``module:factory``, or a policy itself, which then runs in this
     process. ``workers`` is the number of processes, by default one per core; 0 is none but this.
     ``store`` answers for episodes it has seen, of policy folders only, and stores the new ones.
-    Raises UserError for names that are unknown and subsets the policy cannot act on.
+    Raises UserError for names that are unknown and subsets the policy cannot act on, and Unfinished
+    with the Evaluation so far where a policy or a machine fails on the way.
     """
     if episodes < 1 or seed < 0:
         raise UserError(f"expected episodes >= 1 and seed >= 0, found {episodes} and {seed}")
@@ -151,13 +153,24 @@ def evaluate(
     ]
     done = _remembered(store, spec, jobs)
     missing = [job for job in jobs if job not in done]
-    for job, finished in run_anywhere(missing, workers, here, progress):
-        done[job] = finished
-        if store is not None:
-            store.put(job.key(spec, finished[1]), finished[0])
-    definition = next(iter(done.values()))[1]
-    results = tuple(done[job][0] for job in jobs)
-    return Evaluation(spec, definition, seed, occlusion_key(occluded), results)
+
+    def so_far() -> Evaluation:
+        definition = next(iter(done.values()))[1]
+        results = tuple(done[job][0] for job in jobs if job in done)
+        return Evaluation(spec, definition, seed, occlusion_key(occluded), results)
+
+    try:
+        for job, finished in run_anywhere(missing, workers, here, progress):
+            done[job] = finished
+            if store is not None:
+                store.put(job.key(spec, finished[1]), finished[0])
+    except UserError as error:
+        if not done:
+            raise
+        raise Unfinished(
+            f"{error}; {len(done)} of {len(jobs)} episodes are done", so_far()
+        ) from error
+    return so_far()
 
 
 def _masks(policy: Policy, subsets: Iterable[str] | None) -> dict[str, Array]:
@@ -242,7 +255,10 @@ class EvalConfig:
     """Counts a policy's successes under camera subsets, on seeded episodes."""
 
     policy: checkpoint.PolicyName
-    """A name of a policy, its folder, or module:factory."""
+    """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served."""
+    wire: Path | None = None
+    """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
+    itself."""
     subsets: tuple[str, ...] = ()
     """For example ``all first first+third_b none``; by default all, the trained ones, every
     stream alone, and none."""
@@ -274,15 +290,18 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
             checkpoint.shipped_evaluation(folder, name)  # Now: afterwards it is too late to fix.
             written_to(folder / name, "--card")
         written_to(folder / checkpoint.CARD, "--card")
-    evaluation = evaluate(
-        config.policy,
-        config.subsets or None,
-        episodes=config.episodes,
-        seed=config.seed,
-        workers=config.workers,
-        occlusions=parse_occlusions(config.occlude),
-        progress=True,
-    )
+    try:
+        evaluation = evaluate(
+            with_wire(config.policy, config.wire),
+            config.subsets or None,
+            episodes=config.episodes,
+            seed=config.seed,
+            workers=config.workers,
+            occlusions=parse_occlusions(config.occlude),
+            progress=True,
+        )
+    except Unfinished as stopped:
+        raise Unfinished(str(stopped), stopped.result.to_json()) from stopped
     result = evaluation.to_json()
     if folder is not None:
         with saving(result, f"--card: {folder}"):

@@ -33,6 +33,7 @@ from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.options import Listed
 from madviz.system.plugins import made_by
 from madviz.types import Policy, PolicySpec
+from madviz.wire.reference import connect, is_served
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -108,7 +109,7 @@ def policy_folders() -> dict[str, Path]:
 
 
 PolicyName = Annotated[str, Listed("policies", policy_folders)]
-"""An option: a name of a policy, its folder, or module:factory."""
+"""An option: a name of a policy, its folder, module:factory, or an address."""
 
 
 def measured_folders() -> dict[str, Path]:
@@ -156,10 +157,13 @@ def is_folder(policy: str | Path) -> bool:
 
 
 def load_policy(policy: str | Path) -> Policy:
-    """A policy that can act: from a folder, a name (see ``policy_roots``) or ``module:factory``.
+    """A policy that can act: from a folder, a name (see ``policy_roots``), ``module:factory``, or
+    ``ws://host:port`` of one that is served (``madviz.wire.reference``).
 
     Raises UserError for anything but a complete, finite policy of a known format.
     """
+    if is_served(str(policy)):
+        return connect(str(policy))
     if not is_folder(policy):
         return _from_factory(str(policy))
     path = find_policy(policy)

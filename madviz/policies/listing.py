@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypedDict
+from typing import Any, TypedDict
 
 from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import METHODS
@@ -164,3 +164,16 @@ def _row(
         "success": success,
         "weights": weights,
     }
+
+
+def catalogue(listed: dict[str, Any]) -> str:
+    """The list as lines; a policy's line carries its success on all cameras, if it was measured."""
+    lines = [f"{word}: {', '.join(listed[word])}" for word in ("tasks", "settings", "methods")]
+    lines.append("policies:" if listed["policies"] else "policies: none found")
+    for policy in [*listed["policies"], *listed["without_weights"]]:
+        whole = policy["success"].get("all")
+        rate = f"all {whole['success']:.2f} (n={whole['n']})" if whole else "not evaluated"
+        weights = "" if policy["weights"] else "   no weights"
+        lines.append(f"  {policy['name']:44} {policy['task']:24} {rate}{weights}")
+    lines += [f"  {each['name']:44} broken: {each['error']}" for each in listed["broken"]]
+    return "\n".join(lines)

@@ -43,6 +43,7 @@ from madviz.session.session_reader import read_session
 from madviz.system.files import replacing, written_to
 from madviz.system.numbers import Count, Pixels, Rate, Seed
 from madviz.types import Environment, Policy
+from madviz.wire.reference import plain, with_wire
 
 FIRST_SEED = 5000
 
@@ -54,7 +55,11 @@ class RecordConfig:
     out: Path
     """Where to: X.rrd for rerun's viewer, X.mp4 a film, X.html a report in one file."""
     policy: checkpoint.PolicyName | None = None
-    """A name of a policy, its folder, or module:factory; beside --replay, where to find it."""
+    """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served;
+    beside --replay, where to find it."""
+    wire: Path | None = None
+    """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
+    itself."""
     seed: Seed = FIRST_SEED
     """Which episode."""
     drop: tuple[str, ...] = ()
@@ -141,8 +146,9 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     if config.keep is not None:
         written_to(config.keep, "--keep")
     script = read_session(config.replay).episode(config.episode) if config.replay else None
-    find = finder(() if config.policy is None else (config.policy,))
-    policy = find(script.policy) if script else checkpoint.load_policy(str(config.policy))
+    named = with_wire(config.policy or "", config.wire)
+    find = finder((named,) if named else ())
+    policy = find(script.policy) if script else checkpoint.load_policy(named)
     world = script or policy.spec
     with closing(make_env(world.task, world.render_profile, world.cameras)) as env, one_thread():
         session = _session(env, policy, config.seed, script, find)
@@ -212,7 +218,8 @@ def command_of(config: RecordConfig) -> str:
         words += ["--replay", config.replay.name]
         words += [] if config.episode is None else ["--episode", str(config.episode)]
     else:
-        words += ["--policy", Path(str(config.policy)).name, "--seed", str(config.seed)]
+        words += ["--policy", plain(str(config.policy)), "--seed", str(config.seed)]
+        words += ["--wire", config.wire.name] if config.wire else []
         words += ["--drop", *config.drop] if config.drop else []
         words += ["--scenario", config.scenario] if config.scenario else []
         words += [] if config.steps is None else ["--steps", str(config.steps)]

@@ -39,6 +39,7 @@ from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import (
     Command,
     Pause,
+    ReadSubsets,
     SetAutoNext,
     SetCamera,
     SetPolicy,
@@ -93,7 +94,7 @@ class SessionProcess:
         """As ``Session.send``. Never waits for the process."""
         if self._outbox.qsize() >= MOST_WAITING:
             raise UserError(TOO_MANY)
-        if isinstance(command, SetPolicy | SetSpeed | SetAutoNext):
+        if isinstance(command, SetPolicy | SetSpeed | SetAutoNext | ReadSubsets):
             self._kept[type(command)] = command
         self._outbox.put(command)
         self._wanted.set()

@@ -192,6 +192,10 @@ class Session:
         if self._stage.explain(now, moving, hurried=self._speed is None):
             self._emit()
 
+    def _read_one(self) -> None:
+        if self._stage.read_more():
+            self._emit()
+
     def _moving(self) -> bool:
         waiting = self._phase == "ended" and self._auto_next
         return self._stage.is_open and (self._phase == "playing" or waiting)

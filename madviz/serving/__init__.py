@@ -1,0 +1,1 @@
+"""madviz's policies for other programs, in the protocols of ``madviz.wire``."""

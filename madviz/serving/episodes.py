@@ -1,0 +1,106 @@
+"""What a policy of madviz's makes of messages: one session for each connection.
+
+A look holds the pictures of one step by stream, the state, and nothing of the past. Whoever sends
+one frame of a camera, (H, W, 3), leaves the stack to the server; whoever sends all of them,
+(H, W, 3 x frames), asks about that look alone, and gets the answer an episode in one process gives,
+to the bit. A stream that is not sent is dropped.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from madviz.policies.players import player_of
+from madviz.subsets import name_of
+from madviz.types import Array, Player, Policy
+
+
+class BadLook(Exception):
+    """What was expected of a look, and what was found."""
+
+
+class ServedEpisodes:
+    """The episodes of one connection, one after the other."""
+
+    def __init__(self, policy: Policy, state_dim: int) -> None:
+        """``state_dim``: S of the environment it acts in."""
+        self._policy, self._spec, self._state_dim = policy, policy.spec, state_dim
+        self._frames: dict[str, list[Array]] = {}
+        self._player: Player | None = None
+
+    def begin(self, seed: int = 0) -> None:
+        """Another episode: nothing of the last one is remembered."""
+        self.close()
+        self._frames, self._player = {}, player_of(self._policy, seed)
+
+    def act(self, images: Any, state: Any) -> Array:
+        """(A,) float32. Raises BadLook."""
+        if self._player is None:
+            self.begin()
+        assert self._player is not None
+        if not isinstance(images, dict):
+            raise BadLook("expected pictures by camera, found none")
+        if unknown := sorted(set(images) - set(self._spec.streams)):
+            raise BadLook(
+                f"expected pictures of {', '.join(self._spec.streams)}, found {unknown[0]!r:.60}"
+            )
+        mask = np.array([stream in images for stream in self._spec.streams])
+        if not self._policy.supports(mask):
+            raise BadLook(
+                f"{self._spec.name} cannot act on {name_of(mask, self._spec.streams)!r}; send more"
+            )
+        views = np.stack([self._stack(stream, images.get(stream)) for stream in self._spec.streams])
+        encoded = self._policy.encode(views, self._state(state))
+        return np.asarray(self._player.act(encoded, mask), np.float32)
+
+    def close(self) -> None:
+        """The connection is gone."""
+        if self._player is not None:
+            self._player.close()
+        self._player = None
+
+    def _stack(self, stream: str, picture: Any) -> Array:
+        """(3 x frames, H, W) uint8, the oldest frame first; black where nothing was sent."""
+        size, frames = self._spec.image_size, self._spec.frame_stack
+        if picture is None:
+            newest = np.zeros((3, size, size), np.uint8)
+        else:
+            newest = self._picture(stream, picture)
+        if len(newest) == 3 * frames:
+            past = [newest]
+        else:
+            past = [*self._frames.get(stream, [newest] * (frames - 1)), newest][-frames:]
+            self._frames[stream] = past
+        return np.concatenate(past)
+
+    def _picture(self, stream: str, picture: Any) -> Array:
+        size, deepest = self._spec.image_size, 3 * self._spec.frame_stack
+        shape = np.shape(picture)
+        good = isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and len(shape) == 3
+        if not good or shape[2] not in (3, deepest) or 0 in shape or max(shape[:2]) > 4096:
+            what = f"{shape} {getattr(picture, 'dtype', type(picture).__name__)}"
+            depths = "3" if deepest == 3 else f"3 or {deepest}"
+            raise BadLook(
+                f"expected {stream!r} as (H, W, {depths}) uint8, {size} by {size}, found {what:.60}"
+            )
+        if shape[:2] != (size, size):
+            frames = [
+                cv2.resize(picture[..., i : i + 3], (size, size), interpolation=cv2.INTER_AREA)
+                for i in range(0, shape[2], 3)
+            ]
+            picture = np.concatenate(frames, axis=-1)
+        return np.ascontiguousarray(picture.transpose(2, 0, 1))
+
+    def _state(self, state: Any) -> Array:
+        """(S,) float32."""
+        count = self._state_dim
+        try:
+            found = np.asarray(state, np.float32)
+        except (TypeError, ValueError):
+            found = np.zeros((0, 0), np.float32)
+        if found.shape != (count,) or not np.isfinite(found).all():
+            raise BadLook(f"expected {count} finite numbers as the state, found {np.shape(state)}")
+        return found

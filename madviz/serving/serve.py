@@ -1,0 +1,232 @@
+"""``madviz serve``: a policy for other programs, by websocket.
+
+Both protocols (``madviz.wire.protocols``) are spoken on one port. A vla-eval client speaks first,
+and so does madviz; a client of openpi waits to be greeted. So the server listens for half a second,
+and then greets.
+
+    GET ws://127.0.0.1:8000    this machine alone, until --host says otherwise
+    Origin: any                refused: a browser says it, and no page has business here
+    beyond this machine        a token, as ?token=T or as Authorization: Api-Key T
+
+One look is answered at a time, on one thread, as evaluations compute: the same look gives the same
+bits.
+"""
+
+from __future__ import annotations
+
+import hmac
+import logging
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.sync.server import Server, ServerConnection, serve
+from websockets.typing import Subprotocol
+
+from madviz.envs.registry import env_spec
+from madviz.errors import UserError
+from madviz.evaluation.episodes import one_thread
+from madviz.policies import checkpoint
+from madviz.serving.episodes import BadLook, ServedEpisodes
+from madviz.system.hosts import new_token, stays_here
+from madviz.system.numbers import Port, check_numbers
+from madviz.types import Policy
+from madviz.wire.codec import MOST_BYTES, BadMessage, pack, unpack
+from madviz.wire.connection import OURS
+from madviz.wire.protocols import OURS as FACTS
+from madviz.wire.protocols import VERSION
+from madviz.wire.wiring import served
+
+LISTEN = 0.5
+"""Seconds in which a vla-eval client has spoken."""
+MOST_CLIENTS = 32
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class ServeConfig:
+    """Serves a policy to other programs, in the protocols of vla-eval and openpi."""
+
+    policy: checkpoint.PolicyName
+    """A name of a policy, its folder, or module:factory."""
+    port: Port = 8000
+    """Where to serve; 0 takes a free one."""
+    host: str = "127.0.0.1"
+    """Which address to serve on; 0.0.0.0 lets other machines in, and then a token is needed."""
+    token: bool = True
+    """Whether clients beyond this machine need the token that is printed."""
+
+
+class PolicyServer:
+    """A running server. ``close`` frees the port."""
+
+    def __init__(
+        self, policy: Policy, host: str = "127.0.0.1", port: int = 0, token: str | None = None
+    ) -> None:
+        """Raises UserError for a place that cannot be served."""
+        self._policy, self._token = policy, token
+        self._env = env_spec(policy.spec.task, policy.spec.render_profile)
+        self._facts = served(policy)
+        self._computing = threading.Lock()
+        self._clients = threading.Semaphore(MOST_CLIENTS)
+        try:
+            self._server: Server = serve(
+                self._talk,
+                host,
+                port,
+                subprotocols=[OURS],
+                select_subprotocol=_chosen,
+                process_request=self._admit,
+                compression=None,
+                max_size=MOST_BYTES,
+                ping_interval=None,
+            )
+        except (OSError, UnicodeError) as error:
+            why = getattr(error, "strerror", None) or "not a name of a machine"
+            raise UserError(
+                f"port {port} on {host:.60} cannot be served ({why}); choose another with --port, "
+                "or another --host"
+            ) from error
+        self.address = f"ws://{host}:{self._server.socket.getsockname()[1]}"
+
+    def run(self) -> None:
+        """Serves until ``close``."""
+        self._server.serve_forever()
+
+    def start(self) -> PolicyServer:
+        """``run`` in a thread of its own."""
+        threading.Thread(target=self.run, name="madviz-serve", daemon=True).start()
+        return self
+
+    def close(self) -> None:
+        """No more clients; those that are there are hung up."""
+        self._server.shutdown()
+
+    def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        if request.headers.get("Origin") is not None:
+            return connection.respond(HTTPStatus.FORBIDDEN, "This is for programs, not for pages.")
+        if self._token is None:
+            return None
+        asked = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
+        said = asked or request.headers.get("Authorization", "").removeprefix("Api-Key ")
+        if hmac.compare_digest(said.encode("utf-8", "replace"), self._token.encode()):
+            return None
+        return connection.respond(HTTPStatus.UNAUTHORIZED, "Expected the token that was printed.")
+
+    def _talk(self, connection: ServerConnection) -> None:
+        if not self._clients.acquire(blocking=False):
+            connection.close(1013, "too many clients")
+            return
+        episodes = ServedEpisodes(self._policy, self._env.state_dim)
+        try:
+            first = _first_words(connection)
+            if first is None:
+                self._talk_openpi(connection, episodes)
+            else:
+                self._talk_vla_eval(connection, episodes, first)
+        except ConnectionClosed:
+            pass
+        except Exception:
+            log.exception("a client was hung up")
+            connection.close(1011, "the policy failed; see the server's log")
+        finally:
+            episodes.close()
+            self._clients.release()
+
+    def _talk_vla_eval(
+        self, connection: ServerConnection, episodes: ServedEpisodes, data: bytes | str
+    ) -> None:
+        while True:
+            message: dict[str, Any] = {}
+            try:
+                found = unpack(data)
+                message = found if isinstance(found, dict) else {}
+                kind, payload = message.get("type"), message.get("payload")
+                if not isinstance(payload, dict):
+                    raise BadLook("expected a message with type and payload, found another")
+                answer = self._answer(episodes, str(kind), payload)
+            except (BadMessage, BadLook, UserError) as bad:
+                answer = "error", {"error": str(bad)}
+            if answer is not None:
+                back = {"type": answer[0], "payload": answer[1], "seq": message.get("seq", 0)}
+                connection.send(pack({**back, "timestamp": 0.0}, "vla-eval"))
+            data = connection.recv()
+
+    def _answer(
+        self, episodes: ServedEpisodes, kind: str, payload: dict[str, Any]
+    ) -> tuple[str, dict[str, Any]] | None:
+        if kind == "hello":
+            return "hello", self._greeting()
+        if kind == "episode_start":
+            seed = payload.get("seed", 0)
+            episodes.begin(seed if isinstance(seed, int) and seed >= 0 else 0)
+        elif kind == "observation":
+            state = payload.get("state", payload.get("states"))
+            with self._computing, one_thread():
+                return "action", {"actions": episodes.act(payload.get("images"), state)}
+        elif kind != "episode_end":
+            raise BadLook(f"expected hello, episode_start or observation, found {kind!r:.40}")
+        return None
+
+    def _talk_openpi(self, connection: ServerConnection, episodes: ServedEpisodes) -> None:
+        connection.send(pack({FACTS: self._facts}, "openpi"))
+        episodes.begin()
+        while True:
+            data = connection.recv()
+            try:
+                look = unpack(data)
+                if not isinstance(look, dict):
+                    raise BadLook("expected a table, found something else")
+                images = {name: look[name] for name in self._policy.spec.streams if name in look}
+                with self._computing, one_thread():
+                    action = episodes.act(images, look.get("state"))
+            except (BadMessage, BadLook, UserError) as bad:
+                connection.send(str(bad))  # A text is how this protocol says that it failed.
+                connection.close(1011, "see the text before")
+                return
+            connection.send(pack({"actions": action[None]}, "openpi"))
+
+    def _greeting(self) -> dict[str, Any]:
+        action = {"name": "actions", "dims": self._env.action_dim, "format": "raw"}
+        return {
+            "harness_version": "madviz",
+            "protocol_version": VERSION,
+            "model_server": self._policy.spec.name,
+            "capabilities": {},
+            "action_spec": {"actions": action},
+            FACTS: self._facts,
+        }
+
+
+def _chosen(connection: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
+    return OURS if OURS in offered else None
+
+
+def _first_words(connection: ServerConnection) -> bytes | str | None:
+    """What a client says by itself; None where it waits to be greeted."""
+    if connection.subprotocol == OURS:
+        return connection.recv()
+    try:
+        return connection.recv(LISTEN)
+    except TimeoutError:
+        return None
+
+
+def run_serve(config: ServeConfig) -> None:
+    """``madviz serve``: until Ctrl-C. Raises UserError for a policy or a place that won't do."""
+    check_numbers(config)
+    token = new_token() if config.token and not stays_here(config.host) else None
+    policy = checkpoint.load_policy(config.policy)
+    server = PolicyServer(policy, config.host, config.port, token)
+    print(f"{policy.spec.name} is at {server.address}{f'/?token={token}' if token else ''}")
+    print("(Ctrl-C ends it)", flush=True)
+    try:
+        server.run()
+    finally:
+        server.close()

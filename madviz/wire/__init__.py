@@ -1,0 +1,1 @@
+"""Policies of other programs: a websocket, msgpack, and arrays in it."""

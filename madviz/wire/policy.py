@@ -1,0 +1,208 @@
+"""A served policy behind the ``Policy`` protocol.
+
+``encode`` keeps the pictures, ``read`` sends those of a subset and takes the first action of the
+answer: a pass for each subset. Such questions go over a connection of their own, each as the first
+of an episode, because many servers remember the rest of a chunk for whoever is connected; whoever
+acts in an episode has another connection, and its answers in order (``ServedPlayer``).
+
+A camera that is left out is not sent. Where the server cannot do without (``masks = false``), only
+the whole set is supported, and a failing camera must send something.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+
+from madviz.errors import UserError
+from madviz.subsets import name_of
+from madviz.types import Array, Encoded, PolicySpec, Readout
+from madviz.wire.connection import PolicyConnection, shown
+from madviz.wire.protocols import Speaker, greeted
+from madviz.wire.wiring import Wiring
+
+
+@dataclass(frozen=True)
+class ServedLook:
+    """What a server is shown at one step."""
+
+    pictures: dict[str, Array]
+    """(H, W, C) uint8 by stream."""
+    answers: dict[bytes, Array] = field(default_factory=dict)
+    """By subset what was answered, (n, A)."""
+
+
+class ServedPolicy:
+    """See the module. It may be used by several threads."""
+
+    def __init__(
+        self, address: str, wiring: Wiring, spec: PolicySpec, supported: frozenset[str] | None
+    ) -> None:
+        """``supported``: the subsets it can act on, by name; None: those that ``wiring`` says. Its
+        ``protocol`` must be known. Nothing is connected yet."""
+        self.spec, self.address, self.wiring = spec, address, wiring
+        self._supported = supported
+        self._connection = PolicyConnection(address, wiring.timeout)
+        self._speaker: Speaker | None = None
+        self._lock = threading.Lock()
+        self._warm = False
+
+    @property
+    def stateless(self) -> bool:
+        """Whether an answer depends on the look alone, whoever asks and whatever was asked."""
+        ours = self._supported is not None
+        return not self.wiring.history and (ours or self.wiring.protocol == "openpi")
+
+    def encode(self, views: Array, state: Array) -> Encoded:
+        """(V, C, H, W) to pictures, each in its own size. There are no features."""
+        pictures = {}
+        for stream, view in zip(self.spec.streams, views, strict=True):
+            pictures[stream] = _sized(view, self.wiring.size_of(stream))
+        state = np.asarray(state, np.float32)
+        return Encoded(np.zeros((len(views), 1), np.float32), state, ServedLook(pictures))
+
+    def read(self, encoded: Encoded, masks: Array) -> Readout:
+        """What it would do if an episode began with this look; a pass for each of ``masks``."""
+        masks = np.atleast_2d(masks)
+        with self._lock:
+            actions = np.stack([self._asked(encoded, mask)[0] for mask in masks])
+        unknown = np.full(len(masks), np.nan, np.float32)
+        return Readout(np.zeros((len(masks), 1), np.float32), actions, unknown)
+
+    def supports(self, mask: Array) -> bool:
+        if len(mask) != len(self.spec.streams):
+            return False
+        if self._supported is not None:
+            return name_of(mask, self.spec.streams) in self._supported
+        return bool(self.wiring.masks or np.all(mask))
+
+    def reset(self, seed: int) -> ServedPlayer:
+        """Connects, and begins an episode."""
+        return ServedPlayer(self, seed)
+
+    def close(self) -> None:
+        """Hangs up, until it is asked again."""
+        with self._lock:
+            self._connection.close()
+
+    def begun(self, connection: PolicyConnection, seed: int) -> Speaker:
+        """Connects ``connection`` and begins an episode on it."""
+        speaker, _ = greeted(connection, self.wiring.protocol)
+        speaker.begin(connection, seed, self.spec.task)
+        return speaker
+
+    def answer(
+        self,
+        connection: PolicyConnection,
+        speaker: Speaker,
+        encoded: Encoded,
+        mask: Array,
+        noise: int,
+    ) -> Array:
+        """(n, A) float32, n >= 1, what is answered on ``connection``. Raises UserError for an
+        answer that is none."""
+        shown_now = {
+            stream: picture
+            for (stream, picture), on in zip(encoded.private.pictures.items(), mask, strict=True)
+            if on
+        }
+        told = self.spec.instruction
+        message = speaker.message(self.wiring, shown_now, encoded.state, told, noise)
+        connection.answered |= self._warm
+        found = speaker.ask(connection, message)
+        self._warm = True
+        return self._checked(connection, found)
+
+    def _asked(self, encoded: Encoded, mask: Array) -> Array:
+        if not self.supports(mask):
+            raise UserError(
+                f"{self.spec.name} cannot act on {name_of(mask, self.spec.streams)!r}; "
+                "bring the missing cameras back"
+            )
+        answers = encoded.private.answers
+        if mask.tobytes() not in answers:
+            if self._speaker is None or not self._connection.is_open:
+                self._speaker = self.begun(self._connection, 0)
+            elif not self.stateless:
+                self._speaker.begin(self._connection, 0, self.spec.task)
+            answers[mask.tobytes()] = self.answer(self._connection, self._speaker, encoded, mask, 0)
+        return answers[mask.tobytes()]
+
+    def _checked(self, connection: PolicyConnection, found: dict[str, Any]) -> Array:
+        key, count = self.wiring.action, self.spec.action_dim
+        expected = f"{key!r} of {count} finite numbers, or rows of them"
+        if key not in found:
+            named = ", ".join(sorted(map(str, found)))
+            raise connection.wrong(expected, f"an answer with {named or 'nothing'!s:.100}")
+        try:
+            action = np.atleast_2d(np.asarray(found[key], np.float32))
+        except (TypeError, ValueError) as error:
+            raise connection.wrong(expected, "something that is no number") from error
+        if action.ndim != 2 or action.shape[1] != count or not len(action):
+            raise connection.wrong(expected, f"the shape {np.shape(found[key])}")
+        if not np.isfinite(action).all():
+            raise connection.wrong(expected, "NaN or infinity")
+        return np.clip(action, -1, 1)
+
+
+class ServedPlayer:
+    """Acts in one episode, over its own connection; takes ``chunk`` decisions of every answer."""
+
+    def __init__(self, policy: ServedPolicy, seed: int) -> None:
+        self._policy, self._seed, self._step = policy, seed, 0
+        self._connection = PolicyConnection(policy.address, policy.wiring.timeout)
+        self._plan: list[Array] = []
+        self._speaker: Speaker | None = (
+            None if policy.stateless else policy.begun(self._connection, seed)
+        )
+
+    @property
+    def planned(self) -> int:
+        return len(self._plan)
+
+    def act(self, encoded: Encoded, mask: Array) -> Array:
+        """(A,). Raises UserError where the server does not answer as expected. If it does not
+        remember the episode, it may be asked again."""
+        if not self._plan:
+            answer = self._answer(encoded, mask)
+            self._plan = list(answer[: self._policy.wiring.chunk])
+        self._step += 1
+        return self._plan.pop(0)
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def _answer(self, encoded: Encoded, mask: Array) -> Array:
+        policy = self._policy
+        known = encoded.private.answers.get(mask.tobytes()) if policy.stateless else None
+        if known is not None:
+            return known
+        if self._speaker is None or not self._connection.is_open:
+            if self._step and policy.wiring.history:
+                raise UserError(
+                    f"{shown(policy.address)}: expected the connection of this episode, found it "
+                    "closed, and what the policy remembered is lost; start the episode again"
+                )
+            self._speaker = policy.begun(self._connection, self._seed)
+        noise = noise_at(self._seed, self._step)
+        return policy.answer(self._connection, self._speaker, encoded, mask, noise)
+
+
+def noise_at(seed: int, step: int) -> int:
+    """The number that fixes a policy's noise at one step of an episode: the same for every subset,
+    so that they differ by their cameras alone."""
+    return int(np.random.SeedSequence([seed, step]).generate_state(1)[0] >> 1)
+
+
+def _sized(view: Array, size: int) -> Array:
+    """(C, H, W) -> (size, size, C)."""
+    picture = np.ascontiguousarray(view.transpose(1, 2, 0))
+    if picture.shape[0] == size:
+        return picture
+    frames = [picture[..., i : i + 3] for i in range(0, picture.shape[-1], 3)]
+    sized = [cv2.resize(frame, (size, size), interpolation=cv2.INTER_AREA) for frame in frames]
+    return np.concatenate(sized, axis=-1)

@@ -1,0 +1,179 @@
+"""The two protocols, as a client speaks them: how a server is greeted, asked and answered.
+
+                 vla-eval                                openpi
+    greeting     client: hello, server: hello            server: a table about itself
+    episode      client: episode_start                   (the server remembers nothing)
+    a look       observation {images, state, ...}        {their keys: pictures, state, prompt}
+    an answer    action {actions}, or error              {actions, ...}, or a text with an error
+
+Which one it is, is heard: an openpi server speaks first. Every vla-eval message is a table with
+type, payload, a number that the answer repeats, and a time.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Protocol
+
+from madviz.types import Array
+from madviz.wire.codec import Protocol as Name
+from madviz.wire.connection import OPENING, PolicyConnection
+from madviz.wire.wiring import Key, Wiring
+
+LISTEN = 1.0
+"""Seconds in which an openpi server has spoken."""
+OURS = "madviz"
+"""Under this key of the greeting, servers of madviz's own say all about the policy."""
+VERSION = 1
+"""Of vla-eval's protocol."""
+
+
+class Speaker(Protocol):
+    """How one of the protocols is spoken on a connection."""
+
+    name: Name
+
+    def greet(self, connection: PolicyConnection) -> dict[str, Any]:
+        """What the server says of itself. The connection is open, and nothing was said on it."""
+        ...
+
+    def begin(self, connection: PolicyConnection, seed: int, task: str) -> None:
+        """An episode begins."""
+        ...
+
+    def ask(self, connection: PolicyConnection, message: dict[str, Any]) -> dict[str, Any]:
+        """The server's answer to one look."""
+        ...
+
+    def message(
+        self, wiring: Wiring, pictures: dict[str, Array], state: Array, told: str, noise: int
+    ) -> dict[str, Any]:
+        """A look: the pictures (H, W, C) uint8 that are present, by stream, and the rest."""
+        ...
+
+
+class VlaEval:
+    """See the module."""
+
+    name: Name = "vla-eval"
+
+    def __init__(self) -> None:
+        self._number = 0
+
+    def greet(self, connection: PolicyConnection) -> dict[str, Any]:
+        self._tell(connection, "hello", {"harness_version": "madviz", "protocol_version": VERSION})
+        return self._answer(connection, "hello", "a greeting of vla-eval or openpi")
+
+    def begin(self, connection: PolicyConnection, seed: int, task: str) -> None:
+        self._tell(connection, "episode_start", {"task": {"name": task}, "seed": seed})
+
+    def ask(self, connection: PolicyConnection, message: dict[str, Any]) -> dict[str, Any]:
+        number = self._tell(connection, "observation", message)
+        return self._answer(connection, "action", "an action", number)
+
+    def message(
+        self, wiring: Wiring, pictures: dict[str, Array], state: Array, told: str, noise: int
+    ) -> dict[str, Any]:
+        images: dict[str, Any] = {}
+        for stream, picture in pictures.items():
+            _put(images, wiring.key(stream), picture)
+        return {"images": images, "task_description": told, **_besides(wiring, state, noise)}
+
+    def _tell(self, connection: PolicyConnection, kind: str, payload: dict[str, Any]) -> int:
+        self._number += 1
+        message = {"type": kind, "payload": payload, "seq": self._number, "timestamp": time.time()}
+        connection.tell(message, self.name)
+        return self._number
+
+    def _answer(
+        self, connection: PolicyConnection, kind: str, expected: str, number: int | None = None
+    ) -> dict[str, Any]:
+        found = connection.hear(expected, OPENING if kind == "hello" else None)
+        payload = found.get("payload") if isinstance(found, dict) else None
+        if not isinstance(payload, dict):
+            move = 'if it speaks another protocol, say so: protocol = "openpi" in --wire'
+            raise connection.wrong(expected, _kind(found), move)
+        if found.get("type") == "error":
+            raise connection.wrong(
+                expected, f"the error {str(payload.get('error', payload))!r:.200}"
+            )
+        if found.get("type") != kind:
+            raise connection.wrong(
+                expected, f"a message of the type {str(found.get('type'))!r:.40}"
+            )
+        if number is not None and found.get("seq") != number:
+            raise connection.wrong(
+                f"the answer to question {number}", f"that to {found.get('seq')!r:.20}"
+            )
+        return payload
+
+
+class OpenPi:
+    """See the module."""
+
+    name: Name = "openpi"
+
+    def __init__(self, greeting: dict[str, Any] | None = None) -> None:
+        """``greeting``: what the server has said already."""
+        self._greeting = greeting
+
+    def greet(self, connection: PolicyConnection) -> dict[str, Any]:
+        greeting, self._greeting = self._greeting, None
+        found = connection.hear("a greeting of openpi", OPENING) if greeting is None else greeting
+        if not isinstance(found, dict):
+            raise connection.wrong("a greeting of openpi", _kind(found))
+        return found
+
+    def begin(self, connection: PolicyConnection, seed: int, task: str) -> None:
+        """There is nothing to say."""
+
+    def ask(self, connection: PolicyConnection, message: dict[str, Any]) -> dict[str, Any]:
+        connection.tell(message, self.name)
+        found = connection.hear("an action")
+        if not isinstance(found, dict):
+            raise connection.wrong("an action", _kind(found))
+        return found
+
+    def message(
+        self, wiring: Wiring, pictures: dict[str, Array], state: Array, told: str, noise: int
+    ) -> dict[str, Any]:
+        message: dict[str, Any] = {"prompt": told, **_besides(wiring, state, noise)}
+        for stream, picture in pictures.items():
+            _put(message, wiring.key(stream), picture)
+        return message
+
+
+SPEAKERS: dict[Name, type[VlaEval] | type[OpenPi]] = {"vla-eval": VlaEval, "openpi": OpenPi}
+
+
+def greeted(connection: PolicyConnection, wanted: Name | None) -> tuple[Speaker, dict[str, Any]]:
+    """Opens ``connection`` and greets the server: the protocol it speaks, ``wanted`` or found out,
+    and what it says of itself. Raises UserError."""
+    ours = connection.open()
+    if wanted is None and not ours:
+        first = connection.heard_first(LISTEN)
+        speaker = VlaEval() if first is None else OpenPi(first)
+    else:
+        speaker = SPEAKERS["vla-eval" if ours else wanted or "vla-eval"]()
+    return speaker, speaker.greet(connection)
+
+
+def _besides(wiring: Wiring, state: Array, noise: int) -> dict[str, Any]:
+    """State and noise under their keys."""
+    message: dict[str, Any] = {}
+    if wiring.state:
+        _put(message, wiring.state, state)
+    if wiring.noise:
+        message[wiring.noise] = noise
+    return message
+
+
+def _put(message: dict[str, Any], key: Key, value: Any) -> None:
+    *tables, last = [key] if isinstance(key, str) else key
+    for name in tables:
+        message = message.setdefault(name, {})
+    message[last] = value
+
+
+def _kind(found: Any) -> str:
+    return f"a message that is no {'answer' if isinstance(found, dict) else 'table'}"

@@ -1,0 +1,68 @@
+"""``ws://host:port`` as the name of a policy, with the file that says how it is wired.
+
+    ws://127.0.0.1:8000                            a server of madviz's own
+    ws://127.0.0.1:8000#wire=/home/me/act.toml     any other
+
+A reference goes to worker processes as text, so it carries all that they need to connect.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from madviz.errors import UserError
+from madviz.system.typed import typed
+from madviz.wire.connection import PolicyConnection, shown
+from madviz.wire.policy import ServedPolicy
+from madviz.wire.protocols import OURS, greeted
+from madviz.wire.wiring import PolicyFacts, checked, policy_spec, read_wiring, served_spec
+
+MARK = "#wire="
+
+
+def is_served(policy: str) -> bool:
+    """Whether the name is an address."""
+    return policy.startswith(("ws://", "wss://"))
+
+
+def with_wire(policy: str, wire: Path | None) -> str:
+    """``policy`` with the file of ``--wire``. Raises UserError for a file beside no address."""
+    if wire is None:
+        return policy
+    if not is_served(policy):
+        raise UserError(
+            f"--wire is for --policy ws://HOST:PORT, found --policy {policy or 'none'!s:.100}"
+        )
+    return f"{policy.split(MARK)[0]}{MARK}{wire.resolve()}"
+
+
+def plain(policy: str) -> str:
+    """``policy`` as it may be shown to others: no token, and no path but its last part."""
+    address, _, file = policy.partition(MARK)
+    if not is_served(policy):
+        return Path(policy).name
+    return shown(address) + (f"{MARK}{Path(file).name}" if file else "")
+
+
+def connect(reference: str) -> ServedPolicy:
+    """The policy behind ``reference``, greeted once: what it says of itself is checked, and the
+    file, before anything is drawn. Raises UserError."""
+    address, _, file = reference.partition(MARK)
+    wiring = read_wiring(file) if file else None
+    with PolicyConnection(address, wiring.timeout if wiring else 4.0) as connection:
+        speaker, greeting = greeted(connection, wiring.protocol if wiring else None)
+    where = shown(address)
+    if wiring is not None:
+        wiring = msgspec.structs.replace(wiring, protocol=speaker.name)
+        return ServedPolicy(address, wiring, policy_spec(wiring, where), None)
+    if OURS not in greeting:
+        raise UserError(
+            f"{where}: expected a server that says how it is wired, found one that speaks "
+            f"{speaker.name} and does not; write that down in a file, and give it with --wire"
+        )
+    facts = typed(greeting[OURS], PolicyFacts, where, "it runs another version of madviz")
+    wiring = checked(msgspec.structs.replace(facts.wiring, protocol=speaker.name), where)
+    spec = served_spec(facts, wiring, where)
+    return ServedPolicy(address, wiring, spec, frozenset(facts.supported))

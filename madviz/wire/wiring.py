@@ -1,0 +1,235 @@
+"""How a served policy's names and shapes map to madviz's: ``--wire FILE.toml``.
+
+    task = "metaworld/hammer"
+    protocol = "openpi"             # found out at the handshake where it is left out
+    size = 224                      # of pictures; or one for each camera: size.first = 128
+    state = "observation/state"     # "" sends none
+    action = "actions"
+    masks = false                   # a camera that is left out must have a picture in its place
+    chunk = 8                       # decisions that are taken from one look; 1 looks every time
+
+    [cameras]                       # our name = their key
+    first = "observation/wrist_image"
+    third_a = "observation/image"
+
+A key that is a list leads into tables: ``third_a = ["images", "cam_high"]``. A server of madviz's
+own says all of this in its handshake, and needs no file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from madviz.envs.registry import choose, env_spec
+from madviz.errors import UserError, unknown
+from madviz.subsets import camera_of, every_mask, modality_of, name_of
+from madviz.system.typed import typed
+from madviz.types import CameraSpec, EnvSpec, Modality, Policy, PolicySpec, PolicyWithMemory
+from madviz.wire.codec import Protocol
+
+Key = str | list[str]
+Size = Annotated[int, Meta(ge=8, le=1024)]
+Digits = Annotated[int, Meta(ge=1, le=1000)]
+Seconds = Annotated[float, Meta(gt=0, le=3600)]
+Text = Annotated[str, Meta(max_length=500)]
+
+
+class Wiring(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=True):
+    """The file, and what a server of madviz's own says in its handshake."""
+
+    task: str
+    cameras: Annotated[dict[str, Key], Meta(min_length=1, max_length=16)]
+    """Our camera, or stream (``first.depth``) = their key."""
+    size: Size | dict[str, Size]
+    """Rows and columns of a picture; one for all cameras, or for each."""
+    state: Key
+    """Their key of the state (S,) float32; '' sends none."""
+    masks: bool
+    """Whether the policy acts on the cameras that are sent: one that is left out is dropped."""
+    action: str = "actions"
+    """The key of their answer, (A,) or (n, A)."""
+    protocol: Protocol | None = None
+    modality: Modality | dict[str, Modality] = "rgb"
+    instruction: Text | None = None
+    """What it is told; by default the task's own sentence."""
+    chunk: Digits = 1
+    """How many decisions of an answer are taken before it is asked again."""
+    history: bool = False
+    """Whether it remembers earlier steps of an episode, more than the rest of a chunk."""
+    frames: Annotated[int, Meta(ge=1, le=8)] = 1
+    """Frames of a camera in its picture, on the last axis, the oldest first."""
+    noise: str = ""
+    """Their key of a number that fixes the policy's noise at a step; '' sends none."""
+    name: Annotated[str, Meta(max_length=100)] = ""
+    render_profile: Literal["fast", "full"] = "fast"
+    timeout: Seconds = 4.0
+    """Seconds that an answer may take; the first one has a minute, for whoever compiles then."""
+
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """Our names in the order of axis V."""
+        return tuple(self._stream(name) for name in self.cameras)
+
+    def key(self, stream: str) -> Key:
+        """Their key of one of ``streams``."""
+        return next(k for name, k in self.cameras.items() if self._stream(name) == stream)
+
+    def size_of(self, stream: str) -> int:
+        """Rows and columns of what ``stream`` sends."""
+        return self.size if isinstance(self.size, int) else self.size[camera_of(stream)]
+
+    @property
+    def largest(self) -> int:
+        """What all cameras are drawn with."""
+        return self.size if isinstance(self.size, int) else max(self.size.values())
+
+    def _stream(self, name: str) -> str:
+        if "." in name:
+            return name
+        modality = self.modality if isinstance(self.modality, str) else self.modality.get(name)
+        return f"{name}.depth" if modality == "depth" else name
+
+
+class PolicyFacts(msgspec.Struct, kw_only=True, frozen=True):
+    """What a server of madviz's own says besides, so that a policy there is the policy here."""
+
+    wiring: Wiring
+    name: Annotated[str, Meta(max_length=200)]
+    method: Text
+    setting: Text
+    recipe: Text
+    trained_subsets: list[Text]
+    supported: list[Text]
+    """The subsets it can act on."""
+    digest: Text
+    cameras: list[CameraSpec]
+
+
+def read_wiring(path: str | Path) -> Wiring:
+    """The file at ``path``. Raises UserError for one that cannot be read, lacks a key or has one
+    too many, by name."""
+    try:
+        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise UserError(f"--wire {path}: expected a TOML file, found: {why}") from error
+    return checked(typed(document, Wiring, f"--wire {path}", "see docs/own-policy.md"), path)
+
+
+def checked(wiring: Wiring, where: str | Path) -> Wiring:
+    """``wiring``, if its task is known and has its cameras. Raises UserError."""
+    known = [camera.name for camera in _cameras(wiring.task)]
+    tables: list[tuple[str, Any]] = [("cameras", wiring.cameras)]
+    tables += [("size", wiring.size), ("modality", wiring.modality)]
+    for table, names in tables:
+        for name in names if isinstance(names, dict) else ():
+            if camera_of(name) not in known:
+                raise UserError(f"{where}: {unknown(f'camera in [{table}]', name, known)}")
+    for camera in dict.fromkeys(camera_of(stream) for stream in wiring.streams):
+        if not isinstance(wiring.size, int) and camera not in wiring.size:
+            raise UserError(f"{where}: expected 'size.{camera}', found none; say its pixels")
+    for stream in wiring.streams:
+        if "." in stream and modality_of(stream) not in ("rgb", "depth"):
+            raise UserError(
+                f"{where}: expected a camera, or one with .rgb or .depth, found {stream!r:.60}"
+            )
+    return wiring
+
+
+def policy_spec(wiring: Wiring, address: str) -> PolicySpec:
+    """What madviz has to know of the policy behind ``wiring``."""
+    env = env_of(wiring)
+    own = {camera.name: camera for camera in _cameras(wiring.task)}
+    text = msgspec.json.encode(wiring, order="sorted")
+    return PolicySpec(
+        name=wiring.name or address,
+        task=wiring.task,
+        method="served",
+        setting="as wired",
+        recipe="elsewhere",
+        streams=wiring.streams,
+        trained_subsets=("all",),
+        frame_stack=wiring.frames,
+        render_profile=wiring.render_profile,
+        cameras=tuple(
+            replace(own[camera], size=wiring.largest)
+            for camera in dict.fromkeys(camera_of(stream) for stream in wiring.streams)
+        ),
+        digest=hashlib.sha256(address.encode() + text).hexdigest(),
+        state_dim=env.state_dim,
+        action_dim=env.action_dim,
+        horizon=env.horizon,
+        image_size=wiring.largest,
+        instruction=wiring.instruction if wiring.instruction is not None else env.instruction,
+        chunk=wiring.chunk,
+        can_drop=wiring.masks,
+        reads_together=False,
+    )
+
+
+def served_spec(facts: PolicyFacts, wiring: Wiring, address: str) -> PolicySpec:
+    """The same of a policy that madviz serves: it keeps its name, and its digest."""
+    return replace(
+        policy_spec(wiring, address),
+        name=facts.name,
+        method=facts.method,
+        setting=facts.setting,
+        recipe=facts.recipe,
+        trained_subsets=tuple(facts.trained_subsets),
+        cameras=tuple(facts.cameras),
+        digest=facts.digest,
+    )
+
+
+def wiring_of(spec: PolicySpec, history: bool) -> Wiring:
+    """How a policy of madviz's is served."""
+    return Wiring(
+        task=spec.task,
+        cameras={stream: stream for stream in spec.streams},
+        size=spec.image_size,
+        state="state",
+        masks=spec.can_drop,
+        history=history,
+        instruction=spec.instruction,
+        frames=spec.frame_stack,
+        name=spec.name,
+        render_profile="full" if spec.render_profile == "full" else "fast",
+        chunk=spec.chunk,
+    )
+
+
+def served(policy: Policy) -> dict[str, Any]:
+    """What ``madviz serve`` says of ``policy`` in its handshake."""
+    spec = policy.spec
+    known = [name_of(m, spec.streams) for m in every_mask(len(spec.streams)) if policy.supports(m)]
+    return {
+        "wiring": msgspec.to_builtins(wiring_of(spec, isinstance(policy, PolicyWithMemory))),
+        "name": spec.name,
+        "method": spec.method,
+        "setting": spec.setting,
+        "recipe": spec.recipe,
+        "trained_subsets": list(spec.trained_subsets),
+        "supported": known,
+        "digest": spec.digest,
+        "cameras": [asdict(camera) for camera in spec.cameras],
+    }
+
+
+def env_of(wiring: Wiring) -> EnvSpec:
+    """The facts of the environment it acts in."""
+    return env_spec(wiring.task, wiring.render_profile)
+
+
+def _cameras(task: str) -> tuple[CameraSpec, ...]:
+    """All cameras that ``task`` has a place for."""
+    try:
+        return choose(task, "five")[1]
+    except UserError:
+        return choose(task, "three")[1]

@@ -1,0 +1,211 @@
+"""madviz serve: the same policy here and there, to the bit, and who may ask it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from madviz.agent.agent import random_policy
+from madviz.agent.networks import NetworkConfig
+from madviz.envs.registry import make_env
+from madviz.errors import UserError
+from madviz.evaluation.evaluate import evaluate
+from madviz.examples.own_policy import Finder
+from madviz.observation.ablation import Occlusion
+from madviz.policies.checkpoint import load_policy
+from madviz.serving.serve import MOST_CLIENTS, PolicyServer, ServeConfig, run_serve
+from madviz.session.commands import Fork, Scrub, SetCamera
+from madviz.types import Policy
+from madviz.wire.codec import pack, unpack
+from tests.fakes import AllOrNothing, Chunked, FakePolicy
+from tests.sessions import BLACK, OFF, Recorder
+
+
+@contextmanager
+def serving(policy: Policy, token: str | None = None) -> Iterator[PolicyServer]:
+    server = PolicyServer(policy, token=token).start()
+    try:
+        yield server
+    finally:
+        server.close()
+
+
+def networks() -> Policy:
+    """MAD's networks, small and untrained, for the toy."""
+    config = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=32, feature_dim=16)
+    return random_policy(FakePolicy().spec, config)
+
+
+POLICIES = {
+    "pixels": Finder,
+    "networks": networks,
+    "all or nothing": AllOrNothing,
+    "chunks": Chunked,
+}
+
+
+@pytest.mark.parametrize("make", POLICIES.values(), ids=POLICIES)
+def test_served_and_here_give_the_same_episodes_to_the_bit(make):
+    here, black = make(), {"third_a": Occlusion("black")}
+    with serving(make()) as server:
+        there = load_policy(server.address)
+        for occlusions in ({}, black):
+            one = evaluate(here, episodes=2, occlusions=occlusions)
+            other = evaluate(there, episodes=2, occlusions=occlusions)
+            assert one.episodes == other.episodes and one.rows == other.rows
+    same = ("name", "task", "streams", "trained_subsets", "digest", "frame_stack", "chunk")
+    assert all(getattr(here.spec, name) == getattr(there.spec, name) for name in same)
+
+
+@pytest.mark.parametrize("make", [Finder, Chunked])
+def test_the_page_shows_the_same_episode_of_a_served_policy(make):
+    with serving(make()) as server:
+        sessions = [Recorder(make(), seed=2004), Recorder(load_policy(server.address), seed=2004)]
+        for session in sessions:
+            session.at(0.0)
+            session.steps(3)
+            session.ask(SetCamera("first", OFF))
+            session.steps(4)
+            session.ask(SetCamera("first", BLACK))
+            session.steps(3)
+            session.ask(Scrub(5), Fork())
+            session.steps(4)
+        worlds = [session.frames[-1].world for session in sessions]
+        assert [world.step for world in worlds] == [9, 9]
+        np.testing.assert_array_equal(worlds[0].hand, worlds[1].hand)
+
+
+def test_several_episodes_at_the_same_time_do_not_mix():
+    with serving(Chunked()) as server:
+        alone = evaluate(Chunked(), ["all"], episodes=3).episodes
+        found: dict[int, object] = {}
+
+        def play(seed: int) -> None:
+            found[seed] = evaluate(server.address, ["all"], episodes=1, seed=seed, workers=0)
+
+        threads = [threading.Thread(target=play, args=(5000 + i,)) for i in range(3)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert [found[seed].episodes[0] for seed in sorted(found)] == list(alone)  # type: ignore
+
+
+# --- What others send ---
+
+
+def told(socket, kind: str, payload: object) -> dict:
+    socket.send(pack({"type": kind, "payload": payload, "seq": 5, "timestamp": 0.0}, "vla-eval"))
+    return unpack(socket.recv(5))
+
+
+def look(**changed):
+    picture = np.zeros((84, 84, 3), np.uint8)
+    images = {name: picture for name in ("first", "third_a", "third_b")}
+    return {"images": images, "state": np.zeros(6, np.float32), **changed}
+
+
+def test_single_frames_are_stacked_by_the_server_as_they_are_here():
+    policy, env = FakePolicy(), make_env("toy/reach")
+    expected = evaluate(policy, ["all"], episodes=1).episodes[0]
+    with serving(policy) as server, connect(server.address) as socket:
+        greeting = told(socket, "hello", {})["payload"]
+        assert greeting["action_spec"]["actions"]["dims"] == 2
+        assert greeting["madviz"]["wiring"]["masks"] is True
+        begin = {"type": "episode_start", "payload": {}, "seq": 0, "timestamp": 0.0}
+        socket.send(pack(begin, "vla-eval"))
+        now, total = env.reset(5000), 0.0
+        while not now.last:
+            images = {camera.name: env.view(camera.name).rgb for camera in env.spec.cameras}
+            answer = told(socket, "observation", look(images=images, state=now.state))
+            assert answer["seq"] == 5
+            now = env.step(answer["payload"]["actions"])
+            total += now.reward
+    assert total == expected.total_reward
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload", "said"),
+    [
+        ("observation", look(images={"left": 1}), "expected pictures of first, third_a, third_b"),
+        ("observation", look(images=3), "expected pictures by camera"),
+        (
+            "observation",
+            look(images={"first": np.zeros((84, 84), np.uint8)}),
+            r"expected 'first' as \(H, W, 3 or 9\) uint8, 84 by 84, found \(84, 84\)",
+        ),
+        ("observation", look(state=np.zeros(3)), r"expected 6 finite numbers.*found \(3,\)"),
+        ("observation", look(state=[np.nan] * 6), "expected 6 finite numbers"),
+        ("observation", look(state="x"), "expected 6 finite numbers"),
+        ("dance", {}, "expected hello, episode_start or observation, found 'dance'"),
+        ("observation", 3, "expected a message with type and payload"),
+    ],
+)
+def test_a_look_that_will_not_do_is_answered_in_words_and_the_next_one_works(kind, payload, said):
+    with serving(FakePolicy()) as server, connect(server.address) as socket:
+        answer = told(socket, kind, payload)
+        assert answer["type"] == "error"
+        pytest.raises(UserError, _raise, answer["payload"]["error"]).match(said)
+        assert told(socket, "observation", look())["type"] == "action"
+
+
+def _raise(said: str) -> None:
+    raise UserError(said)
+
+
+def test_openpi_is_greeted_answered_and_told_what_was_wrong():
+    with serving(FakePolicy()) as server, connect(server.address) as socket:
+        assert unpack(socket.recv(5))["madviz"]["wiring"]["task"] == "toy/reach"
+        flat = {**look()["images"], "state": np.zeros(6, np.float32), "prompt": "go"}
+        socket.send(pack(flat, "openpi"))
+        assert unpack(socket.recv(5))["actions"].shape == (1, 2)
+        socket.send(pack({**flat, "state": np.zeros(2)}, "openpi"))
+        assert "expected 6 finite numbers" in str(socket.recv(5))
+        with pytest.raises(ConnectionClosed):
+            socket.recv(5)
+
+
+# --- Who may ask ---
+
+
+def test_it_serves_this_machine_alone_unless_told_otherwise():
+    assert ServeConfig("x").host == "127.0.0.1"
+    with serving(FakePolicy()) as server:
+        assert server.address.startswith("ws://127.0.0.1:")
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(server.address, origin="http://127.0.0.1")  # type: ignore[arg-type]
+
+
+def test_beyond_this_machine_a_token_is_needed():
+    with serving(FakePolicy(), token="right") as server:
+        for wrong in (server.address, f"{server.address}/?token=wrong"):
+            with pytest.raises(InvalidStatus, match="401"):
+                connect(wrong)
+        connect(server.address, additional_headers={"Authorization": "Api-Key right"}).close()
+        address = f"{server.address}/?token=right"
+        assert evaluate(address, ["all"], episodes=1, workers=0).rows["all"]["n"] == 1
+        with pytest.raises(UserError) as refused:
+            load_policy(f"{server.address}/?token=wrong")
+        assert "401" in str(refused.value) and "token=" not in str(refused.value)
+
+
+def test_a_crowd_is_turned_away():
+    with serving(FakePolicy()) as server:
+        crowd = [connect(server.address) for _ in range(MOST_CLIENTS)]
+        with connect(server.address) as late, pytest.raises(ConnectionClosed, match="too many"):
+            late.recv(5)
+        for one in crowd:
+            one.close()
+
+
+def test_a_place_that_cannot_be_served_is_said():
+    with serving(FakePolicy()) as server:
+        port = int(server.address.rpartition(":")[2])
+        with pytest.raises(UserError, match=f"port {port} on 127.0.0.1 cannot be served"):
+            run_serve(ServeConfig("madviz.examples.own_policy:make", port=port))
