@@ -7,9 +7,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+LONGEST = 3000
+"""Characters of a message: lists of names need hundreds."""
+
 
 class UserError(ValueError):
-    """A mistake the user can fix, in one line: what was expected, what was found, what next."""
+    """A mistake the user can fix, in one line: what was expected, what was found, what next. What
+    was found may be anything; what cannot be printed is spelled out, and no word is endless."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 class NotWritten(UserError):
@@ -60,6 +67,12 @@ class Interrupted(KeyboardInterrupt):
 def signal_of(stopped: KeyboardInterrupt) -> int:
     """The number of the signal behind it."""
     return signal.SIGTERM if isinstance(stopped, Terminated) else signal.SIGINT
+
+
+def printable(text: str) -> str:
+    """``text`` in one line that every terminal takes, at most ``LONGEST`` characters of it."""
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} … {line[-LONGEST // 2 :]}"
 
 
 def unknown(kind: str, found: str, known: list[str]) -> UserError:

@@ -24,6 +24,7 @@ from madviz.envs.registry import SETTINGS, TASKS
 from madviz.errors import UserError, perhaps, saving, unknown
 from madviz.policies.checkpoint import policy_folders
 from madviz.training.config import RECIPES
+from tests.mistakes import refused
 
 
 def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -116,9 +117,7 @@ def test_help_has_the_options_of_the_chosen_recipe_alone(
 def test_options_and_names_that_do_not_fit_are_refused_in_one_line(
     words: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(words.split()) == 2
-    printed = capsys.readouterr()
-    assert said in printed.err and printed.err.count("\n") == 1 and printed.out == ""
+    refused(words.split(), said, capsys)
 
 
 def test_a_flag_can_be_switched_on_and_off_by_name() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from madviz import cli
+from tests.mistakes import refused
 
 LONG = "x" * 300
 OWN = ("--policy", "madviz.examples.own_policy:make")
@@ -53,8 +53,5 @@ def test_odd_words_are_refused_in_one_line(
     monkeypatch.chdir(tmp_path)
     Path("ring").symlink_to("ring")
     Path("deep.toml").write_text("a = " + "[" * 5000 + "]" * 5000)
-    assert cli.main(list(words)) == 2
-    printed = capsys.readouterr()
-    assert printed.out == "" and said in printed.err
-    assert printed.err.startswith("madviz: ") and printed.err.count("\n") == 1
+    refused(words, said, capsys)
     assert {path.name for path in tmp_path.iterdir()} == {"ring", "deep.toml"}

@@ -29,6 +29,7 @@ from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.session.session_reader import read_session
 from tests.fakes import FakePolicy, NanPolicy, policies
+from tests.mistakes import refused
 
 CAMERAS = ("first", "third_a", "third_b")
 DROPS = ("third_a@3-8", "first=black@5")
@@ -318,9 +319,7 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert record(tmp_path, *words) == 2
-    error = capsys.readouterr().err
-    assert said in error and error.count("\n") == 1
+    refused(["record", *words], said, capsys)
     assert not list(tmp_path.iterdir())
 
 

@@ -99,6 +99,8 @@ class App:
         check_port(address.host, address.port)
         # A browser may leave while a frame is on its way to it; viser would warn about each.
         warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
+        # And about each value of another type than a message has, with the value: 64 KB of log.
+        warnings.filterwarnings("ignore", message=r"\[viser\] ")
         patch_sender()
         self.shared = shared
         limits = limits or Limits()

@@ -37,15 +37,17 @@ def typed(value: Any, kind: type[T], where: str | Path, fix: str) -> T:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
         raise UserError(f"{where}: {_mistake(str(error), value, kind)}; {fix}") from error
+    except UnicodeEncodeError as error:  # JSON may name half of a character.
+        raise UserError(f"{where}: expected text, found half of a character; {fix}") from error
 
 
 def _mistake(message: str, value: Any, kind: type) -> str:
     """msgspec's message with the value that was found, in this program's words."""
     what, _, place = message.partition(" - at `$")
     place = place.removesuffix("`").lstrip(".")
-    if missing := re.fullmatch(r"Object missing required field `(.*)`", what):
+    if missing := re.fullmatch(r"Object missing required field `(.*)`", what, re.S):
         return f"expected {_joined(place, missing[1])!r}, found none"
-    if extra := re.fullmatch(r"Object contains unknown field `(.*)`", what):
+    if extra := re.fullmatch(r"Object contains unknown field `(.*)`", what, re.S):
         return str(unknown(f"word in {place}" if place else "word", extra[1], _known(kind, place)))
     if wrong := re.fullmatch(r"Expected `(.*?)`(.*?)(?:, got .*)?", what):
         words = " or ".join(KINDS.get(name, name) for name in wrong[1].split(" | ")) + wrong[2]
