@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -114,12 +115,21 @@ def test_a_missing_file_and_no_jobs_at_all_are_mistakes(tmp_path: Path) -> None:
         run_sweep(config(tmp_path, jobs=0))
 
 
-SHIPPED = Path(__file__).resolve().parent.parent / "results" / "sweeps"
+RESULTS = Path(__file__).resolve().parent.parent / "results"
+SHIPPED = [*sorted(RESULTS.glob("sweeps/*.toml")), RESULTS / "pilots" / "pilots.toml"]
 
 
-@pytest.mark.parametrize("file", sorted(SHIPPED.glob("*.toml")), ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
 def test_the_sweeps_that_ship_ask_for_what_exists(file: Path, tmp_path: Path) -> None:
     result = run_sweep(SweepConfig(str(file), out=tmp_path / "out", dry_run=True))
     asked = tomllib.loads(file.read_text())
     assert result["finished"] == 0 and len(result["runs"]) >= len(asked["grid"])
-    assert f"madviz sweep results/sweeps/{file.name}" in file.read_text()
+    assert f"madviz sweep {file.relative_to(RESULTS.parent)}" in file.read_text()
+
+
+def test_a_finished_pilot_is_not_trained_again(tmp_path: Path) -> None:
+    pilots = RESULTS / "pilots"
+    shutil.copytree(pilots, tmp_path / "out")
+    found = run_sweep(SweepConfig(str(pilots / "pilots.toml"), out=tmp_path / "out", dry_run=True))
+    kept = [folder.name for folder in pilots.iterdir() if folder.is_dir()]
+    assert found["finished"] == len(kept) >= 1
