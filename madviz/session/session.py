@@ -178,22 +178,14 @@ class Session:
         if self._error or (self._moving() and now + self._pass_takes >= self._due):
             return False
         began, numbers = time.monotonic(), self._number
-        self._guarded(self._read_one)
+        self._guarded(lambda: self._stage.read_more(self._emit))
         self._pass_takes = time.monotonic() - began
         return self._number > numbers and not self._error
-
-    def _read_one(self) -> None:
-        if self._stage.read_more():
-            self._emit()
 
     def _explain(self, now: float) -> None:
         """After everything else, because it takes as long as a step."""
         moving = self._phase == "playing"
         if self._stage.explain(now, moving, hurried=self._speed is None):
-            self._emit()
-
-    def _read_one(self) -> None:
-        if self._stage.read_more():
             self._emit()
 
     def _moving(self) -> bool:

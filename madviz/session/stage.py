@@ -163,13 +163,14 @@ class Stage:
             return False
         return live.explain(self.saliency, now, moving, hurried)
 
-    def read_more(self) -> bool:
-        """Reads one more subset of the newest step, if it is the one that is shown; whether there
-        was one to read."""
+    def read_more(self, then: Callable[[], None]) -> None:
+        """Reads one more subset of the newest step, if that is the one that is shown and has one to
+        read; and ``then`` does what comes of it."""
         live = self.simulation
         if live is None or not hasattr(live, "probe") or self._timeline.shown is not None:
-            return False
-        return live.read_more()
+            return
+        if live.read_more():
+            then()
 
     def show_step(self, step: int | None) -> None:
         """Shows an earlier step from now on; None: the newest one."""
