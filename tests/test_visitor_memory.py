@@ -39,8 +39,9 @@ from madviz.observation.ablation import Occlusion
 from madviz.observation.schedule import MOST_FAILURES, parse_schedule
 from madviz.session.commands import Pause, SetCamera
 from madviz.session.frame import Condition
+from madviz.session.live_session import MOST_WAITING
 from madviz.session.process import SessionProcess
-from madviz.session.session import MOST_WAITING, Session
+from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies
 from tests.pages import browser, fake_app
 from tests.sessions import BLACK, OFF

@@ -10,6 +10,9 @@ from madviz.session.frame import Frame, NoFrame
 from madviz.session.session_file import SavedSession
 
 Listener = Callable[[Frame | NoFrame], None]
+MOST_WAITING = 1000
+"""Commands that wait to be carried out; a camera is touched within 5 ms, so that is 5 s of work."""
+TOO_MANY = f"expected at most {MOST_WAITING} commands at once, found more; wait a moment"
 
 
 class LiveSession(Protocol):

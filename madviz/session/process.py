@@ -47,8 +47,8 @@ from madviz.session.commands import (
     SetSpeed,
 )
 from madviz.session.frame import Frame, NoFrame
-from madviz.session.live_session import Listener
-from madviz.session.session import MOST_WAITING, NICENESS, TOO_MANY, Session
+from madviz.session.live_session import MOST_WAITING, TOO_MANY, Listener
+from madviz.session.session import NICENESS, Session
 from madviz.session.session_file import SavedSession
 from madviz.session.transfer import FrameDecoder, FrameEncoder
 from madviz.system.processes import limit_heaps, release_memory, set_up_worker

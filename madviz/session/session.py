@@ -48,7 +48,7 @@ from madviz.session.commands import (
     StepOnce,
 )
 from madviz.session.frame import Frame, NoFrame, Phase, SessionPace
-from madviz.session.live_session import Listener
+from madviz.session.live_session import MOST_WAITING, TOO_MANY, Listener
 from madviz.session.session_file import SavedEpisode, SavedSession
 from madviz.session.stage import EnvFactory, Stage
 from madviz.system.processes import lower_thread_priority
@@ -64,10 +64,6 @@ NICENESS = 10
 """Of the simulating thread, on a scale where 19 yields to all others; workers are at 15."""
 RATE_WINDOW = 20
 """Decisions over which the achieved rate is measured."""
-
-MOST_WAITING = 1000
-"""Commands that wait to be carried out; a camera is touched within 5 ms, so that is 5 s of work."""
-TOO_MANY = f"expected at most {MOST_WAITING} commands at once, found more; wait a moment"
 
 
 class Session:
