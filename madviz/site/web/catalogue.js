@@ -1,0 +1,124 @@
+/**
+ * What a site offers: policies that act here and recordings, looked up by name and checked.
+ *
+ * `manifest.json` is ours, but a link's words are anybody's: a policy that is not here, a seed
+ * without a start state, a camera that a task does not have. Each becomes one sentence, and the
+ * rest of the link holds.
+ */
+
+/** @typedef {import('./messages.js').Manifest} Manifest */
+/** @typedef {import('./link.js').LinkState} LinkState */
+/**
+ * A policy, alive or recorded.
+ * @typedef {object} Entry
+ * @property {string} name
+ * @property {string} label
+ * @property {string} task
+ * @property {string} method
+ * @property {string} task_label
+ * @property {string} success When it is a success, in words.
+ * @property {number} horizon
+ * @property {string[]} streams
+ * @property {string[]} trained_subsets
+ * @property {import('./messages.js').CameraSpec[]} cameras
+ * @property {Record<string, import('./messages.js').Rate>} measured
+ * @property {string} seeds_words Which seeds `measured` was counted on.
+ * @property {number[]} seeds
+ * @property {boolean} recorded
+ */
+/** @typedef {{policy: string, vs: string | null, seed: number,
+ *   events: import('./link.js').LinkEvent[]}} Scene What is to be played. */
+
+export class Catalogue {
+  /**
+   * @param {Manifest} manifest
+   * @param {boolean} alive Whether this browser can simulate; otherwise recordings alone count.
+   */
+  constructor(manifest, alive) {
+    const tasks = new Map(manifest.tasks.map(task => [task.name, task]));
+    /** @type {Entry[]} */
+    this.entries = [];
+    for (const policy of alive ? manifest.policies : []) {
+      const task = tasks.get(policy.task);
+      if (!task) continue;
+      this.entries.push({...policy, task_label: task.label, success: task.success,
+        horizon: task.horizon, seeds: task.seeds, seeds_words: policy.seeds, recorded: false});
+    }
+    for (const one of manifest.recordings) {
+      const known = this.entries.some(entry => entry.name === one.policy);
+      if (known) continue; // It acts here: no need for a recording.
+      this.entries.push({...one, name: one.policy, recorded: true});
+    }
+  }
+
+  /** @param {string | null} name @returns {Entry | undefined} */
+  find(name) {
+    return this.entries.find(entry => entry.name === name);
+  }
+
+  /** @returns {{label: string, entries: Entry[]}[]} By task, in the manifest's order. */
+  groups() {
+    /** @type {Map<string, {label: string, entries: Entry[]}>} */
+    const groups = new Map();
+    for (const entry of this.entries) {
+      const label = entry.recorded ? `${entry.task_label} (recorded)` : entry.task_label;
+      const group = groups.get(label) ?? {label, entries: []};
+      group.entries.push(entry);
+      groups.set(label, group);
+    }
+    return [...groups.values()];
+  }
+
+  /**
+   * Who can be compared with a policy: others of its task and of its kind.
+   * @param {Entry} entry
+   */
+  rivals(entry) {
+    return this.entries.filter(other => other !== entry && other.task === entry.task
+      && other.recorded === entry.recorded);
+  }
+
+  /** The pair that a visitor meets first: MAD, and the policy that never learned to act on one
+   * camera. @returns {[Entry, Entry] | [Entry]} */
+  opening() {
+    for (const entry of this.entries) {
+      const rival = this.rivals(entry).find(other => other.method === 'merged-only');
+      if (rival && entry.method === 'mad') return [entry, rival];
+    }
+    return [this.entries[0]];
+  }
+
+  /**
+   * A link's state as far as this site can play it.
+   * @param {LinkState} link
+   * @returns {{scene: Scene, problems: string[]}}
+   */
+  checked(link) {
+    /** @type {string[]} */
+    const problems = [];
+    let entry = this.find(link.policy);
+    if (!entry) {
+      if (link.policy) problems.push(`The policy “${link.policy}” is not on this site.`);
+      entry = this.opening()[0];
+    }
+    let vs = link.vs ? this.find(link.vs) : undefined;
+    if (link.vs && !vs) problems.push(`The policy “${link.vs}” is not on this site.`);
+    if (vs && (vs.task !== entry.task || vs.recorded !== entry.recorded)) {
+      problems.push(`“${vs.name}” has another task than “${entry.name}”, so it is left out.`);
+      vs = undefined;
+    }
+    let seed = link.seed ?? entry.seeds[0];
+    if (!entry.seeds.includes(seed)) {
+      problems.push(`Seed ${seed} has no start state here; this is seed ${entry.seeds[0]}. `
+        + `Seeds here: ${entry.seeds[0]} to ${entry.seeds[entry.seeds.length - 1]}.`);
+      seed = entry.seeds[0];
+    }
+    const known = new Set(entry.cameras.map(camera => camera.name));
+    const strange = new Set(link.events.map(one => one.camera).filter(name => !known.has(name)));
+    for (const name of strange) {
+      problems.push(`${entry.task_label} has no camera “${name}”; it has ${[...known].join(', ')}.`);
+    }
+    const events = link.events.filter(one => known.has(one.camera));
+    return {scene: {policy: entry.name, vs: vs?.name ?? null, seed, events}, problems};
+  }
+}

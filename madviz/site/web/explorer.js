@@ -1,0 +1,245 @@
+/**
+ * The page as a whole: who is shown, which frame is the newest, and what goes where.
+ *
+ * Answers come from the engine; each panel draws what a frame holds. Pictures follow every frame,
+ * panels four times a second. The opening shows less and sets its own switches; `explore` has all.
+ */
+
+import {intact} from './camera_state.js';
+import {byId, calm, make, say} from './dom.js';
+import {mergedEvents} from './link.js';
+import {notice} from './notices.js';
+import {SPEED, headline, openingEvents, story, tell} from './opening.js';
+import {Features, Subsets} from './readout.js';
+import {SceneView} from './scene_view.js';
+import {Side} from './side.js';
+import {Tally} from './statistics.js';
+import {RunMany, Success} from './success.js';
+import {SwitchBoard} from './switches.js';
+import {Timeline} from './timeline.js';
+import {Transport, rateNow} from './transport.js';
+import {changeWords} from './words.js';
+
+/** @typedef {import('./messages.js').Command} Command */
+/** @typedef {import('./messages.js').Frame} Frame */
+/** @typedef {import('./messages.js').World} World */
+/** @typedef {import('./catalogue.js').Catalogue} Catalogue */
+/** @typedef {import('./catalogue.js').Entry} Entry */
+/** @typedef {import('./catalogue.js').Scene} Scene */
+
+const PANELS = 250; // Milliseconds between two drawings of tables and curves.
+const EPISODES = 20;
+
+export class Explorer {
+  /**
+   * @param {Catalogue} catalogue
+   * @param {(command: Command) => void} send
+   * @param {(change: {policy?: string, vs?: string | null}) => void} onChoice
+   */
+  constructor(catalogue, send, onChoice) {
+    this.catalogue = catalogue;
+    this.send = send;
+    /** @type {'loading' | 'opening' | 'explore'} */
+    this.mode = 'loading';
+    /** @type {Frame | null} */
+    this.frame = null;
+    this.tally = new Tally();
+    this.linked = true;
+    /** @type {Entry[]} */
+    this.entries = [];
+    /** @type {Side[]} */
+    this.sides = [];
+    /** @type {SwitchBoard[]} */
+    this.boards = [];
+    /** @type {{features: Features, subsets: Subsets, success: Success}[]} */
+    this.panels = [];
+    this.view = new SceneView(notice);
+    this.timeline = new Timeline(byId('timeline'));
+    this.transport = new Transport(catalogue, send, onChoice);
+    byId('choose').replaceChildren(this.transport.element);
+    this.many = new RunMany(EPISODES, send);
+    this.link = make('button', {type: 'button', onclick: () => this.setLinked(!this.linked)});
+    this.drawn = 0;
+    this.asked = false;
+  }
+
+  /** @param {'loading' | 'opening' | 'explore'} mode */
+  setMode(mode) {
+    this.mode = mode;
+    document.body.dataset.mode = mode;
+    const shown = {loading: ['loading'], opening: ['story', 'timeline'],
+      explore: ['story', 'choose', 'timeline', 'controls', 'inside']}[mode];
+    for (const id of ['loading', 'story', 'choose', 'timeline', 'controls', 'inside']) {
+      byId(id).hidden = !shown.includes(id);
+    }
+    this.headline();
+  }
+
+  headline() {
+    if (this.entries.length === 0) return;
+    const title = byId('headline'), turn = byId('turn');
+    const button = (/** @type {string} */ words, /** @type {() => void} */ act, main = false) =>
+      make('button', {type: 'button', class: main ? 'main' : '', onclick: act}, words);
+    if (this.mode === 'opening') {
+      say(title, headline(this.entries));
+      turn.replaceChildren(button('Your turn', () => this.yourTurn(), true),
+        button('Again', () => this.again()));
+    } else {
+      say(title, this.entries[1] ? `${this.entries[0].label} and ${this.entries[1].label}: `
+        + `${this.entries[0].task_label}` : `${this.entries[0].label}: ${this.entries[0].task_label}`);
+      turn.replaceChildren(button('Show me first', () => this.opening()));
+    }
+  }
+
+  /** The first scene, from its beginning; the engine has its policies already. */
+  opening() {
+    const entries = this.catalogue.opening();
+    this.send({kind: 'SetPolicy', side: 'first', name: entries[0].name});
+    this.send({kind: 'Compare', policy: entries[1]?.name ?? null});
+    this.setMode('opening');
+    this.again();
+  }
+
+  again() {
+    this.whole();
+    this.send({kind: 'SetSchedule', events: openingEvents(this.catalogue.opening())});
+    this.send({kind: 'SetSpeed', rate: SPEED});
+    this.send({kind: 'Reset', next_seed: false});
+    this.send({kind: calm() ? 'Pause' : 'Play'});
+  }
+
+  /** All cameras work. */
+  whole() {
+    for (const camera of this.entries[0]?.cameras ?? []) {
+      this.send({kind: 'SetCamera', side: 'both', camera: camera.name, state: intact()});
+    }
+  }
+
+  /** The visitor has the switches. */
+  yourTurn() {
+    this.send({kind: 'SetSchedule', events: []});
+    this.whole();
+    this.send({kind: 'Reset', next_seed: false});
+    this.send({kind: 'Play'});
+    this.setMode('explore');
+    byId('controls').querySelector('input')?.focus({preventScroll: true});
+  }
+
+  /** @param {boolean} linked Whether a switch acts on both sides. */
+  setLinked(linked) {
+    this.linked = linked;
+    this.arrange();
+  }
+
+  /** Builds what depends on who acts. */
+  arrange() {
+    const [entry, rival] = this.entries, two = this.entries.length > 1;
+    document.body.dataset.sides = two ? '2' : '1';
+    this.sides = this.entries.map((one, index) => {
+      const name = index === 0 ? /** @type {const} */ ('first') : /** @type {const} */ ('second');
+      const side = this.sides[index] ?? this.newSide(name);
+      side.show(one);
+      return side;
+    });
+    byId('stage').replaceChildren(...this.sides.map(side => side.element));
+    const linked = two && this.linked;
+    this.boards = linked || !two ? [new SwitchBoard(entry, 'both', this.send)]
+      : this.entries.map((one, index) =>
+        new SwitchBoard(one, index === 0 ? 'first' : 'second', this.send));
+    say(this.link, linked ? 'Switches act on both sides: unlink' : 'Link the switches of A and B');
+    const titles = this.boards.map((board, index) => linked || !two ? [board.element]
+      : [make('h3', {}, `Side ${'AB'[index]}: ${this.entries[index].label}`), board.element]);
+    byId('controls').replaceChildren(make('div', {class: 'heading'}, make('h2', {}, 'Cameras'),
+      ...(two ? [this.link] : []), make('span', {class: 'soft'},
+        'Off: it leaves the sum. Anything else: it stays, and sends that.')),
+    make('div', {class: 'boards'}, ...titles.flat()));
+    this.panels = this.entries.map(one => ({features: new Features(one),
+      subsets: new Subsets(one), success: new Success(one, this.tally)}));
+    byId('inside').replaceChildren(...this.panels.map((panel, index) => make('div',
+      {class: 'column'}, make('div', {class: 'heading'}, make('h2', {},
+        two ? `${'AB'[index]}: ${this.entries[index].label}` : 'Measurements'),
+      ...(index === 0 && !entry.recorded ? [this.many.element] : [])),
+      panel.success.element, panel.subsets.element, panel.features.element)));
+    this.transport.show(entry, rival ?? null);
+    this.headline();
+  }
+
+  /** @param {'first' | 'second'} name */
+  newSide(name) {
+    const side = new Side(name, (camera, box) => {
+      const board = this.boards.find(one => one.side === 'both' || one.side === name);
+      board?.patch(camera, box);
+    });
+    this.view.listen(side.canvas);
+    return side;
+  }
+
+  /** @param {Frame} frame */
+  take(frame) {
+    const worlds = worldsOf(frame), names = worlds.map(world => world.policy);
+    if (names.join() !== this.entries.map(one => one.name).join()) {
+      const entries = names.map(name => this.catalogue.find(name));
+      if (entries.some(one => !one)) return;
+      this.entries = /** @type {Entry[]} */ (entries);
+      this.arrange();
+    }
+    this.frame = frame;
+    worlds.forEach((world, index) => this.panels[index].features.add(world));
+    this.timeline.add(frame);
+    for (const outcome of frame.outcomes) this.tally.add(outcome);
+    if (!this.asked) {
+      this.asked = true;
+      requestAnimationFrame(() => { this.asked = false; this.draw(); });
+    }
+  }
+
+  draw() {
+    const {frame} = this;
+    if (!frame) return;
+    const worlds = worldsOf(frame);
+    worlds.forEach((world, index) => this.sides[index]?.update(world));
+    for (const board of this.boards) {
+      board.update(board.side === 'second' && frame.second ? frame.second : frame.first);
+    }
+    this.transport.update(frame);
+    this.view.show(worlds.map((world, index) => ({world, side: this.sides[index]})));
+    const now = performance.now();
+    if (now - this.drawn < PANELS && frame.phase === 'playing') return;
+    this.drawn = now;
+    this.words(frame, worlds);
+    this.timeline.draw(frame, this.entries[0], rateNow(frame));
+    if (this.mode !== 'explore') return;
+    worlds.forEach((world, index) => {
+      const {features, subsets, success} = this.panels[index];
+      features.draw(world);
+      subsets.draw(world);
+      success.draw(world);
+    });
+  }
+
+  /** The line that says what has just happened. @param {Frame} frame @param {World[]} worlds */
+  words(frame, worlds) {
+    const line = byId('line');
+    if (this.mode === 'opening') return tell(line, story(frame, this.entries));
+    const changes = worlds.map((world, index) => world.change && world.step - world.change.step < 40
+      ? `${worlds.length > 1 ? `${this.entries[index].label}: ` : ''}${
+        changeWords(world.change, this.entries[index].cameras)}` : '').filter(Boolean);
+    const hint = this.entries[0].recorded
+      ? 'Recorded episodes: a switch goes over to the episode without that camera.'
+      : 'Switch a camera off, break its picture, or drag a box over it. Keys 1 to 9 do the same.';
+    return tell(line, [document.createTextNode(changes.join('. ') || hint)]);
+  }
+
+  /** What is played now, for a link. @returns {import('./link.js').LinkState | null} */
+  state() {
+    if (!this.frame || this.mode === 'loading') return null;
+    const {first, second} = this.frame;
+    return {policy: first.policy, vs: second?.policy ?? null, seed: first.seed,
+      events: mergedEvents(first.events, second?.events ?? null)};
+  }
+}
+
+/** @param {Frame} frame @returns {World[]} */
+function worldsOf(frame) {
+  return frame.second ? [frame.first, frame.second] : [frame.first];
+}

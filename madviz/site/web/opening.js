@@ -1,0 +1,92 @@
+/**
+ * The first scene: two policies, the same start, and one camera that goes off in both.
+ *
+ * What is said is read from frames as they come: by how much the action changed, how it ended, and
+ * what was measured over many episodes. Nothing here knows in advance who succeeds.
+ */
+
+import {noOcclusion} from './camera_state.js';
+import {make, say} from './dom.js';
+import {rateWords} from './statistics.js';
+import {effectWords, labelOf} from './words.js';
+
+/** @typedef {import('./messages.js').Frame} Frame */
+/** @typedef {import('./messages.js').World} World */
+/** @typedef {import('./catalogue.js').Entry} Entry */
+
+export const STEP = 15; // The camera goes off; 1.5 s at the speed below.
+export const SPEED = 10;
+
+/**
+ * @param {Entry[]} entries One or two.
+ * @returns {import('./messages.js').ScheduledEvent[]}
+ */
+export function openingEvents(entries) {
+  return [{step: STEP, side: 'both', camera: entries[0].cameras[0].name,
+    state: {input: 'off', occlusion: noOcclusion()}}];
+}
+
+/** @param {Entry[]} entries */
+export function headline(entries) {
+  return entries.length > 1 ? 'Two policies, the same start, and one camera goes off'
+    : 'One robot, several cameras, and one of them goes off';
+}
+
+/**
+ * The line under the headline.
+ * @param {Frame} frame
+ * @param {Entry[]} entries
+ * @returns {Node[]}
+ */
+export function story(frame, entries) {
+  const worlds = [frame.first, ...(frame.second ? [frame.second] : [])];
+  const camera = labelOf(entries[0].cameras[0].name, entries[0].cameras);
+  if (frame.first.ended) return ending(worlds, entries, camera);
+  if (frame.first.step < STEP) {
+    return [strong(`${entries[0].task_label}. `),
+      text(`${entries.length > 1 ? 'Both policies see the same' : 'The policy sees'} `
+      + `${entries[0].cameras.length} cameras. At step ${STEP}, ${camera} goes off.`)];
+  }
+  const effects = worlds.map((world, i) => world.change
+    ? `${entries[i].label}: ${effectWords(world.change)}` : '').filter(Boolean);
+  return [strong(`Step ${STEP}: ${camera} is off. `),
+    text(effects.length ? `${effects.join('. ')}.` : '')];
+}
+
+/** @param {World[]} worlds @param {Entry[]} entries @param {string} camera @returns {Node[]} */
+function ending(worlds, entries, camera) {
+  const nodes = worlds.flatMap((world, i) => [
+    strong(`${entries[i].label} ${world.success ? '✓ succeeded' : '✕ failed'}`,
+      world.success ? 'good' : 'bad'),
+    text(i + 1 < worlds.length ? ', ' : '. ')]);
+  const rates = worlds.map((world, i) => {
+    const rate = entries[i].measured[world.condition.subset];
+    return rate ? `${entries[i].label} ${rateWords(rate.success, rate.ci95, rate.n)}` : '';
+  });
+  if (rates.every(Boolean)) {
+    nodes.push(text(`Success measured without ${camera}: ${rates.join('; ')}.`));
+  }
+  return nodes;
+}
+
+/** @param {string} words */
+function text(words) {
+  return document.createTextNode(words);
+}
+
+/** @param {string} words @param {string} [kind] */
+function strong(words, kind) {
+  return make('b', kind ? {class: kind} : {}, words);
+}
+
+/**
+ * Replaces the line where it says something new.
+ * @param {HTMLElement} line
+ * @param {Node[]} nodes
+ */
+export function tell(line, nodes) {
+  const words = nodes.map(node => node.textContent).join('');
+  if (line.textContent === words) return;
+  if (nodes.length === 1 && !(nodes[0] instanceof Element)) say(line, words);
+  else line.replaceChildren(...nodes);
+}

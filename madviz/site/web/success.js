@@ -1,0 +1,113 @@
+/**
+ * Success by subset of cameras: counted in this browser, beside what was measured with madviz.
+ *
+ * A bar is a rate, the line over it its 95 % Wilson interval. An episode counts if nobody touched a
+ * switch between its first and its last step.
+ */
+
+import {make, say} from './dom.js';
+import {rateWords, wilson} from './statistics.js';
+import {conditionWords} from './words.js';
+
+/** @typedef {import('./messages.js').Condition} Condition */
+/** @typedef {import('./messages.js').Rate} Rate */
+/** @typedef {import('./messages.js').World} World */
+/** @typedef {import('./catalogue.js').Entry} Entry */
+
+export class Success {
+  /**
+   * @param {Entry} entry
+   * @param {import('./statistics.js').Tally} tally
+   */
+  constructor(entry, tally) {
+    this.entry = entry;
+    this.tally = tally;
+    this.body = make('tbody');
+    this.note = make('p', {class: 'soft'});
+    this.element = make('section', {class: 'panel'}, make('h3', {}, 'Success'),
+      make('div', {class: 'scroll'}, make('table', {class: 'success'},
+        make('thead', {}, make('tr', {}, ...['the policy gets', 'measured', 'counted here']
+          .map(words => make('th', {scope: 'col'}, words)))), this.body)),
+      this.note);
+    say(this.note, `Goal: ${entry.success}. It counts at the last step. Brackets: 95 % interval. `
+      + `Measured ${entry.seeds_words}. † not trained on.`);
+    this.shown = '';
+  }
+
+  /** @param {World} world */
+  draw(world) {
+    const conditions = this.rows(world.condition);
+    const counts = conditions.map(one => this.tally.count(this.entry.name, one));
+    const state = JSON.stringify([world.condition, conditions, counts]);
+    if (state === this.shown) return;
+    this.shown = state;
+    this.body.replaceChildren(...conditions.map((condition, i) => {
+      const {successes, n} = counts[i], current = same(condition, world.condition);
+      const measured = condition.occlusions ? undefined : this.entry.measured[condition.subset];
+      const here = n === 0 ? '' : bar(successes / n, wilson(successes, n), n);
+      const trained = this.entry.trained_subsets.includes(condition.subset);
+      return make('tr', {class: current ? 'current' : '', 'aria-current': current && 'true'},
+        make('th', {scope: 'row'},
+          conditionWords(condition, this.entry.cameras) + (trained ? '' : ' †')),
+        make('td', {}, measured ? bar(measured.success, measured.ci95, measured.n) : ''),
+        make('td', {}, here));
+    }));
+  }
+
+  /** What was measured, what was counted, and what is on now. @param {Condition} now */
+  rows(now) {
+    /** @type {Condition[]} */
+    const rows = Object.keys(this.entry.measured).map(subset => ({subset, occlusions: ''}));
+    for (const one of [...this.tally.conditions(this.entry.name), now]) {
+      if (!rows.some(row => same(row, one))) rows.push(one);
+    }
+    return rows;
+  }
+}
+
+/** @param {Condition} one @param {Condition} other */
+function same(one, other) {
+  return one.subset === other.subset && one.occlusions === other.occlusions;
+}
+
+/** @param {number} rate @param {[number, number]} interval @param {number} n */
+function bar(rate, interval, n) {
+  const [value, ...rest] = rateWords(rate, interval, n).split(' ');
+  const track = make('span', {class: 'track', 'aria-hidden': 'true'},
+    make('i', {class: 'fill'}), make('i', {class: 'span'}));
+  track.style.setProperty('--rate', `${100 * rate}%`);
+  track.style.setProperty('--low', `${100 * interval[0]}%`);
+  track.style.setProperty('--wide', `${100 * (interval[1] - interval[0])}%`);
+  return make('span', {class: 'bar'}, track, make('span', {class: 'num'}, `${value} `,
+    make('small', {}, rest.join(' '))));
+}
+
+/** The button that plays many episodes, and how far it is. */
+export class RunMany {
+  /**
+   * @param {number} episodes
+   * @param {(command: import('./messages.js').Command) => void} send
+   */
+  constructor(episodes, send) {
+    this.running = false;
+    this.button = make('button', {type: 'button', onclick: () =>
+      send(this.running ? {kind: 'StopRun'} : {kind: 'RunMany', episodes})});
+    this.words = make('span', {class: 'soft', role: 'status'});
+    this.element = make('div', {class: 'many'}, this.button, this.words);
+    this.episodes = episodes;
+    this.label();
+  }
+
+  label() {
+    say(this.button, this.running ? 'Stop' : `Run ${this.episodes}`);
+  }
+
+  /** @param {import('./messages.js').Run} run */
+  update(run) {
+    this.running = !run.ended;
+    this.label();
+    const wins = run.outcomes.filter(one => one.success).length;
+    say(this.words, `${run.done} of ${run.of} episodes${run.ended ? '' : ' …'}, `
+      + `${wins} of ${run.outcomes.length} successful`);
+  }
+}

@@ -1,0 +1,130 @@
+/**
+ * What happened, in words: subsets, failures, changes and outcomes as a visitor reads them.
+ *
+ * Plain functions from frames to text, the same sentences as `madviz/session/frame.py` has.
+ */
+
+/** @typedef {import('./messages.js').CameraSpec} CameraSpec */
+/** @typedef {import('./messages.js').CameraState} CameraState */
+/** @typedef {import('./messages.js').Displacement} Displacement */
+/** @typedef {import('./messages.js').World} World */
+
+/**
+ * @param {string} name
+ * @param {CameraSpec[]} cameras
+ */
+export function labelOf(name, cameras) {
+  return cameras.find(camera => camera.name === name)?.label ?? name;
+}
+
+/**
+ * @param {string} subset `first+third_a`, `first.depth`, `all`, `none`.
+ * @param {CameraSpec[]} cameras
+ * @returns {string} `First person + Third A`.
+ */
+export function subsetWords(subset, cameras) {
+  if (subset === 'all') return 'all cameras';
+  if (subset === 'none') return 'no camera';
+  if (subset === 'rgb') return 'colour of all cameras';
+  if (subset === 'depth') return 'depth of all cameras';
+  return subset.split('+').map(part => {
+    const [camera, modality] = part.split('.');
+    const label = labelOf(camera, cameras);
+    return modality ? `${label} ${modality === 'rgb' ? 'colour' : 'depth'}` : label;
+  }).join(' + ');
+}
+
+/**
+ * @param {import('./messages.js').Condition} condition
+ * @param {CameraSpec[]} cameras
+ */
+export function conditionWords(condition, cameras) {
+  const words = subsetWords(condition.subset, cameras);
+  return condition.occlusions ? `${words}, with failures` : words;
+}
+
+/**
+ * What stands in a picture's corner; '' where all is well.
+ * @param {CameraState | undefined} state
+ * @param {Displacement | undefined} move
+ */
+export function tagWords(state, move) {
+  if (state?.input === 'off') return 'off';
+  const words = [];
+  if (state && state.occlusion.kind !== 'none') {
+    words.push({black: 'black', noise: 'noise', freeze: 'frozen', blur: 'blurred',
+      patch: 'patch'}[state.occlusion.kind]);
+  }
+  if (move) words.push('moved');
+  return words.join(', ');
+}
+
+/**
+ * @param {CameraState} state
+ * @returns {string} A predicate: `sends black`.
+ */
+export function stateWords({input, occlusion}) {
+  if (input === 'off') return 'is off';
+  const share = `${Math.round(100 * occlusion.strength)} %`;
+  const failure = {none: '', black: 'sends black', noise: `sends ${share} noise`,
+    freeze: 'is frozen', blur: `is blurred by ${share}`, patch: 'has a patch in view',
+  }[occlusion.kind];
+  if (failure) return failure;
+  return {rgb: 'sends colour', depth: 'sends depth', both: 'sends its picture'}[input];
+}
+
+/** @param {Displacement} move */
+export function moveWords(move) {
+  /** @type {[keyof Displacement, string, string, string][]} */
+  const axes = [['forward', 'forward', 'back', ' m'], ['right', 'to the right', 'to the left', ' m'],
+    ['up', 'up', 'down', ' m'], ['pan', 'right', 'left', '°'], ['tilt', 'up', 'down', '°']];
+  const words = [];
+  for (const [name, ahead, back, unit] of axes) {
+    const value = move[name], size = Math.abs(value);
+    if (!value) continue;
+    const word = value > 0 ? ahead : back;
+    words.push(unit === '°' ? `turned ${word} ${size.toFixed(0)}°` : `${size.toFixed(2)} m ${word}`);
+  }
+  if (move.zoom !== 1) {
+    words.push(`zoomed ${move.zoom > 1 ? 'in' : 'out'} to ${move.zoom.toFixed(2)}`);
+  }
+  return words.join(', ') || 'in its place';
+}
+
+/**
+ * @param {NonNullable<World['change']>} change
+ * @param {CameraSpec[]} cameras
+ * @returns {string} `Third A is off: action changed by 0.31, Q 12.1 → 9.8`.
+ */
+export function changeWords(change, cameras) {
+  const label = labelOf(change.camera, cameras);
+  const back = change.before.input === 'off' && change.after.input !== 'off';
+  const deed = change.moved ? 'has another place' : back ? 'is back' : stateWords(change.after);
+  return `${label} ${deed}: ${effectWords(change)}`;
+}
+
+/** @param {NonNullable<World['change']>} change */
+export function effectWords(change) {
+  if (!Number.isFinite(change.action_change)) return 'this policy cannot act on that';
+  const action = `action changed by ${change.action_change.toFixed(2)}`;
+  if (!Number.isFinite(change.q_before) || !Number.isFinite(change.q_after)) return action;
+  return `${action}, Q ${change.q_before.toFixed(1)} → ${change.q_after.toFixed(1)}`;
+}
+
+/**
+ * How an episode stands. The sign says the same as the colour.
+ * @param {World} world
+ * @returns {{kind: 'good' | 'bad' | 'open', text: string}}
+ */
+export function outcomeWords(world) {
+  if (!world.ended) {
+    return {kind: 'open', text: world.success ? 'goal met now' : 'working'};
+  }
+  if (world.success) return {kind: 'good', text: '✓ success'};
+  return {kind: 'bad', text: world.success_any ? '✕ failed (goal met, then lost)' : '✕ failed'};
+}
+
+/** @param {number} bytes */
+export function megabytes(bytes) {
+  return `${(bytes / 1e6).toFixed(1)} MB`;
+}

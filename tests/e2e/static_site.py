@@ -1,0 +1,114 @@
+"""A site for tests: the page's own files, with a fake worker and made-up policies."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+WEB = ROOT / "madviz" / "site" / "web"
+FAKE_WORKER = ROOT / "tests" / "site" / "fake_worker.js"
+FILE = {"path": "nothing.gz", "bytes": 1, "unpacked": 1}
+CAMERAS = (("first", "First person"), ("third_a", "Third A"), ("third_b", "Third B"))
+MAD, MERGED_ONLY = "metaworld-hammer-mad-light", "metaworld-hammer-merged-only-light"
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    extensions_map = {**SimpleHTTPRequestHandler.extensions_map, ".js": "text/javascript"}
+
+    def log_message(self, format: str, *args: Any) -> None:
+        pass
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """The address at which ``folder`` is, below a path, as on many hosts."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/"
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def fake_site(folder: Path, **changes: Any) -> Path:
+    """The page with its fake worker; ``changes`` to the manifest."""
+    shutil.copytree(WEB, folder)
+    shutil.copy(FAKE_WORKER, folder / "worker.js")
+    (folder / "manifest.json").write_text(json.dumps(manifest() | changes))
+    return folder
+
+
+def manifest() -> dict[str, Any]:
+    """Two policies on one task, one of which fails without a camera."""
+    whole = {"all": 0.99, "first": 1.0, "third_a": 1.0, "third_b": 1.0, "third_a+third_b": 1.0}
+    alone = {"all": 1.0, "first": 0.02, "third_a": 0.0, "third_b": 0.0, "third_a+third_b": 0.0}
+    hammer = {
+        "name": "metaworld/hammer",
+        "label": "Hammer",
+        "success": "the nail is driven in by more than 0.09 m",
+        "horizon": 30,
+        "action_repeat": 2,
+        "seeds": [5000, 5001, 5002],
+        "model": FILE,
+        "scene": FILE,
+        "starts": FILE,
+    }
+    return {
+        "schema": 1,
+        "version": "0.1.0",
+        "versions": {},
+        "tasks": [hammer],
+        "policies": [
+            policy(MAD, "MAD", "mad", whole),
+            policy(MERGED_ONLY, "Merged Only", "merged-only", alone),
+        ],
+        "recordings": [],
+        "wasm": {"mujoco": FILE, "ort": FILE},
+    }
+
+
+def policy(name: str, label: str, method: str, rates: dict[str, float]) -> dict[str, Any]:
+    """A policy as the manifest has it."""
+    return {
+        "name": name,
+        "label": label,
+        "task": "metaworld/hammer",
+        "method": method,
+        "setting": "three",
+        "streams": [one for one, _ in CAMERAS],
+        "trained_subsets": ["all", *(one for one, _ in CAMERAS if method == "mad")],
+        "digest": "0" * 64,
+        "cameras": [camera(*one) for one in CAMERAS],
+        "measured": {subset: rate(value) for subset, value in rates.items()},
+        "seeds": "on seeds 5000 to 5099",
+        "graph": FILE,
+    }
+
+
+def camera(name: str, label: str) -> dict[str, Any]:
+    """A camera as the manifest has it."""
+    return {
+        "name": name,
+        "label": label,
+        "fovy": 60,
+        "position": [0.7, 0.1, 0.7],
+        "wxyz": [1, 0, 0, 0],
+        "body": "hand" if name == "first" else None,
+        "depth_range": [0, 2],
+        "size": 84,
+    }
+
+
+def rate(success: float, n: int = 100) -> dict[str, Any]:
+    """A measured rate with an interval that is near enough."""
+    interval = [max(success - 0.04, 0), min(success + 0.04, 1)]
+    return {"success": success, "n": n, "ci95": interval, "trained": True}

@@ -1,0 +1,275 @@
+"""The static site's page in a real Chromium, on a fake worker: what a visitor sees and does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.e2e.static_site import MAD, MERGED_ONLY, fake_site, served
+
+PATIENCE = 30_000
+LINK = f"#policy={MAD}&vs={MERGED_ONLY}&seed=5001&third_a=off@4"
+NO_WEBGL = """
+const real = OffscreenCanvas.prototype.getContext;
+OffscreenCanvas.prototype.getContext = function (kind, ...rest) {
+  return kind === 'webgl2' ? null : real.call(this, kind, ...rest);
+};
+"""
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory) -> Iterator[str]:
+    """Of the page in a folder below the host's root."""
+    folder = tmp_path_factory.mktemp("site")
+    fake_site(folder / "below")
+    with served(folder) as url:
+        yield f"{url}below/"
+
+
+@pytest.fixture
+def visit(browser) -> Iterator[Callable[..., Any]]:
+    """Opens a page and waits until it plays; its errors fail the test."""
+    contexts, errors = [], []
+
+    def visit(url: str, ready: bool = True, script: str = "", **options: Any) -> Any:
+        options = {"viewport": {"width": 1280, "height": 800}} | options
+        contexts.append(browser.new_context(**options))
+        page = contexts[-1].new_page()
+        page.set_default_timeout(PATIENCE)
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        if script:
+            page.add_init_script(script)
+        page.goto(url)
+        if ready:
+            page.wait_for_selector("body[data-ready]")
+        return page
+
+    yield visit
+    for context in contexts:
+        context.close()
+    assert errors == []
+
+
+def until(page: Any, text: str, selector: str = "body") -> str:
+    """Waits for a text, and returns all of the element's."""
+    page.wait_for_function(
+        "([selector, text]) => document.querySelector(selector)?.innerText.includes(text)",
+        arg=[selector, text],
+    )
+    return page.locator(selector).inner_text()
+
+
+def tags(page: Any, camera: str) -> list[str]:
+    """What stands in the corner of a camera's pictures, side by side."""
+    return page.locator(f".view[data-camera={camera}] .tagged").all_inner_texts()
+
+
+def switch(page: Any, camera: str, value: str, board: int = 0) -> None:
+    """Sets a camera's switch, as a click on its word does."""
+    card = page.locator(".board").nth(board).locator(f"[data-camera={camera}]")
+    card.locator(f"label:has(input[value={value}])").click()
+
+
+def test_the_opening_tells_what_happens_and_hands_over_the_switches(visit, address):
+    page = visit(address)
+    assert page.locator(".side").count() == 2
+    until(page, "Step 15: First person is off.", "#line")
+    assert tags(page, "first") == ["off", "off"]
+    told = until(page, "MAD ✓ succeeded, Merged Only ✕ failed", "#line")
+    assert "MAD 1.00 [0.96, 1.00] n=100; Merged Only 0.00 [0.00, 0.04] n=100" in told
+    page.get_by_role("button", name="Your turn").click()
+    until(page, "Cameras", "#controls")
+    page.wait_for_function("() => !document.querySelector('.view.off')")
+
+
+def test_a_switch_acts_on_both_sides_until_they_are_unlinked(visit, address):
+    page = visit(address + LINK)
+    page.wait_for_function("() => document.querySelectorAll('.view.off').length === 2")
+    switch(page, "third_b", "off")
+    page.wait_for_function("() => document.querySelectorAll('.view.off').length === 4")
+    assert "Merged Only: Third B is off: action changed by 0.83" in until(page, "0.83", "#line")
+    page.get_by_role("button", name="Switches act on both sides: unlink").click()
+    switch(page, "third_b", "both", board=1)
+    page.wait_for_function("() => document.querySelectorAll('.view.off').length === 3")
+    assert tags(page, "third_b") == ["off", ""]
+
+
+def test_what_a_visitor_did_is_in_the_address_and_plays_again(visit, address):
+    page = visit(address + LINK)
+    page.wait_for_function("() => document.querySelectorAll('.view.off').length === 2")
+    page.keyboard.press(" ")
+    page.keyboard.press("1")
+    page.wait_for_function("() => /first=off@[0-9]+/.test(location.hash)")
+    link = page.url
+    assert "seed=5001" in link and "third_a=off@4" in link
+    again = visit(link)
+    again.wait_for_function("() => document.querySelectorAll('.view.off').length === 4")
+    again.wait_for_function("() => /first=off@[0-9]+/.test(location.hash)")
+    assert sorted(again.url.split("&")) == sorted(link.split("&"))
+
+
+def test_a_link_that_is_pasted_into_an_open_page_is_followed(visit, address):
+    page = visit(address)
+    page.evaluate(f"location.hash = '#policy={MERGED_ONLY}&seed=5002&first=black@2'")
+    until(page, "Merged Only: Hammer", "#headline")
+    page.wait_for_function(
+        "() => document.querySelector('.view[data-camera=first] .tagged')?.textContent === 'black'"
+    )
+    assert page.locator(".side").count() == 1
+    assert page.locator("#seed").input_value() == "5002"
+
+
+@pytest.mark.parametrize(
+    ("link", "words"),
+    [
+        ("#policy=gone", "“gone” is not on this site"),
+        (f"#policy={MAD}&seed=7", "Seed 7 has no start state here"),
+        (f"#policy={MAD}&top=off", "Hammer has no camera “top”"),
+        (f"#policy={MAD}&third_a=offf@2", "cannot be read"),
+        ("#%E0%A4%A", "cannot be decoded"),
+    ],
+)
+def test_a_broken_link_gets_a_sentence_and_the_page_lives(visit, address, link, words):
+    page = visit(address + link)
+    assert words in until(page, words, "#notices")
+    page.wait_for_function("() => document.querySelectorAll('.view').length >= 3")
+    page.get_by_role("button", name="Close this message").first.click()
+    assert page.locator("#notices .notice").count() == 0
+
+
+def test_a_hostile_session_gets_a_sentence_and_the_page_lives(visit, address, tmp_path: Path):
+    page = visit(address + LINK)
+    for content in ("{", "[" * 10_000, '{"schema": 1}', "\x00" * 50):
+        path = tmp_path / "session.json"
+        path.write_text(content)
+        page.locator("input[type=file]").set_input_files(path)
+        page.wait_for_function("() => document.querySelector('#notices .notice')")
+        page.get_by_role("button", name="Close this message").first.click()
+    large = tmp_path / "large.json"
+    large.write_bytes(b" " * 5_000_000)
+    page.locator("input[type=file]").set_input_files(large)
+    until(page, "so it is no saved session", "#notices")
+    switch(page, "first", "off")
+    page.wait_for_function("() => document.querySelector('.view[data-camera=first].off')")
+
+
+def test_a_session_is_saved_as_a_file(visit, address):
+    page = visit(address + LINK)
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save", exact=True).click()
+    assert json.loads(Path(download.value.path()).read_text())["made_by"] == "site"
+
+
+def test_a_box_that_is_dragged_on_a_picture_is_a_patch(visit, address):
+    page = visit(address + LINK)
+    area = page.locator(".side .view[data-camera=first] .picture").first.bounding_box()
+    page.mouse.move(area["x"] + 20, area["y"] + 30)
+    page.mouse.down()
+    page.mouse.move(area["x"] + 80, area["y"] + 90, steps=4)
+    page.mouse.up()
+    page.wait_for_function("() => document.querySelectorAll('.tagged')[0].textContent === 'patch'")
+    page.wait_for_function("() => /first=patch:1:/.test(location.hash)")
+
+
+def test_keys_do_what_buttons_do(visit, address):
+    page = visit(address + LINK)
+    page.locator("#headline").click()
+    page.keyboard.press("3")
+    page.wait_for_function("() => document.querySelector('.view[data-camera=third_b].off')")
+    page.keyboard.press(" ")
+    until(page, "Play", ".play")
+    page.keyboard.press("n")
+    page.wait_for_function("() => document.querySelector('#seed').value === '5002'")
+
+
+def test_success_is_counted_beside_what_was_measured(visit, address):
+    page = visit(address + f"#policy={MAD}&vs={MERGED_ONLY}&first=off")
+    page.get_by_role("button", name="Run 20").click()
+    until(page, "20 of 20 episodes", ".many")
+    rows = page.locator("table.success tr.current")
+    page.wait_for_function("() => document.body.innerText.includes('n=20')")
+    assert "1.00 [0.84, 1.00] n=20" in rows.nth(0).inner_text()
+    assert "0.00 [0.00, 0.16] n=20" in rows.nth(1).inner_text()
+
+
+@pytest.mark.parametrize("width", [390, 768, 1280, 1920])
+@pytest.mark.parametrize("query", ["", "?embed"])
+def test_nothing_sticks_out_at_any_width(visit, address, width, query):
+    page = visit(address + query + LINK, viewport={"width": width, "height": 800})
+    page.locator("details").first.evaluate("element => element.open = true")
+    wide = page.evaluate("() => document.documentElement.scrollWidth")
+    assert wide <= width
+    assert page.locator(".tag").is_visible() == (query == "" and width > 640)
+
+
+def test_all_that_can_be_pressed_has_a_name(visit, address):
+    page = visit(address + LINK)
+    page.locator("details").evaluate_all("all => all.forEach(one => { one.open = true; })")
+    nameless = page.locator("button, select, input, canvas, a").evaluate_all(
+        "all => all.filter(one => !(one.ariaLabel || one.innerText?.trim() || one.labels?.length"
+        " || one.title)).map(one => one.outerHTML.slice(0, 120))"
+    )
+    assert nameless == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_has_enough_contrast(visit, address, scheme):
+    page = visit(address, color_scheme=scheme)
+    pairs = [("--ink", "--ground"), ("--soft", "--ground"), ("--soft", "--surface")]
+    pairs += [("--good", "--surface"), ("--bad", "--surface"), ("--on-accent", "--accent")]
+    pairs += [("--soft", "--sunken"), ("--note", "--surface"), ("--ink", "--note-ground")]
+    for text, ground in pairs:
+        light, dark = sorted(map(brightness, (value(page, text), value(page, ground))))[::-1]
+        assert (light + 0.05) / (dark + 0.05) >= 4.5, f"{text} on {ground}"
+
+
+def value(page: Any, name: str) -> str:
+    """A colour of the style sheet, as ``#rrggbb``."""
+    return page.evaluate(
+        "name => getComputedStyle(document.documentElement).getPropertyValue(name).trim()", name
+    )
+
+
+def brightness(colour: str) -> float:
+    """Relative luminance as WCAG 2 defines it."""
+    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def test_less_motion_means_that_nothing_starts_by_itself(visit, address):
+    page = visit(address, reduced_motion="reduce")
+    page.wait_for_timeout(500)
+    assert "step 0 of 30" in page.locator("#timeline").inner_text()
+
+
+def test_a_browser_without_webgl2_is_told(visit, address):
+    page = visit(address, ready=False, script=NO_WEBGL)
+    assert "has no WebGL2" in until(page, "WebGL2", "#notices")
+
+
+def test_what_is_asked_for_comes_from_the_same_place(visit, address):
+    page = visit(address, ready=False)
+    seen: list[str] = []
+    page.context.on("request", lambda request: seen.append(request.url))
+    page.reload()
+    page.wait_for_selector("body[data-ready]")
+    until(page, "Step 15", "#line")
+    assert any(url.endswith("worker.js") for url in seen), "workers are recorded, too"
+    assert [url for url in seen if not url.startswith((address, "data:", "blob:"))] == []
+
+
+def test_a_site_that_is_not_whole_says_so(visit, tmp_path: Path):
+    fake_site(tmp_path / "broken", broken=True)
+    folder = fake_site(tmp_path / "none")
+    (folder / "manifest.json").unlink()
+    fake_site(tmp_path / "script").joinpath("explorer.js").write_text("import './gone.js'")
+    with served(tmp_path) as url:
+        assert "cut off" in until(visit(f"{url}broken/", ready=False), "cut off", "#notices")
+        assert "404" in until(visit(f"{url}none/", ready=False), "404", "#notices")
+        words = until(visit(f"{url}script/", ready=False), "could not start", "#loading")
+        assert "newer browser" in words

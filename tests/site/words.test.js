@@ -1,0 +1,79 @@
+/** Sentences and places that the page computes. */
+
+import assert from 'node:assert/strict';
+import test from 'node:test';
+
+import {Catalogue} from '../../madviz/site/web/catalogue.js';
+import {intact, noOcclusion} from '../../madviz/site/web/camera_state.js';
+import {frustum, lineOnCanvas, rotate, viewpoint} from '../../madviz/site/web/geometry.js';
+import {parseLink} from '../../madviz/site/web/link.js';
+import {changeWords, moveWords, outcomeWords, stateWords, subsetWords}
+  from '../../madviz/site/web/words.js';
+
+const CAMERAS = [['first', 'First person'], ['third_a', 'Third A']].map(([name, label]) =>
+  ({name, label}));
+
+test('subsets are named by their cameras', () => {
+  assert.equal(subsetWords('all', CAMERAS), 'all cameras');
+  assert.equal(subsetWords('first+third_a.depth', CAMERAS), 'First person + Third A depth');
+});
+
+test('a change says what was done and what came of it', () => {
+  const off = {...intact(), input: 'off'};
+  const change = {camera: 'third_a', before: intact(), after: off, moved: false, step: 3,
+    action_change: 0.312, q_before: 12.14, q_after: 9.81};
+  assert.equal(changeWords(change, CAMERAS), 'Third A is off: action changed by 0.31, Q 12.1 → 9.8');
+  assert.match(changeWords({...change, before: off, after: intact()}, CAMERAS), /^Third A is back:/);
+  assert.match(changeWords({...change, action_change: NaN}, CAMERAS), /cannot act on that$/);
+});
+
+test('failures and moves in words', () => {
+  const occlusion = {...noOcclusion(), kind: 'noise', strength: 0.5};
+  assert.equal(stateWords({input: 'both', occlusion}), 'sends 50 % noise');
+  const move = {forward: 0, right: -0.1, up: 0, pan: 5, tilt: 0, zoom: 1};
+  assert.equal(moveWords(move), '0.10 m to the left, turned right 5°');
+});
+
+test('an episode that met its goal and lost it says so', () => {
+  const world = {ended: true, success: false, success_any: true};
+  assert.deepEqual(outcomeWords(world), {kind: 'bad', text: '✕ failed (goal met, then lost)'});
+});
+
+const TASK = {name: 't', label: 'Task', success: 'done', horizon: 100, seeds: [5000, 5001]};
+const policy = (name, method, task = 't') => ({name, label: name, method, task, streams: ['first'],
+  cameras: CAMERAS, measured: {}, trained_subsets: ['all']});
+const manifest = {tasks: [TASK], recordings: [{...policy('', 'mad', 'r'), policy: 'film',
+  task_label: 'R', seeds: [7]}], policies: [policy('one', 'mad'), policy('two', 'merged-only')]};
+
+test('a link is played as far as the site can, with a sentence for the rest', () => {
+  const catalogue = new Catalogue(manifest, true);
+  const check = hash => catalogue.checked(parseLink(hash).state);
+  assert.deepEqual(check('#policy=one&vs=two&seed=5001'),
+    {scene: {policy: 'one', vs: 'two', seed: 5001, events: []}, problems: []});
+  assert.match(check('#policy=gone').problems[0], /“gone” is not on this site/);
+  assert.match(check('#policy=one&seed=9').problems[0], /Seed 9 has no start state/);
+  assert.match(check('#policy=one&top=off').problems[0], /has no camera “top”/);
+  assert.equal(check('#policy=one&vs=film').scene.vs, null);
+});
+
+test('without a simulation there are recordings alone', () => {
+  assert.deepEqual(new Catalogue(manifest, false).entries.map(one => one.name), ['film']);
+  assert.equal(new Catalogue(manifest, true).opening()[1].name, 'two');
+});
+
+test('a point ahead is in the middle, one to the right is at the right', () => {
+  const view = viewpoint({target: [0, 0, 0], distance: 1, azimuth: 0, elevation: 0, fovy: 45});
+  assert.ok(Math.abs(view.position[0] + 1) < 1e-12, 'it stands back and looks along +x');
+  const line = lineOnCanvas([0, 0, 0], [0, -0.2, 0], view, 100, 100);
+  const right = 50 + 50 * 0.2 / Math.tan(Math.PI / 8);
+  [50, 50, right, 50].forEach((value, i) => assert.ok(Math.abs(line[i] - value) < 1e-9));
+  assert.equal(lineOnCanvas([-2, 0, 0], [-3, 0, 0], view, 100, 100), null, 'behind');
+});
+
+test('a frustum is as wide as its field of view', () => {
+  const pose = {position: [0, 0, 1], wxyz: [1, 0, 0, 0], fovy: 90};
+  const {corners} = frustum(pose, 0.5);
+  corners[2].forEach((value, i) => assert.ok(Math.abs(value - [0.5, 0.5, 1.5][i]) < 1e-12));
+  const turned = rotate([Math.SQRT1_2, 0, 0, Math.SQRT1_2], [1, 0, 0]);
+  turned.forEach((value, i) => assert.ok(Math.abs(value - [0, 1, 0][i]) < 1e-12));
+});
