@@ -17,6 +17,13 @@ WEB = ROOT / "madviz" / "site" / "web"
 FAKE_WORKER = ROOT / "tests" / "site" / "fake_worker.js"
 FILE = {"path": "nothing.gz", "bytes": 1, "unpacked": 1}
 CAMERAS = (("first", "First person"), ("third_a", "Third A"), ("third_b", "Third B"))
+NO_WEBGL = """
+const real = OffscreenCanvas.prototype.getContext;
+OffscreenCanvas.prototype.getContext = function (kind, ...rest) {
+  return kind === 'webgl2' ? null : real.call(this, kind, ...rest);
+};
+"""
+"""Runs in a page before its own scripts: a browser without WebGL2."""
 MAD, MERGED_ONLY = "metaworld-hammer-mad-light", "metaworld-hammer-merged-only-light"
 
 
@@ -41,7 +48,7 @@ def served(folder: Path) -> Iterator[str]:
 
 def fake_site(folder: Path, **changes: Any) -> Path:
     """The page with its fake worker; ``changes`` to the manifest."""
-    shutil.copytree(WEB, folder)
+    shutil.copytree(WEB, folder, dirs_exist_ok=True)
     shutil.copy(FAKE_WORKER, folder / "worker.js")
     (folder / "manifest.json").write_text(json.dumps(manifest() | changes))
     return folder
@@ -72,7 +79,14 @@ def manifest() -> dict[str, Any]:
             policy(MERGED_ONLY, "Merged Only", "merged-only", alone),
         ],
         "recordings": [],
-        "wasm": {"mujoco": FILE, "ort": FILE},
+        "opening": {
+            "first": MAD,
+            "second": MERGED_ONLY,
+            "camera": "first",
+            "step": 15,
+            "seed": 5000,
+        },
+        "runtime": {},
     }
 
 
@@ -89,7 +103,7 @@ def policy(name: str, label: str, method: str, rates: dict[str, float]) -> dict[
         "digest": "0" * 64,
         "cameras": [camera(*one) for one in CAMERAS],
         "measured": {subset: rate(value) for subset, value in rates.items()},
-        "seeds": "on seeds 5000 to 5099",
+        "seeds": "development seeds",
         "graph": FILE,
     }
 
@@ -112,3 +126,12 @@ def rate(success: float, n: int = 100) -> dict[str, Any]:
     """A measured rate with an interval that is near enough."""
     interval = [max(success - 0.04, 0), min(success + 0.04, 1)]
     return {"success": success, "n": n, "ci95": interval, "trained": True}
+
+
+def until(page: Any, text: str, selector: str = "body") -> str:
+    """Waits for a text, and returns all of the element's."""
+    page.wait_for_function(
+        "([selector, text]) => document.querySelector(selector)?.innerText.includes(text)",
+        arg=[selector, text],
+    )
+    return page.locator(selector).inner_text()

@@ -9,16 +9,10 @@ from typing import Any
 
 import pytest
 
-from tests.e2e.static_site import MAD, MERGED_ONLY, fake_site, served
+from tests.e2e.static_site import MAD, MERGED_ONLY, NO_WEBGL, fake_site, served, until
 
 PATIENCE = 30_000
 LINK = f"#policy={MAD}&vs={MERGED_ONLY}&seed=5001&third_a=off@4"
-NO_WEBGL = """
-const real = OffscreenCanvas.prototype.getContext;
-OffscreenCanvas.prototype.getContext = function (kind, ...rest) {
-  return kind === 'webgl2' ? null : real.call(this, kind, ...rest);
-};
-"""
 
 
 @pytest.fixture(scope="module")
@@ -52,15 +46,6 @@ def visit(browser) -> Iterator[Callable[..., Any]]:
     for context in contexts:
         context.close()
     assert errors == []
-
-
-def until(page: Any, text: str, selector: str = "body") -> str:
-    """Waits for a text, and returns all of the element's."""
-    page.wait_for_function(
-        "([selector, text]) => document.querySelector(selector)?.innerText.includes(text)",
-        arg=[selector, text],
-    )
-    return page.locator(selector).inner_text()
 
 
 def tags(page: Any, camera: str) -> list[str]:
@@ -237,7 +222,9 @@ def value(page: Any, name: str) -> str:
 def brightness(colour: str) -> float:
     """Relative luminance as WCAG 2 defines it."""
     parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    linear = [
+        part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts
+    ]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 

@@ -58,7 +58,12 @@ test('a link is played as far as the site can, with a sentence for the rest', ()
 
 test('without a simulation there are recordings alone', () => {
   assert.deepEqual(new Catalogue(manifest, false).entries.map(one => one.name), ['film']);
-  assert.equal(new Catalogue(manifest, true).opening()[1].name, 'two');
+  const opening = new Catalogue(manifest, true).opening();
+  assert.deepEqual(opening.entries.map(one => one.name), ['one', 'two']);
+  const told = {first: 'two', second: 'one', camera: 'third_a', step: 9, seed: 5001};
+  const other = new Catalogue({...manifest, opening: told}, true).opening();
+  assert.deepEqual([other.entries[0].name, other.camera, other.step, other.seed],
+    ['two', 'third_a', 9, 5001]);
 });
 
 test('a point ahead is in the middle, one to the right is at the right', () => {

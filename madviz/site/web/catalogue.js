@@ -22,12 +22,15 @@
  * @property {string[]} trained_subsets
  * @property {import('./messages.js').CameraSpec[]} cameras
  * @property {Record<string, import('./messages.js').Rate>} measured
- * @property {string} seeds_words Which seeds `measured` was counted on.
+ * @property {string} seeds_words Which seeds `measured` was counted on: `development seeds`.
  * @property {number[]} seeds
  * @property {boolean} recorded
  */
+/** @typedef {ReturnType<Catalogue['opening']>} Opening */
 /** @typedef {{policy: string, vs: string | null, seed: number,
  *   events: import('./link.js').LinkEvent[]}} Scene What is to be played. */
+
+const STEP = 15; // A camera goes off, where the manifest does not say when.
 
 export class Catalogue {
   /**
@@ -35,6 +38,7 @@ export class Catalogue {
    * @param {boolean} alive Whether this browser can simulate; otherwise recordings alone count.
    */
   constructor(manifest, alive) {
+    this.first = manifest.opening;
     const tasks = new Map(manifest.tasks.map(task => [task.name, task]));
     /** @type {Entry[]} */
     this.entries = [];
@@ -78,14 +82,21 @@ export class Catalogue {
       && other.recorded === entry.recorded);
   }
 
-  /** The pair that a visitor meets first: MAD, and the policy that never learned to act on one
-   * camera. @returns {[Entry, Entry] | [Entry]} */
+  /**
+   * What a visitor meets first: two policies, and the camera that goes off in both. Where the
+   * manifest's are not here, the first two that can be compared, or one.
+   * @returns {{entries: Entry[], camera: string, step: number, seed: number}}
+   */
   opening() {
-    for (const entry of this.entries) {
-      const rival = this.rivals(entry).find(other => other.method === 'merged-only');
-      if (rival && entry.method === 'mad') return [entry, rival];
+    const found = [this.find(this.first?.first ?? null), this.find(this.first?.second ?? null)];
+    if (this.first && found[0] && found[1] && found[0].recorded === found[1].recorded) {
+      const entries = /** @type {Entry[]} */ (found), {camera, step, seed} = this.first;
+      return {entries, camera, step, seed: entries[0].seeds.includes(seed) ? seed
+        : entries[0].seeds[0]};
     }
-    return [this.entries[0]];
+    const entry = this.entries.find(one => this.rivals(one).length) ?? this.entries[0];
+    const entries = [entry, ...this.rivals(entry).slice(0, 1)];
+    return {entries, camera: entry.cameras[0].name, step: STEP, seed: entry.seeds[0]};
   }
 
   /**
@@ -99,7 +110,7 @@ export class Catalogue {
     let entry = this.find(link.policy);
     if (!entry) {
       if (link.policy) problems.push(`The policy “${link.policy}” is not on this site.`);
-      entry = this.opening()[0];
+      entry = this.opening().entries[0];
     }
     let vs = link.vs ? this.find(link.vs) : undefined;
     if (link.vs && !vs) problems.push(`The policy “${link.vs}” is not on this site.`);

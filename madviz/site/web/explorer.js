@@ -81,7 +81,7 @@ export class Explorer {
     const button = (/** @type {string} */ words, /** @type {() => void} */ act, main = false) =>
       make('button', {type: 'button', class: main ? 'main' : '', onclick: act}, words);
     if (this.mode === 'opening') {
-      say(title, headline(this.entries));
+      say(title, headline(this.catalogue.opening()));
       turn.replaceChildren(button('Your turn', () => this.yourTurn(), true),
         button('Again', () => this.again()));
     } else {
@@ -93,7 +93,7 @@ export class Explorer {
 
   /** The first scene, from its beginning; the engine has its policies already. */
   opening() {
-    const entries = this.catalogue.opening();
+    const {entries} = this.catalogue.opening();
     this.send({kind: 'SetPolicy', side: 'first', name: entries[0].name});
     this.send({kind: 'Compare', policy: entries[1]?.name ?? null});
     this.setMode('opening');
@@ -220,7 +220,7 @@ export class Explorer {
   /** The line that says what has just happened. @param {Frame} frame @param {World[]} worlds */
   words(frame, worlds) {
     const line = byId('line');
-    if (this.mode === 'opening') return tell(line, story(frame, this.entries));
+    if (this.mode === 'opening') return tell(line, story(frame, this.catalogue.opening()));
     const changes = worlds.map((world, index) => world.change && world.step - world.change.step < 40
       ? `${worlds.length > 1 ? `${this.entries[index].label}: ` : ''}${
         changeWords(world.change, this.entries[index].cameras)}` : '').filter(Boolean);

@@ -19,6 +19,7 @@
 
 import {intact} from './camera_state.js';
 
+/** @typedef {import('./messages.js').CameraEvent} CameraEvent */
 /** @typedef {import('./messages.js').CameraState} CameraState */
 /** @typedef {import('./messages.js').Displacement} Displacement */
 /** @typedef {import('./messages.js').Side} Side */
@@ -225,12 +226,12 @@ function brief(value) {
 
 /**
  * The journals of both sides as one: what is the same on both is said once.
- * @param {LinkEvent[]} first
- * @param {LinkEvent[] | null} second
+ * @param {CameraEvent[]} first
+ * @param {CameraEvent[] | null} second
  * @returns {LinkEvent[]}
  */
 export function mergedEvents(first, second) {
-  const told = (/** @type {LinkEvent} */ event) => JSON.stringify(
+  const told = (/** @type {CameraEvent} */ event) => JSON.stringify(
     [event.step, event.camera, event.state ? stateText(event.state) : moveText(event.move ?? null)]);
   const others = new Map((second ?? []).map(event => [told(event), event]));
   /** @type {LinkEvent[]} */

@@ -14,20 +14,20 @@ import {effectWords, labelOf} from './words.js';
 /** @typedef {import('./messages.js').World} World */
 /** @typedef {import('./catalogue.js').Entry} Entry */
 
-export const STEP = 15; // The camera goes off; 1.5 s at the speed below.
+/** @typedef {import('./catalogue.js').Opening} Opening */
+
 export const SPEED = 10;
 
 /**
- * @param {Entry[]} entries One or two.
+ * @param {Opening} opening
  * @returns {import('./messages.js').ScheduledEvent[]}
  */
-export function openingEvents(entries) {
-  return [{step: STEP, side: 'both', camera: entries[0].cameras[0].name,
-    state: {input: 'off', occlusion: noOcclusion()}}];
+export function openingEvents({camera, step}) {
+  return [{step, side: 'both', camera, state: {input: 'off', occlusion: noOcclusion()}}];
 }
 
-/** @param {Entry[]} entries */
-export function headline(entries) {
+/** @param {Opening} opening */
+export function headline({entries}) {
   return entries.length > 1 ? 'Two policies, the same start, and one camera goes off'
     : 'One robot, several cameras, and one of them goes off';
 }
@@ -35,21 +35,21 @@ export function headline(entries) {
 /**
  * The line under the headline.
  * @param {Frame} frame
- * @param {Entry[]} entries
+ * @param {Opening} opening
  * @returns {Node[]}
  */
-export function story(frame, entries) {
+export function story(frame, {entries, step, camera: name}) {
   const worlds = [frame.first, ...(frame.second ? [frame.second] : [])];
-  const camera = labelOf(entries[0].cameras[0].name, entries[0].cameras);
+  const camera = labelOf(name, entries[0].cameras);
   if (frame.first.ended) return ending(worlds, entries, camera);
-  if (frame.first.step < STEP) {
+  if (frame.first.step < step) {
     return [strong(`${entries[0].task_label}. `),
       text(`${entries.length > 1 ? 'Both policies see the same' : 'The policy sees'} `
-      + `${entries[0].cameras.length} cameras. At step ${STEP}, ${camera} goes off.`)];
+      + `${entries[0].cameras.length} cameras. At step ${step}, ${camera} goes off.`)];
   }
   const effects = worlds.map((world, i) => world.change
     ? `${entries[i].label}: ${effectWords(world.change)}` : '').filter(Boolean);
-  return [strong(`Step ${STEP}: ${camera} is off. `),
+  return [strong(`Step ${step}: ${camera} is off. `),
     text(effects.length ? `${effects.join('. ')}.` : '')];
 }
 

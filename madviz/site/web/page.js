@@ -37,10 +37,9 @@ class Page {
     const asked = state.policy || state.events.length || state.seed !== null;
     problems.forEach(words => notice(words));
     if (!asked) {
-      const [entry, rival] = this.catalogue.opening();
-      const seed = entry.seeds[0];
-      this.play({policy: entry.name, vs: rival?.name ?? null, seed,
-        events: openingEvents([entry])}, 'opening');
+      const opening = this.catalogue.opening(), [entry, rival] = opening.entries;
+      this.play({policy: entry.name, vs: rival?.name ?? null, seed: opening.seed,
+        events: openingEvents(opening)}, 'opening');
     } else {
       const checked = this.catalogue.checked(state);
       checked.problems.forEach(words => notice(words));

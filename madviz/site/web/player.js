@@ -22,7 +22,6 @@ export class Player {
    * @param {(answer: import('./messages.js').Answer) => void} onAnswer
    */
   constructor(base, manifest, onAnswer) {
-    Object.assign(this, {base, manifest, onAnswer});
     this.base = base;
     this.manifest = manifest;
     this.onAnswer = onAnswer;
@@ -50,7 +49,7 @@ export class Player {
   /** @param {Command} command */
   post(command) {
     this.busy = this.busy.then(() => this.obey(command)).catch(error => this.onAnswer(
-      {kind: 'Problem', fatal: false, message: `The recording cannot be shown: ${error.message}`}));
+      {kind: 'Problem', fatal: false, message: `A recording: ${error.message}.`}));
   }
 
   stop() {
@@ -84,7 +83,7 @@ export class Player {
       case 'SetSpeed': this.speed = command.rate; return undefined;
       case 'SetAutoNext': this.autoNext = command.on; return undefined;
       case 'SetVisible': case 'SetReadout': case 'StopRun': case 'LoseContext': return undefined;
-      default: throw new Error('only a policy that acts live can do that');
+      default: throw new Error('it cannot do that; choose a policy that acts live');
     }
   }
 

@@ -50,7 +50,9 @@ export class Side {
     this.entry = entry;
     say(this.title, entry.label);
     const trained = entry.trained_subsets.map(one => subsetWords(one, entry.cameras));
-    say(this.about, `${entry.recorded ? 'A recording. ' : ''}Trained on ${listed(trained)}.`);
+    const film = entry.task.startsWith('maniskill/')
+      ? 'A recording (models of ManiSkill: CC BY-NC 4.0). ' : 'A recording. ';
+    say(this.about, `${entry.recorded ? film : ''}Trained on ${listed(trained)}.`);
     this.canvas.setAttribute('aria-label',
       `Scene of side ${this.letter}. Arrow keys turn it, plus and minus zoom.`);
     this.views.style.setProperty('--count', String(Math.min(entry.cameras.length, 5)));

@@ -24,13 +24,14 @@ export class Success {
     this.tally = tally;
     this.body = make('tbody');
     this.note = make('p', {class: 'soft'});
+    const columns = ['the policy gets', 'measured', ...(entry.recorded ? [] : ['counted here'])];
     this.element = make('section', {class: 'panel'}, make('h3', {}, 'Success'),
       make('div', {class: 'scroll'}, make('table', {class: 'success'},
-        make('thead', {}, make('tr', {}, ...['the policy gets', 'measured', 'counted here']
-          .map(words => make('th', {scope: 'col'}, words)))), this.body)),
+        make('thead', {}, make('tr', {}, ...columns.map(words =>
+          make('th', {scope: 'col'}, words)))), this.body)),
       this.note);
     say(this.note, `Goal: ${entry.success}. It counts at the last step. Brackets: 95 % interval. `
-      + `Measured ${entry.seeds_words}. † not trained on.`);
+      + `Measured on ${entry.seeds_words || 'no seeds yet'}. † not trained on.`);
     this.shown = '';
   }
 
@@ -50,7 +51,7 @@ export class Success {
         make('th', {scope: 'row'},
           conditionWords(condition, this.entry.cameras) + (trained ? '' : ' †')),
         make('td', {}, measured ? bar(measured.success, measured.ci95, measured.n) : ''),
-        make('td', {}, here));
+        ...(this.entry.recorded ? [] : [make('td', {}, here)]));
     }));
   }
 

@@ -1,0 +1,99 @@
+"""Recordings on the static site: what plays them, and what happens where a file is cut off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from madviz.envs.registry import make_env
+from madviz.site.files import write_packed
+from madviz.site.recordings import record_episode
+from madviz.subsets import every_mask, name_of
+from tests.e2e.static_site import NO_WEBGL, camera, fake_site, rate, served, until
+from tests.fakes import FakePolicy
+
+SEED = 5000
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A site with recordings of toy/reach alone; one of its files is cut off."""
+    folder = fake_site(tmp_path_factory.mktemp("site") / "below")
+    policy = FakePolicy()
+    streams, files = policy.spec.streams, {}
+    with closing(make_env("toy/reach")) as env:
+        for mask in every_mask(len(streams)):
+            subset = name_of(mask, streams)
+            content = record_episode(env, policy, mask, SEED)
+            files[f"{SEED}/{subset}"] = write_packed(folder, f"recordings/{subset}.gz", content)
+        horizon = env.spec.horizon
+    cut = folder / "recordings" / "none.gz"
+    cut.write_bytes(cut.read_bytes()[:2000])
+    line: dict[str, Any] = {
+        "policy": policy.spec.name,
+        "label": "MAD",
+        "method": "mad",
+        "task": "maniskill/reach",
+        "task_label": "Reach",
+        "success": "the hand is near the goal",
+        "horizon": horizon,
+        "streams": list(streams),
+        "trained_subsets": ["all"],
+        "cameras": [camera(name, name.title()) for name in streams],
+        "measured": {"all": rate(0.9)},
+        "seeds_words": "development seeds",
+        "seeds": [SEED],
+        "files": files,
+    }
+    return fake_site(folder, recordings=[line])
+
+
+@pytest.fixture
+def page(browser, folder: Path) -> Iterator[Any]:
+    """The recording, in a browser that cannot simulate."""
+    context = browser.new_context(viewport={"width": 1280, "height": 800})
+    page = context.new_page()
+    page.set_default_timeout(30_000)
+    page.add_init_script(NO_WEBGL)
+    with served(folder) as url:
+        page.goto(f"{url}#policy=toy-mad")
+        page.wait_for_selector("body[data-ready]")
+        yield page
+        context.close()
+
+
+def picture(page: Any) -> str:
+    return page.evaluate("() => document.querySelector('.view canvas').toDataURL()")
+
+
+def test_a_browser_that_cannot_simulate_plays_recordings(page) -> None:
+    assert "What follows are recorded episodes" in until(page, "WebGL2", "#notices")
+    assert "A recording" in until(page, "CC BY-NC", ".side .about")
+    until(page, "recorded", ".scene .hint")
+    first = picture(page)
+    page.wait_for_function(
+        "before => document.querySelector('.view canvas').toDataURL() !== before", arg=first
+    )
+    page.locator("#headline").click()
+    page.keyboard.press("2")
+    page.wait_for_function("() => document.querySelector('.view[data-camera=third_a].off')")
+    until(page, "First + Third_B", "table.success tr.current")
+    assert page.get_by_role("button", name="Run 20").count() == 0
+
+
+def test_a_recording_that_is_cut_off_gets_a_sentence_and_the_page_lives(page) -> None:
+    page.locator("#headline").click()
+    for key in "123":
+        page.keyboard.press(key)
+    until(page, "the file is cut off or damaged", "#notices")
+    page.keyboard.press("1")
+    until(page, "First", "table.success tr.current")
+    before = picture(page)
+    page.get_by_role("button", name="Again", exact=True).click()
+    page.wait_for_function(
+        "before => document.querySelector('.view canvas').toDataURL() !== before", arg=before
+    )
