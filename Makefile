@@ -1,4 +1,5 @@
 # make demo    set everything up and serve the page at http://127.0.0.1:8080
+# make site    write the explorer as static files to build/site, and serve it at http://127.0.0.1:8000
 # make notebooks   the lessons in JupyterLab (notebooks/README.md)
 # make test    set up the same, then the fast and the real-browser tests
 # make docs    the documentation as a site in build/docs
@@ -15,13 +16,17 @@ PYTHON ?= python3
 POLICY ?= metaworld-hammer-mad-light
 BIN    := .venv/bin
 
-.PHONY: notebooks help demo setup setup-dev test test-slow check docs figures pictures dist bench clean
+.PHONY: notebooks help demo site setup setup-dev test test-slow check docs figures pictures dist bench clean
 
 help:
 	@sed -n '/^$$/q; s/^# \{0,1\}//p' Makefile
 
 demo: setup
 	$(BIN)/madviz explore --policy $(POLICY) $(ARGS)
+
+site: .venv/site.stamp
+	$(BIN)/madviz site --out build/site $(ARGS)
+	$(BIN)/python -m http.server --bind 127.0.0.1 --directory build/site 8000
 
 setup: .venv/packages.stamp
 
@@ -37,11 +42,12 @@ test: setup-dev
 test-slow: setup-dev
 	$(BIN)/python -m pytest -m slow
 
-check: .venv/dev.stamp
+check: .venv/dev.stamp .venv/node.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/pyright
+	.venv/node/node_modules/.bin/tsc -p madviz/site/jsconfig.json
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 docs: .venv/dev.stamp
@@ -84,6 +90,18 @@ clean:
 
 .venv/notebooks.stamp: pyproject.toml constraints.txt | .venv/packages.stamp
 	PYTHON="$(PYTHON)" tools/packages.sh '.[notebooks]'
+	@touch $@
+
+.venv/site.stamp: pyproject.toml constraints.txt | .venv/packages.stamp .venv/node.stamp
+	PYTHON="$(PYTHON)" tools/packages.sh '.[site]'
+	@touch $@
+
+# Programs that a site runs in browsers, at the versions of its package.json; none of their scripts
+# is run.
+.venv/node.stamp: madviz/site/package.json | .venv/system.stamp
+	$(PYTHON) tools/system.py --node
+	@mkdir -p .venv/node && cp madviz/site/package.json .venv/node/
+	cd .venv/node && npm install --ignore-scripts --no-package-lock --no-audit --no-fund
 	@touch $@
 
 .venv/dev.stamp: pyproject.toml constraints.txt | .venv/packages.stamp

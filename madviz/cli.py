@@ -151,6 +151,12 @@ COMMANDS: dict[str, Command] = {
         config="madviz.serving.serve:ServeConfig",
         work="madviz.serving.serve:run_serve",
     ),
+    "site": Command(
+        "Writes the explorer as static files: simulator and policy in the visitor's browser.",
+        config="madviz.site.site:SiteConfig",
+        work="madviz.site.site:run_site",
+        words="madviz.site.site:site_words",
+    ),
     "displace": Command(
         "Moves a camera away from where a policy was trained: success against distance.",
         "displace --policy metaworld-hammer-mad-light --camera third_a --svg moved.svg",
@@ -208,6 +214,12 @@ COMMANDS: dict[str, Command] = {
         work="madviz.bench.evaluate:bench_evaluate",
         words=PRETTY,
     ),
+    "bench site": Command(
+        "A site in a real browser: megabytes, decisions a second, success by subset.",
+        config="madviz.bench.site:BenchSiteConfig",
+        work="madviz.bench.site:bench_site",
+        words=PRETTY,
+    ),
 }
 """In the order of ``madviz --help``; a name of two words is a command of a group."""
 OTHERS = (
@@ -216,7 +228,7 @@ OTHERS = (
     "      madviz --completion bash > ~/.local/share/bash-completion/completions/madviz",
 )
 """The options of ``madviz`` itself."""
-GROUPS = {"bench": "Measures speed: bench render, live, crowd, update, buffer, evaluate."}
+GROUPS = {"bench": "Measures speed: bench render, live, crowd, update, buffer, evaluate, site."}
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -1,4 +1,5 @@
-"""The system libraries madviz draws with: ``python3 tools/system.py [--browser] [--dry-run]``.
+"""The system libraries madviz draws with:
+``python3 tools/system.py [--browser] [--node] [--dry-run]``.
 
 Problem: Debian 12's own Mesa is 22.3. MuJoCo draws with it, but the bundled policies learned from
 pictures of Mesa 25.0, and simulators that draw through Vulkan need 24.3 or newer. Idea: Debian 12
@@ -32,6 +33,8 @@ NEWEST_TOO_OLD = (24, 2)
 """Mesa releases up to this one are replaced where backports exist."""
 BACKPORTS = {"bookworm": "bookworm-backports"}
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+NODE = {"nodejs": "node", "npm": "npm"}
+"""Package and program: for ``madviz site``, which takes its browser's programs from npm."""
 SOURCES = Path("/etc/apt")
 
 
@@ -83,7 +86,9 @@ def release(version: str) -> tuple[int, ...]:
     return tuple(int(number) for number in re.findall(r"\d+", version)[:2])
 
 
-def wanted(installed: dict[str, str], codename: str, browser: bool) -> list[str]:
+def wanted(
+    installed: dict[str, str], codename: str, browser: bool, node: bool = False
+) -> list[str]:
     """The packages to install, given those (name: version) that are there."""
     missing = [name for name in (*LIBRARIES, *MESA) if name not in installed]
     if codename in BACKPORTS:
@@ -97,6 +102,8 @@ def wanted(installed: dict[str, str], codename: str, browser: bool) -> list[str]
         missing.append(f"python3.{sys.version_info.minor}-venv")
     if browser and not any(map(shutil.which, BROWSERS)):
         missing.append("chromium")
+    if node:
+        missing += [package for package in NODE if not shutil.which(NODE[package])]
     return missing
 
 
@@ -189,6 +196,7 @@ def unfit() -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description="Installs the system libraries madviz draws with.")
     parser.add_argument("--browser", action="store_true", help="Chromium too, for the tests")
+    parser.add_argument("--node", action="store_true", help="Node and npm too, for a site")
     parser.add_argument("--dry-run", action="store_true", help="only say what would be installed")
     options = parser.parse_args()
     if complaint := unfit():
@@ -196,7 +204,7 @@ def main() -> int:
         return int(complaint.startswith("error"))
     system = platform.freedesktop_os_release()
     codename = system.get("VERSION_CODENAME", "")
-    packages = wanted(installed_versions(), codename, options.browser)
+    packages = wanted(installed_versions(), codename, options.browser, options.node)
     if "chromium" in packages and system.get("ID") == "ubuntu":
         packages.remove("chromium")
         print("note: Ubuntu's chromium is a snap; the browser tests take a google-chrome instead")

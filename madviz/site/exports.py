@@ -1,0 +1,85 @@
+"""What a site holds of each task and each policy, as files and as lines of its manifest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from safetensors.numpy import save
+
+from madviz.envs.metaworld.environment import MetaWorld
+from madviz.envs.registry import make_env
+from madviz.errors import UserError
+from madviz.policies.checkpoint import PolicyFolder, load_policy, shipped_evaluation
+from madviz.policies.measured import seeds_of
+from madviz.site.files import write_packed, write_shared
+from madviz.site.graph import policy_graph
+from madviz.site.mjcf import model_text
+from madviz.site.scene import drawn_scene, scene_file
+from madviz.site.starts import start_states
+from madviz.types import PolicySpec
+
+
+def export_task(out: Path, task: str, seeds: Sequence[int]) -> dict[str, Any]:
+    """Model, scene, textures and start states of ``task``; its line of the manifest. Raises
+    UserError for a task of another suite than Meta-World."""
+    env = make_env(task)
+    if not isinstance(env, MetaWorld):
+        raise UserError(f"expected a task of Meta-World, found {task}; others are only recorded")
+    try:
+        starts = start_states(env, seeds)
+        simulation = env.simulation
+        arrays, said, textures = drawn_scene(simulation.model, simulation.data)
+        folder = f"tasks/{task.replace('/', '-')}"
+        return {
+            "name": task,
+            "label": task.partition("/")[2].replace("-", " ").capitalize(),
+            "success": env.spec.success,
+            "horizon": env.spec.horizon,
+            "action_repeat": env.spec.action_repeat,
+            "reach": [simulation.mocap_low.tolist(), simulation.mocap_high.tolist()],
+            "seeds": list(seeds),
+            "model": write_packed(out, f"{folder}/model.gz", model_text(simulation.model).encode()),
+            "scene": write_packed(out, f"{folder}/scene.gz", scene_file(arrays, said)),
+            "textures": [write_shared(out, "textures", one.arrays()) for one in textures],
+            "starts": write_packed(out, f"{folder}/starts.gz", save(starts)),
+        }
+    finally:
+        env.close()
+
+
+def export_policy(out: Path, folder: PolicyFolder) -> dict[str, Any]:
+    """The graph of a policy; its line of the manifest."""
+    policy, spec = load_policy(folder.path), folder.spec
+    return {
+        **said_of(folder),
+        "state_dim": spec.state_dim,
+        "graph": write_packed(out, f"policies/{spec.name}.gz", policy_graph(policy)),
+    }
+
+
+def said_of(folder: PolicyFolder) -> dict[str, Any]:
+    """Name, streams, cameras and measured success of a policy."""
+    spec, evaluation = folder.spec, shipped_evaluation(folder.path)
+    return {
+        "name": spec.name,
+        "label": label_of(spec),
+        "task": spec.task,
+        "method": spec.method,
+        "setting": spec.setting,
+        "recipe": spec.recipe,
+        "streams": list(spec.streams),
+        "trained_subsets": list(spec.trained_subsets),
+        "digest": spec.digest,
+        "cameras": [asdict(camera) for camera in spec.cameras],
+        "measured": dict(evaluation["subsets"]) if evaluation else {},
+        "seeds": f"{seeds_of(evaluation)} seeds" if evaluation else "",
+    }
+
+
+def label_of(spec: PolicySpec) -> str:
+    """What the page calls a policy beside others of its task: ``MAD``, ``Merged Only``."""
+    name = spec.method.upper() if len(spec.method) < 4 else spec.method.replace("-", " ").title()
+    return name if spec.setting == "three" else f"{name}, {spec.setting}"

@@ -1,0 +1,34 @@
+"""Files of a site: gzipped, with their sizes, so that a page can say how far it is."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from safetensors.numpy import save
+
+from madviz.system.files import write_bytes
+from madviz.types import Array
+
+SiteFile = dict[str, Any]
+"""``path`` from the site's folder, ``bytes`` as sent, ``unpacked`` bytes."""
+
+
+def write_packed(out: Path, name: str, content: bytes) -> SiteFile:
+    """Writes ``content`` gzipped to ``out / name``, which ends with .gz."""
+    # Without a time in it, the same content makes the same file.
+    packed = gzip.compress(content, 9, mtime=0)
+    path = out / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, packed)
+    return {"path": name, "bytes": len(packed), "unpacked": len(content)}
+
+
+def write_shared(out: Path, folder: str, arrays: dict[str, Array]) -> SiteFile:
+    """Writes arrays under the name of their content: tasks that have them in common share a
+    file."""
+    content = save(arrays)
+    name = hashlib.sha256(content).hexdigest()[:16]
+    return write_packed(out, f"{folder}/{name}.gz", content)

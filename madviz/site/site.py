@@ -1,0 +1,158 @@
+"""madviz site: the explorer as a folder of static files, which any host can serve.
+
+    index.html, *.js, *.css   the page and what it runs (madviz/site/web)
+    manifest.json             tasks, policies, and every other file with its size
+    runtime/                  MuJoCo and ONNX Runtime in WebAssembly
+    tasks/ textures/          what is simulated and drawn
+    policies/                 one graph each
+    recordings/               episodes of tasks that no browser can simulate
+    licences/                 of all that is not madviz's own
+
+A visitor's browser fetches what the chosen policy needs, some 9 MB, and asks no other host. The
+folder needs no server of its own, no special headers, and no place at the root of a host.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from madviz.errors import UserError
+from madviz.policies.checkpoint import PolicyFolder, describe, policy_folders
+from madviz.session.session_file import versions_here
+from madviz.site.exports import export_policy, export_task
+from madviz.site.runtime import find_packages, versions, write_licences, write_runtime
+from madviz.system.files import write_json
+
+SCHEMA = 1
+MANIFEST = "manifest.json"
+OPENING = {
+    "first": "metaworld-hammer-mad-light",
+    "second": "metaworld-hammer-merged-only-light",
+    "camera": "first",
+    "step": 15,
+}
+"""What a visitor sees first: two policies, and the camera that goes. Without First person, MAD has
+1.00 and Merged Only 0.00; without Third A both succeed most of the time."""
+LIVE = "metaworld/"
+"""Tasks that a browser can simulate begin so; others are only recorded."""
+
+
+@dataclass(frozen=True)
+class SiteConfig:
+    """Writes the explorer as static files, for example
+    ``madviz site --out build/site --policies metaworld-hammer-mad-light``."""
+
+    out: str
+    """The folder to write; what madviz wrote there before is replaced."""
+    policies: tuple[str, ...] = ()
+    """Names from ``madviz list``, or folders; by default all that a site can hold."""
+    seeds: str = "5000:5050"
+    """The first seed of the episodes that a visitor can choose from, and the one after the last."""
+    packages: str = ".venv/node/node_modules"
+    """The folder with the npm packages; ``make site`` fills it."""
+    json: str | None = None
+    """Write what was made to this file; ``-`` is standard output, and then nothing else goes
+    there."""
+
+
+def run_site(config: SiteConfig) -> dict[str, Any]:
+    """Writes the folder; its manifest with the bytes in all. Raises UserError for a policy that no
+    site can hold, for seeds that are no range, and where packages are missing."""
+    seeds = seed_range(config.seeds)
+    packages = find_packages(Path(config.packages).resolve())
+    folders = chosen(config.policies)
+    out = Path(config.out)
+    page_bytes = begin(out)
+    manifest: dict[str, Any] = {
+        "schema": SCHEMA,
+        "page_bytes": page_bytes,
+        "version": versions_here()["madviz"],
+        "versions": {**versions_here(), **versions()},
+        "runtime": write_runtime(out, packages),
+    }
+    live = [folder for folder in folders if folder.spec.task.startswith(LIVE)]
+    tasks = list(dict.fromkeys(folder.spec.task for folder in live))
+    manifest["tasks"] = [told(task, export_task, out, task, seeds) for task in tasks]
+    manifest["policies"] = [told(one.spec.name, export_policy, out, one) for one in live]
+    manifest["recordings"] = []
+    manifest["opening"] = opening(manifest["policies"], seeds)
+    write_licences(out, packages)
+    write_json(out / MANIFEST, manifest)
+    size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
+    return {"out": str(out), "bytes": size, **manifest}
+
+
+def site_words(result: dict[str, Any]) -> str:
+    """What was written, and how to look at it."""
+    return (
+        f"{result['out']}: {len(result['tasks'])} tasks, {len(result['policies'])} policies, "
+        f"{result['bytes'] / 1e6:.1f} MB\n"
+        f"python -m http.server --bind 127.0.0.1 --directory {result['out']} 8000   serves it"
+    )
+
+
+def seed_range(text: str) -> range:
+    """``5000:5050`` as a range. Raises UserError for anything else."""
+    first, colon, last = text.partition(":")
+    if colon and first.isdecimal() and last.isdecimal():
+        seeds = range(int(first), int(last))
+        if 1 <= len(seeds) <= 1000 and seeds[-1] < 2**31:
+            return seeds
+    raise UserError(
+        f"--seeds: expected a range such as 5000:5050, at most 1000, found {text!r:.60}"
+    )
+
+
+def chosen(names: Sequence[str]) -> list[PolicyFolder]:
+    """The policies to write: those the page opens with first, then the others by name."""
+    found = [describe(name) for name in names or policy_folders()]
+    if not names:
+        found = [one for one in found if fits(one)]
+    for one in found:
+        if not fits(one):
+            raise UserError(
+                f"expected policies that sum the features of colour cameras, "
+                f"found {one.spec.name}; leave it out of --policies"
+            )
+    first = [OPENING["first"], OPENING["second"]]
+    return sorted(found, key=lambda one: (one.spec.name not in first, one.spec.name))
+
+
+def fits(folder: PolicyFolder) -> bool:
+    """Whether a site can hold the policy."""
+    return folder.config.merge == "sum" and folder.spec.setting == "three"
+
+
+def begin(out: Path) -> int:
+    """The folder with the page in it; the page's bytes. Raises UserError for one that holds
+    something else."""
+    if out.exists() and any(out.iterdir()):
+        if not (out / MANIFEST).is_file():
+            raise UserError(
+                f"{out}: expected an empty folder or a site, found other files; choose another"
+            )
+        shutil.rmtree(out)
+    web = resources.files("madviz.site").joinpath("web")
+    with resources.as_file(web) as source:
+        shutil.copytree(source, out, dirs_exist_ok=True)
+    return sum(path.stat().st_size for path in out.iterdir() if path.is_file())
+
+
+def opening(policies: list[dict[str, Any]], seeds: range) -> dict[str, Any] | None:
+    """What is shown first, if its policies are there."""
+    names = [policy["name"] for policy in policies]
+    if OPENING["first"] not in names or OPENING["second"] not in names:
+        return None
+    return {**OPENING, "seed": seeds[0]}
+
+
+def told(name: str, work: Any, *arguments: Any) -> Any:
+    """Says on standard error what is being written: it takes seconds."""
+    print(f"writing {name}", file=sys.stderr, flush=True)
+    return work(*arguments)

@@ -1,0 +1,175 @@
+/**
+ * Episodes of one or two simulations in lock-step, one after another or many in a row.
+ */
+import {Drawing} from './drawing.js';
+import {buffersOf, Pace} from './pace.js';
+import {savedEpisode} from './saved.js';
+
+/** @typedef {import('./messages.js').Answer} Answer */
+/** @typedef {import('./messages.js').Outcome} Outcome */
+/** @typedef {import('./messages.js').ScheduledEvent} ScheduledEvent */
+/** @typedef {import('./simulation.js').Simulation} Simulation */
+/** @typedef {{done: number, of: number, outcomes: Outcome[], shown: number}} Many */
+
+/** Milliseconds between frames while many episodes are played. */
+const RARELY = 500;
+const MOST_OUTCOMES = 200;
+export const MOST_SAVED = 100;
+
+export class Episodes {
+  /** @param {(answer: Answer, buffers?: Transferable[]) => void} say */
+  constructor(say) {
+    this.say = say;
+    /** @type {Simulation[]} */
+    this.sides = [];
+    /** @type {ScheduledEvent[]} */
+    this.schedule = [];
+    /** @type {Outcome[]} */
+    this.outcomes = [];
+    /** As files have them. @type {object[]} */
+    this.episodes = [];
+    /** @type {Many | null} */
+    this.many = null;
+    this.drawing = new Drawing(() => this.renewed());
+    this.pace = new Pace();
+    this.phase = 'paused';
+    this.autoNext = false;
+    this.readEvery = 5;
+    this.number = this.episode = 0;
+    this.endedAt = NaN;
+  }
+
+  get seed() {
+    return this.sides[0].seed;
+  }
+
+  seeds() {
+    return this.sides[0].task.said.seeds;
+  }
+
+  nextSeed() {
+    const seeds = this.seeds();
+    return seeds[(seeds.indexOf(this.seed) + 1) % seeds.length];
+  }
+
+  /** @param {number} seed */
+  async begin(seed) {
+    this.episode += 1;
+    for (const [i, one] of this.sides.entries()) {
+      const first = this.scheduled(i, 0);
+      const named = new Set(this.schedule.filter(event => covers(event, i)).map(e => e.camera));
+      one.restore([...named]);
+      one.episode = this.episode - 1;
+      await one.begin(seed, first);
+    }
+    if (this.phase === 'ended') this.phase = 'playing';
+    this.pace.restart();
+    await this.readAll();
+    if (!this.many) this.show();
+  }
+
+  /**
+   * One decision of every side. Those that have ended wait.
+   * @param {boolean} [shown]
+   */
+  async step(shown = true) {
+    for (const [i, one] of this.sides.entries()) {
+      await one.advance();
+      for (const event of this.scheduled(i, one.step)) await one.set(event);
+    }
+    this.pace.count();
+    const {ended, step} = this.sides[0];
+    if (!this.many && this.readEvery > 0 && step % this.readEvery === 0) await this.readAll();
+    if (ended) await this.conclude();
+    if (shown && !this.many) this.show();
+  }
+
+  async conclude() {
+    const found = this.sides.map((one, i) => one.outcome(i === 0 ? 'first' : 'second'));
+    this.outcomes = [...this.outcomes, ...found].slice(-MOST_OUTCOMES);
+    this.many?.outcomes.push(...found);
+    this.episodes = [...this.episodes, await savedEpisode(this.sides[0])].slice(-MOST_SAVED);
+    this.endedAt = performance.now();
+    if (!this.many) this.phase = 'ended';
+  }
+
+  async playMany() {
+    const many = this.many;
+    if (!many) return;
+    await this.pace.yield();
+    await this.step();
+    const now = performance.now();
+    if (this.sides[0].ended) {
+      many.done += 1;
+      if (many.done >= many.of) return this.endMany();
+      this.tellMany(false);
+      await this.begin(this.nextSeed());
+    }
+    if (now - many.shown > RARELY) {
+      many.shown = now;
+      this.show();
+    }
+  }
+
+  endMany() {
+    this.tellMany(true);
+    this.many = null;
+    this.phase = this.sides[0].ended ? 'ended' : 'paused';
+    this.show();
+  }
+
+  /** @param {boolean} ended */
+  tellMany(ended) {
+    const {done, of, outcomes} = /** @type {Many} */ (this.many);
+    this.say({kind: 'Run', done, of, ended, outcomes: [...outcomes]});
+  }
+
+  /** The OpenGL context came back: everything in it is made again. */
+  renewed() {
+    for (const one of this.sides) one.pictures = this.drawing.of(one.task.scene);
+    this.pace.wake();
+  }
+
+  /**
+   * What the schedule does to a side at a step; cameras come back before others fail.
+   * @param {number} index
+   * @param {number} step
+   */
+  scheduled(index, step) {
+    return this.schedule.filter(event => event.step === step && covers(event, index));
+  }
+
+  async readAll() {
+    if (this.readEvery === 0) return;
+    for (const one of this.sides) await one.readAll();
+  }
+
+  show() {
+    if (this.sides.length === 0) return;
+    const [first, second] = this.sides;
+    this.number += 1;
+    const phase = /** @type {any} */ (this.many ? 'running' : this.phase);
+    /** @type {import('./messages.js').Frame} */
+    const frame = {
+      kind: 'Frame',
+      number: this.number,
+      phase,
+      speed: this.pace.rate,
+      rate: this.pace.achieved(),
+      auto_next: this.autoNext,
+      first: first.world(),
+      second: second ? second.world() : null,
+      outcomes: this.outcomes,
+      timings: {...first.timings},
+    };
+    this.say(frame, buffersOf(frame));
+  }
+}
+
+/**
+ * @param {ScheduledEvent} event
+ * @param {number} index
+ */
+function covers({side}, index) {
+  return side === 'both' || side === (index === 0 ? 'first' : 'second');
+}

@@ -1,0 +1,75 @@
+/**
+ * Fetches the site's files. They are gzipped on the disk and unpacked here, so that any static host
+ * serves this weight, whatever it does with encodings.
+ */
+
+/** @typedef {import('./messages.js').SiteFile} SiteFile */
+/** @typedef {(bytes: number) => void} OnBytes */
+
+/**
+ * @param {string} base Address of the site's folder, ends with a slash.
+ * @returns {Promise<import('./messages.js').Manifest>}
+ */
+export async function fetchManifest(base) {
+  const response = await get(new URL('manifest.json', base).href);
+  const manifest = await response.json();
+  if (manifest.schema !== 1)
+    throw new Error('manifest.json: expected schema 1; make the site again');
+  return manifest;
+}
+
+/**
+ * The unpacked bytes of a file. Throws an Error in one sentence for one that is missing, cut off,
+ * or outside the site.
+ * @param {string} base
+ * @param {SiteFile} file
+ * @param {OnBytes} [onBytes] Called with the bytes of each piece as they come over the wire.
+ * @returns {Promise<ArrayBuffer>}
+ */
+export async function fetchGzip(base, file, onBytes = () => {}) {
+  const address = new URL(file.path, base).href;
+  if (!address.startsWith(base)) throw new Error(`${file.path}: expected a file of this site`);
+  const response = await get(address);
+  if (!response.body) throw new Error(`${file.path}: expected bytes, found none`);
+  const counted = response.body.pipeThrough(
+    new TransformStream({
+      transform(piece, controller) {
+        onBytes(piece.byteLength);
+        controller.enqueue(piece);
+      },
+    }),
+  );
+  try {
+    const stream = counted.pipeThrough(new DecompressionStream('gzip'));
+    const buffer = await new Response(stream).arrayBuffer();
+    if (buffer.byteLength !== file.unpacked) throw new Error('another size');
+    return buffer;
+  } catch (error) {
+    throw new Error(`${file.path}: the file is cut off or damaged; load the page again`);
+  }
+}
+
+/** @param {string} address */
+async function get(address) {
+  let response;
+  try {
+    response = await fetch(address);
+  } catch (error) {
+    throw new Error(`${address}: it could not be fetched; are you connected?`);
+  }
+  if (!response.ok) throw new Error(`${address}: expected a file, found ${response.status}`);
+  return response;
+}
+
+/**
+ * Imports a module whose source is gzipped. It must not import others by relative names.
+ * @param {ArrayBuffer} source
+ */
+export async function importSource(source) {
+  const address = URL.createObjectURL(new Blob([source], {type: 'text/javascript'}));
+  try {
+    return await import(address);
+  } finally {
+    URL.revokeObjectURL(address);
+  }
+}

@@ -1,0 +1,296 @@
+/**
+ * One policy in one simulation, with cameras that can fail at any moment; no clock and no page.
+ *
+ * What an episode does depends on its seed and on which switch came at which step, on nothing else.
+ * A camera that is switched at step t counts from the decision that is taken at step t on.
+ */
+import {intact} from './camera_state.js';
+import {cameraPose, eyes} from './cameras.js';
+import {shapePoses} from './scene.js';
+import {StreamStack} from './streams.js';
+import {conditionOf, present, readSubsets} from './subsets.js';
+
+/** @typedef {import('./messages.js').CameraState} CameraState */
+/** @typedef {import('./messages.js').CameraEvent} CameraEvent */
+/** @typedef {import('./messages.js').Displacement} Displacement */
+/** @typedef {import('./messages.js').Outcome} Outcome */
+/** @typedef {import('./messages.js').World} World */
+/** @typedef {import('./messages.js').Readout} Readout */
+/** @typedef {import('./physics.js').Physics} Physics */
+/** @typedef {import('./pictures.js').Pictures} Pictures */
+/** @typedef {import('./policy.js').Policy} Policy */
+/** @typedef {import('./stock.js').Task} Task */
+
+const SIZE = 84;
+
+export class Simulation {
+  /**
+   * @param {Task} task
+   * @param {Physics} physics
+   * @param {Pictures} pictures
+   * @param {Policy} policy
+   */
+  constructor(task, physics, pictures, policy) {
+    this.task = task;
+    this.physics = physics;
+    this.pictures = pictures;
+    this.policy = policy;
+    /** @type {Record<string, CameraState>} */
+    this.cameras = {};
+    /** @type {Record<string, Displacement>} */
+    this.moves = {};
+    for (const camera of policy.spec.cameras) this.cameras[camera.name] = intact();
+    this.stack = new StreamStack(policy.spec.streams);
+    /** What the policy makes of the newest pictures. @type {import('./policy.js').Reading} */
+    this.reading = {features: new Float32Array(), merged: new Float32Array(),
+      action: new Float32Array(), q: new Float32Array()};
+    /** @type {Float32Array} */
+    this.poses = new Float32Array();
+    /** @type {Record<string, import('./messages.js').Picture>} */
+    this.views = {};
+    /** What was done to cameras, in order; the first `started` are how the episode began.
+     * @type {CameraEvent[]} */
+    this.events = [];
+    this.started = 0;
+    /** @type {Float32Array[]} */
+    this.actions = [];
+    /** @type {boolean[]} */
+    this.flags = [];
+    /** @type {Set<string>} */
+    this.conditions = new Set();
+    /** @type {import('./messages.js').Change | null} */
+    this.change = null;
+    /** @type {Readout | null} */
+    this.readout = null;
+    this.episode = this.seed = 0;
+    this.successAny = false;
+    this.timings = {physics: 0, pictures: 0, policy: 0, readout: 0};
+  }
+
+  get step() {
+    return this.physics.step;
+  }
+
+  get ended() {
+    return this.step >= this.task.said.horizon;
+  }
+
+  /** Whether there is anything to show yet. */
+  get begun() {
+    return this.reading.q.length > 0;
+  }
+
+  /** What the policy does next. */
+  get action() {
+    return this.reading.action;
+  }
+
+  /**
+   * Starts the episode of a seed; switches stay.
+   * @param {number} seed
+   * @param {CameraEvent[]} first What a schedule does at step 0.
+   */
+  async begin(seed, first) {
+    this.physics.begin(seed);
+    this.seed = seed;
+    this.episode += 1;
+    this.successAny = this.physics.success;
+    this.change = this.readout = null;
+    this.actions = [];
+    this.flags = [];
+    this.conditions.clear();
+    for (const event of first) this.apply(event);
+    this.events = Object.entries(this.cameras)
+      .filter(([, state]) => JSON.stringify(state) !== JSON.stringify(intact()))
+      .map(([camera, state]) => ({step: 0, camera, state}));
+    for (const [camera, move] of Object.entries(this.moves)) {
+      this.events.push({step: 0, camera, move});
+    }
+    this.started = this.events.length;
+    await this.arrive();
+  }
+
+  /**
+   * Takes over how the cameras of another simulation are set.
+   * @param {Simulation | undefined} other
+   */
+  adopt(other) {
+    if (!other) return;
+    for (const name of Object.keys(this.cameras)) {
+      if (name in other.cameras) this.cameras[name] = other.cameras[name];
+      if (name in other.moves) this.moves[name] = other.moves[name];
+    }
+  }
+
+  /**
+   * Cameras that a schedule names are whole when an episode begins.
+   * @param {string[]} names
+   */
+  restore(names) {
+    for (const name of names) {
+      this.cameras[name] = intact();
+      delete this.moves[name];
+    }
+  }
+
+  /** One decision. */
+  async advance() {
+    const {subset, occlusions} = this.condition();
+    this.conditions.add(JSON.stringify([this.policy.spec.name, subset, occlusions]));
+    this.actions.push(this.action);
+    const start = performance.now();
+    this.physics.act(this.action);
+    this.timings.physics = performance.now() - start;
+    this.flags.push(this.physics.success);
+    this.successAny ||= this.physics.success;
+    await this.arrive();
+  }
+
+  /** Draws every camera, and reads the policy on what comes of it. */
+  async arrive() {
+    this.stack.push(this.draw(), this.occlusions(), {seed: this.seed, step: this.step});
+    await this.read();
+  }
+
+  draw() {
+    const start = performance.now();
+    this.poses = shapePoses(this.task.scene, this.physics.data);
+    const {cameras} = this.policy.spec;
+    const drawn = this.pictures.views(this.poses, eyes(cameras, this.moves, this.physics), SIZE);
+    this.timings.pictures = performance.now() - start;
+    this.views = Object.fromEntries(cameras.map((camera, i) => [camera.name, drawn[i]]));
+    return this.views;
+  }
+
+  async read() {
+    const start = performance.now();
+    this.reading = await this.policy.read(this.stack.views(), this.physics.state, [this.mask()]);
+    this.timings.policy = performance.now() - start;
+  }
+
+  /** Action and Q of all subsets, at this step. */
+  async readAll() {
+    const start = performance.now();
+    const {streams, trained_subsets} = this.policy.spec;
+    const {names, masks} = readSubsets(streams, trained_subsets);
+    const {action, q} = await this.policy.read(this.stack.views(), this.physics.state, masks);
+    this.timings.readout = performance.now() - start;
+    this.readout = {step: this.step, subsets: names, action, q};
+  }
+
+  /**
+   * Something happens to a camera, and is seen at once.
+   * @param {{camera: string, state?: CameraState, move?: Displacement | null}} event
+   */
+  async set(event) {
+    const {camera} = event;
+    const before = this.cameras[camera];
+    const old = this.reading;
+    const note = this.apply(event);
+    if (event.state) this.stack.replaceLast(this.occlusions());
+    else this.stack.replaceViews(this.draw(), this.occlusions());
+    await this.read();
+    this.events.push({step: this.step, ...note});
+    this.readout = null;
+    this.change = {
+      camera,
+      before,
+      after: this.cameras[camera],
+      moved: !event.state,
+      step: this.step,
+      action_change: Math.hypot(...this.action.map((value, i) => value - old.action[i])),
+      q_before: old.q[0],
+      q_after: this.reading.q[0],
+    };
+  }
+
+  /**
+   * @param {{camera: string, state?: CameraState, move?: Displacement | null}} event
+   * @returns {{camera: string, state?: CameraState, move?: Displacement | null}}
+   */
+  apply({camera, state, move}) {
+    if (!(camera in this.cameras)) {
+      const known = Object.keys(this.cameras).join(', ');
+      throw new Error(`expected a camera of ${known}, found ${camera.slice(0, 40)}`);
+    }
+    if (state) {
+      this.cameras[camera] = state;
+      return {camera, state};
+    }
+    if (move) this.moves[camera] = move;
+    else delete this.moves[camera];
+    return {camera, move: move ?? null};
+  }
+
+  mask() {
+    return present(this.policy.spec.streams, this.cameras);
+  }
+
+  condition() {
+    return conditionOf(this.policy.spec.streams, this.cameras, this.moves);
+  }
+
+  occlusions() {
+    return Object.fromEntries(
+      Object.entries(this.cameras).map(([name, state]) => [name, state.occlusion]));
+  }
+
+  /** @param {'first' | 'second'} side @returns {Outcome} */
+  outcome(side) {
+    const [only] = this.conditions;
+    const [, subset, occlusions] = JSON.parse(only ?? '["", "", ""]');
+    const condition = this.conditions.size === 1 ? {subset, occlusions} : null;
+    return {side, policy: this.policy.spec.name, seed: this.seed, condition,
+      success: this.physics.success, success_any: this.successAny};
+  }
+
+  /** @returns {World} */
+  world() {
+    const {streams, cameras} = this.policy.spec;
+    const {features, merged, action, q} = this.reading;
+    const size = features.length / streams.length;
+    const norms = streams.map((_, i) =>
+      Math.hypot(...features.subarray(i * size, (i + 1) * size)));
+    const poses = cameras.map(camera =>
+      [camera.name, cameraPose(camera, this.moves[camera.name], this.physics)]);
+    return {
+      policy: this.policy.spec.name,
+      task: this.task.said.name,
+      episode: this.episode,
+      seed: this.seed,
+      step: this.step,
+      horizon: this.task.said.horizon,
+      cameras: structuredClone(this.cameras),
+      moves: structuredClone(this.moves),
+      condition: this.condition(),
+      views: opaque(this.views),
+      arrived: this.stack.newest(),
+      poses: Object.fromEntries(poses),
+      geom_poses: this.poses.slice(),
+      norms: Float32Array.from(norms),
+      streams,
+      mask: this.mask(),
+      merged: merged.slice(),
+      action: action.slice(),
+      q: q[0],
+      readout: this.readout && structuredClone(this.readout),
+      success: this.physics.success,
+      success_any: this.successAny,
+      ended: this.ended,
+      change: this.change,
+      events: structuredClone(this.events),
+    };
+  }
+}
+
+/**
+ * Copies for the page: their fourth number is depth no more.
+ * @param {Record<string, import('./messages.js').Picture>} views
+ */
+function opaque(views) {
+  return Object.fromEntries(Object.entries(views).map(([name, {width, height, rgba}]) => {
+    const copy = rgba.slice();
+    for (let i = 3; i < copy.length; i += 4) copy[i] = 255;
+    return [name, {width, height, rgba: copy}];
+  }));
+}

@@ -1,0 +1,266 @@
+/**
+ * What the worker does: the loop, and the commands.
+ *
+ * The loop obeys all commands that have come, takes a decision if one is due, and shows it. A
+ * command is never in the middle of a decision, so a switch counts from the next one on.
+ */
+import {Episodes, MOST_SAVED} from './episodes.js';
+import {readEpisode, savedEpisode, savedSession} from './saved.js';
+import {Simulation} from './simulation.js';
+import {Stock} from './stock.js';
+
+/** @typedef {import('./messages.js').Answer} Answer */
+/** @typedef {import('./messages.js').Command} Command */
+/** @typedef {import('./messages.js').ScheduledEvent} ScheduledEvent */
+/** @typedef {import('./messages.js').Side} Side */
+
+/** Milliseconds for which the end of an episode stays. */
+const HOLD = 2000;
+
+export class Stage extends Episodes {
+  /** @param {(answer: Answer, buffers?: Transferable[]) => void} say */
+  constructor(say) {
+    super(say);
+    /** @type {Command[]} */
+    this.queue = [];
+    /** @type {Stock | null} */
+    this.stock = null;
+    this.visible = true;
+  }
+
+  /** @param {Command} command */
+  send(command) {
+    this.queue.push(command);
+    this.pace.wake();
+  }
+
+  /** The loop; it never ends. */
+  async run() {
+    for (;;) {
+      try {
+        await this.turn();
+      } catch (error) {
+        if (this.phase !== 'ended') this.phase = 'paused';
+        this.many = null;
+        this.problem(error);
+        if (this.sides.every(one => one.begun)) this.show();
+      }
+    }
+  }
+
+  async turn() {
+    const command = this.queue.shift();
+    if (command) return this.obey(command);
+    if (this.sides.length === 0 || !this.visible || this.drawing.lost) return this.pace.sleep();
+    if (this.many) return this.playMany();
+    if (this.phase === 'ended' && this.autoNext) {
+      const left = this.endedAt + HOLD - performance.now();
+      if (left > 0) return this.pace.sleep(left);
+      this.phase = 'playing';
+      return this.begin(this.nextSeed());
+    }
+    if (this.phase !== 'playing') return this.pace.sleep();
+    if (await this.pace.due()) await this.step();
+  }
+
+  /** @param {Command} command */
+  async obey(command) {
+    if (command.kind === 'Open') return this.open(command);
+    if (this.sides.length === 0) return;
+    const act = /** @type {any} */ (this)[`on${command.kind}`];
+    if (!act) throw new Error(`expected a command, found ${String(command.kind).slice(0, 40)}`);
+    await act.call(this, command);
+    if (!['Save', 'SetVisible', 'RunMany'].includes(command.kind)) this.show();
+  }
+
+  // --- Commands -----------------------------------------------------------------------------------
+
+  /** @param {import('./messages.js').Open} command */
+  async open({base, policy, second, seed}) {
+    const start = performance.now();
+    const first = this.sides.length === 0;
+    try {
+      this.stock ??= await Stock.open(base, this.say);
+      const names = [policy, ...(second ? [second] : [])];
+      const sides = await this.made(names);
+      sides.forEach(side => side.physics.check(seed));
+      this.replace(sides);
+      this.schedule = [];
+      this.many = null;
+      this.phase = 'playing';
+      await this.begin(seed);
+      const seconds = (performance.now() - start) / 1000;
+      this.say({kind: 'Ready', seconds, backend: this.drawing.backend});
+    } catch (error) {
+      this.problem(error, first);
+    }
+  }
+
+  /** @param {import('./messages.js').SetCamera} command */
+  async onSetCamera({side, camera, state}) {
+    for (const one of this.meant(side)) await one.set({camera, state});
+    await this.readAll();
+  }
+
+  /** @param {import('./messages.js').MoveCamera} command */
+  async onMoveCamera({side, camera, move}) {
+    for (const one of this.meant(side)) await one.set({camera, move});
+    await this.readAll();
+  }
+
+  /** @param {import('./messages.js').SetPolicy} command */
+  async onSetPolicy({side, name}) {
+    const names = this.sides.map(one => one.policy.spec.name);
+    const changed = names.map((old, i) => this.meant(side).includes(this.sides[i]) ? name : old);
+    const task = this.describe(name).task;
+    // Another task leaves nobody to compare with.
+    const kept = changed.filter(one => this.describe(one).task === task);
+    const {seed} = this;
+    const sides = await this.made(kept);
+    sides.forEach((one, i) => one.adopt(this.sides[i]));
+    this.replace(sides);
+    await this.begin(this.seeds().includes(seed) ? seed : this.seeds()[0]);
+  }
+
+  /** @param {{policy: string | null}} command */
+  async onCompare({policy}) {
+    const names = [this.sides[0].policy.spec.name, ...(policy ? [policy] : [])];
+    if (policy && this.describe(policy).task !== this.sides[0].task.said.name) {
+      throw new Error('Two policies can be compared on the same task only.');
+    }
+    const {seed} = this;
+    const sides = await this.made(names);
+    sides.forEach(one => one.adopt(this.sides[0]));
+    this.replace(sides);
+    await this.begin(seed);
+  }
+
+  /** @param {{seed: number}} command */
+  onSetSeed({seed}) {
+    this.sides[0].physics.check(seed);
+    return this.begin(seed);
+  }
+
+  /** @param {{next_seed: boolean}} command */
+  onReset({next_seed}) {
+    return this.begin(next_seed ? this.nextSeed() : this.seed);
+  }
+
+  async onPlay() {
+    if (this.phase === 'ended') await this.begin(this.seed);
+    this.phase = 'playing';
+  }
+
+  onPause() {
+    if (this.phase !== 'ended') this.phase = 'paused';
+  }
+
+  async onStepOnce() {
+    if (this.phase === 'ended') return;
+    await this.step(false);
+    if (this.phase !== 'ended') this.phase = 'paused';
+  }
+
+  /** @param {{rate: number | null}} command */
+  onSetSpeed({rate}) {
+    this.pace.rate = rate;
+  }
+
+  /** @param {{on: boolean}} command */
+  onSetAutoNext({on}) {
+    this.autoNext = on;
+  }
+
+  /** @param {{events: ScheduledEvent[]}} command */
+  async onSetSchedule({events}) {
+    this.schedule = events;
+    if (this.sides[0].step === 0) await this.begin(this.seed);
+  }
+
+  /** @param {{every: number}} command */
+  async onSetReadout({every}) {
+    this.readEvery = every;
+    await this.readAll();
+  }
+
+  /** @param {{episodes: number}} command */
+  async onRunMany({episodes}) {
+    this.many = {done: 0, of: episodes, outcomes: [], shown: 0};
+    await this.begin(this.nextSeed());
+  }
+
+  onStopRun() {
+    if (this.many) this.endMany();
+  }
+
+  async onSave() {
+    const now = this.sides[0];
+    const current = now.actions.length > 0 && !now.ended ? [await savedEpisode(now)] : [];
+    const episodes = [...this.episodes, ...current].slice(-MOST_SAVED);
+    if (episodes.length === 0) throw new Error('Nothing has been played yet that could be saved.');
+    const versions = this.stock?.manifest.versions ?? {};
+    this.say({kind: 'Saved', text: savedSession(episodes, versions)});
+  }
+
+  /** @param {{text: string, episode?: number}} command */
+  async onReplay({text, episode}) {
+    const recipe = readEpisode(text, episode, this.stock?.manifest.policies ?? []);
+    const sides = await this.made([recipe.policy]);
+    sides[0].physics.check(recipe.seed);
+    this.replace(sides);
+    this.schedule = recipe.events.map(event => ({...event, side: /** @type {Side} */ ('first')}));
+    this.phase = 'playing';
+    await this.begin(recipe.seed);
+  }
+
+  /** @param {{on: boolean}} command */
+  onSetVisible({on}) {
+    this.visible = on;
+    this.pace.restart();
+  }
+
+  onLoseContext() {
+    this.drawing.lose();
+  }
+
+  // --- Parts --------------------------------------------------------------------------------------
+
+  /**
+   * Simulations of policies of one task, ready to begin.
+   * @param {string[]} names
+   */
+  async made(names) {
+    const stock = /** @type {Stock} */ (this.stock);
+    names.forEach(name => stock.describe(name));
+    return Promise.all(names.map(async name => {
+      const [task, policy] = await Promise.all(
+        [stock.task(stock.describe(name).task), stock.policy(name)]);
+      const physics = await stock.physics(task);
+      return new Simulation(task, physics, this.drawing.of(task.scene), policy);
+    }));
+  }
+
+  /** @param {Simulation[]} sides */
+  replace(sides) {
+    for (const old of this.sides) old.physics.close();
+    this.sides = sides;
+  }
+
+  /** @param {string} name */
+  describe(name) {
+    return /** @type {Stock} */ (this.stock).describe(name);
+  }
+
+  /** @param {Side} side */
+  meant(side) {
+    return side === 'both' ? this.sides : this.sides.slice(...(side === 'first' ? [0, 1] : [1, 2]));
+  }
+
+  /**
+   * @param {any} error
+   * @param {boolean} [fatal]
+   */
+  problem(error, fatal = false) {
+    this.say({kind: 'Problem', message: String(error?.message ?? error), fatal});
+  }
+}
