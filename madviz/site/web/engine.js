@@ -55,3 +55,11 @@ export function missing() {
   return `This browser has no ${lacks.join(' and no ')}, which the simulation needs. Another `
     + 'browser, a newer version, or hardware acceleration switched on in its settings may help.';
 }
+
+/** Whether OpenGL is computed by the CPU here, as far as the browser says. */
+export function onCpu() {
+  const gl = typeof OffscreenCanvas === 'function' && new OffscreenCanvas(1, 1).getContext('webgl2');
+  const told = gl && gl.getExtension('WEBGL_debug_renderer_info');
+  const name = told ? String(gl.getParameter(told.UNMASKED_RENDERER_WEBGL)) : '';
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}

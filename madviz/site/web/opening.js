@@ -59,12 +59,11 @@ function ending(worlds, entries, camera) {
     strong(`${entries[i].label} ${world.success ? '✓ succeeded' : '✕ failed'}`,
       world.success ? 'good' : 'bad'),
     text(i + 1 < worlds.length ? ', ' : '. ')]);
-  const rates = worlds.map((world, i) => {
-    const rate = entries[i].measured[world.condition.subset];
-    return rate ? `${entries[i].label} ${rateWords(rate.success, rate.ci95, rate.n)}` : '';
-  });
+  const rates = worlds.map((world, i) => entries[i].measured[world.condition.subset]);
   if (rates.every(Boolean)) {
-    nodes.push(text(`Success measured without ${camera}: ${rates.join('; ')}.`));
+    const words = rates.map((rate, i) =>
+      `${entries[i].label} ${rateWords(rate.success, rate.ci95, rate.n)}`);
+    nodes.push(text(`Over many episodes without ${camera}: ${words.join('; ')}.`));
   }
   return nodes;
 }

@@ -8,6 +8,7 @@
 
 import {cameraColourNow} from './colours.js';
 import {say} from './dom.js';
+import {onCpu} from './engine.js';
 import {frustum, lineOnCanvas, viewpoint} from './geometry.js';
 import {Pictures} from './pictures.js';
 import {parseScene} from './scene.js';
@@ -20,16 +21,18 @@ const LEAST = 40; // Milliseconds from one drawing to the next.
 const SHARE = 3; // Times as long as a drawing takes, nothing is drawn.
 const LENGTH = 0.12; // Metres of a frustum; one on the hand is shorter.
 const WIDEST = 900; // Pixels.
+const WIDEST_SLOW = 360; // Where OpenGL runs on the CPU.
 
 /** @returns {Orbit} */
 function start() {
-  return {target: [0, 0.6, 0.12], distance: 1.55, azimuth: -140, elevation: 28, fovy: 45};
+  return {target: [0.2, 0.45, 0.35], distance: 2.1, azimuth: -68, elevation: 24, fovy: 45};
 }
 
 export class SceneView {
   /** @param {(words: string) => void} onProblem */
   constructor(onProblem) {
     this.onProblem = onProblem;
+    this.slow = onCpu();
     this.orbit = start();
     /** @type {Map<string, {buffer: ArrayBuffer, textures: ArrayBuffer[]}>} By task. */
     this.buffers = new Map();
@@ -91,7 +94,7 @@ export class SceneView {
     this.cost = 0.7 * this.cost + 0.3 * (now - begin);
     this.rate = 0.7 * this.rate + 0.3 * (1000 / Math.max(now - this.last, 1));
     this.last = now;
-    for (const {side} of this.seen) say(side.hint, `view: ${this.rate.toFixed(0)} pictures a second`);
+    for (const {side} of this.seen) say(side.hint, `scene drawn ${this.rate.toFixed(0)} × a second`);
   }
 
   /** @param {string} task @returns {boolean} Whether its scene is there. */
@@ -99,7 +102,7 @@ export class SceneView {
     if (this.pictures && this.task === task) return true;
     const files = this.buffers.get(task);
     if (!files) return false;
-    this.gl ??= this.canvas.getContext('webgl2', {antialias: true, preserveDrawingBuffer: true});
+    this.gl ??= this.canvas.getContext('webgl2', {antialias: !this.slow, preserveDrawingBuffer: true});
     if (!this.gl) throw new Error('WebGL2 is missing');
     this.pictures = new Pictures(this.gl, parseScene(files.buffer, files.textures));
     this.task = task;
@@ -109,7 +112,8 @@ export class SceneView {
   /** @param {World} world @param {import('./side.js').Side} side */
   drawSide(world, side) {
     const area = side.canvas.getBoundingClientRect();
-    const scale = Math.min(devicePixelRatio || 1, WIDEST / Math.max(area.width, 1));
+    const widest = this.slow ? WIDEST_SLOW : WIDEST;
+    const scale = Math.min(devicePixelRatio || 1, widest / Math.max(area.width, 1));
     const width = Math.max(Math.round(area.width * scale), 2);
     const height = Math.max(Math.round(area.height * scale), 2);
     for (const canvas of [this.canvas, side.canvas]) {
@@ -152,7 +156,8 @@ export class SceneView {
         }
         context.stroke();
       }
-      if (places[0]) name(context, off ? `${camera.label}: off` : camera.label, places[0], scale);
+      const at = places[0];
+      if (at && at[0] > 0 && at[0] < width && at[1] > 0 && at[1] < height) name(context, off ? `${camera.label}: off` : camera.label, at, scale);
     });
     context.setLineDash([]);
   }

@@ -75,7 +75,8 @@ export class Timeline {
    * @param {number} wide */
   marks(context, frame, entry, wide) {
     context.font = '12px system-ui, sans-serif';
-    for (const event of frame.first.events.filter(one => one.step > 0)) {
+    const events = frame.first.events.filter(one => one.step > 0);
+    for (const [number, event] of events.entries()) {
       const index = entry.cameras.findIndex(camera => camera.name === event.camera);
       const x = event.step / entry.horizon * wide;
       context.fillStyle = cameraColourNow(Math.max(index, 0));
@@ -84,7 +85,8 @@ export class Timeline {
       const words = `${labelOf(event.camera, entry.cameras)} ${deed}`;
       const room = context.measureText(words).width;
       context.fillStyle = colourNow('--ink');
-      context.fillText(words, x + room + 8 < wide ? x + 5 : x - room - 6, 12);
+      // Words of neighbours stand below each other.
+      context.fillText(words, x + room + 8 < wide ? x + 5 : x - room - 6, 12 + number % 4 * 15);
     }
   }
 }
