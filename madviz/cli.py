@@ -153,6 +153,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "site": Command(
         "Writes the explorer as static files: simulator and policy in the visitor's browser.",
+        "site --out build/site --policies metaworld-hammer-mad-light",
         config="madviz.site.site:SiteConfig",
         work="madviz.site.site:run_site",
         words="madviz.site.site:site_words",
@@ -216,6 +217,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "bench site": Command(
         "A site in a real browser: megabytes, decisions a second, success by subset.",
+        "bench site --site build/site --episodes 20",
         config="madviz.bench.site:BenchSiteConfig",
         work="madviz.bench.site:bench_site",
         words=PRETTY,
