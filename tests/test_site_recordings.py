@@ -100,9 +100,13 @@ def test_every_subset_is_written_and_named(tmp_path: Path, monkeypatch) -> None:
     said = dict.fromkeys(
         ("label", "method", "task", "streams", "trained_subsets", "cameras", "measured", "seeds")
     )
-    line = record_policy(tmp_path, folder, said, [SEED])  # type: ignore[arg-type]
+    kept = tmp_path / "kept"
+    line = record_policy(tmp_path, kept, folder, said, [SEED])  # type: ignore[arg-type]
     assert len(line["files"]) == 2 ** len(policy.spec.streams)
     assert f"{SEED}/first+third_a" in line["files"] and f"{SEED}/none" in line["files"]
     for file in line["files"].values():
         packed = (tmp_path / file["path"]).read_bytes()
         assert len(packed) == file["bytes"] and len(gzip.decompress(packed)) == file["unpacked"]
+    monkeypatch.setattr(recordings, "record_episode", None)
+    again = record_policy(tmp_path / "again", kept, folder, said, [SEED])  # type: ignore[arg-type]
+    assert again == line, "what was recorded is kept"

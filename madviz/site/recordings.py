@@ -5,7 +5,8 @@ for every subset of the cameras, on the same seeds, so that a page can go over f
 when a camera is switched off. ``web/recording.js`` reads the files.
 
 An episode of 50 decisions with three cameras is 153 pictures of 84 x 84; as tiles of one WebP sheet
-they take 150 to 300 kB, a tenth of what they take as they are.
+they take 150 to 300 kB, a tenth of what they take as they are. Recording them takes a minute or two
+for each policy, so what was recorded is kept, under the policy's digest, for the next site.
 """
 
 from __future__ import annotations
@@ -32,8 +33,11 @@ from madviz.session.frame import Frame, SessionPace
 from madviz.session.simulation import Simulation
 from madviz.site.files import SiteFile, write_packed
 from madviz.subsets import every_mask, name_of
+from madviz.system.files import write_bytes
 from madviz.types import Array, CameraSpec, Environment, Policy
 
+FORMAT = 1
+"""Of a recording's file; kept ones of another format are made anew."""
 TILE = 84
 SCENE = 240
 """Pixels, square, of the scene from outside."""
@@ -47,11 +51,11 @@ MOST_STREAMS = 4
 
 
 def record_policy(
-    out: Path, folder: PolicyFolder, said: dict[str, Any], seeds: Sequence[int]
+    out: Path, kept: Path, folder: PolicyFolder, said: dict[str, Any], seeds: Sequence[int]
 ) -> dict[str, Any]:
-    """Records every subset of a policy's cameras on ``seeds``; its line of the manifest.
-    ``said``: its name, label, cameras and measured success. Raises UserError for too many
-    streams."""
+    """Records every subset of a policy's cameras on ``seeds``; its line of the manifest. What is in
+    the folder ``kept`` already is taken from there. ``said``: its name, label, cameras and measured
+    success. Raises UserError for too many streams."""
     spec = folder.spec
     if len(spec.streams) > MOST_STREAMS:
         raise UserError(
@@ -64,13 +68,16 @@ def record_policy(
         for seed in seeds:
             for mask in every_mask(len(spec.streams)):
                 subset = name_of(mask, spec.streams)
-                content = record_episode(env, policy, mask, seed)
+                before = kept / f"{FORMAT}-{spec.digest[:16]}-{seed}-{subset}"
+                if not before.is_file():
+                    before.parent.mkdir(parents=True, exist_ok=True)
+                    write_bytes(before, record_episode(env, policy, mask, seed))
                 name = f"recordings/{spec.name}/{seed}-{subset}.gz"
-                files[f"{seed}/{subset}"] = write_packed(out, name, content)
+                files[f"{seed}/{subset}"] = write_packed(out, name, before.read_bytes())
         task = env.spec
-    kept = ("label", "method", "task", "streams", "trained_subsets", "cameras", "measured")
+    shown = ("label", "method", "task", "streams", "trained_subsets", "cameras", "measured")
     return {
-        **{name: said[name] for name in kept},
+        **{name: said[name] for name in shown},
         "policy": spec.name,
         "task_label": task.task.partition("/")[2].replace("-", " ").capitalize(),
         "success": task.success,

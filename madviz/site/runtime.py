@@ -60,7 +60,8 @@ def write_runtime(out: Path, packages: Path) -> dict[str, Any]:
 
 
 def write_licences(out: Path, packages: Path) -> None:
-    """The licences of everything in the site that is not madviz's own."""
+    """The licences of everything in the site that is not madviz's own: a file each, and all in
+    licences.txt, which the page links."""
     folder = out / "licences"
     folder.mkdir(parents=True, exist_ok=True)
     for package, names in _OF_PYTHON.items():
@@ -73,3 +74,5 @@ def write_licences(out: Path, packages: Path) -> None:
             write_bytes(folder / f"{package}-{name}", (packages / package / name).read_bytes())
     for text in resources.files("madviz.site").joinpath("licences").iterdir():
         write_bytes(folder / text.name, text.read_bytes())
+    whole = [f"{'=' * 20} {path.name}\n\n{path.read_text()}" for path in sorted(folder.iterdir())]
+    write_bytes(out / "licences.txt", "\n\n".join(whole).encode())

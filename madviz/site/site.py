@@ -25,9 +25,11 @@ from typing import Any
 from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyFolder, describe, policy_folders
 from madviz.session.session_file import versions_here
-from madviz.site.exports import export_policy, export_task
+from madviz.site.exports import export_policy, export_task, said_of
+from madviz.site.recordings import record_policy
 from madviz.site.runtime import find_packages, versions, write_licences, write_runtime
 from madviz.system.files import write_json
+from madviz.system.numbers import CountOrNone
 
 SCHEMA = 1
 MANIFEST = "manifest.json"
@@ -54,6 +56,11 @@ class SiteConfig:
     """Names from ``madviz list``, or folders; by default all that a site can hold."""
     seeds: str = "5000:5050"
     """The first seed of the episodes that a visitor can choose from, and the one after the last."""
+    recorded: CountOrNone = 1
+    """How many of these seeds are recorded, of tasks that no browser can simulate and of the
+    policies that are shown first; 0 for none. A minute or two for each policy, once."""
+    recordings: str = "build/recordings"
+    """Where recordings are kept for the next site."""
     packages: str = ".venv/node/node_modules"
     """The folder with the npm packages; ``make site`` fills it."""
     json: str | None = None
@@ -80,7 +87,19 @@ def run_site(config: SiteConfig) -> dict[str, Any]:
     tasks = list(dict.fromkeys(folder.spec.task for folder in live))
     manifest["tasks"] = [told(task, export_task, out, task, seeds) for task in tasks]
     manifest["policies"] = [told(one.spec.name, export_policy, out, one) for one in live]
-    manifest["recordings"] = []
+    manifest["recordings"] = [
+        told(
+            f"recordings of {one.spec.name}",
+            record_policy,
+            out,
+            Path(config.recordings),
+            one,
+            said_of(one),
+            list(seeds)[: config.recorded],
+        )
+        for one in folders
+        if config.recorded and (one not in live or one.spec.name in OPENING.values())
+    ]
     manifest["opening"] = opening(manifest["policies"], seeds)
     write_licences(out, packages)
     write_json(out / MANIFEST, manifest)

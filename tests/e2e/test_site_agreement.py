@@ -32,7 +32,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("site")
-    run_site(SiteConfig(str(out), (HAMMER, MERGED, PUSH), seeds="5000:5006"))
+    run_site(SiteConfig(str(out), (HAMMER, MERGED, PUSH), seeds="5000:5006", recorded=0))
     shutil.copy(AGREEMENT, out)
     return out
 
@@ -68,7 +68,7 @@ def test_an_expert_succeeds_in_the_browser_where_it_does_in_python(
     live = [name for name in names if name.startswith("metaworld") and name != MERGED]
     assert len({describe(name).spec.task for name in live}) == 15
     out = tmp_path_factory.mktemp("all")
-    run_site(SiteConfig(str(out), tuple(live), seeds="5000:5006"))
+    run_site(SiteConfig(str(out), tuple(live), seeds="5000:5006", recorded=0))
     shutil.copy(AGREEMENT, out)
     for name in live:
         found = compared(out, name, "llvmpipe")

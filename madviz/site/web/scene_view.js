@@ -3,7 +3,7 @@
  *
  * One OpenGL context draws for both sides, so that the scene is in memory once; each picture is
  * copied to its side's canvas, and lines go over it. Drawing may take longer than a decision where
- * OpenGL runs on the CPU: then it takes a quarter of the time at most, and the corner says its rate.
+ * OpenGL runs on the CPU: then it takes a fifth of the time at most, and the corner says its rate.
  */
 
 import {cameraColourNow} from './colours.js';
@@ -18,14 +18,14 @@ import {parseScene} from './scene.js';
 /** @typedef {{world: World, side: import('./side.js').Side}} Seen */
 
 const LEAST = 40; // Milliseconds from one drawing to the next.
-const SHARE = 3; // Times as long as a drawing takes, nothing is drawn.
+const SHARE = 4; // Times as long as a drawing takes, nothing is drawn.
 const LENGTH = 0.12; // Metres of a frustum; one on the hand is shorter.
 const WIDEST = 900; // Pixels.
 const WIDEST_SLOW = 360; // Where OpenGL runs on the CPU.
 
 /** @returns {Orbit} */
 function start() {
-  return {target: [0.2, 0.45, 0.35], distance: 2.1, azimuth: -68, elevation: 24, fovy: 45};
+  return {target: [0.22, 0.42, 0.42], distance: 2.35, azimuth: -68, elevation: 22, fovy: 45};
 }
 
 export class SceneView {
@@ -112,21 +112,17 @@ export class SceneView {
   /** @param {World} world @param {import('./side.js').Side} side */
   drawSide(world, side) {
     const area = side.canvas.getBoundingClientRect();
-    const widest = this.slow ? WIDEST_SLOW : WIDEST;
-    const scale = Math.min(devicePixelRatio || 1, widest / Math.max(area.width, 1));
-    const width = Math.max(Math.round(area.width * scale), 2);
-    const height = Math.max(Math.round(area.height * scale), 2);
-    for (const canvas of [this.canvas, side.canvas]) {
-      if (canvas.width !== width || canvas.height !== height) {
-        [canvas.width, canvas.height] = [width, height];
-      }
-    }
+    const scale = Math.min(devicePixelRatio || 1, WIDEST / Math.max(area.width, 1));
+    resize(side.canvas, area.width * scale, area.height * scale);
+    // Lines and names stay sharp where the scene itself has fewer pixels.
+    const share = this.slow ? Math.min(WIDEST_SLOW / side.canvas.width, 1) : 1;
+    resize(this.canvas, side.canvas.width * share, side.canvas.height * share);
     const view = viewpoint(this.orbit);
-    this.pictures?.show(world.geom_poses, view, width, height);
+    this.pictures?.show(world.geom_poses, view, this.canvas.width, this.canvas.height);
     const context = side.canvas.getContext('2d');
     if (!context) return;
-    context.drawImage(this.canvas, 0, 0);
-    this.frusta(context, world, side, view, scale);
+    context.drawImage(this.canvas, 0, 0, side.canvas.width, side.canvas.height);
+    this.frusta(context, world, side, view, area.width < 300 ? 0.75 * scale : scale);
   }
 
   /** @param {CanvasRenderingContext2D} context @param {World} world
@@ -157,7 +153,9 @@ export class SceneView {
         context.stroke();
       }
       const at = places[0];
-      if (at && at[0] > 0 && at[0] < width && at[1] > 0 && at[1] < height) name(context, off ? `${camera.label}: off` : camera.label, at, scale);
+      if (at && at[0] > 0 && at[0] < width && at[1] > 0 && at[1] < height) {
+        name(context, off ? `${camera.label}: off` : camera.label, at, scale);
+      }
     });
     context.setLineDash([]);
   }
@@ -195,6 +193,12 @@ export class SceneView {
     this.orbit.distance = Math.min(Math.max(this.orbit.distance * zoom, 0.4), 5);
     this.wake();
   }
+}
+
+/** @param {HTMLCanvasElement} canvas @param {number} width @param {number} height */
+function resize(canvas, width, height) {
+  const [wide, high] = [Math.max(Math.round(width), 2), Math.max(Math.round(height), 2)];
+  if (canvas.width !== wide || canvas.height !== high) [canvas.width, canvas.height] = [wide, high];
 }
 
 /** @param {CanvasRenderingContext2D} context @param {string} words
