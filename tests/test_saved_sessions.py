@@ -235,3 +235,37 @@ def test_another_episode_is_called_so(hammer: Path, capsys: pytest.CaptureFixtur
     assert cli.main(["replay", str(path)]) == 1
     said = capsys.readouterr().out
     assert "DIFFER from decision 4 on: another machine, or a file that was changed" in said
+
+
+def kept_by_a_site(episode: SavedEpisode, success: bool) -> SavedSession:
+    """The episode as a browser would have saved it: other last bits, hence other hashes."""
+    wrong = dict.fromkeys(episode.sha256, "0" * 64)
+    fields = {**vars(episode), "sha256": wrong, "trace": "0" * len(episode.trace)}
+    return SavedSession((SavedEpisode(**{**fields, "success": success}),), {}, "site")
+
+
+def test_a_session_of_a_site_is_compared_by_its_outcome_not_by_bits() -> None:
+    episode = played(0, 50).episodes[0]
+    for success in (episode.success, not episode.success):
+        saved = kept_by_a_site(episode, success)
+        read = parse(saved.to_json().encode(), "here")
+        assert read == saved and read.last().made_by == "site"
+        row = replay_row(read.episodes[0], read, find)
+        assert row["compared"] == "outcome" and row["first_difference"] is None
+        assert row["same"] == (success == episode.success)
+        words = replay_words({"schema": 1, "file": "", "same": row["same"], "episodes": [row]})
+        assert "outcomes are compared, not bits" in words and ("DIFFERS" in words) != row["same"]
+
+
+def test_a_session_of_madviz_is_still_compared_to_the_bit() -> None:
+    saved = played(0, 50)
+    assert "made_by" not in json.loads(saved.to_json())
+    other = SavedSession(kept_by_a_site(saved.episodes[0], True).episodes, saved.versions)
+    row = replay_row(other.episodes[0], other, find)
+    assert row["compared"] == "bits" and not row["same"]
+
+
+def test_nobody_else_makes_sessions() -> None:
+    content = json.loads(played(0, 50).to_json())
+    with pytest.raises(UserError, match="made_by"):
+        parse(json.dumps({**content, "made_by": "somebody"}).encode(), "here")

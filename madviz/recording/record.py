@@ -36,7 +36,14 @@ from madviz.policies import checkpoint
 from madviz.recording.facts import Facts
 from madviz.session.commands import Play, SetSchedule
 from madviz.session.frame import Frame, NoFrame
-from madviz.session.replay import Finder, check_horizon, check_policies, failure_words, finder
+from madviz.session.replay import (
+    Finder,
+    check_horizon,
+    check_policies,
+    comes_out_same,
+    failure_words,
+    finder,
+)
 from madviz.session.session import Session
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
@@ -145,7 +152,8 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     check_out(config.out)
     if config.keep is not None:
         written_to(config.keep, "--keep")
-    script = read_session(config.replay).episode(config.episode) if config.replay else None
+    saved = read_session(config.replay) if config.replay else None
+    script = saved.episode(config.episode) if saved else None
     named = with_wire(config.policy or "", config.wire)
     find = finder((named,) if named else ())
     policy = find(script.policy) if script else checkpoint.load_policy(named)
@@ -173,7 +181,9 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         "success": end.success,
         "success_any": end.success_any,
         "return": end.total_reward,
-        "same": session.save().episodes[-1].sha256 == script.sha256 if script else None,
+        "same": comes_out_same(saved, script, session.save().episodes[-1])
+        if saved and script
+        else None,
     }
 
 

@@ -3,7 +3,11 @@
 An episode depends on its seed and on which commands came at which step, so with the same policy,
 the same packages and the same machine every action comes out the same. Where one does not, the
 first step that differs is named, with what else is different: another policy of that name, other
-versions, or neither, which leaves the machine (another CPU or another OpenGL rounds differently).
+versions, or neither, which leaves the machine (another CPU or another
+OpenGL rounds differently).
+
+An episode that a site kept was simulated and drawn in a browser. Its actions never agree to the
+bit, so there the switches are replayed, and how the episode ended is compared.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypedDict
+from typing import Literal, TypedDict
 
 from madviz.envs.registry import make_env, sees
 from madviz.errors import UserError
@@ -63,11 +67,14 @@ class ReplayRow(TypedDict):
     commands: int
     success: bool
     success_here: bool
+    compared: Literal["bits", "outcome"]
+    """``outcome`` for an episode that a site kept."""
     same_bits: dict[str, bool]
     """By stream: actions, rewards, success."""
     same: bool
+    """What was compared."""
     first_difference: int | None
-    """The decision, from 1, at which they part."""
+    """The decision, from 1, at which they part; None where no bits are compared."""
     reasons: list[str]
 
 
@@ -176,7 +183,8 @@ def replay_row(
 ) -> ReplayRow:
     """Replays one episode and compares."""
     again = replay_episode(episode, find, env_factory)
-    same = {name: again.sha256[name] == episode.sha256[name] for name in STREAMS}
+    bits = saved.made_by == "madviz"
+    same = comes_out_same(saved, episode, again)
     return {
         "policy": episode.policy.name,
         "task": episode.task,
@@ -185,11 +193,20 @@ def replay_row(
         "commands": len(episode.start) + len(episode.commands),
         "success": episode.success,
         "success_here": again.success,
-        "same_bits": same,
-        "same": all(same.values()),
-        "first_difference": first_difference(episode.trace, again.trace),
-        "reasons": [] if all(same.values()) else _reasons(episode, saved, find),
+        "compared": "bits" if bits else "outcome",
+        "same_bits": {name: again.sha256[name] == episode.sha256[name] for name in STREAMS},
+        "same": same,
+        "first_difference": first_difference(episode.trace, again.trace) if bits else None,
+        "reasons": [] if same else _reasons(episode, saved, find),
     }
+
+
+def comes_out_same(saved: SavedSession, episode: SavedEpisode, again: SavedEpisode) -> bool:
+    """Whether ``again`` is what ``episode`` of ``saved`` was: to the bit, or, of a session that a
+    site kept, in success at the last step."""
+    if saved.made_by == "site":
+        return again.success == episode.success
+    return again.sha256 == episode.sha256
 
 
 def first_difference(one: str, other: str) -> int | None:
@@ -234,6 +251,10 @@ def replay_words(result: ReplayResult) -> str:
 
 
 def _verdict(row: ReplayRow) -> str:
+    if row["compared"] == "outcome":
+        here = "success" if row["success_here"] else "no success"
+        word = "the same here" if row["same"] else f"here it is {here}, which DIFFERS"
+        return f"{word} (kept by a site in a browser: outcomes are compared, not bits)"
     if row["same"]:
         return "actions, rewards and success are the same to the bit"
     different = [name for name, same in row["same_bits"].items() if not same]

@@ -13,8 +13,10 @@ was dropped after 20 decisions:
 
 The hashes are there to check: whoever replays it gets the same actions, rewards and success to the
 bit, or learns that they differ. ``trace`` has four hexadecimal digits for every step, so it shows
-where two episodes part. Files come from anybody, so ``session_reader`` checks all that is in them;
-and a policy is a plain name in them, never a path or a module that loading would import.
+where two episodes part. A session that a site kept says ``"made_by": "site"``: a browser rounds
+otherwise, so its replay compares how episodes ended, not bits. Files come from anybody, so
+``session_reader`` checks all that is in them; and a policy is a plain name in them, never a path or
+a module that loading would import.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import metadata
 from pathlib import Path
+from typing import Literal
 
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
@@ -34,6 +37,8 @@ from madviz.system.files import pretty, write_bytes
 from madviz.types import CameraSpec, PolicySpec
 
 SCHEMA = 1
+Maker = Literal["madviz", "site"]
+"""Whose simulation it was: this one's, or that of a static site in a browser."""
 PACKAGES = ("madviz", "numpy", "torch", "mujoco", "metaworld", "sapien", "opencv-python")
 """What actions depend on, to the bit."""
 STREAMS = ("actions", "rewards", "success")
@@ -113,16 +118,18 @@ class SavedSession:
     episodes: tuple[SavedEpisode, ...]
     versions: dict[str, str]
     """Of the packages that it was made with; with others, the last bits may differ."""
+    made_by: Maker = "madviz"
 
     def last(self) -> SavedSession:
         """The last episode alone."""
-        return SavedSession(self.episodes[-1:], self.versions)
+        return SavedSession(self.episodes[-1:], self.versions, self.made_by)
 
     def to_json(self) -> str:
         """As a file has it; ``session_reader.parse`` is the way back."""
         return pretty(
             {
                 "schema": SCHEMA,
+                **({"made_by": self.made_by} if self.made_by != "madviz" else {}),
                 "versions": self.versions,
                 "episodes": [_episode_fields(episode) for episode in self.episodes],
             }

@@ -27,6 +27,7 @@ from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import SetCamera
 from madviz.session.session_file import (
     TRACE,
+    Maker,
     SavedCommand,
     SavedEpisode,
     SavedPolicy,
@@ -131,6 +132,7 @@ class _Session(Struct, forbid_unknown_fields=True):
     schema: Literal[1]
     versions: Annotated[dict[Short, Short], Meta(max_length=20)]
     episodes: Annotated[list[_Episode], Meta(min_length=1, max_length=100)]
+    made_by: Maker = "madviz"
 
 
 def read_session(path: str | Path) -> SavedSession:
@@ -160,7 +162,7 @@ def parse(content: bytes, where: str) -> SavedSession:
         episodes = [_episode(one, f"episodes[{i}]") for i, one in enumerate(session.episodes)]
     except UserError as error:
         raise UserError(f"{where}: {error}; {NEXT}") from error
-    return SavedSession(tuple(episodes), session.versions)
+    return SavedSession(tuple(episodes), session.versions, session.made_by)
 
 
 def _refuse(constant: str) -> NoReturn:
