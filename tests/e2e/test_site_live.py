@@ -1,0 +1,88 @@
+"""The static site as a visitor gets it: its own worker, a real Chromium, and hammer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from madviz.session.replay import finder, replay_row
+from madviz.session.session_reader import parse
+from madviz.site.site import SiteConfig, run_site
+from tests.e2e.static_site import MAD, MERGED_ONLY, served, until
+
+PATIENCE = 240_000
+"""Milliseconds; an episode of a hundred decisions on a loaded machine."""
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Of the site in a folder below the host's root."""
+    folder = tmp_path_factory.mktemp("site")
+    out = folder / "below"
+    run_site(SiteConfig(str(out), (MAD, MERGED_ONLY), seeds="5000:5002", recorded=0))
+    with served(folder) as url:
+        yield f"{url}below/"
+
+
+@pytest.fixture
+def page(browser) -> Iterator[Any]:
+    context = browser.new_context(viewport={"width": 1280, "height": 800})
+    page = context.new_page()
+    page.set_default_timeout(PATIENCE)
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    yield page
+    context.close()
+    assert errors == []
+
+
+def test_a_camera_goes_off_and_one_of_two_policies_succeeds(page, address) -> None:
+    asked: list[str] = []
+    page.context.on("request", lambda request: asked.append(request.url))
+    page.goto(address)
+    until(page, "Step 15: First person is off.", "#line")
+    until(page, "MAD ✓ succeeded, Merged Only ✕ failed", "#line")
+    assert any("runtime/mujoco.wasm" in url for url in asked), "the worker's requests count, too"
+    others = [
+        url for url in asked if not url.startswith((address, "data:", f"blob:{origin(address)}"))
+    ]
+    assert others == []
+    # Turning the scene with keys shows another picture of it.
+    picture = "() => document.querySelector('.scene canvas').toDataURL()"
+    before = page.evaluate(picture)
+    page.locator(".scene canvas").first.press("ArrowLeft")
+    page.wait_for_function(f"before => ({picture})() !== before", arg=before)
+
+
+def origin(address: str) -> str:
+    return "/".join(address.split("/")[:3])
+
+
+def test_a_link_is_played_saved_and_played_by_python(page, address, tmp_path: Path) -> None:
+    page.goto(f"{address}#policy={MAD}&seed=5001&third_a=off@5&first=noise:0.5@10-20")
+    page.wait_for_selector("body[data-ready]")
+    page.locator("#speed").select_option("")
+    page.wait_for_function(
+        "() => /success|failed/.test(document.querySelector('.outcome').innerText)"
+    )
+    page.wait_for_function("() => location.hash.includes('first=on@20')")
+    link = page.url
+    assert "third_a=off@5" in link and "first=noise:0.5@10" in link and "seed=5001" in link
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save", exact=True).click()
+    path = Path(download.value.path())
+    (episode,) = (saved := parse(path.read_bytes(), "the site's file")).episodes
+    assert (episode.seed, episode.steps, episode.ended) == (5001, 100, True)
+    row = replay_row(episode, saved, finder())
+    assert row["success"] == row["success_here"] and row["same"]
+    session = tmp_path / "session.json"
+    session.write_bytes(path.read_bytes())
+    page.locator("input[type=file]").set_input_files(session)
+    page.wait_for_function("() => document.querySelector('.outcome').innerText === 'working'")
+    page.wait_for_function("() => location.hash.includes('first=on@20')")
+    assert sorted(page.url.split("&")) == sorted(link.split("&"))
