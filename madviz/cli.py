@@ -25,7 +25,6 @@ from typing import Any
 
 from madviz import __version__
 from madviz.errors import Interrupted, NotWritten, Unfinished, UserError, saving, signal_of, unknown
-from madviz.evaluation.statistics import SuccessRate
 from madviz.system.command_line import completion, read
 from madviz.system.files import pretty, write_json, written_to
 from madviz.system.signals import terminable
@@ -80,7 +79,7 @@ COMMANDS: dict[str, Command] = {
         "eval --policy metaworld-hammer-mad-light --subsets all first --episodes 20",
         config="madviz.evaluation.evaluate:EvalConfig",
         work="madviz.evaluation.evaluate:run_eval",
-        words="madviz.cli:success_table",
+        words="madviz.evaluation.evaluate:success_table",
     ),
     "audit": Command(
         "Does a policy use its cameras? Each one removed and alone, as a page with a verdict.",
@@ -390,15 +389,3 @@ def run_list(config: ListConfig) -> dict[str, Any]:
     from madviz.policies.listing import list_everything
 
     return dict(list_everything())
-
-
-def success_table(result: dict[str, Any]) -> str:
-    """An evaluation as lines: subset, success with its interval, episodes."""
-    lines = [f"{result['policy']} on {result['task']}: success {result['definition']}"]
-    for name, row in result["subsets"].items():
-        lines.append(
-            f"  {name:24} {SuccessRate(row['success'], row['ci95'], row['n'])}"
-            f"   any step {row['success_any']:.2f}"
-            + ("" if row["trained"] else "   not trained on this subset")
-        )
-    return "\n".join(lines)

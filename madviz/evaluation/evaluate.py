@@ -336,3 +336,15 @@ def joined(known: EvaluationFile | None, new: EvaluationFile) -> EvaluationFile:
         "subsets": {**before, **new["subsets"]},
         "episodes": [*episodes, *new["episodes"]],
     }
+
+
+def success_table(result: EvaluationFile) -> str:
+    """An evaluation as lines: subset, success with its interval, episodes."""
+    lines = [f"{result['policy']} on {result['task']}: success {result['definition']}"]
+    for name, row in result["subsets"].items():
+        lines.append(
+            f"  {name:24} {SuccessRate(row['success'], row['ci95'], row['n'])}"
+            f"   any step {row['success_any']:.2f}"
+            + ("" if row["trained"] else "   not trained on this subset")
+        )
+    return "\n".join(lines)
