@@ -9,13 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import viser
 
 from madviz.analysis.saliency import Target
 from madviz.app.keys import Keys
+from madviz.app.live_audit import LiveAudit
 from madviz.app.panel import Panel
+from madviz.app.panels.audit import AuditPanel
 from madviz.app.panels.cameras import CamerasPanel
 from madviz.app.panels.comparison import ComparisonPanel
 from madviz.app.panels.failures import FailuresPanel
@@ -58,6 +61,11 @@ class Shared:
     greets: bool = True
     """Whether a new visitor is offered a comparison, where there is one to offer."""
 
+    @cached_property
+    def audit(self) -> LiveAudit:
+        """Asks for its episodes like one more visitor."""
+        return LiveAudit(self.rates)
+
 
 class Panels:
     """All panels of one page, for one task and its cameras."""
@@ -77,6 +85,7 @@ class Panels:
         """``newest`` is what the page shows last; ``wide`` windows have more room; who is
         ``readonly`` watches somebody else's session; ``greet`` offers a comparison."""
         self._client, self._session, self._shared = client, session, shared
+        self._newest = newest
         self._send = None if readonly else session.send
         self._wide = wide
         gui, choices, rates = client.gui, shared.choices, shared.rates
@@ -118,9 +127,9 @@ class Panels:
             handle.remove()
 
     def _build_tabs(self, tabs: viser.GuiTabGroupHandle, frame: Frame) -> list[TimedPanel]:
-        """What stands under the cameras, a tab each. Names are short: ten fit into one row."""
+        """What stands under the cameras, a tab each; names are short: eleven fit into one row."""
         gui, send, wide, shared = self._client.gui, self._send, self._wide, self._shared
-        explain = self._explain if send else None
+        explain, audited = (self._explain, self._newest) if send else (None, None)
         table: list[tuple[str, list[tuple[Callable[[], Panel], float]]]] = [
             ("Features", [(lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25)]),
             ("Subsets", [(lambda: SubsetsPanel(gui, send, frame), 0.5)]),
@@ -132,6 +141,7 @@ class Panels:
                     (lambda: ProjectionPanel(gui, frame, 330 if wide else 170), 0.4),
                 ],
             ),
+            ("Audit", [(lambda: AuditPanel(gui, audited, frame, shared.audit), 1.0)]),
             ("Move", [(lambda: MovePanel(gui, send, frame, self._client.scene), 0.25)]),
             ("Timeline", [(lambda: TimelinePanel(gui, send, frame), 0.5)]),
             ("A/B", [(lambda: ComparisonPanel(gui, send, frame, shared.choices), 0.5)]),

@@ -66,6 +66,10 @@ class SuccessRates:
         seen = self._live.get((key_of(spec), condition), {})
         return SuccessRate.of(sum(seen.values()), len(seen))
 
+    def outcomes(self, spec: PolicySpec, condition: Condition) -> Mapping[int, bool]:
+        """Success by seed of what was measured here."""
+        return self._live.get((key_of(spec), condition), {})
+
     def best(self, spec: PolicySpec, condition: Condition) -> SuccessRate:
         """Whichever says more. They are not added up: workers begin with the shipped seeds."""
         known = (

@@ -141,6 +141,7 @@ class App:
         """Frees the port, every simulation, workers and a training's process."""
         self.users.close()
         self.server.stop()
+        self.shared.audit.close()
         self.shared.rates.close()
         self.shared.training.close()
 

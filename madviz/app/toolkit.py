@@ -199,7 +199,7 @@ class Choice:
     def style(self, active: str, disabled: bool = False) -> str:
         """CSS that marks the active button."""
         row = selector(self.handle)
-        rules = f"{row} button {{color:var(--mv-soft); border-color:var(--mv-edge); padding:0 5px}}"
+        rules = f"{row} button {{color:var(--mv-soft); border-color:var(--mv-edge); padding:0 2px}}"
         if active in self._values:
             place = self._values.index(active) + 1
             rules += (

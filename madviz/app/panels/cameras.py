@@ -233,7 +233,7 @@ class CamerasPanel(WidgetPanel):
             cells.append(Cell(self._link.end, count))
         for index, control in enumerate(self._controls):
             cells.append(Cell(control.input.handle, index + 1, label="above"))
-            cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="21%"))
+            cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="15%"))
             cells += [Cell(slider, index + 1) for slider in control.sliders.values()]
         return cells
 
