@@ -1,0 +1,141 @@
+"""madviz's tasks for programs that speak Gymnasium: ``gymnasium.make("madviz/hammer-v0")``.
+
+An observation is a table, named as LeRobot names it:
+
+    pixels     {first, third_a, third_b}   (H, W, 3) uint8
+    depth      the same cameras            (H, W, 1) float32, metres
+    agent_pos  (S,) float32
+
+``flat=True`` puts all of it side by side (``first``, ``first_depth``, ``agent_pos``), for programs
+that take no tables in tables, as Stable-Baselines3. An episode never ends early; ``is_success`` is
+the task's condition at this very step. The seed of ``reset`` is the episode's, as everywhere here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from madviz.envs.registry import SUITES, env_spec, make_env
+from madviz.types import Array, CameraSpec, Environment, TimeStep
+
+NAMESPACE = "madviz"
+FARTHEST = 1e6
+"""Metres; the end of a depth picture's space."""
+SEEDS = 2**31
+Observation = dict[str, Any]
+
+
+class MadvizEnv(gymnasium.Env[Observation, Array]):
+    """One task. Only the thread that makes it may use it, because OpenGL contexts belong to one."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        size: int = 84,
+        depth: bool = True,
+        flat: bool = False,
+        render_profile: str = "fast",
+        render_mode: str | None = None,
+    ) -> None:
+        """``task`` as in ``make_env``; ``size`` in pixels. Raises UserError."""
+        facts = env_spec(task, render_profile)
+        cameras = tuple(replace(camera, size=size) for camera in facts.cameras)
+        self._world: Environment = make_env(task, render_profile, cameras)
+        self._cameras: tuple[CameraSpec, ...] = self._world.spec.cameras
+        self._depth, self._flat = depth, flat
+        self._step = 0
+        self.render_mode = render_mode
+        self.task, self.task_description = task, facts.instruction
+        self._max_episode_steps = facts.horizon
+        self.action_space = spaces.Box(-1, 1, (facts.action_dim,), np.float32)
+        self.observation_space = self._space(facts.state_dim)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins the episode of ``seed``; of none, of one that is drawn."""
+        super().reset(seed=seed)
+        number = int(self.np_random.integers(SEEDS)) if seed is None else seed % SEEDS
+        self._step = 0
+        return self._told(self._world.reset(number))
+
+    def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One decision; the episode is cut off at its horizon."""
+        moment = self._world.step(np.asarray(action, np.float32))
+        self._step += 1
+        observation, info = self._told(moment)
+        return observation, float(moment.reward), False, moment.last, info
+
+    def render(self) -> Array | None:  # type: ignore[override]
+        """All cameras beside each other, (H, 3 W, 3) uint8; None where nobody asked for it."""
+        if self.render_mode is None:
+            return None
+        return np.concatenate([self._world.view(one.name).rgb for one in self._cameras], axis=1)
+
+    def close(self) -> None:
+        """Frees what the simulator and the renderer hold."""
+        self._world.close()
+
+    def _told(self, moment: TimeStep) -> tuple[Observation, dict[str, Any]]:
+        views = {camera.name: self._world.view(camera.name) for camera in self._cameras}
+        pixels = {name: np.asarray(view.rgb, np.uint8) for name, view in views.items()}
+        observation: Observation = {"pixels": pixels}
+        if self._depth:
+            observation["depth"] = {
+                name: np.clip(view.depth, 0, FARTHEST)[..., None].astype(np.float32)
+                for name, view in views.items()
+            }
+        observation["agent_pos"] = np.asarray(moment.state, np.float32)
+        info = {"is_success": bool(moment.success), "task": self.task}
+        return flattened(observation) if self._flat else observation, info
+
+    def _space(self, state_dim: int) -> spaces.Dict:
+        pixels, depth = {}, {}
+        for camera in self._cameras:
+            shape = (camera.size, camera.size)
+            pixels[camera.name] = spaces.Box(0, 255, (*shape, 3), np.uint8)
+            depth[camera.name] = spaces.Box(0, FARTHEST, (*shape, 1), np.float32)
+        parts: Observation = {"pixels": pixels}
+        if self._depth:
+            parts["depth"] = depth
+        parts["agent_pos"] = spaces.Box(-np.inf, np.inf, (state_dim,), np.float32)
+        if self._flat:
+            return spaces.Dict(flattened(parts))
+        inner = {k: spaces.Dict(v) if isinstance(v, dict) else v for k, v in parts.items()}
+        return spaces.Dict(inner)
+
+
+def flattened(parts: Observation) -> Observation:
+    """``{pixels: {first}, depth: {first}}`` -> ``{first, first_depth}``."""
+    flat: Observation = dict(parts["pixels"])
+    flat.update({f"{name}_depth": each for name, each in parts.get("depth", {}).items()})
+    return {**flat, "agent_pos": parts["agent_pos"]}
+
+
+def ids() -> dict[str, str]:
+    """Gymnasium's name of every task: ``madviz/hammer-v0`` for ``metaworld/hammer``."""
+    return {
+        f"{NAMESPACE}/{task}-v0": f"{suite}/{task}"
+        for suite, s in SUITES.items()
+        for task in s.tasks
+    }
+
+
+def register() -> None:
+    """Makes all of ``ids`` known to Gymnasium, which calls this by itself where madviz is
+    installed."""
+    for name, task in ids().items():
+        if name not in gymnasium.registry:
+            gymnasium.register(name, entry_point=partial(MadvizEnv, task), order_enforce=True)
+
+
+register()

@@ -1,0 +1,97 @@
+"""madviz's tasks as Gymnasium knows them."""
+
+from __future__ import annotations
+
+import tomllib
+import warnings
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from madviz.envs.gymnasium_env import MadvizEnv, ids, register
+from madviz.envs.registry import TASKS, make_env
+
+ROOT = Path(__file__).resolve().parent.parent
+QUICK = ("madviz/reach-v0", "madviz/hammer-v0")
+
+
+def checked(name: str, **options) -> None:
+    """Gymnasium's own checker; whatever it only warns of counts, too, but for what is meant: states
+    have no bounds, and depth is float."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        env = gymnasium.make(name, **options)
+        check_env(env.unwrapped, skip_render_check=False)
+        env.close()
+    ours = [str(one.message) for one in said if "WARN" in str(one.message)]
+    meant = ("minimum value is -infinity", "maximum value is infinity", "render_mode")
+    assert [one for one in ours if not any(word in one for word in meant)] == []
+
+
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("name", QUICK)
+def test_gymnasiums_own_checker_is_content(name, flat):
+    checked(name, flat=flat)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in ids() if name not in QUICK])
+def test_gymnasiums_own_checker_is_content_with_every_task(name):
+    checked(name)
+
+
+def test_every_task_has_a_name_and_gymnasium_finds_it_by_itself():
+    assert sorted(ids().values()) == sorted(TASKS)
+    register()
+    assert all(name in gymnasium.registry for name in ids())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    plugin = project["entry-points"]["gymnasium.envs"]
+    assert plugin == {"__root__": "madviz.envs.gymnasium_env:register"}
+
+
+def test_an_episode_is_the_one_of_its_seed_and_ends_at_its_horizon():
+    env, world = gymnasium.make("madviz/reach-v0"), make_env("toy/reach")
+    seen, info = env.reset(seed=5003)
+    now, ended, steps = world.reset(5003), False, 0
+    while not ended:
+        np.testing.assert_array_equal(seen["agent_pos"], now.state.astype(np.float32))
+        np.testing.assert_array_equal(seen["pixels"]["third_a"], world.view("third_a").rgb)
+        np.testing.assert_allclose(seen["depth"]["first"][..., 0], world.view("first").depth)
+        assert info["is_success"] == now.success
+        action = np.array([0.5, -0.5], np.float32)
+        seen, reward, terminated, ended, info = env.step(action)
+        now, steps = world.step(action), steps + 1
+        assert reward == now.reward and not terminated
+    inner = env.unwrapped
+    assert isinstance(inner, MadvizEnv) and steps == inner._max_episode_steps == 25
+    assert inner.task_description == "Go to the orange target."
+
+
+def test_pictures_have_the_size_that_is_asked_for_and_may_be_flat():
+    env = MadvizEnv("toy/reach", size=48, depth=False, flat=True, render_mode="rgb_array")
+    seen, _ = env.reset(seed=1)
+    assert {name: part.shape for name, part in seen.items()} == {
+        "first": (48, 48, 3),
+        "third_a": (48, 48, 3),
+        "third_b": (48, 48, 3),
+        "agent_pos": (6,),
+    }
+    assert env.render().shape == (48, 144, 3)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_several_of_them_step_together(mode):
+    options = {"context": "spawn"} if mode == "async" else {}
+    many = gymnasium.make_vec(
+        "madviz/reach-v0", 2, vectorization_mode=mode, vector_kwargs=options, depth=False
+    )
+    seen, _ = many.reset(seed=[3, 4])
+    assert seen["pixels"]["first"].shape == (2, 84, 84, 3)
+    alone, _ = gymnasium.make("madviz/reach-v0").reset(seed=4)
+    np.testing.assert_array_equal(seen["agent_pos"][1], alone["agent_pos"])
+    seen, _, _, _, info = many.step(np.zeros((2, 2), np.float32))
+    assert info["is_success"].shape == (2,)
+    many.close()
