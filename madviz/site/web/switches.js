@@ -42,6 +42,7 @@ export class SwitchBoard {
     this.cards = new Map(entry.cameras.map((camera, index) => [camera.name, this.card(index)]));
     this.element = make('div', {class: 'board', 'data-side': side},
       ...[...this.cards.values()].map(card => card.element));
+    this.element.style.setProperty('--count', String(Math.min(entry.cameras.length, 5)));
   }
 
   /** @param {import('./messages.js').World} world */
