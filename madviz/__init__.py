@@ -7,11 +7,13 @@
     rates = madviz.evaluate("metaworld-hammer-mad-light", episodes=20).rows
     madviz.explore(madviz.ExploreConfig(policy="metaworld-hammer-mad-light"))
 
-Importing this loads neither torch nor viser; the names below load what they need when used.
+Importing this loads neither torch nor viser; the names below load what they need when used. Where
+Gymnasium is loaded already, it learns the names of the tasks: gymnasium.make("madviz/hammer-v0").
 """
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -50,3 +52,7 @@ def __getattr__(name: str) -> Any:
     if name not in PUBLIC:
         raise AttributeError(f"madviz has no {name!r}; public names: {', '.join(PUBLIC)}")
     return getattr(import_module(PUBLIC[name]), name)
+
+
+if "gymnasium" in sys.modules:
+    from madviz.envs import gymnasium_env as gymnasium_env

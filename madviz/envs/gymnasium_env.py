@@ -1,4 +1,7 @@
-"""madviz's tasks for programs that speak Gymnasium: ``gymnasium.make("madviz/hammer-v0")``.
+"""madviz's tasks for programs that speak Gymnasium.
+
+    import gymnasium, madviz
+    env = gymnasium.make("madviz/hammer-v0")
 
 An observation is a table, named as LeRobot names it:
 
@@ -131,8 +134,7 @@ def ids() -> dict[str, str]:
 
 
 def register() -> None:
-    """Makes all of ``ids`` known to Gymnasium, which calls this by itself where madviz is
-    installed."""
+    """Makes all of ``ids`` known to Gymnasium; importing this file does it."""
     for name, task in ids().items():
         if name not in gymnasium.registry:
             gymnasium.register(name, entry_point=partial(MadvizEnv, task), order_enforce=True)
