@@ -193,6 +193,13 @@ COMMANDS: dict[str, Command] = {
         work="madviz.bench.crowd:bench_crowd",
         words=PRETTY,
     ),
+    "bench imagine": Command(
+        "What a masked autoencoder draws of a camera that is missing, against two controls.",
+        "bench imagine --task toy/reach --training.updates 2000",
+        config="madviz.bench.imagine:ImagineConfig",
+        work="madviz.bench.imagine:bench_imagine",
+        words="madviz.bench.imagine:imagine_words",
+    ),
     "bench update": Command(
         "One training update against a straightforward implementation.",
         "bench update --batch-size 64 --hidden-dim 512",
@@ -229,7 +236,9 @@ OTHERS = (
     "      madviz --completion bash > ~/.local/share/bash-completion/completions/madviz",
 )
 """The options of ``madviz`` itself."""
-GROUPS = {"bench": "Measures speed: bench render, live, crowd, update, buffer, evaluate, site."}
+GROUPS = {
+    "bench": "Measures: bench render, live, crowd, imagine, update, buffer, evaluate, site."
+}
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -182,7 +182,9 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
         "explore, list, record, replay, report, serve, soak, sweep, train\n"
     )
     assert cli.main(["bench", "wurst"]) == 2
-    assert "known: buffer, crowd, evaluate, live, render, update" in capsys.readouterr().err
+    assert (
+        "known: buffer, crowd, evaluate, imagine, live, render, update" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,221 @@
+"""The masked autoencoder over views: its formulas in float64, and what a hidden view may tell."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from madviz.agent.autoencoder import (
+    LEAST_KEPT,
+    AutoencoderConfig,
+    MultiViewAutoencoder,
+    drawn_tokens,
+    moving,
+    pictures_of,
+    positions,
+    psnr,
+    reconstruction_loss,
+    symlog,
+    whole_views,
+)
+from madviz.bench.imagine import imagined, judged_frames
+from madviz.evaluation.episodes import one_thread
+from madviz.training.autoencoder import (
+    AutoencoderTraining,
+    mean_pictures,
+    new_autoencoder,
+    newest,
+    schedule,
+    train_autoencoder,
+)
+from madviz.training.demonstrations import Dataset, Episode
+
+SMALL = AutoencoderConfig(patch=14, width=16, layers=1, decoder_layers=1, heads=2)
+TINY = AutoencoderConfig(patch=6, width=32, layers=1, decoder_layers=1, heads=2)
+"""For pictures of 24 pixels."""
+VIEWS = ("first", "third_a")
+
+
+def network(seed: int = 0) -> MultiViewAutoencoder:
+    torch.manual_seed(seed)
+    model = MultiViewAutoencoder(SMALL, 9, torch.rand(2, 3, 84, 84)).eval()
+    torch.nn.init.normal_(model.pixels.weight, std=0.1)
+    return model
+
+
+def pictures(batch: int = 2, views: int = 2, seed: int = 0) -> torch.Tensor:
+    rng = np.random.default_rng(seed)
+    return torch.from_numpy(rng.integers(0, 256, (batch, views, 9, 84, 84), np.uint8))
+
+
+def seen_alike(count: int = 3, horizon: int = 20) -> Dataset:
+    """Episodes in which both views show one bright square, at the same place."""
+    data = Dataset(VIEWS, count, horizon)
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        frames = np.full((horizon, 3, 24, 24), 60, np.uint8)
+        places = rng.integers(0, 4, (horizon, 2))
+        for frame, (row, column) in zip(frames, 6 * places, strict=True):
+            frame[:, row : row + 6, column : column + 6] = 220
+        rest = dict.fromkeys(("states", "actions", "labels", "places"), np.zeros((horizon, 2)))
+        rewards = places[:, 0].astype(np.float32)
+        data.add(Episode(dict.fromkeys(VIEWS, frames), **rest, rewards=rewards, success=True))
+    return data
+
+
+def test_nothing_of_a_hidden_view_reaches_what_is_drawn():
+    model, views = network(), pictures()
+    keep = whole_views(torch.tensor([True, False]), model.tokens_of_a_view, 2)
+    before = model(views, keep)
+    views[:, 1] = 255 - views[:, 1]
+    after = model(views, keep)
+    torch.testing.assert_close(after.pictures, before.pictures, rtol=0, atol=0)
+    views[:, 0] = 255 - views[:, 0]
+    assert not torch.equal(model(views, keep).pictures, before.pictures)
+
+
+def test_nothing_of_a_hidden_patch_reaches_its_neighbours():
+    model, views = network(), pictures(1)
+    keep = torch.arange(1, 72)[None]  # All but the first patch of the first view.
+    before = model(views, keep).pictures
+    views[:, 0, :, :14, :14] = 0
+    torch.testing.assert_close(model(views, keep).pictures, before, rtol=0, atol=0)
+
+
+def test_what_has_learned_nothing_draws_the_mean():
+    data = seen_alike()
+    model = new_autoencoder(data, TINY, seed=1)
+    views = data.views(np.arange(4))
+    keep = whole_views(torch.tensor([True, False]), model.tokens_of_a_view, 4)
+    mean = mean_pictures(data, seed=1)
+    torch.testing.assert_close(model(views, keep).pictures, mean.expand(4, -1, -1, -1, -1))
+
+
+@pytest.mark.parametrize("views", [1, 2, 5])
+def test_kept_tokens_are_of_as_many_views_in_every_sample(views: int):
+    tokens, generator = 36, torch.Generator().manual_seed(3)
+    visible, shares, whole = set(), [], 0
+    for _ in range(200):
+        keep = drawn_tokens(generator, 8, views, tokens)
+        of_views = [sorted(set((row // tokens).tolist())) for row in keep]
+        assert len({len(one) for one in of_views}) == 1
+        count = len(of_views[0])
+        visible.add(count)
+        share = keep.shape[1] / (count * tokens)
+        shares.append(share)
+        whole += share == 1
+        assert all(len(set(row.tolist())) == keep.shape[1] for row in keep)
+    assert visible == set(range(1, views + 1))
+    assert min(shares) == pytest.approx(LEAST_KEPT, abs=0.06)
+    assert 40 <= whole <= 95  # A third of 200, and those that round up.
+
+
+def test_kept_tokens_are_a_function_of_the_generator():
+    draws = [drawn_tokens(torch.Generator().manual_seed(seed), 4, 3, 36) for seed in (1, 1, 2)]
+    assert torch.equal(draws[0], draws[1]) and not torch.equal(draws[0], draws[2])
+
+
+def test_all_views_are_hidden_alike_often():
+    generator, hidden = torch.Generator().manual_seed(0), np.zeros(3)
+    for _ in range(300):
+        keep = drawn_tokens(generator, 16, 3, 36)
+        for row in keep:
+            hidden += ~np.isin(np.arange(3), (row // 36).unique().numpy())
+    np.testing.assert_allclose(hidden / hidden.sum(), 1 / 3, atol=0.02)
+
+
+def test_losses_are_those_of_an_independent_computation():
+    rng = np.random.default_rng(0)
+    drawn, truth = rng.uniform(0, 1, (2, 3, 2, 3, 4, 4))
+    mean = truth.mean(0) + rng.choice([0.0, 0.2], (2, 3, 4, 4))
+    moves = np.zeros((3, 2, 4, 4), bool)
+    total = weights = 0.0
+    for b, v, y, x in np.ndindex(3, 2, 4, 4):
+        moves[b, v, y, x] = any(
+            abs(truth[b, v, c, y, x] - mean[v, c, y, x]) > 10 / 255 for c in range(3)
+        )
+        weight = 21.0 if moves[b, v, y, x] else 1.0
+        errors = [(drawn[b, v, c, y, x] - truth[b, v, c, y, x]) ** 2 for c in range(3)]
+        total += weight * sum(errors) / 3
+        weights += weight
+    found = moving(torch.from_numpy(truth), torch.from_numpy(mean))
+    np.testing.assert_array_equal(found.numpy(), moves)
+    loss = reconstruction_loss(torch.from_numpy(drawn), torch.from_numpy(truth), found, 20.0)
+    assert float(loss) == pytest.approx(total / weights, rel=1e-12)
+
+
+def test_psnr_is_over_the_pixels_that_are_asked_for():
+    truth, drawn = torch.zeros(1, 1, 3, 8, 8), torch.zeros(1, 1, 3, 8, 8)
+    drawn[..., :4, :] = 0.1
+    where = torch.zeros(1, 1, 8, 8, dtype=torch.bool)
+    where[..., :4, :] = True
+    assert float(psnr(drawn, truth, where)) == pytest.approx(20.0, abs=1e-4)
+    everywhere = torch.ones_like(where)
+    assert float(psnr(drawn, truth, everywhere)) == pytest.approx(20 + 10 * math.log10(2))
+    assert float(psnr(drawn + 5, truth, where)) == pytest.approx(0.0)  # Never brighter than white.
+
+
+def test_rewards_are_squeezed_symmetrically():
+    found = symlog(torch.tensor([-10.0, 0.0, 10.0, 1000.0], dtype=torch.float64))
+    expected = [-math.log(11), 0.0, math.log(11), math.log(1001)]
+    np.testing.assert_allclose(found.numpy(), expected, rtol=1e-12)
+
+
+def test_patches_and_positions_are_in_the_order_of_the_stem():
+    model, views = network(), pictures(1, 2)
+    tokens = model.tokens(views)
+    changed = views.clone()
+    changed[0, 1, :, 14:28, 70:84] = 0  # Row 1, column 5 of the second view.
+    different = (model.tokens(changed) != tokens).any(-1)[0].nonzero().flatten().tolist()
+    assert different == [36 + 6 + 5]
+    patches = torch.zeros(1, 1, 36, 3 * 14 * 14)
+    patches[0, 0, 11] = 1
+    where = pictures_of(patches, 14)[0, 0, 0].nonzero()
+    assert where.min(0).values.tolist() == [14, 70] and where.max(0).values.tolist() == [27, 83]
+    marks = positions(6, 16)
+    assert marks.shape == (36, 16)
+    np.testing.assert_allclose(marks[11, 0], math.sin(1), rtol=1e-6)  # Row 1 at the fastest rate.
+    np.testing.assert_allclose(marks[11, 8], math.sin(5), rtol=1e-6)  # Column 5.
+
+
+def test_patches_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="no even patches of 13"):
+        MultiViewAutoencoder(AutoencoderConfig(patch=13), 9, torch.zeros(2, 3, 84, 84))
+
+
+def test_the_rate_rises_and_falls():
+    rates = [schedule(step / 100) for step in range(101)]
+    assert rates[0] < 1e-6 and max(rates) > 0.99 and rates[-1] < 1e-6
+    assert rates.index(max(rates)) == 5
+
+
+def test_a_view_is_imagined_from_another_after_training():
+    data = seen_alike(6)
+    model = new_autoencoder(data, TINY, seed=0)
+    before = imagined(model, data, 30, seed=0)
+    losses: list[float] = []
+    config = AutoencoderTraining(updates=600, batch_size=16, learning_rate=3e-3)
+    with one_thread():
+        train_autoencoder(model, data, config, 0, lambda update, loss: losses.append(loss))
+    after = imagined(model, data, 30, seed=0)
+    assert losses[-1] < 0.5 * losses[0]
+    assert [row["gain"] for row in before] == [0.0, 0.0]
+    assert all(row["gain"] > 3 for row in after), after
+    assert {(row["hidden"], row["from"]) for row in after} == {
+        ("third_a", "first"),
+        ("first", "third_a"),
+    }
+
+
+def test_controls_come_from_other_episodes():
+    data = seen_alike(4)
+    index, other = judged_frames(data, 50, seed=0)
+    assert len(index) == 50 and (index // data.horizon != other // data.horizon).all()
+
+
+def test_newest_is_the_last_of_the_stack():
+    views = pictures(1, 2)
+    torch.testing.assert_close(newest(views)[0, 1], views[0, 1, 6:].float() / 255)
