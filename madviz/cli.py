@@ -32,14 +32,6 @@ from madviz.system.streams import open_standard_streams, say, telling
 
 
 @dataclass(frozen=True)
-class ListConfig:
-    """Lists tasks, settings, methods and the policies that were found."""
-
-    json: str | None = None
-    """Write the list to this file; ``-`` is standard output, and then nothing else goes there."""
-
-
-@dataclass(frozen=True)
 class Command:
     """A line of the table. Names are written ``module:name`` and are only imported when the command
     is used."""
@@ -91,8 +83,8 @@ COMMANDS: dict[str, Command] = {
     "list": Command(
         "Lists tasks, settings, methods and policies.",
         "list --json list.json",
-        config="madviz.cli:ListConfig",
-        work="madviz.cli:run_list",
+        config="madviz.policies.listing:ListConfig",
+        work="madviz.policies.listing:run_list",
         words="madviz.policies.listing:catalogue",
     ),
     "doctor": Command(
@@ -236,9 +228,7 @@ OTHERS = (
     "      madviz --completion bash > ~/.local/share/bash-completion/completions/madviz",
 )
 """The options of ``madviz`` itself."""
-GROUPS = {
-    "bench": "Measures: bench render, live, crowd, imagine, update, buffer, evaluate, site."
-}
+GROUPS = {"bench": "Measures: bench render, live, crowd, imagine, update, buffer, evaluate, site."}
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -391,10 +381,3 @@ def printing_to_stderr() -> Iterator[None]:
         sys.stdout.flush()
         os.dup2(saved, 1)
         os.close(saved)
-
-
-def run_list(config: ListConfig) -> dict[str, Any]:
-    """What ``madviz list --json`` writes."""
-    from madviz.policies.listing import list_everything
-
-    return dict(list_everything())

@@ -23,6 +23,7 @@ from madviz.agent.methods import METHODS
 from madviz.envs.registry import SETTINGS, TASKS
 from madviz.errors import UserError, perhaps, saving, unknown
 from madviz.policies.checkpoint import policy_folders
+from madviz.policies.listing import ListConfig
 from madviz.training.config import RECIPES
 from tests.mistakes import refused
 
@@ -243,7 +244,8 @@ def test_ctrl_c_ends_without_a_traceback(
 
 def test_with_a_dash_only_the_json_goes_to_standard_output() -> None:
     program = (
-        "import os; from madviz.cli import ListConfig, deliver\n"
+        "import os; from madviz.cli import deliver\n"
+        "from madviz.policies.listing import ListConfig\n"
         "def work(config):\n"
         "    print('from Python'); os.system('echo from a child'); os.write(1, b'from C')\n"
         "    return {'a': 1}\n"
@@ -259,7 +261,7 @@ def test_a_file_gets_the_json_and_the_terminal_the_words(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "out.json"
-    cli.deliver(cli.ListConfig(str(path)), lambda config: {"a": 1}, lambda result: "one a")
+    cli.deliver(ListConfig(str(path)), lambda config: {"a": 1}, lambda result: "one a")
     assert json.loads(path.read_text()) == {"a": 1}
     assert capsys.readouterr().out == "one a\n"
 
@@ -268,7 +270,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path
     worked: list[str] = []
     for place, said in (("missing/out.json", "a folder that exists"), (".", "found a folder")):
         with pytest.raises(UserError, match=f"^--json .*{said}"):
-            config = cli.ListConfig(str(tmp_path / place))
+            config = ListConfig(str(tmp_path / place))
             cli.deliver(config, lambda _: {"worked": worked.append("")}, str)
     assert worked == []
 
@@ -292,7 +294,7 @@ def test_list_has_the_shape_that_is_documented() -> None:
 def test_what_was_measured_is_printed_where_it_cannot_be_written(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    config = cli.ListConfig("/dev/full")
+    config = ListConfig("/dev/full")
     with pytest.raises(UserError, match="^--json /dev/full could not be written: No space left"):
         cli.deliver(config, lambda _: {"a": 1}, lambda result: "one a")
     assert capsys.readouterr().out == 'one a\n{"a": 1}\n'
@@ -306,7 +308,7 @@ def test_a_result_is_printed_whatever_else_could_not_be_written(
         with saving({"a": 1}, "--card"):
             Path("/dev/full").write_text("x")
 
-    config = cli.ListConfig("-" if place == "-" else str(tmp_path / place))
+    config = ListConfig("-" if place == "-" else str(tmp_path / place))
     with pytest.raises(UserError, match="^--card could not be written: No space left"):
         cli.deliver(config, work)
     assert json.loads(capfd.readouterr().out) == {"a": 1}
@@ -320,6 +322,6 @@ def test_a_place_that_takes_no_file_is_refused_before_the_work(
     monkeypatch.chdir(tmp_path)
     Path("ring").symlink_to("ring")
     with pytest.raises(UserError, match="^--json .*expected") as error:
-        cli.deliver(cli.ListConfig(place), lambda _: pytest.fail("worked"), str)
+        cli.deliver(ListConfig(place), lambda _: pytest.fail("worked"), str)
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
     assert [path.name for path in tmp_path.iterdir()] == ["ring"]

@@ -19,7 +19,8 @@ from madviz.session.commands import (
     StepOnce,
 )
 from madviz.session.frame import Frame, words
-from madviz.session.session import FIRST_SEED, HOLD
+from madviz.session.pace import HOLD
+from madviz.session.session import FIRST_SEED
 from tests.sessions import BLACK, OFF, Recorder
 
 

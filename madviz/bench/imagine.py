@@ -19,7 +19,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -69,9 +69,9 @@ class ImagineConfig:
     """Frames that are judged, of other episodes."""
     seed: Seed = 0
     """Of networks and batches."""
-    training: AutoencoderTraining = AutoencoderTraining()
+    training: AutoencoderTraining = field(default_factory=AutoencoderTraining)
     """How it is trained."""
-    network: AutoencoderConfig = AutoencoderConfig()
+    network: AutoencoderConfig = field(default_factory=AutoencoderConfig)
     """Its sizes."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -14,6 +15,14 @@ from madviz.policies import checkpoint
 from madviz.policies.config import PolicyConfig, read_config
 from madviz.policies.measured import SubsetRow, as_evaluation
 from madviz.system.files import read_json
+
+
+@dataclass(frozen=True)
+class ListConfig:
+    """Lists tasks, settings, methods and the policies that were found."""
+
+    json: str | None = None
+    """Write the list to this file; ``-`` is standard output, and then nothing else goes there."""
 
 
 class RateRow(TypedDict):
@@ -177,3 +186,8 @@ def catalogue(listed: dict[str, Any]) -> str:
         lines.append(f"  {policy['name']:44} {policy['task']:24} {rate}{weights}")
     lines += [f"  {each['name']:44} broken: {each['error']}" for each in listed["broken"]]
     return "\n".join(lines)
+
+
+def run_list(config: ListConfig) -> dict[str, Any]:
+    """What ``madviz list --json`` writes."""
+    return dict(list_everything())

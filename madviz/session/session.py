@@ -9,16 +9,11 @@ that touch a camera are served between the camera renders of a step, too:
 
     tick ── serve ── act ── step ── draw A ── serve ── draw B ── serve ── draw C ── encode ── emit
                                                 └─ re-read, emit             (about 5 ms each)
-
-Pacing, with 10 decisions a second: the step at 3.20 s makes the next one due at 3.30 s. If the
-machine gets there at 3.34 s the next is due at 3.40 s; if a step is more than one period late, the
-schedule restarts from now. The page says which rate was achieved.
 """
 
 from __future__ import annotations
 
 import logging
-import math
 import queue
 import threading
 import time
@@ -49,6 +44,7 @@ from madviz.session.commands import (
 )
 from madviz.session.frame import Frame, NoFrame, Phase, SessionPace
 from madviz.session.live_session import MOST_WAITING, TOO_MANY, Listener
+from madviz.session.pace import StepClock
 from madviz.session.session_file import SavedEpisode, SavedSession
 from madviz.session.stage import EnvFactory, Stage
 from madviz.system.processes import lower_thread_priority
@@ -58,12 +54,8 @@ log = logging.getLogger(__name__)
 
 FIRST_SEED = 2000
 """Live episodes start here: training is below 1000, selection below 2000, cards from 5000."""
-HOLD = 2.0
-"""Seconds an ended episode stays on the page before the next one starts; none at full speed."""
 NICENESS = 10
 """Of the simulating thread, on a scale where 19 yields to all others; workers are at 15."""
-RATE_WINDOW = 20
-"""Decisions over which the achieved rate is measured."""
 
 
 class Session:
@@ -89,12 +81,9 @@ class Session:
         """Guards ``_listeners``."""
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
-        self._speed, self._auto_next = speed, True
+        self._pace, self._auto_next = StepClock(speed), True
         self._read_all, self._pass_takes = False, 0.0
         self._phase: Phase = "paused" if script else "playing"
-        self._due = 0.0
-        self._intervals: deque[float] = deque(maxlen=RATE_WINDOW)
-        self._stepped: float | None = None
         self._number, self._error = 0, ""
         self.latest: Frame | NoFrame | None = None
 
@@ -162,16 +151,16 @@ class Session:
         while self._backlog and not self._closing.is_set():
             command = self._backlog.popleft()
             self._guarded(lambda command=command: self._carry_out(command, now))
-        if self._moving() and now >= self._due and not self._closing.is_set():
+        if self._moving() and now >= self._pace.due and not self._closing.is_set():
             self._guarded(lambda: self._advance(now))
         self._guarded(lambda: self._explain(now))
         if self._read_all and self._read_more(now):
             return now  # More may be waiting.
-        return self._due if self._moving() else None
+        return self._pace.due if self._moving() else None
 
     def _read_more(self, now: float) -> bool:
         """One subset more, if the next step leaves time for it; whether one was read."""
-        if self._error or (self._moving() and now + self._pass_takes >= self._due):
+        if self._error or (self._moving() and now + self._pass_takes >= self._pace.due):
             return False
         began, numbers = time.monotonic(), self._number
         self._guarded(lambda: self._stage.read_more(self._emit))
@@ -181,7 +170,7 @@ class Session:
     def _explain(self, now: float) -> None:
         """After everything else, because it takes as long as a step."""
         moving = self._phase == "playing"
-        if self._stage.explain(now, moving, hurried=self._speed is None):
+        if self._stage.explain(now, moving, hurried=self._pace.speed is None):
             self._emit()
 
     def _moving(self) -> bool:
@@ -216,7 +205,7 @@ class Session:
 
     def _began(self, now: float) -> None:
         self._error = ""
-        self._due, self._stepped = now + self._period, None
+        self._pace.begin(now)
         self._emit()
 
     def _advance(self, now: float) -> None:
@@ -226,18 +215,11 @@ class Session:
             self._begin(self._stage.seed + 1, now)
             return
         self._stage.step(self._serve_cameras)
-        if self._stepped is not None:
-            self._intervals.append(now - self._stepped)
-        self._stepped = now
-        self._due = max(self._due + self._period, now)
+        self._pace.step(now)
         if self._stage.ended:
             self._phase = "ended"
-            self._due = now + (HOLD if self._speed is not None else 0.0)
+            self._pace.hold(now)
         self._emit()
-
-    @property
-    def _period(self) -> float:
-        return 0.0 if self._speed is None else 1 / self._speed
 
     # Commands.
 
@@ -287,9 +269,9 @@ class Session:
             case StepOnce():
                 self._step_once(now)
             case SetSpeed(rate):
-                self._speed = rate
-                self._due = now if self._phase == "playing" else self._due
-                self._forget_rate()
+                self._pace.speed = rate
+                self._pace.due = now if self._phase == "playing" else self._pace.due
+                self._pace.forget()
                 self._emit()
             case SetAutoNext(on):
                 self._auto_next = on
@@ -308,7 +290,7 @@ class Session:
             case Fork():
                 self._stage.fork()
                 self._play(now)
-                self._due = now + self._period
+                self._pace.due = now + self._pace.period
             case Compare(name, ablation):
                 self._stage.compare(name, ablation)
                 self._began(now)
@@ -332,14 +314,14 @@ class Session:
         elif self._stage.ended:
             self._begin(self._stage.seed + 1, now)
         else:
-            self._due = now
+            self._pace.due = now
         self._phase, self._error = "playing", ""
-        self._forget_rate()
+        self._pace.forget()
         self._emit()
 
     def _halt(self) -> None:
         self._phase = "paused"
-        self._forget_rate()
+        self._pace.forget()
         self._emit()
 
     def _step_once(self, now: float) -> None:
@@ -354,26 +336,19 @@ class Session:
     def _swap(self, name: str) -> None:
         """Another policy. After an error it may be the one that can go on."""
         self._stage.swap(name)
-        self._error, self._stepped = "", None
+        self._error = ""
+        self._pace.interrupt()
         self._emit()
 
     # Frames.
-
-    def _forget_rate(self) -> None:
-        self._intervals.clear()
-        self._stepped = None
-
-    def _rate(self) -> float:
-        taken = sum(self._intervals)
-        return len(self._intervals) / taken if len(self._intervals) >= 4 and taken else math.nan
 
     def _emit(self, keep: bool = True) -> None:
         self._number += 1
         pace = SessionPace(
             number=self._number,
             phase=self._phase,
-            speed=self._speed,
-            rate=self._rate(),
+            speed=self._pace.speed,
+            rate=self._pace.rate,
             auto_next=self._auto_next,
             error=self._error,
         )

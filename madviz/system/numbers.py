@@ -71,8 +71,9 @@ def check_numbers(config: Any) -> None:
         value = config
         for name in option.removeprefix("--").split("."):
             value = getattr(value, name.replace("-", "_"))
-        if allowed is not None and value is not None and not allowed.holds(value):
-            raise UserError(f"{option}: expected {allowed.in_words(kind)}, found {value}")
+        for each in value if isinstance(value, tuple) else (value,):
+            if allowed is not None and each is not None and not allowed.holds(each):
+                raise UserError(f"{option}: expected {allowed.in_words(kind)}, found {each}")
 
 
 def check_words(config: type, words: Sequence[str]) -> None:
