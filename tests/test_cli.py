@@ -180,11 +180,12 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
     assert cli.main(["wurst"]) == 2
     assert capsys.readouterr().err == (
         "madviz: unknown command 'wurst'; known: audit, bench, compare, displace, doctor, eval, "
-        "explore, list, record, replay, report, serve, soak, sweep, train\n"
+        "explore, list, record, replay, report, serve, site, soak, sweep, train\n"
     )
     assert cli.main(["bench", "wurst"]) == 2
     assert (
-        "known: buffer, crowd, evaluate, imagine, live, render, update" in capsys.readouterr().err
+        "known: buffer, crowd, evaluate, imagine, live, render, site, update"
+        in capsys.readouterr().err
     )
 
 

@@ -342,8 +342,9 @@ def success_table(result: EvaluationFile) -> str:
     """An evaluation as lines: subset, success with its interval, episodes."""
     lines = [f"{result['policy']} on {result['task']}: success {result['definition']}"]
     for name, row in result["subsets"].items():
+        low, high = row["ci95"]
         lines.append(
-            f"  {name:24} {SuccessRate(row['success'], row['ci95'], row['n'])}"
+            f"  {name:24} {SuccessRate(row['success'], (low, high), row['n'])}"
             f"   any step {row['success_any']:.2f}"
             + ("" if row["trained"] else "   not trained on this subset")
         )
