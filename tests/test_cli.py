@@ -183,10 +183,8 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
         "explore, list, record, replay, report, serve, site, soak, sweep, train\n"
     )
     assert cli.main(["bench", "wurst"]) == 2
-    assert (
-        "known: buffer, crowd, evaluate, imagine, live, render, site, update"
-        in capsys.readouterr().err
-    )
+    known = "known: buffer, crowd, evaluate, imagine, live, render, site, update"
+    assert known in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
