@@ -136,7 +136,7 @@ def chosen(names: Sequence[str]) -> list[PolicyFolder]:
     for one in found:
         if not fits(one):
             raise UserError(
-                f"expected policies that sum the features of colour cameras, "
+                f"expected policies that sum the features of the three cameras, "
                 f"found {one.spec.name}; leave it out of --policies"
             )
     first = [OPENING["first"], OPENING["second"]]
@@ -144,8 +144,8 @@ def chosen(names: Sequence[str]) -> list[PolicyFolder]:
 
 
 def fits(folder: PolicyFolder) -> bool:
-    """Whether a site can hold the policy."""
-    return folder.config.merge == "sum" and folder.spec.setting == "three"
+    """Whether a site can hold the policy. Depth is drawn within 1 mm of the server's."""
+    return folder.config.merge == "sum" and folder.spec.setting in ("three", "three-rgbd")
 
 
 def begin(out: Path) -> int:
