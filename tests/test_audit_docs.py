@@ -1,0 +1,26 @@
+"""The policy in docs/audit.md is one, and its audit says what the page says."""
+
+import re
+import textwrap
+from pathlib import Path
+
+from madviz.auditing.audit import audit
+from madviz.types import Policy
+
+PAGE = Path(__file__).parent.parent / "docs" / "audit.md"
+
+
+def test_the_policy_in_the_docs_is_audited_as_the_docs_say():
+    (code,) = re.findall(r"^    ```python\n(.*?)^    ```", PAGE.read_text(), re.M | re.S)
+    names: dict = {}
+    exec(textwrap.dedent(code), names)
+    policy = names["make"]()
+    assert isinstance(policy, Policy)
+    found = audit(policy, episodes=16, how=())
+    assert found["verdict"] == {
+        "first": "no use shown",
+        "third_a": "no use shown",
+        "third_b": "needed",
+    }
+    assert found["decided_by"]["first"] == {"removed": "mean", "alone": "mean"}
+    assert "Third B is needed, and of the other two no use is shown" in PAGE.read_text()
