@@ -87,6 +87,8 @@ def test_a_signal_from_elsewhere_stops_a_job_or_fails_it(job: TrainingJob, numbe
     job._child.send_signal(number)
     ended = until(job, lambda status: status.state not in ("running", "stopping"))
     assert ended.state == ("stopped" if number == signal.SIGTERM else "failed")
+    killed = "it was ended by SIGKILL, as a system does that has no memory left; go on resumes"
+    assert (killed in training_html(ended)) == (number == signal.SIGKILL)
     job.resume()
     assert until(job, lambda status: status.state == "done").done == 1.0
 

@@ -28,7 +28,7 @@ from madviz.app import connection
 from madviz.app.connection import BURST, LARGEST, PACE, Pace, is_downloading
 from madviz.app.rates import MOST_CONDITIONS, SuccessRates
 from madviz.app.server import App
-from madviz.app.toolkit import download, one_at_a_time
+from madviz.app.toolkit import download, guarded, one_at_a_time
 from madviz.app.users import Limits
 from madviz.bench.visitor import Visitor
 from madviz.envs.registry import make_env
@@ -278,6 +278,15 @@ def test_a_file_waits_for_the_one_before(server: viser.ViserServer) -> None:
     with pytest.raises(UserError, match="one file at a time"):
         download(client, "two.json", b"{}")
     assert sent == ["one.json"]
+
+
+def test_a_folder_that_takes_no_files_is_said_on_the_page(server: viser.ViserServer) -> None:
+    def start() -> None:
+        raise PermissionError(13, "Permission denied", "runs/page")
+
+    client = browser(server)
+    guarded(client, start)
+    assert client.notes == [("That did not work", "runs/page: Permission denied")]
 
 
 def test_a_slow_button_has_one_press_at_work() -> None:

@@ -92,6 +92,9 @@ def guarded(client: viser.ClientHandle, work: Callable[[], None]) -> None:
         work()
     except UserError as error:
         notify(client, "That did not work", str(error))
+    except OSError as error:  # A folder that takes no files, a full disk.
+        where = f"{error.filename}: " if error.filename else ""
+        notify(client, "That did not work", f"{where}{error.strerror or error}")
     except MISTAKES as error:
         if note(client._websock_connection, error):
             notify(client, "That did not work", "The page sent a value that means nothing here.")

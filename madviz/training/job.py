@@ -229,6 +229,11 @@ class TrainingJob:
 
     def _why(self) -> str:
         assert self._folder is not None
+        code = self._child.poll() if self._child is not None else None
+        if code is not None and code < 0 and code not in STOPPED:  # It could not say anything.
+            name = signal.Signals(-code).name
+            hint = ", as a system does that has no memory left" if code == -signal.SIGKILL else ""
+            return f"it was ended by {name}{hint}; go on resumes from what was saved last"
         log = (self._folder / "log.txt").read_text(errors="replace").strip()
         return log.splitlines()[-1][-LOG_END:] if log else "it left no word"
 
