@@ -159,3 +159,16 @@ def test_on_ray_a_killed_node_costs_nothing_that_was_finished(
     for run in here["runs"]:
         name = f"{run['name']}/result.json"
         assert (tmp_path / "here" / name).read_bytes() == (out / name).read_bytes()
+
+
+def test_a_cluster_that_does_not_start_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def slow(**options: Any) -> None:
+        raise Exception("The current node timed out during startup.\nSee the logs.")
+
+    fake = SimpleNamespace(is_initialized=lambda: False, init=slow)
+    monkeypatch.setitem(sys.modules, "ray", fake)
+    with pytest.raises(UserError, match="found: The current node timed out") as refused:
+        run_sweep(config(tmp_path, backend="ray"))
+    assert "\n" not in str(refused.value)

@@ -80,7 +80,7 @@ class RayBackend:
             else:
                 cores = max(os.cpu_count() or 1, cpus)
                 self._ray.init(num_cpus=cores, include_dashboard=False, **quiet)
-        except (ConnectionError, RuntimeError, ValueError) as error:
+        except Exception as error:  # On a busy machine Ray raises a bare one: it timed out.
             raise UserError(
                 f"expected a Ray cluster at {address or 'this machine'}, found: {error}; "
                 "start one with `ray start --head`, or leave --backend ray out"
