@@ -38,7 +38,7 @@ from madviz.observation.grammar import failure_text, parse_failure
 from madviz.observation.schedule import parse_schedule, schedule_words
 from madviz.policies import checkpoint
 from madviz.policies.checkpoint import describe, shipped_evaluation
-from madviz.policies.listing import list_policies
+from madviz.policies.listing import ListConfig, catalogue, list_policies, run_list
 from madviz.session.session_reader import parse
 from madviz.system.options import options
 from tests.pages import fake_app
@@ -195,7 +195,7 @@ def policy_folder(both: tuple[Any, Any], folder: Path) -> None:
     assert len(listed) + len(broken) >= 1
     for each in broken:
         assert "\n" not in each["error"]
-    cli.catalogue(cli.run_list(cli.ListConfig())).encode()
+    catalogue(run_list(ListConfig())).encode()
     shutil.rmtree(path)
 
 
