@@ -29,6 +29,7 @@ from madviz.evaluation.store import Store
 from madviz.policies import checkpoint
 from madviz.policies.checkpoint import PolicyName
 from madviz.policies.listing import list_policies
+from madviz.policies.sb3 import trust
 from madviz.session.live_session import LiveSession
 from madviz.session.process import SessionProcess, prepare
 from madviz.session.replay import check_policies, differences, finder
@@ -54,6 +55,8 @@ class ExploreConfig:
     wire: Path | None = None
     """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
     itself."""
+    trust: bool = False
+    """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
     task: TaskName | None = None
     """Offer only policies of this task, for example metaworld/hammer or, one of your own,
     module:factory."""
@@ -172,6 +175,7 @@ def open_app(config: ExploreConfig) -> App:
     sys.setswitchinterval(0.001)
     prepare("madviz.app.session_maker")
     allow_task(config.task)
+    trust(config.policy, config.trust)
     choices = policy_choices(config.task)
     script, given = saved_episode(config)
     named = with_wire(config.policy or "", config.wire)

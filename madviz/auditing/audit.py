@@ -29,6 +29,7 @@ from madviz.evaluation.evaluate import adopted, run_anywhere
 from madviz.evaluation.store import MEMORY, Store
 from madviz.policies import checkpoint
 from madviz.policies.config import definition_of
+from madviz.policies.sb3 import trust
 from madviz.system.files import read_json, write_bytes, write_json, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
 from madviz.types import Policy
@@ -62,6 +63,8 @@ class AuditConfig:
     wire: Path | None = None
     """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
     itself."""
+    trust: bool = False
+    """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
 
 
 def audit(
@@ -150,6 +153,7 @@ class Episodes:
 def run_audit(config: AuditConfig) -> AuditFile:
     """``madviz audit``; progress goes to standard error. Raises Interrupted at Ctrl-C, and
     UserError for a policy of another task and a folder with another audit."""
+    trust(config.policy, config.trust)
     reference = with_wire(config.policy, config.wire)
     policy = checkpoint.load_policy(reference)
     if config.task not in (None, policy.spec.task):

@@ -39,6 +39,7 @@ from madviz.observation.grammar import parse_occlusions
 from madviz.policies import checkpoint
 from madviz.policies.card import write_card
 from madviz.policies.measured import EpisodeRow, EvaluationFile, SubsetRow, seeds_of
+from madviz.policies.sb3 import trust
 from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json, written_to
@@ -259,6 +260,8 @@ class EvalConfig:
     wire: Path | None = None
     """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
     itself."""
+    trust: bool = False
+    """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
     subsets: tuple[str, ...] = ()
     """For example ``all first first+third_b none``; by default all, the trained ones, every
     stream alone, and none."""
@@ -284,6 +287,7 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
         raise UserError(
             "a card is about a policy folder's intact cameras: drop --occlude or --card"
         )
+    trust(config.policy, config.trust)
     folder = checkpoint.find_policy(config.policy) if config.card else None
     if folder is not None:
         for name in (checkpoint.EVALUATION, checkpoint.DEVELOPMENT):

@@ -29,6 +29,7 @@ from madviz.envs.custom import allow_task
 from madviz.errors import UserError, perhaps
 from madviz.policies.config import PolicyConfig, check_config, digest, read_config
 from madviz.policies.measured import EvaluationFile, as_evaluation
+from madviz.policies.sb3 import is_sb3, load_sb3
 from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.options import Listed
 from madviz.system.plugins import made_by
@@ -158,12 +159,15 @@ def is_folder(policy: str | Path) -> bool:
 
 def load_policy(policy: str | Path) -> Policy:
     """A policy that can act: from a folder, a name (see ``policy_roots``), ``module:factory``, or
-    ``ws://host:port`` of one that is served (``madviz.wire.reference``).
+    ``ws://host:port`` of one that is served (``madviz.wire.reference``), or ``sb3:FILE@TASK`` of
+    Stable-Baselines3, if that was trusted (``sb3.py``).
 
     Raises UserError for anything but a complete, finite policy of a known format.
     """
     if is_served(str(policy)):
         return connect(str(policy))
+    if is_sb3(str(policy)):
+        return load_sb3(str(policy))
     if not is_folder(policy):
         return _from_factory(str(policy))
     path = find_policy(policy)

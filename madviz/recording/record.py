@@ -33,6 +33,7 @@ from madviz.observation.schedule import (
     schedule_words,
 )
 from madviz.policies import checkpoint
+from madviz.policies.sb3 import trust
 from madviz.recording.facts import Facts
 from madviz.session.commands import Play, SetSchedule
 from madviz.session.frame import Frame, NoFrame
@@ -67,6 +68,8 @@ class RecordConfig:
     wire: Path | None = None
     """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
     itself."""
+    trust: bool = False
+    """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
     seed: Seed = FIRST_SEED
     """Which episode."""
     drop: tuple[str, ...] = ()
@@ -154,6 +157,7 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         written_to(config.keep, "--keep")
     saved = read_session(config.replay) if config.replay else None
     script = saved.episode(config.episode) if saved else None
+    trust(config.policy, config.trust)
     named = with_wire(config.policy or "", config.wire)
     find = finder((named,) if named else ())
     policy = find(script.policy) if script else checkpoint.load_policy(named)
