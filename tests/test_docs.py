@@ -63,6 +63,13 @@ def test_figures_in_the_text_are_those_in_the_files() -> None:
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
 
+def test_pictures_of_the_page_are_all_shown_and_small() -> None:
+    pictures = sorted((ROOT / "docs" / "panels").glob("*.png"))
+    shown = re.findall(r"\]\((panels/.*?\.png)\)", (ROOT / "docs" / "page.md").read_text())
+    assert sorted(shown) == [f"panels/{file.name}" for file in pictures]
+    assert sum(file.stat().st_size for file in pictures) < 1_000_000
+
+
 def test_what_was_tried_is_said_of_tasks() -> None:
     file = ROOT / "results" / "tried.json"
     found = typed(json.loads(file.read_text()), dict[str, list[str]], file, "")

@@ -1,45 +1,103 @@
-"""Takes docs/page.png, the README's picture, of the page as a visitor sees it:
+"""Takes the pictures of docs/page.md, of the page as a visitor sees it:
 
-python -m tests.e2e.picture [WIDTH HEIGHT FILE]
+python -m tests.e2e.picture
+
+docs/page.png is the whole page, docs/panels/NAME.png one part of it each. Colours are reduced to
+``COLOURS``, or the site would grow by megabytes.
 """
 
 from __future__ import annotations
 
-import sys
+from io import BytesIO
 from pathlib import Path
 
-from playwright.sync_api import sync_playwright
+from PIL import Image
+from playwright.sync_api import FloatRect, Page, sync_playwright
 
 from madviz.app.server import ExploreConfig, open_app
 from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+WIDTH, HEIGHT = 1280, 800
+LEFT, RIGHT = 643, 957
+"""Where the left panel ends and the right one begins, in pixels."""
+COLOURS = 255
+TABS = ("Features", "Subsets", "Shapley", "Inside", "Move", "Timeline", "Failures", "Train", "Save")
 
-def take(width: int, height: int, file: Path) -> None:
-    """One camera dropped, another frozen, some steps into an episode."""
+
+def keep(page: Page, name: str, clip: FloatRect | None = None, wait: int = 1_500) -> None:
+    """Writes what the page, or a part of it, shows after ``wait`` milliseconds."""
+    page.mouse.move(800, 780)  # Or the hint of the last button would lie over the others.
+    page.wait_for_timeout(wait)
+    picture = Image.open(BytesIO(page.screenshot(clip=clip))).convert("RGB")
+    file = DOCS / f"{name}.png"
+    file.parent.mkdir(exist_ok=True)
+    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(file, optimize=True)
+    print(file, f"{file.stat().st_size / 1000:.0f} kB")
+
+
+def part(page: Page, selector: str, left: float, right: float, bottom: float = HEIGHT) -> FloatRect:
+    """From the top of what is found down to ``bottom``."""
+    box = page.locator(selector).first.bounding_box()
+    assert box is not None
+    return {"x": left, "y": box["y"], "width": right - left, "height": bottom - box["y"]}
+
+
+def take(page: Page) -> None:
+    """One camera dropped, another frozen, some steps into an episode; then a comparison."""
+    page.wait_for_selector(".mv-status", timeout=60_000)
+    keep(page, "panels/greeting", {"x": LEFT, "y": 0, "width": RIGHT - LEFT, "height": 290})
+    page.get_by_role("button", name="explore one policy").click()
+    page.wait_for_timeout(9_000)
+    page.get_by_role("button", name="off").nth(1).click()
+    page.get_by_role("button", name="freeze").nth(2).click()
+    page.wait_for_timeout(2_500)
+    keep(page, "page")
+    tabs = page.locator("[role=tablist]").last.bounding_box()
+    assert tabs is not None
+    whole = {"x": 0.0, "y": 58.0, "width": float(LEFT), "height": tabs["y"] - 58}
+    keep(page, "panels/cameras", whole)  # type: ignore[arg-type]
+    keep(page, "panels/scene", {"x": LEFT, "y": 0, "width": RIGHT - LEFT, "height": HEIGHT})
+    success = part(page, "text=Success at the last step", RIGHT, WIDTH)
+    keep(page, "panels/success", success)
+    keep(page, "panels/policy", {**success, "y": 55, "height": success["y"] - 55})
+    below: FloatRect = {"x": 0, "y": tabs["y"], "width": LEFT, "height": HEIGHT - tabs["y"]}
+    for name in TABS:
+        page.get_by_role("tab", name=name).click()
+        if name == "Inside":
+            page.get_by_role("button", name="for its Q").click()
+            page.get_by_text("Bright: if this pixel").wait_for(timeout=60_000)
+        keep(page, f"panels/{name.lower()}", below)
+        if name == "Inside":
+            page.locator("[data-mv-grid=saliency] button").first.click()
+    compare(page)
+
+
+def compare(page: Page) -> None:
+    """MAD against Merged Only, when both have ended."""
+    page.get_by_role("tab", name="A/B").click()
+    page.get_by_role("button", name="compare").click()
+    page.get_by_role("button", name="MAD against Merged Only").click()
+    ended = "() => [...document.querySelectorAll('.mv-side .tag')].some(e => e.innerText == 'FAIL')"
+    page.wait_for_function(ended, timeout=120_000)
+    picture: FloatRect = {"x": 0, "y": 58, "width": LEFT, "height": HEIGHT - 58}
+    keep(page, "panels/comparison", picture, wait=0)
+
+
+def main() -> None:
     app = open_app(ExploreConfig(port=8137, workers=1))
     try:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(
                 executable_path=str(find_browser()), args=list(CHROMIUM_FLAGS)
             )
-            page = browser.new_page(viewport={"width": width, "height": height})
+            page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
             page.goto(app.url)
-            page.wait_for_selector(".mv-status", timeout=60_000)
-            page.wait_for_timeout(9_000)
-            page.get_by_role("button", name="off").nth(1).click()
-            page.get_by_role("button", name="freeze").nth(2).click()
-            page.wait_for_timeout(2_500)
-            for toast in page.locator("[role=alert] button").all():
-                toast.click()
-            page.mouse.move(800, 780)  # Or the hint of the last button would lie over the others.
-            page.wait_for_timeout(1_500)
-            file.parent.mkdir(exist_ok=True)
-            page.screenshot(path=file)
+            take(page)
             browser.close()
     finally:
         app.stop()
 
 
 if __name__ == "__main__":
-    words = sys.argv[1:] or ["1280", "800", "docs/page.png"]
-    take(int(words[0]), int(words[1]), Path(words[2]))
+    main()
