@@ -18,8 +18,8 @@ BLACK = CameraState("rgb", occlusion=Occlusion("black"))
 class Recorder(Session):
     """A session that keeps its frames, on a clock the test moves."""
 
-    def __init__(self, policy=None, env_factory=make_env, **kwargs) -> None:
-        super().__init__(env_factory, policy or FakePolicy(), policies, **kwargs)
+    def __init__(self, policy=None, env_factory=make_env, load=policies, **kwargs) -> None:
+        super().__init__(env_factory, policy or FakePolicy(), load, **kwargs)
         self.frames: list[Frame] = []
         self.subscribe(lambda frame: self.frames.append(frame))  # type: ignore[arg-type]
         self.time = 0.0

@@ -97,7 +97,7 @@ def test_episodes_may_come_from_a_store(
     store, facts = Store(tmp_path / "store.sqlite"), ("fast", "", "none")
     for policy, successes in zip(two, (3, 1), strict=True):
         evidence = read_evidence(policy)
-        key = ResultKey(Path(policy).name, evidence.task, evidence.definition, *facts)
+        key = ResultKey(Path(policy).name, evidence.config.task, evidence.config.definition, *facts)
         for seed in range(4):
             store.put(key, EpisodeResult("none", seed, seed < successes, True, 0.0))
     store.close()

@@ -27,7 +27,7 @@ from madviz.session.journal import Journal
 from madviz.session.session import Session
 from madviz.session.session_reader import parse
 from tests.fakes import FakePolicy, policies
-from tests.pages import Wire
+from tests.pages import Wire, recorded
 
 CAMERAS = ("first", "third_a", "third_b")
 ENV = make_env("toy/reach").spec
@@ -224,18 +224,20 @@ def test_the_panel_starts_a_scenario_and_says_what_comes_next() -> None:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
         assert isinstance(one.latest, Frame)
-        panel = FailuresPanel(server.gui, one.send, one.latest)
+        gui = recorded(server.gui)
+        panel = FailuresPanel(gui, one.send, one.latest)
+        choice, own = gui.find("Scenario"), gui.find("My own")
         assert "No failures" in panel.update(one.latest)[0].value
-        panel._choice.value = "lens covered"
+        choice.value = "lens covered"
         panel.run()
         frames = {frame.world.step: frame for frame in run(one, 10)}
         assert frames[4].camera("first").occlusion.kind == "none"
         assert frames[5].camera("first").occlusion.kind == "black"
         assert "First person is occluded" in failures_html(frames[4])
         assert "at step 18: First person works again" in failures_html(frames[5])
-        panel._choice.value, panel._own.value = "my own", "third_b@2, first=blur:0.5@3-4"
+        choice.value, own.value = "my own", "third_b@2, first=blur:0.5@3-4"
         assert schedule_words(panel.chosen()) == ["third_b@2", "first=blur:0.5@3-4"]
-        panel._own.value = "third_b@"
+        own.value = "third_b@"
         with pytest.raises(UserError):
             panel.run()
         panel.end()

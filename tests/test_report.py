@@ -243,7 +243,7 @@ def test_an_alpha_ablation_stays_out_of_the_other_tables(tmp_path: Path) -> None
     for alpha in (0.2, 0.8):
         write_policy(tmp_path, rates(1, 1, 1, 1), alpha=alpha, folder=f"alpha{alpha}")
     evidence, _ = find_evidence(tmp_path)
-    assert [each.alpha for each in usual_alphas(evidence)] == [0.5]
+    assert [each.config.training.alpha for each in usual_alphas(evidence)] == [0.5]
     assert [row.label for row in table(tmp_path, "alpha").averages] == [
         "alpha 0.2",
         "alpha 0.5",

@@ -104,10 +104,9 @@ def test_ending_b_and_starting_another_forgets_the_pairs() -> None:
     assert "Start B" in comparison_html(frame)
 
 
-def test_a_policy_of_another_task_has_nothing_to_compare(monkeypatch) -> None:
-    play = Played()
+def test_a_policy_of_another_task_has_nothing_to_compare() -> None:
     stranger = FakePolicy("stranger", task="metaworld/hammer")
-    monkeypatch.setattr(play.session._stage, "_load", lambda name: stranger)
+    play = Played(load=lambda name: stranger)
     frame = play(Compare("stranger"))
     assert frame.pace.error.startswith("expected a policy for toy/reach") and frame.second is None
 

@@ -79,9 +79,8 @@ def test_a_policy_of_another_world_is_refused_and_the_old_one_stays():
         policy.spec = replace(policy.spec, state_dim=24)
         return policy
 
-    session = Recorder()
+    session = Recorder(load=odd)
     session.at(0.0)
-    session._stage._load = odd
     for command in (SetPolicy("toy-other"), Compare("toy-other")):
         frame = session.ask(command)
         assert "state numbers = 24, this environment has 6" in frame.pace.error

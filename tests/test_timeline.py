@@ -26,8 +26,8 @@ OFF = CameraState("off")
 class Played:
     """A session on the toy that takes steps and commands, each at once."""
 
-    def __init__(self, policy: str = "toy-mad", factory=make_env) -> None:
-        self.session = Session(factory, policies(policy), policies, speed=1.0)
+    def __init__(self, policy: str = "toy-mad", factory=make_env, load=policies) -> None:
+        self.session = Session(factory, policies(policy), load, speed=1.0)
         self.now = 0.0
         self.session.tick(self.now)
 

@@ -63,9 +63,9 @@ def test_a_job_runs_stops_goes_on_and_ends(job: TrainingJob) -> None:
     job.start(JobConfig("toy/reach"))
     running = until(job, lambda status: len(status.rows) > 2)
     assert running.state == "running" and 0 < running.done < 1
-    assert job._child is not None and os.getpriority(os.PRIO_PROCESS, job._child.pid) == 19
+    assert job.pid is not None and os.getpriority(os.PRIO_PROCESS, job.pid) == 19
     if sys.platform == "linux":
-        assert os.sched_getscheduler(job._child.pid) == os.SCHED_IDLE
+        assert os.sched_getscheduler(job.pid) == os.SCHED_IDLE
     with pytest.raises(UserError, match="running already"):
         job.start(JobConfig("toy/reach"))
     job.stop()
@@ -83,8 +83,8 @@ def test_a_job_runs_stops_goes_on_and_ends(job: TrainingJob) -> None:
 def test_a_signal_from_elsewhere_stops_a_job_or_fails_it(job: TrainingJob, number: int) -> None:
     job.start(JobConfig("toy/reach"))
     until(job, lambda status: len(status.rows) > 0)
-    assert job._child is not None
-    job._child.send_signal(number)
+    assert job.pid is not None
+    os.kill(job.pid, number)
     ended = until(job, lambda status: status.state not in ("running", "stopping"))
     assert ended.state == ("stopped" if number == signal.SIGTERM else "failed")
     killed = "it was ended by SIGKILL, as a system does that has no memory left; go on resumes"
@@ -114,10 +114,12 @@ def test_why_a_job_failed_is_its_last_line(job: TrainingJob) -> None:
 def test_closing_leaves_no_process(job: TrainingJob) -> None:
     job.start(JobConfig("toy/reach"))
     until(job, lambda status: len(status.rows) > 0)
-    child = job._child
-    assert child is not None and child.poll() is None
+    pid = job.pid
+    assert pid is not None
+    os.kill(pid, 0)
     job.close()
-    assert child.poll() is not None
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +128,7 @@ def test_closing_leaves_no_process(job: TrainingJob) -> None:
         (("metaworld/hamer",), "metaworld/hammer"),
         (("toy/reach", "sad"), "mad"),
         (("toy/reach", "mad", "heavy"), "light"),
-        (("toy/reach", "mad", "light", "huge"), "a look"),
+        (("toy/reach", "mad", "light", "huge"), "trial"),
         (("toy/reach", "mad", "light; rm -rf /"), "light"),
     ],
 )
@@ -144,7 +146,7 @@ def test_no_state_is_drawn_without_words() -> None:
 @pytest.mark.slow
 def test_a_real_training_can_be_watched(tmp_path: Path) -> None:
     job = TrainingJob(tmp_path)
-    job.start(JobConfig("toy/reach", budget="a look"))
+    job.start(JobConfig("toy/reach", budget="trial"))
     try:
         for _ in range(600):
             status = job.status()

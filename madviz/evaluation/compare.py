@@ -89,16 +89,17 @@ def run_compare(config: CompareConfig) -> dict[str, Any]:
         for other, outcomes in zip(found, rows, strict=True):
             _same_seeds(name, first, rows[0], other, outcomes)
     if config.figure is not None:
-        title = f"{first.task}: success by subset"
+        title = f"{first.config.task}: success by subset"
         write_bytes(config.figure, plots.bars(title, list(table), _bars(found, table)).encode())
     if config.curves is not None:
         write_bytes(config.curves, curves(found).encode())
     return {
         "schema": 1,
-        "task": first.task,
-        "definition": first.definition,
+        "task": first.config.task,
+        "definition": first.config.definition,
         "policies": [
-            {"name": e.name, "path": str(e.path), "method": e.method, "seed": e.seed} for e in found
+            {"name": e.config.name, "path": str(e.path), "method": e.config.method, "seed": e.seed}
+            for e in found
         ],
         "comparisons": [
             {
@@ -146,11 +147,16 @@ def _row(first: Outcomes, second: Outcomes) -> dict[str, Any]:
 
 
 def _same_terms(first: Evidence, other: Evidence) -> None:
-    for fact in ("task", "definition", "render_profile", "occlusions"):
-        mine, theirs = getattr(first, fact), getattr(other, fact)
+    one, two = first.config, other.config
+    for fact, mine, theirs in (
+        ("task", one.task, two.task),
+        ("definition", one.definition, two.definition),
+        ("render profile", one.render_profile, two.render_profile),
+        ("occlusions", first.occlusions, other.occlusions),
+    ):
         if mine != theirs:
             raise UserError(
-                f"expected policies measured alike, found {fact.replace('_', ' ')} {mine!r} of "
+                f"expected policies measured alike, found {fact} {mine!r} of "
                 f"{first.path} and {theirs!r} of {other.path}; nothing could be compared"
             )
 
@@ -199,7 +205,13 @@ def _opened(path: str) -> Store:
 
 def _stored(store: Store, evidence: Evidence, subset: str) -> Outcomes:
     digest = checkpoint.describe(evidence.path).spec.digest
-    facts = (evidence.task, evidence.definition, evidence.render_profile, "", subset)
+    facts = (
+        evidence.config.task,
+        evidence.config.definition,
+        evidence.config.render_profile,
+        "",
+        subset,
+    )
     results = store.results(ResultKey(digest, *facts))
     return {seed: result.success for seed, result in results.items()}
 
@@ -208,8 +220,12 @@ def _stored(store: Store, evidence: Evidence, subset: str) -> Outcomes:
 
 
 def _label(evidence: Evidence) -> str:
-    alpha = "" if evidence.alpha is None else f", alpha {evidence.alpha:g}"
-    return f"{evidence.method} ({evidence.setting}, {evidence.recipe}{alpha})"
+    alpha = (
+        ""
+        if evidence.config.training.alpha is None
+        else f", alpha {evidence.config.training.alpha:g}"
+    )
+    return f"{evidence.config.method} ({evidence.config.setting}, {evidence.config.recipe}{alpha})"
 
 
 def _grouped(found: Sequence[Evidence]) -> dict[str, list[int]]:
@@ -261,7 +277,7 @@ def curves(found: Sequence[Evidence]) -> str:
             ends = [over_trainings(r) if len(r) > 1 else (r[0], r[0]) for r in line]
             lows, highs = [low for low, _ in ends], [high for _, high in ends]
             panels.setdefault(name, {})[label] = plots.Line(common, means, lows, highs)
-    return plots.lines(f"{found[0].task}: success while training", "steps", panels)
+    return plots.lines(f"{found[0].config.task}: success while training", "steps", panels)
 
 
 def _curve(evidence: Evidence) -> dict[float, dict[str, float]]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from madviz.errors import UserError
 from madviz.policies import checkpoint
-from madviz.policies.config import read_config
+from madviz.policies.config import PolicyConfig, read_config
 from madviz.policies.listing import BrokenRow
 from madviz.policies.measured import EvaluationFile, as_evaluation
 from madviz.policies.seeds import DEVELOPMENT, use_of
@@ -32,28 +32,26 @@ class Evidence:
     """One trained policy and how its episodes went."""
 
     path: Path
-    name: str
-    task: str
-    method: str
-    setting: str
-    recipe: str
-    merge: str
-    alpha: float | None
-    """Weight of the merged feature; None where the config does not say."""
-    updates: int | None
-    """Gradient steps of the training, its budget; None where the config does not say."""
-    seed: int
-    """Of the training."""
-    streams: tuple[str, ...]
-    command: str
-    """That trains it again; '' where the config does not say."""
-    definition: str
-    render_profile: str
+    config: PolicyConfig
     occlusions: str
     outcomes: Mapping[str, Outcomes]
     """By subset, as the evaluation file names them."""
     development: Mapping[str, Outcomes]
     """As ``outcomes``, from development.json; empty without that file."""
+
+    @property
+    def command(self) -> str:
+        """That trains it again; '' where the config does not say."""
+        return self.config.training.command or ""
+
+    @property
+    def seed(self) -> int:
+        """Of the training; 1 is what it is where the command does not say."""
+        words = shlex.split(self.command)
+        try:
+            return int(words[words.index("--seed") + 1])
+        except (ValueError, IndexError):
+            return 1
 
     @property
     def seeds(self) -> str:
@@ -80,9 +78,9 @@ class Evidence:
         if subset in self.outcomes:
             return self.outcomes[subset]
         try:
-            mask = mask_of(subset, self.streams)
+            mask = mask_of(subset, self.config.streams)
             for name, found in self.outcomes.items():
-                if np.array_equal(mask, mask_of(name, self.streams)):
+                if np.array_equal(mask, mask_of(name, self.config.streams)):
                     return found
         except UserError:
             pass  # A camera that this policy does not have.
@@ -106,22 +104,9 @@ def read_evidence(folder: str | Path) -> Evidence:
     evaluation = _read(path, checkpoint.EVALUATION)
     earlier = (path / checkpoint.DEVELOPMENT).is_file()
     development = _read(path, checkpoint.DEVELOPMENT) if earlier else None
-    command = config.training.command or ""
     return Evidence(
         path=path,
-        name=config.name,
-        task=config.task,
-        method=config.method,
-        setting=config.setting,
-        recipe=config.recipe,
-        merge=config.merge,
-        alpha=config.training.alpha,
-        updates=config.training.updates,
-        seed=_seed(command),
-        streams=config.streams,
-        command=command,
-        definition=config.definition,
-        render_profile=config.render_profile,
+        config=config,
         occlusions=evaluation["occlusions"],
         outcomes=_outcomes(path / checkpoint.EVALUATION, evaluation),
         development=_outcomes(path / checkpoint.DEVELOPMENT, development) if development else {},
@@ -179,12 +164,3 @@ def _outcomes(file: Path, evaluation: EvaluationFile) -> dict[str, dict[int, boo
                 f"(n={n}) and {counted} (n={len(outcomes)}); evaluate again"
             )
     return found
-
-
-def _seed(command: str) -> int:
-    """The training seed in a command line; 1 is what it is when nothing is said."""
-    words = shlex.split(command)
-    try:
-        return int(words[words.index("--seed") + 1])
-    except (ValueError, IndexError):
-        return 1

@@ -146,14 +146,15 @@ def _one_and_the_same(table: ResultTable) -> list[str]:
     both, mad = table.average("naive-both"), table.average("mad")
     if both is None or mad is None:
         return []
-    tasks = {each.task for each in both.evidence}
+    tasks = {each.config.task for each in both.evidence}
     return [
-        f"On {each.task} naive-both and MAD are one and the same training: with alpha "
-        f"{each.alpha:g} MAD weighs the sum and each of {len(each.streams)} streams alike, and "
-        "under the light recipe the expert is the only teacher, so that nothing else tells them "
-        "apart."
+        f"On {each.config.task} naive-both and MAD are one and the same training: with alpha "
+        f"{each.config.training.alpha:g} MAD weighs the sum and each of "
+        f"{len(each.config.streams)} streams alike, and under the light recipe the expert is the "
+        "only teacher, so that nothing else tells them apart."
         for each in mad.evidence
-        if each.task in tasks and abs((each.alpha or 0) - 1 / (1 + len(each.streams))) < 1e-3
+        if each.config.task in tasks
+        and abs((each.config.training.alpha or 0) - 1 / (1 + len(each.config.streams))) < 1e-3
     ]
 
 
@@ -234,10 +235,10 @@ def _occlusion(table: ResultTable) -> list[str]:
 def _blind(table: ResultTable) -> list[str]:
     """How much of MAD's loss is on streams alone that see nothing: (1 - alpha) / V for each."""
     blind = {
-        alpha: (1 - alpha) * (1 - 1 / len(each.streams))
+        alpha: (1 - alpha) * (1 - 1 / len(each.config.streams))
         for row in table.averages
         for each in row.evidence
-        if each.method == "mad" and (alpha := each.alpha) is not None
+        if each.config.method == "mad" and (alpha := each.config.training.alpha) is not None
     }
     if not blind:
         return []

@@ -42,20 +42,26 @@ class Layout:
 
 def _method(evidence: Evidence) -> str:
     """The method, and what of it is not as usual."""
-    name = evidence.method
-    if evidence.merge != (METHODS[name].merge if name in METHODS else "sum"):
-        name = f"{name} with {evidence.merge}"
-    return name if evidence.recipe == "light" else f"{name}, {evidence.recipe}"
+    name = evidence.config.method
+    if evidence.config.merge != (METHODS[name].merge if name in METHODS else "sum"):
+        name = f"{name} with {evidence.config.merge}"
+    return name if evidence.config.recipe == "light" else f"{name}, {evidence.config.recipe}"
 
 
 def _in(setting: str, methods: Iterable[str] = ()) -> Callable[[Evidence], str | None]:
     chosen = tuple(methods)
 
     def label(evidence: Evidence) -> str | None:
-        fits = evidence.setting == setting and (not chosen or evidence.method in chosen)
+        fits = evidence.config.setting == setting and (
+            not chosen or evidence.config.method in chosen
+        )
         # What compares merges has a table of its own.
-        other = evidence.method == "merged-only" and evidence.merge != "sum"
-        return _method(evidence) if fits and evidence.method not in MERGES and not other else None
+        other = evidence.config.method == "merged-only" and evidence.config.merge != "sum"
+        return (
+            _method(evidence)
+            if fits and evidence.config.method not in MERGES and not other
+            else None
+        )
 
     return label
 
@@ -63,39 +69,43 @@ def _in(setting: str, methods: Iterable[str] = ()) -> Callable[[Evidence], str |
 def _overall(evidence: Evidence) -> str | None:
     """All methods with three cameras that imitate, and Single Camera, whose setting may be any with
     one."""
-    return _three(evidence) if evidence.recipe == "light" else None
+    return _three(evidence) if evidence.config.recipe == "light" else None
 
 
 def _three(evidence: Evidence) -> str | None:
-    if evidence.method == "single" and evidence.setting in ("three", "one-rgb"):
+    if evidence.config.method == "single" and evidence.config.setting in ("three", "one-rgb"):
         return _method(evidence)
     return _in("three")(evidence)
 
 
 def _alpha(evidence: Evidence) -> str | None:
-    if _in("three", ("mad",))(evidence) is None or evidence.alpha is None:
+    if _in("three", ("mad",))(evidence) is None or evidence.config.training.alpha is None:
         return None
-    recipe = "" if evidence.recipe == "light" else f", {evidence.recipe}"
-    return f"alpha {evidence.alpha:g}{recipe}"
+    recipe = "" if evidence.config.recipe == "light" else f", {evidence.config.recipe}"
+    return f"alpha {evidence.config.training.alpha:g}{recipe}"
 
 
 def _merge(evidence: Evidence) -> str | None:
-    if evidence.setting != "three":
+    if evidence.config.setting != "three":
         return None
-    name = evidence.method if evidence.method in MERGES else None
-    if evidence.method == "merged-only":
-        name = evidence.merge
-    return name if name is None or evidence.recipe == "light" else f"{name}, {evidence.recipe}"
+    name = evidence.config.method if evidence.config.method in MERGES else None
+    if evidence.config.method == "merged-only":
+        name = evidence.config.merge
+    return (
+        name
+        if name is None or evidence.config.recipe == "light"
+        else f"{name}, {evidence.config.recipe}"
+    )
 
 
 def any_method(evidence: Evidence) -> str | None:
     """Everybody's row with three cameras, however views are merged."""
-    return _overall(evidence) or (_merge(evidence) if evidence.recipe == "light" else None)
+    return _overall(evidence) or (_merge(evidence) if evidence.config.recipe == "light" else None)
 
 
 def _modality(evidence: Evidence) -> str | None:
-    inside = evidence.setting == "three-rgbd" or evidence.setting.startswith("one-")
-    return f"{_method(evidence)}, {evidence.setting}" if inside else None
+    inside = evidence.config.setting == "three-rgbd" or evidence.config.setting.startswith("one-")
+    return f"{_method(evidence)}, {evidence.config.setting}" if inside else None
 
 
 def _resolution(evidence: Evidence) -> str | None:
@@ -105,7 +115,7 @@ def _resolution(evidence: Evidence) -> str | None:
 
 
 def _scratch(evidence: Evidence) -> str | None:
-    return None if evidence.recipe == "light" else _three(evidence)
+    return None if evidence.config.recipe == "light" else _three(evidence)
 
 
 LAYOUTS = (

@@ -72,13 +72,15 @@ def curve(evidence: Sequence[Evidence]) -> str:
     panels: dict[str, dict[str, plots.Line]] = {}
     for each in evidence:
         file = each.path / "curve.csv"
-        if each.recipe == "light" or not file.is_file():
+        if each.config.recipe == "light" or not file.is_file():
             continue
         lines = success_lines(list(csv.DictReader(file.read_text().splitlines())))
         for subset, line in lines.items():
-            name = each.streams[0] if len(each.streams) == 1 else subset
-            task = each.task.split("/")[-1]
-            label = f"{each.method}, {task}" + (f", seed {each.seed}" if each.seed != 1 else "")
+            name = each.config.streams[0] if len(each.config.streams) == 1 else subset
+            task = each.config.task.split("/")[-1]
+            label = f"{each.config.method}, {task}" + (
+                f", seed {each.seed}" if each.seed != 1 else ""
+            )
             panels.setdefault(name, {})[label] = line
     title = "Reinforcement learning: success at evaluations on selection seeds, 95% intervals"
     return plots.lines(title, "simulator steps", panels) if panels else ""

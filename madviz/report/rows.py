@@ -58,7 +58,7 @@ class Row:
             column: {unit: success for unit, success in cell.items() if unit[0] in tasks}
             for column, cell in self.cells.items()
         }
-        return Row(self.label, cells, [each for each in self.evidence if each.task in tasks])
+        return Row(self.label, cells, [each for each in self.evidence if each.config.task in tasks])
 
     def rate(self, column: str) -> SuccessRate | None:
         """None where nothing was measured."""

@@ -57,7 +57,13 @@ def _entry(evidence: Evidence) -> tuple[tuple[str, ...], Options]:
             named[list(named)[-1]].append(word)
     for own in (*AXES, "out", "resume"):
         named.pop(own, None)
-    axes = (evidence.task, evidence.method, evidence.setting, evidence.recipe, str(evidence.seed))
+    axes = (
+        evidence.config.task,
+        evidence.config.method,
+        evidence.config.setting,
+        evidence.config.recipe,
+        str(evidence.seed),
+    )
     options = [_option(name, values) for name, values in named.items()]
     return axes, tuple(sorted(options))
 

@@ -65,14 +65,16 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[ResultTable]:
         others = [pair for pair in chosen if pair[1] not in usual]
         chosen = [pair for pair in chosen if pair[1] in usual]
         if layout.alphas == "named":
-            chosen += [(f"{label}, alpha {each.alpha}", each) for label, each in others]
-    tasks = {each.task for _, each in chosen}
+            chosen += [
+                (f"{label}, alpha {each.config.training.alpha}", each) for label, each in others
+            ]
+    tasks = {each.config.task for _, each in chosen}
     chosen = [pair for task in sorted(tasks) for pair in _comparable(layout, task, chosen)]
     kinds: dict[tuple[str, bool], list[tuple[str, Evidence]]] = {}
     for label, each in chosen:
-        kinds.setdefault((each.task.split("/")[0], each.recipe == "light"), []).append(
-            (label, each)
-        )
+        kinds.setdefault(
+            (each.config.task.split("/")[0], each.config.recipe == "light"), []
+        ).append((label, each))
     return [
         _table(layout, suite, imitation, _same_seeds(kinds[suite, imitation]))
         for suite, imitation in sorted(kinds)
@@ -93,9 +95,9 @@ def _table(
     labels = sorted({label for label, _ in mine}, key=rank)
     columns, mean_of = _columns(layout, [each for _, each in mine])
     rows = []
-    for task in sorted({each.task for _, each in mine}, key=_task_rank):
+    for task in sorted({each.config.task for _, each in mine}, key=_task_rank):
         for label in labels:
-            members = [each for name, each in mine if (name, each.task) == (label, task)]
+            members = [each for name, each in mine if (name, each.config.task) == (label, task)]
             row = _row(label, columns, members)
             if row.cells:
                 rows.append((task, row))
@@ -111,23 +113,23 @@ def _comparable(
     layout: Layout, task: str, chosen: Sequence[tuple[str, Evidence]]
 ) -> list[tuple[str, Evidence]]:
     """Rows of a task that can be compared: of one recipe and budget, and enough of them."""
-    here = [(label, each) for label, each in chosen if each.task == task]
+    here = [(label, each) for label, each in chosen if each.config.task == task]
     found = []
-    for recipe in sorted({each.recipe for _, each in here}):
-        mine = [(label, each) for label, each in here if each.recipe == recipe]
+    for recipe in sorted({each.config.recipe for _, each in here}):
+        mine = [(label, each) for label, each in here if each.config.recipe == recipe]
         rows: dict[int, set[str]] = {}
         for label, each in mine:
-            rows.setdefault(each.updates or 0, set()).add(label)
+            rows.setdefault(each.config.training.updates or 0, set()).add(label)
         budget = max(rows, key=lambda updates: (len(rows[updates]), updates))
         if len(rows[budget]) >= layout.needs:
-            found += [pair for pair in mine if (pair[1].updates or 0) == budget]
+            found += [pair for pair in mine if (pair[1].config.training.updates or 0) == budget]
     return found
 
 
 def _columns(layout: Layout, mine: Sequence[Evidence]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     if layout.key != "five":
         return layout.columns, layout.mean_of
-    streams = max((each.streams for each in mine), key=len)
+    streams = max((each.config.streams for each in mine), key=len)
     return ("all", *streams), ("all", *streams)
 
 
@@ -153,12 +155,12 @@ def _row(
         counts = False
         for column in columns:
             # All of one camera is not all cameras, where other rows have several.
-            alone = len(each.streams) == 1 and column == "all" and "third_b" in columns
+            alone = len(each.config.streams) == 1 and column == "all" and "third_b" in columns
             found = None if alone else each.of(column)
             for seed, success in (found or {}).items():
-                if seeds is not None and seed not in seeds.get(each.task, ()):
+                if seeds is not None and seed not in seeds.get(each.config.task, ()):
                     continue
-                cell, unit = row.cells.setdefault(column, {}), (each.task, each.seed, seed)
+                cell, unit = row.cells.setdefault(column, {}), (each.config.task, each.seed, seed)
                 counts |= unit not in cell
                 cell.setdefault(unit, success)
         # A policy that adds no episode (Single Camera with this camera, of another setting) is not
@@ -177,17 +179,17 @@ def usual_alphas(evidence: Sequence[Evidence]) -> list[Evidence]:
         groups.setdefault(_kind(each), []).append(each)
     usual = {}
     for key, members in groups.items():
-        plain = [each.alpha for each in members if each.folder == each.name]
-        counted = Counter(each.alpha for each in members)
+        plain = [each.config.training.alpha for each in members if each.folder == each.config.name]
+        counted = Counter(each.config.training.alpha for each in members)
         commonest = min(counted, key=lambda a: (-counted[a], a or 0.0))
         usual[key] = plain[0] if plain else commonest
-    return [e for e in evidence if e.alpha == usual[_kind(e)]]
+    return [e for e in evidence if e.config.training.alpha == usual[_kind(e)]]
 
 
 def _kind(evidence: Evidence) -> tuple[str, ...]:
     """All that policies have in common whose alphas are alternatives."""
     facts = ("task", "method", "setting", "recipe", "merge", "streams")
-    return tuple(str(getattr(evidence, fact)) for fact in facts)
+    return tuple(str(getattr(evidence.config, fact)) for fact in facts)
 
 
 def _task_rank(task: str) -> tuple[int, str]:

@@ -66,7 +66,8 @@ def judge(task: str, evidence: Sequence[Evidence]) -> Verdict:
     found = [
         each
         for each in usual_alphas(evidence)
-        if (each.task, each.method, each.setting, each.merge) == (task, "mad", "three", "sum")
+        if (each.config.task, each.config.method, each.config.setting, each.config.merge)
+        == (task, "mad", "three", "sum")
     ]
     if not found:
         return Verdict(task, None, None, ())
@@ -81,11 +82,11 @@ def judge(task: str, evidence: Sequence[Evidence]) -> Verdict:
 
 
 def _row(evidence: Evidence) -> Row:
-    row = Row(evidence.name, evidence=[evidence])
+    row = Row(evidence.config.name, evidence=[evidence])
     for column in THREE:
         if outcomes := evidence.of(column):
             row.cells[column] = {
-                (evidence.task, evidence.seed, seed): ok for seed, ok in outcomes.items()
+                (evidence.config.task, evidence.seed, seed): ok for seed, ok in outcomes.items()
             }
     return row
 

@@ -172,7 +172,7 @@ def on_robot(task: str) -> dict[str, dict[str, str]]:
     layout = replace(BASELINES, needs=2)
     for root in checkpoint.policy_roots():
         evidence, _ = find_evidence(root, checkpoint.results_beside(root))
-        for found in build(layout, [each for each in evidence if each.task == task]):
+        for found in build(layout, [each for each in evidence if each.config.task == task]):
             return {
                 row.label: {
                     column: "".join(str(int(success)) for _, success in sorted(cell.items()))

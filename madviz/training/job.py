@@ -37,7 +37,7 @@ State = Literal["idle", "running", "stopping", "stopped", "failed", "done"]
 
 BUDGETS: dict[str, dict[str, tuple[str, ...]]] = {
     "light": {
-        "a look": ("--light.rounds", "4", "--light.critic-updates", "500"),
+        "trial": ("--light.rounds", "4", "--light.critic-updates", "500"),
         "short": (),
         "full": (
             "--light.rounds",
@@ -49,7 +49,7 @@ BUDGETS: dict[str, dict[str, tuple[str, ...]]] = {
         ),
     },
     "paper": {
-        "a look": ("--paper.steps", "5000", "--paper.buffer-capacity", "5000"),
+        "trial": ("--paper.steps", "5000", "--paper.buffer-capacity", "5000"),
         "short": ("--paper.steps", "50000", "--paper.buffer-capacity", "50000"),
         "full": (),
     },
@@ -71,7 +71,7 @@ class JobConfig:
     task: str
     method: str = "mad"
     recipe: str = "light"
-    budget: str = "a look"
+    budget: str = "trial"
 
     def __post_init__(self) -> None:
         check_task(self.task)
@@ -143,6 +143,11 @@ class TrainingJob:
                 raise UserError("expected a training that was stopped, found none; start one")
             began = (self._folder / "resume" / "run.json").exists()
             self._launch(("--resume",) if began else ())
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process that trains, or trained last."""
+        return self._child.pid if self._child is not None else None
 
     def stop(self) -> None:
         """Asks the child to keep its state and end; it does so after its present round."""
