@@ -22,7 +22,18 @@ WIDTH, HEIGHT = 1280, 800
 LEFT, RIGHT = 643, 957
 """Where the left panel ends and the right one begins, in pixels."""
 COLOURS = 255
-TABS = ("Features", "Subsets", "Shapley", "Inside", "Move", "Timeline", "Failures", "Train", "Save")
+TABS = (
+    "Features",
+    "Subsets",
+    "Shapley",
+    "Inside",
+    "Move",
+    "Timeline",
+    "Failures",
+    "Train",
+    "Audit",
+    "Save",
+)
 
 
 def keep(page: Page, name: str, clip: FloatRect | None = None, wait: int = 1_500) -> None:
