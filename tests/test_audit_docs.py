@@ -1,13 +1,16 @@
 """The policy in docs/audit.md is one, and its audit says what the page says."""
 
+import json
 import re
 import textwrap
 from pathlib import Path
 
 from madviz.auditing.audit import audit
+from madviz.auditing.words import in_words
 from madviz.types import Policy
 
-PAGE = Path(__file__).parent.parent / "docs" / "audit.md"
+ROOT = Path(__file__).parent.parent
+PAGE = ROOT / "docs" / "audit.md"
 
 
 def test_the_policy_in_the_docs_is_audited_as_the_docs_say():
@@ -24,3 +27,11 @@ def test_the_policy_in_the_docs_is_audited_as_the_docs_say():
     }
     assert found["decided_by"]["first"] == {"removed": "mean", "alone": "mean"}
     assert "Third B is needed, and of the other two no use is shown" in PAGE.read_text()
+
+
+def test_the_two_audits_in_the_docs_are_those_in_the_files() -> None:
+    files = sorted((ROOT / "results" / "audits").glob("*.json"))
+    assert len(files) == 2
+    for file in files:
+        for line in in_words(json.loads(file.read_text())):
+            assert f"- {line}\n" in PAGE.read_text()

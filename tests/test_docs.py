@@ -21,7 +21,7 @@ from madviz.system.typed import typed
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (ROOT / "README.md", ROOT / "environment.md", *sorted((ROOT / "docs").glob("*.md")))
-FENCE = re.compile(r"(?:<!-- ([^\n]*) -->\n)?```sh\n(.*?)```", re.DOTALL)
+FENCE = re.compile(r"(?:<!-- ([^\n]*) -->\n *)?```sh\n(.*?)```", re.DOTALL)
 """A block of commands and the mark above it: ``slow``, or ``not run: REASON``."""
 
 
