@@ -323,3 +323,17 @@ def test_nobody_there_is_said_in_one_sentence(tmp_path):
     config = EvalConfig("ws://127.0.0.1:9", wiring_file(tmp_path))
     with pytest.raises(UserError, match="ws://127.0.0.1:9: expected a policy that is served"):
         run_eval(config)
+
+
+def test_every_command_that_takes_a_policy_takes_one_that_is_served(tmp_path, capsys):
+    with foreign_server(towards_bright) as address:
+        wire = ["--wire", str(wiring_file(tmp_path))]
+        here = ["--workers", "0"]
+        pair = ["--conditions", "all", "black:first", "--episodes", "2", *here]
+        assert main(["compare", address, *wire, *pair]) == 0
+        assert f"{address} on toy/reach" in capsys.readouterr().out
+        words = ["--policy", address, *wire]
+        assert main(["record", *words, "--steps", "3", "--out", str(tmp_path / "a.html")]) == 0
+        some = ["--episodes", "1", "--how", "black", *here, "--out", str(tmp_path / "audit")]
+        assert main(["audit", *words, *some]) == 0
+        assert (tmp_path / "audit" / "audit.html").is_file()
