@@ -10,7 +10,6 @@ and are widened when the graph is loaded: 2.7 MB instead of 5.3.
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
 import numpy as np
@@ -61,7 +60,7 @@ def policy_graph(policy: Any) -> bytes:
             "choose one whose merge is sum"
         )
     try:
-        import onnx
+        import onnx  # noqa: F401
         import onnxscript  # noqa: F401  (torch's exporter asks for it.)
     except ImportError as error:
         raise UserError(
@@ -86,9 +85,7 @@ def policy_graph(policy: Any) -> bytes:
         verbose=False,
     )
     assert program is not None
-    file = io.BytesIO()
-    program.save(file)
-    return _halved(onnx.load_from_string(file.getvalue())).SerializeToString()
+    return _halved(program.model_proto).SerializeToString()
 
 
 def _halved(model: Any) -> Any:

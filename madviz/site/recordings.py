@@ -125,10 +125,10 @@ def numbers_of(simulation: Simulation, mask: Array) -> dict[str, Array]:
         "norms": probe.norms.astype(np.float32),
         "merged": grouped(probe.merged(row)),
         "action": probe.readout.action[row].astype(np.float32),
-        "q": np.float32(probe.readout.q[row]).reshape(()),
+        "q": np.asarray(probe.readout.q[row], np.float32),
         "readout_action": probe.readout.action.astype(np.float32),
         "readout_q": probe.readout.q.astype(np.float32),
-        "success": np.uint8(simulation.now.time.success).reshape(()),
+        "success": np.asarray(simulation.now.time.success, np.uint8),
     }
 
 

@@ -11,6 +11,7 @@ What is stored of a row is the difference of each pixel to its left neighbour, w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -51,7 +52,7 @@ def _read(model: mujoco.MjModel, context: mujoco.MjrContext, number: int) -> Tex
 
     cube = bool(model.tex_type[number] != mujoco.mjtTexture.mjTEXTURE_2D.value)
     kind = GL.GL_TEXTURE_CUBE_MAP if cube else GL.GL_TEXTURE_2D
-    first = GL.GL_TEXTURE_CUBE_MAP_POSITIVE_X if cube else GL.GL_TEXTURE_2D
+    first: Any = GL.GL_TEXTURE_CUBE_MAP_POSITIVE_X if cube else GL.GL_TEXTURE_2D
     # A square picture is on all six sides.
     faces = 6 if cube and model.tex_width[number] != model.tex_height[number] else 1
     width = int(model.tex_width[number])
