@@ -91,7 +91,7 @@ def test_several_of_them_step_together(mode):
     many = gymnasium.make_vec(
         "madviz/reach-v0", 2, vectorization_mode=mode, vector_kwargs=options, depth=False
     )
-    seen, _ = many.reset(seed=[3, 4])
+    seen, _ = many.reset(seed=[3, 4])  # type: ignore[arg-type]
     assert seen["pixels"]["first"].shape == (2, 84, 84, 3)
     alone, _ = gymnasium.make("madviz/reach-v0").reset(seed=4)
     np.testing.assert_array_equal(seen["agent_pos"][1], alone["agent_pos"])

@@ -17,7 +17,6 @@ the task's condition at this very step. The seed of ``reset`` is the episode's, 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import gymnasium
@@ -113,7 +112,10 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
         parts["agent_pos"] = spaces.Box(-np.inf, np.inf, (state_dim,), np.float32)
         if self._flat:
             return spaces.Dict(flattened(parts))
-        inner = {k: spaces.Dict(v) if isinstance(v, dict) else v for k, v in parts.items()}
+        inner: dict[str, spaces.Space[Any]] = {
+            name: spaces.Dict(part) if isinstance(part, dict) else part
+            for name, part in parts.items()
+        }
         return spaces.Dict(inner)
 
 
@@ -137,7 +139,8 @@ def register() -> None:
     """Makes all of ``ids`` known to Gymnasium; importing this file does it."""
     for name, task in ids().items():
         if name not in gymnasium.registry:
-            gymnasium.register(name, entry_point=partial(MadvizEnv, task), order_enforce=True)
+            place = f"{MadvizEnv.__module__}:{MadvizEnv.__name__}"
+            gymnasium.register(name, entry_point=place, kwargs={"task": task})
 
 
 register()
