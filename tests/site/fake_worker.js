@@ -178,6 +178,7 @@ function world(one) {
     arrived: Object.fromEntries(policy.streams.map(stream => [stream, views[stream.split('.')[0]]])),
     poses: Object.fromEntries(policy.cameras.map(camera => [camera.name, pose])),
     geom_poses: new Float32Array(0), streams: policy.streams,
+    horizon: HORIZON, mask: policy.streams.map(stream => cameras[stream].input !== 'off'),
     norms: Float32Array.from(policy.streams, (_, i) => 5 + i + Math.sin(step / 4 + i)),
     merged: Float32Array.from({length: Z}, (_, i) => Math.abs(Math.sin(i * 1.7 + step / 9))),
     action: Float32Array.from({length: ACTION}, (_, i) => Math.sin(step / 5 + i)), q: 12 - step / 9,

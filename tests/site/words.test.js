@@ -7,6 +7,7 @@ import {Catalogue} from '../../madviz/site/web/catalogue.js';
 import {intact, noOcclusion} from '../../madviz/site/web/camera_state.js';
 import {frustum, lineOnCanvas, rotate, viewpoint} from '../../madviz/site/web/geometry.js';
 import {parseLink} from '../../madviz/site/web/link.js';
+import {nameOf} from '../../madviz/site/web/subsets.js';
 import {changeWords, moveWords, outcomeWords, stateWords, subsetWords}
   from '../../madviz/site/web/words.js';
 
@@ -16,6 +17,16 @@ const CAMERAS = [['first', 'First person'], ['third_a', 'Third A']].map(([name, 
 test('subsets are named by their cameras', () => {
   assert.equal(subsetWords('all', CAMERAS), 'all cameras');
   assert.equal(subsetWords('first+third_a.depth', CAMERAS), 'First person + Third A depth');
+});
+
+test('a subset has the shortest name, as in Python', () => {
+  const streams = ['first.rgb', 'first.depth', 'third_a.rgb', 'third_a.depth'];
+  const name = (...on) => nameOf(streams.map((_, i) => on.includes(i)), streams);
+  assert.equal(name(0, 2), 'rgb');
+  assert.equal(name(0, 1), 'first');
+  assert.equal(name(0, 1, 2), 'first+third_a.rgb');
+  assert.equal(name(), 'none');
+  assert.equal(nameOf([true, false, true], ['first', 'third_a', 'third_b']), 'first+third_b');
 });
 
 test('a change says what was done and what came of it', () => {

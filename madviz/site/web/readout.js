@@ -110,6 +110,9 @@ export class Subsets {
   constructor(entry) {
     this.entry = entry;
     this.body = make('tbody');
+    /** @type {import('./messages.js').Readout | null} The newest one of this episode. */
+    this.last = null;
+    this.episode = -1;
     this.age = make('p', {class: 'soft'});
     this.element = make('section', {class: 'panel'},
       make('h3', {}, 'What it would do now with other cameras'),
@@ -121,7 +124,9 @@ export class Subsets {
 
   /** @param {World} world */
   draw(world) {
-    const readout = world.readout;
+    if (world.readout || world.episode !== this.episode) this.last = world.readout;
+    this.episode = world.episode;
+    const readout = this.last;
     if (!readout) return say(this.age, 'No readout yet.');
     const size = world.action.length, now = readout.subsets.indexOf(world.condition.subset);
     const rows = readout.subsets.slice(0, MOST_ROWS).map((subset, i) => {

@@ -52,11 +52,12 @@ export class Side {
     const trained = entry.trained_subsets.map(one => subsetWords(one, entry.cameras));
     const film = entry.task.startsWith('maniskill/')
       ? 'A recording (models of ManiSkill: CC BY-NC 4.0). ' : 'A recording. ';
-    say(this.about, `${entry.recorded ? film : ''}Trained on ${listed(trained)}.`);
+    const shown = trained.length > 5 ? [...trained.slice(0, 3), `${trained.length - 3} more`] : trained;
+    say(this.about, `${entry.recorded ? film : ''}Trained on ${listed(shown)}.`);
     this.canvas.setAttribute('aria-label',
       `Scene of side ${this.letter}. Arrow keys turn it, plus and minus zoom.`);
     this.views.style.setProperty('--count', String(Math.min(entry.cameras.length, 5)));
-    this.views.toggleAttribute('data-many', entry.streams.length > 3);
+    this.views.toggleAttribute('data-split', entry.streams.length > entry.cameras.length);
     this.cameras.clear();
     this.views.replaceChildren(...entry.cameras.map((camera, index) => {
       const view = this.view(camera.name, index, entry);
@@ -96,7 +97,10 @@ export class Side {
     this.outcome.className = `outcome ${outcome.kind}`;
     for (const [camera, view] of this.cameras) {
       const streams = Object.keys(world.arrived).filter(one => one.split('.')[0] === camera);
-      streams.forEach((stream, i) => draw(view.canvases[i], world.arrived[stream]));
+      streams.forEach((stream, i) => {
+        draw(view.canvases[i], world.arrived[stream]);
+        view.canvases[i]?.classList.toggle('out', !world.mask[world.streams.indexOf(stream)]);
+      });
       const state = world.cameras[camera];
       say(view.tag, tagWords(state, world.moves[camera]));
       view.figure.classList.toggle('off', state?.input === 'off');

@@ -31,7 +31,14 @@ export function nameOf(mask, streams) {
   for (const [word, group] of Object.entries(groups(streams))) {
     if (group.every((on, i) => on === mask[i])) return word;
   }
-  return streams.filter((_, i) => mask[i]).join('+');
+  /** @type {string[]} */
+  const parts = [];
+  for (const camera of new Set(streams.map(cameraOf))) {
+    const own = streams.filter(stream => cameraOf(stream) === camera);
+    const on = own.filter(stream => mask[streams.indexOf(stream)]);
+    parts.push(...on.length === own.length ? [camera] : on);
+  }
+  return parts.join('+');
 }
 
 /**

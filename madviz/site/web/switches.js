@@ -117,7 +117,8 @@ export class SwitchBoard {
         this.set(camera, {...this.stateOf(camera), input: value})});
       return {radio, label: make('label', {}, radio, make('span', {}, words))};
     });
-    const element = make('div', {class: 'segments', role: 'radiogroup', 'aria-label': label},
+    const kind = choices.length > 2 ? 'segments long' : 'segments';
+    const element = make('div', {class: kind, role: 'radiogroup', 'aria-label': label},
       ...radios.map(one => one.label));
     /** @param {CameraState} state */
     const update = state => {
