@@ -52,11 +52,6 @@ class ExploreConfig:
     policy: PolicyName | None = None
     """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served. By
     default the first that fits."""
-    wire: Path | None = None
-    """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
-    itself."""
-    trust: bool = False
-    """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
     task: TaskName | None = None
     """Offer only policies of this task, for example metaworld/hammer or, one of your own,
     module:factory."""
@@ -82,6 +77,11 @@ class ExploreConfig:
     """A saved session: the page begins with one of its episodes again."""
     episode: Count | None = None
     """Which one of them, from 1; by default the last."""
+    wire: Path | None = None
+    """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
+    itself."""
+    trust: bool = False
+    """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
 
 
 class App:

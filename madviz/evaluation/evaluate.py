@@ -257,11 +257,6 @@ class EvalConfig:
 
     policy: checkpoint.PolicyName
     """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served."""
-    wire: Path | None = None
-    """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
-    itself."""
-    trust: bool = False
-    """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
     subsets: tuple[str, ...] = ()
     """For example ``all first first+third_b none``; by default all, the trained ones, every
     stream alone, and none."""
@@ -279,6 +274,11 @@ class EvalConfig:
     card: bool = False
     """Also write evaluation.json and card.md into the policy's folder; subsets that were measured
     there before, and are not now, stay."""
+    wire: Path | None = None
+    """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
+    itself."""
+    trust: bool = False
+    """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
 
 
 def run_eval(config: EvalConfig) -> EvaluationFile:

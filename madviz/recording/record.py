@@ -65,11 +65,6 @@ class RecordConfig:
     policy: checkpoint.PolicyName | None = None
     """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served;
     beside --replay, where to find it."""
-    wire: Path | None = None
-    """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
-    itself."""
-    trust: bool = False
-    """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
     seed: Seed = FIRST_SEED
     """Which episode."""
     drop: tuple[str, ...] = ()
@@ -91,6 +86,11 @@ class RecordConfig:
     json: str | None = None
     """Write what was recorded to this file; ``-`` is standard output, and nothing else goes there.
     """
+    wire: Path | None = None
+    """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
+    itself."""
+    trust: bool = False
+    """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
 
 
 class Writer(Protocol):
