@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from madviz.errors import UserError
 from tests.mistakes import refused
 
 LONG = "x" * 300
@@ -55,3 +56,8 @@ def test_odd_words_are_refused_in_one_line(
     Path("deep.toml").write_text("a = " + "[" * 5000 + "]" * 5000)
     refused(words, said, capsys)
     assert {path.name for path in tmp_path.iterdir()} == {"ring", "deep.toml"}
+
+
+def test_whatever_was_found_the_error_is_one_line_that_can_be_printed() -> None:
+    said = str(UserError("found 'a\nb\x1b[2J\ud800' and " + "x" * 9000))
+    assert said.startswith(r"found 'a\nb\x1b[2J\ud800' and xxx") and len(said) < 3010
