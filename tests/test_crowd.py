@@ -51,4 +51,4 @@ def test_visitors_who_get_no_picture_are_an_error(monkeypatch):
     monkeypatch.setattr(crowd, "STARTING", 0.2)
     silent = type("Silent", (), {"steps": []})()
     with pytest.raises(UserError, match="a picture for every visitor within 0.2 s"):
-        crowd._await_pictures([silent])
+        crowd._await_pictures([silent])  # type: ignore[list-item]

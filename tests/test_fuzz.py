@@ -85,7 +85,7 @@ def changed(draw: st.DrawFn, sound: Callable[[], Any]) -> Any:
         if not path:
             found = draw(VALUES) if draw(st.integers(0, 9)) == 0 else found
             continue
-        parent = found
+        parent: Any = found
         for part in path[:-1]:
             parent = parent[part]
         how = draw(st.sampled_from(["replace", "replace", "replace", "remove", "add", "double"]))
@@ -293,7 +293,7 @@ def tried(strategy: st.SearchStrategy, check: Callable[[Any], None], most: int) 
         derandomize=most <= FAST,
         database=None,
         phases=(Phase.explicit, Phase.generate, Phase.shrink),
-        suppress_health_check=list(HealthCheck),
+        suppress_health_check=list(HealthCheck),  # type: ignore[arg-type]
     )
 
     @chosen

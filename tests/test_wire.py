@@ -320,7 +320,7 @@ def test_what_was_finished_is_written(tmp_path, capsys):
 
 
 def test_nobody_there_is_said_in_one_sentence(tmp_path):
-    config = EvalConfig("ws://127.0.0.1:9", wiring_file(tmp_path))
+    config = EvalConfig("ws://127.0.0.1:9", wire=wiring_file(tmp_path))
     with pytest.raises(UserError, match="ws://127.0.0.1:9: expected a policy that is served"):
         run_eval(config)
 

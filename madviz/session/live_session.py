@@ -19,6 +19,9 @@ class LiveSession(Protocol):
     """In a thread of the page's process (``Session``) or in a process of its own
     (``SessionProcess``); all of it may be called from any thread."""
 
+    latest: Frame | NoFrame | None
+    """The newest frame that came; None before the first."""
+
     def send(self, command: Command) -> None:
         """Queues a command; the session carries it out within one camera render, a step at most.
         Raises UserError where too many wait already."""
