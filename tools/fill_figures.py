@@ -119,13 +119,26 @@ def benchmarks() -> str:
     """What `madviz bench` measured, from results/bench: one row for each file."""
     files = sorted((ROOT / "results" / "bench").glob("*.json"))
     rows = [(file.stem, json.loads(file.read_text())) for file in files]
+    for _, found in rows:
+        found.pop("schema", None)
     lines = ["| benchmark | measured |", "|---|---|"]
     for name, found in rows:
         numbers = ", ".join(
-            f"{key} {value:g}" for key, value in found.items() if isinstance(value, int | float)
+            f"{key} {in_a_cell(value)}" for key, value in found.items() if in_a_cell(value)
         )
         lines.append(f"| {name} | {numbers} |")
     return "\n".join(lines) + "\n" if rows else "No measurement of this version is stored yet.\n"
+
+
+def in_a_cell(value: object) -> str:
+    """A number, or several of a row, as a table's cell says it; empty for anything else."""
+    if isinstance(value, bool):
+        return ""
+    if isinstance(value, int | float):
+        return f"{value:g}"
+    if isinstance(value, list) and len(value) <= 8:
+        return " / ".join(in_a_cell(one) for one in value)
+    return ""
 
 
 def tree() -> str:

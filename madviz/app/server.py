@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-import threading
+import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -163,7 +163,8 @@ def explore(config: ExploreConfig | None = None) -> None:
             for what, address in app.addresses().items():
                 print(f"{what} {address}", flush=True)
             print("(Ctrl-C ends it)", flush=True)
-        threading.Event().wait()
+        while True:  # A signal that the system gave to another thread is noticed within a second.
+            time.sleep(1.0)
     finally:
         app.stop()
 

@@ -1,10 +1,10 @@
 """What simulations share: imported once, by the process that they are forked from.
 
 Importing this module is its whole purpose. ``SHARED`` is all that a simulation needs, with what
-torch and its simulator import late: 130 MB and three seconds. No simulator is among it, as OpenGL
-does not survive a fork. Garbage collection leaves the objects of before the fork alone from then
-on: going through them writes into each, and memory that was written to is not shared any more
-(64 MB).
+torch and its simulator import late: two seconds and 360 MB that each would have for itself. No
+simulator is among it, as OpenGL does not survive a fork. Garbage collection leaves the objects of
+before the fork alone from then on: going through them writes into each, and memory that was written
+to is not shared any more (64 MB).
 """
 
 import gc
