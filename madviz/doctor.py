@@ -70,12 +70,12 @@ class Check:
     """What was found, in words; '' if nothing."""
     needed: bool = True
     """Whether madviz cannot run without it."""
-    mend: str = ""
+    fix: str = ""
     """The line to run if it is missing or too old."""
 
     @property
     def sound(self) -> bool:
-        return bool(self.found) and not self.mend
+        return bool(self.found) and not self.fix
 
 
 def install_line(what: str) -> str:
@@ -99,7 +99,7 @@ def check_opengl(probe: Callable[[str], dict[str, str] | None], chosen: str = "e
     if mesa:
         found = f"{mesa} (policies were trained under 25.0)" if old else mesa
         checks.append(
-            Check("Mesa", found, needed=False, mend="python3 tools/system.py" if old else "")
+            Check("Mesa", found, needed=False, fix="python3 tools/system.py" if old else "")
         )
     return checks
 
@@ -138,11 +138,11 @@ def check_vulkan(
     SAPIEN needs. Without one, everything but ManiSkill's tasks works."""
     drivers = [path.stem for f in folders for path in sorted(Path(f, "icd.d").glob("*.json"))]
     if not (find_library("vulkan") and drivers):
-        return Check("Vulkan", "", needed=False, mend=install_line("vulkan"))
+        return Check("Vulkan", "", needed=False, fix=install_line("vulkan"))
     answer = probe()
     if answer is None:
         found = f"drivers {' '.join(drivers)}, none that SAPIEN can use (Mesa 24.3 or newer)"
-        return Check("Vulkan", found, needed=False, mend="python3 tools/system.py")
+        return Check("Vulkan", found, needed=False, fix="python3 tools/system.py")
     return Check("Vulkan", answer["device"], needed=False)
 
 
@@ -153,13 +153,13 @@ def check_packages(names: tuple[str, ...] = PACKAGES) -> list[Check]:
         try:
             checks.append(Check(name, version(name)))
         except PackageNotFoundError:
-            checks.append(Check(name, "", mend="make setup"))
+            checks.append(Check(name, "", fix="make setup"))
     return checks
 
 
 def check_browser() -> Check:
     path = find_browser()
-    return Check("Chromium", path or "", needed=False, mend="" if path else install_line("browser"))
+    return Check("Chromium", path or "", needed=False, fix="" if path else install_line("browser"))
 
 
 def describe_cpu(cpuinfo: str, cores: int) -> Check:
@@ -204,7 +204,7 @@ def examine(config: DoctorConfig) -> dict[str, Any]:
     report: dict[str, Any] = {
         "schema": 1,
         "ok": all(check.sound or not check.needed for check in checks),
-        "checks": [{**asdict(check), "ok": check.sound} for check in checks],
+        "checks": [row(check) for check in checks],
         "frames_ms": {},
     }
     if report["ok"]:
@@ -212,8 +212,13 @@ def examine(config: DoctorConfig) -> dict[str, Any]:
             report["frames_ms"] = time_frames(config.task)
         except UserError as error:
             report["ok"] = False
-            report["checks"].append({**asdict(Check("A frame", "", mend=str(error))), "ok": False})
+            report["checks"].append(row(Check("A frame", "", fix=str(error))))
     return report
+
+
+def row(check: Check) -> dict[str, Any]:
+    """``check`` in the report. ``mend`` is the older name of ``fix``, kept for scripts."""
+    return {**asdict(check), "mend": check.fix, "ok": check.sound}
 
 
 def in_words(report: Mapping[str, Any]) -> str:
@@ -222,7 +227,7 @@ def in_words(report: Mapping[str, Any]) -> str:
     for check in report["checks"]:
         mark = "ok" if check["ok"] else "MISSING" if check["needed"] else "without"
         lines.append(f"{mark:8} {check['name']:10} {check['found'] or 'not found'}")
-        if check["mend"]:
+        if check["fix"]:
             lines.append(f"{'':19} fix it:   {check['mend']}")
     for profile, frames in report["frames_ms"].items():
         each = ", ".join(f"{camera} {ms:.1f} ms" for camera, ms in frames.items())

@@ -81,7 +81,7 @@ class EnvSpec:
     success: str = "at the last step"
     """The task's own success condition, in words."""
     instruction: str = ""
-    """What a policy that takes words is told to do."""
+    """The task in words, for a policy that takes language."""
 
     def camera(self, name: str) -> CameraSpec:
         """The camera called ``name``. Raises UserError naming the known ones."""
@@ -247,7 +247,7 @@ class PolicySpec:
     image_size: int = 84
     """H and W of ``views``; a camera that is drawn at another size (``cameras``) is resized."""
     instruction: str = ""
-    """What it is told to do, in words, where it takes words."""
+    """The task in words, for a policy that takes language."""
     chunk: int = 1
     """Decisions it may take from one look; a camera that fails meanwhile counts at the next."""
     can_drop: bool = True

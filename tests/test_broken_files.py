@@ -58,7 +58,7 @@ def test_what_no_program_can_write_again_is_no_json(tmp_path: Path) -> None:
         assert len(str(error.value)) < 400
     file.write_text("a = " + "[" * 5000 + "]" * 5000)
     with pytest.raises(UserError, match="expected TOML, found: more than 50 lists and tables"):
-        read_toml(file, "a file", "mend it")
+        read_toml(file, "a file", "fix it")
 
 
 @odd_json

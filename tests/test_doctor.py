@@ -29,13 +29,13 @@ def test_opengl_that_is_found_is_ok() -> None:
 def test_only_the_chosen_back_end_is_needed() -> None:
     checks = by_name(check_opengl(lambda backend: MESA if backend == "osmesa" else None, "osmesa"))
     assert not checks["EGL"].needed and checks["OSMesa"].needed
-    assert "apt-get install" in checks["EGL"].mend and "libegl1" in checks["EGL"].mend
+    assert "apt-get install" in checks["EGL"].fix and "libegl1" in checks["EGL"].fix
 
 
 def test_an_old_mesa_is_named_with_the_line_that_replaces_it() -> None:
     old = {**MESA, "version": "4.5 (Compatibility Profile) Mesa 22.3.6"}
     mesa = by_name(check_opengl(lambda backend: old))["Mesa"]
-    assert not mesa.sound and not mesa.needed and "tools/system.py" in mesa.mend
+    assert not mesa.sound and not mesa.needed and "tools/system.py" in mesa.fix
 
 
 def test_a_driver_that_is_not_mesa_has_no_mesa_line() -> None:
@@ -45,7 +45,7 @@ def test_a_driver_that_is_not_mesa_has_no_mesa_line() -> None:
 
 def test_a_package_that_is_missing_points_to_the_set_up() -> None:
     python, missing = check_packages(("no-such-package-of-ours",))
-    assert python.sound and not missing.sound and missing.mend == "make setup"
+    assert python.sound and not missing.sound and missing.fix == "make setup"
 
 
 def test_the_processor_is_described_by_cores_and_fast_instructions() -> None:
@@ -70,7 +70,7 @@ def test_a_machine_without_anything_gets_a_whole_report(monkeypatch: pytest.Monk
     missing = [check for check in report["checks"] if not check["ok"]]
     assert not report["ok"] and report["frames_ms"] == {}
     assert {"EGL", "OSMesa", "Vulkan", "Chromium"} <= {check["name"] for check in missing}
-    assert all(check["mend"] for check in missing)
+    assert all(check["fix"] for check in missing)
     assert "fix it:" in doctor.in_words(report)
 
 
@@ -81,5 +81,5 @@ def test_opengl_without_a_driver_is_reported_without_a_traceback(tmp_path: Path)
     report = json.loads(asked.stdout)
     assert asked.returncode == 1 and not report["ok"]
     egl = next(check for check in report["checks"] if check["name"] == "EGL")
-    assert not egl["ok"] and "libegl" in egl["mend"]
+    assert not egl["ok"] and "libegl" in egl["fix"]
     assert "Traceback" not in asked.stderr

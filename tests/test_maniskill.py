@@ -255,8 +255,8 @@ def test_the_doctor_tells_a_driver_from_one_that_works(tmp_path: Path) -> None:
     works = check_vulkan(lambda: {"device": "llvmpipe"}, (str(tmp_path),))
     assert works.sound and works.found == "llvmpipe"
     old = check_vulkan(lambda: None, (str(tmp_path),))
-    assert not old.sound and "24.3" in old.found and "tools/system.py" in old.mend
-    assert "apt-get install" in check_vulkan(lambda: None, (str(tmp_path / "none"),)).mend
+    assert not old.sound and "24.3" in old.found and "tools/system.py" in old.fix
+    assert "apt-get install" in check_vulkan(lambda: None, (str(tmp_path / "none"),)).fix
 
 
 def test_the_supported_device_is_named() -> None:

@@ -51,15 +51,15 @@ class LoadedPolicies:
     def __init__(self, policies: dict[str, Policy], noted: Noted) -> None:
         """``noted`` hears of every policy once, as what it is known here."""
         self._policies, self._noted = policies, noted
-        self._told: set[str] = set()
+        self._seen: set[str] = set()
 
     def load(self, name: str) -> Policy:
         """Raises UserError for a name that is none."""
         if name not in self._policies:
             self._policies[name] = checkpoint.load_policy(name)
             settle()
-        if name not in self._told:
-            self._told.add(name)
+        if name not in self._seen:
+            self._seen.add(name)
             self._noted(name, self._policies[name].spec)
         return self._policies[name]
 

@@ -38,7 +38,7 @@ WATCHING = (
 PRESENTED = "You are watching a presentation: the presenter has the controls."
 FULL = "All {} places for watchers are taken. You get one as soon as somebody leaves."
 MOST_WAITING = 100
-"""Browsers that wait for a place; more are told to come back later."""
+"""Browsers that may wait for a place; more get status 503."""
 TIDY_AFTER = 0.5
 """Seconds from when somebody leaves to when memory is given back."""
 

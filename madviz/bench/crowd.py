@@ -4,9 +4,9 @@ A server in a process of its own, visitors without browsers (``bench/visitor.py`
 them after the other. Each asks for 10 decisions a second and gets what the machine can give:
 
     visitors         1     2     4     8
-    decisions/s   10.0  10.0   9.8   8.3    mean of each
-    cores          0.4   0.7   1.4   1.9    of the server and all its processes
-    MB             520   700  1060  1780    proportional: what processes share counts once
+    decisions/s   8.73  8.73  8.72  7.07    mean of each; 8.73 is the most (a pause ends an episode)
+    cores         0.26  0.52  1.06  1.77    of the server and all its processes
+    MB            1145  1450  2061  3257    proportional: what processes share counts once
 
 Simulations all have other seeds' pictures, and the visitors only look; what a click costs is the
 matter of ``bench live``.

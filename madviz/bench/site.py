@@ -116,7 +116,7 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
 
 
 def browser_flags(backend: str) -> list[str]:
-    """How Chromium is told to draw with ``backend``."""
+    """Chromium's command-line flags for drawing with ``backend``."""
     if backend == "swiftshader":
         return list(CHROMIUM_FLAGS)
     others = [flag for flag in CHROMIUM_FLAGS if "gl=" not in flag and "swiftshader" not in flag]

@@ -68,13 +68,13 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
         super().reset(seed=seed)
         number = int(self.np_random.integers(SEEDS)) if seed is None else seed % SEEDS
         self._step = 0
-        return self._told(self._world.reset(number))
+        return self._observed(self._world.reset(number))
 
     def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One decision; the episode is cut off at its horizon."""
         moment = self._world.step(np.asarray(action, np.float32))
         self._step += 1
-        observation, info = self._told(moment)
+        observation, info = self._observed(moment)
         return observation, float(moment.reward), False, moment.last, info
 
     def render(self) -> Array | None:  # type: ignore[override]
@@ -87,7 +87,7 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
         """Frees what the simulator and the renderer hold."""
         self._world.close()
 
-    def _told(self, moment: TimeStep) -> tuple[Observation, dict[str, Any]]:
+    def _observed(self, moment: TimeStep) -> tuple[Observation, dict[str, Any]]:
         views = {camera.name: self._world.view(camera.name) for camera in self._cameras}
         pixels = {name: np.asarray(view.rgb, np.uint8) for name, view in views.items()}
         observation: Observation = {"pixels": pixels}

@@ -1,5 +1,5 @@
 """The tasks: when each is a success in the pinned version of its simulator, in words for cards and
-pages, and what a policy that takes words is told to do."""
+pages, and as instructions for a policy that takes language."""
 
 from __future__ import annotations
 

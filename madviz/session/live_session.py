@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import logging
+import threading
 from collections.abc import Callable
 from typing import Protocol
 
 from madviz.session.commands import Command
 from madviz.session.frame import Frame, NoFrame
 from madviz.session.session_file import SavedSession
+
+log = logging.getLogger(__name__)
 
 Listener = Callable[[Frame | NoFrame], None]
 MOST_WAITING = 1000
@@ -47,3 +51,35 @@ class LiveSession(Protocol):
     def close(self) -> None:
         """Ends the simulation, which closes its environment."""
         ...
+
+
+class FrameSource:
+    """Those who listen to a session, and the newest frame. ``subscribe`` and ``unsubscribe`` may be
+    called from any thread, ``_publish`` from the one that brings the frames."""
+
+    def __init__(self) -> None:
+        self.latest: Frame | NoFrame | None = None
+        self._listeners: tuple[Listener, ...] = ()
+        self._listening = threading.Lock()
+        """Guards changes of ``_listeners``."""
+
+    def subscribe(self, listener: Listener) -> None:
+        """See ``LiveSession.subscribe``."""
+        with self._listening:
+            self._listeners = (*self._listeners, listener)
+        if self.latest is not None:
+            listener(self.latest)
+
+    def unsubscribe(self, listener: Listener) -> None:
+        """See ``LiveSession.unsubscribe``."""
+        with self._listening:
+            self._listeners = tuple(one for one in self._listeners if one != listener)
+
+    def _publish(self, news: Frame | NoFrame) -> None:
+        """To everybody. A listener that fails must not take the session from the others."""
+        self.latest = news
+        for listener in self._listeners:
+            try:
+                listener(news)
+            except Exception:
+                log.exception("somebody who listens to a session failed")

@@ -50,7 +50,7 @@ from madviz.session.commands import (
     SetSpeed,
 )
 from madviz.session.frame import Frame, NoFrame
-from madviz.session.live_session import MOST_WAITING, TOO_MANY, Listener
+from madviz.session.live_session import MOST_WAITING, TOO_MANY, FrameSource
 from madviz.session.session import Session
 from madviz.session.session_file import SavedSession
 from madviz.session.transfer import FrameDecoder, FrameEncoder
@@ -75,23 +75,21 @@ SAVING = 10.0
 _CONTEXT = multiprocessing.get_context("forkserver")
 
 
-class SessionProcess:
+class SessionProcess(FrameSource):
     """See the module. What a ``Session`` offers to a page, and may be called from any thread."""
 
     def __init__(self, make: MakeSession, noted: Noted = lambda name, spec: None) -> None:
+        super().__init__()
         self._make, self._noted = make, noted
         self._outbox: queue.SimpleQueue[Command | str | None] = queue.SimpleQueue()
         """For the process that is running; a command, or what else it shall do."""
         self._saved: queue.SimpleQueue[SavedSession | str] = queue.SimpleQueue()
-        self._saving, self._lock = threading.Lock(), threading.Lock()
-        """``_lock`` guards the listeners."""
-        self._listeners: tuple[Listener, ...] = ()
+        self._saving = threading.Lock()
         self._closing, self._wanted = threading.Event(), threading.Event()
         self._kept: dict[type, Command] = {}
         """The last command of each kind that a process which is started again must hear."""
         self._process: ForkServerProcess | None = None
         self._thread = threading.Thread(target=self._run, name="madviz-session", daemon=True)
-        self.latest: Frame | NoFrame | None = None
 
     def send(self, command: Command) -> None:
         """As ``Session.send``. Never waits for the process."""
@@ -101,17 +99,6 @@ class SessionProcess:
             self._kept[type(command)] = command
         self._outbox.put(command)
         self._wanted.set()
-
-    def subscribe(self, listener: Listener) -> None:
-        """As ``Session.subscribe``; ``listener`` is called in this session's reading thread."""
-        with self._lock:
-            self._listeners = (*self._listeners, listener)
-        if self.latest is not None:
-            listener(self.latest)
-
-    def unsubscribe(self, listener: Listener) -> None:
-        with self._lock:
-            self._listeners = tuple(one for one in self._listeners if one != listener)
 
     def save(self) -> SavedSession:
         """The last episodes, to be replayed. Raises UserError if there is no step yet, and where
@@ -164,10 +151,10 @@ class SessionProcess:
                 ends.clear()
                 self._wanted.clear()
                 again = "Choose another policy, or press Play to start it again."
-                self._tell(NoFrame("", f"{words} That was the third time in a minute. {again}"))
+                self._publish(NoFrame("", f"{words} That was the third time in a minute. {again}"))
                 self._wanted.wait()
             else:
-                self._tell(NoFrame("", f"{words} It starts again with the same seed."))
+                self._publish(NoFrame("", f"{words} It starts again with the same seed."))
 
     def _one_life(self) -> str:
         """Runs a process until it ends. Returns how it ended, in words."""
@@ -216,19 +203,11 @@ class SessionProcess:
             except (EOFError, OSError):
                 return
             if kind == "frame":
-                self._tell(decoder.decode(what))
+                self._publish(decoder.decode(what))
             elif kind == "policy":
                 self._noted(*what)
             elif kind == "saved":
                 self._saved.put(what)
-
-    def _tell(self, news: Frame | NoFrame) -> None:
-        self.latest = news
-        for listener in self._listeners:
-            try:
-                listener(news)
-            except Exception:
-                log.exception("somebody who listens to a session failed")
 
 
 def prepare(*modules: str) -> None:

@@ -13,7 +13,6 @@ that touch a camera are served between the camera renders of a step, too:
 
 from __future__ import annotations
 
-import logging
 import queue
 import threading
 import time
@@ -42,15 +41,13 @@ from madviz.session.commands import (
     SetSpeed,
     StepOnce,
 )
-from madviz.session.frame import Frame, NoFrame, Phase, SessionPace
-from madviz.session.live_session import MOST_WAITING, TOO_MANY, Listener
+from madviz.session.frame import NoFrame, Phase, SessionPace
+from madviz.session.live_session import MOST_WAITING, TOO_MANY, FrameSource
 from madviz.session.pace import StepClock
 from madviz.session.session_file import SavedEpisode, SavedSession
 from madviz.session.stage import EnvFactory, Stage
 from madviz.system.processes import lower_thread_priority
 from madviz.types import Policy
-
-log = logging.getLogger(__name__)
 
 FIRST_SEED = 2000
 """Live episodes start here: training is below 1000, selection below 2000, cards from 5000."""
@@ -58,7 +55,7 @@ NICENESS = 10
 """Of the simulating thread, on a scale where 19 yields to all others; workers are at 15."""
 
 
-class Session:
+class Session(FrameSource):
     """A ``LiveSession`` in a thread of its own; the rest belongs to the thread that ticks."""
 
     def __init__(
@@ -73,19 +70,16 @@ class Session:
     ) -> None:
         """``policy``: one that is there, or the name of one that the session's thread shall load.
         ``script``: an episode to replay, once played; it begins with ``policy``."""
+        super().__init__()
         self._stage = Stage(make_env, policy, load_policy, seed, script)
         self._inbox: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
         self._backlog: deque[Command] = deque()
-        self._listeners: tuple[Listener, ...] = ()
-        self._lock = threading.Lock()
-        """Guards ``_listeners``."""
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         self._pace, self._auto_next = StepClock(speed), True
         self._read_all, self._pass_takes = False, 0.0
         self._phase: Phase = "paused" if script else "playing"
         self._number, self._error = 0, ""
-        self.latest: Frame | NoFrame | None = None
 
     def send(self, command: Command) -> None:
         if self.is_full:
@@ -97,18 +91,8 @@ class Session:
         """Whether ``MOST_WAITING`` commands wait, so that ``send`` takes no more."""
         return self._inbox.qsize() + len(self._backlog) >= MOST_WAITING
 
-    def subscribe(self, listener: Listener) -> None:
-        with self._lock:
-            self._listeners = (*self._listeners, listener)
-        if self.latest is not None:
-            listener(self.latest)
-
     def save(self) -> SavedSession:
         return self._stage.journal.saved()
-
-    def unsubscribe(self, listener: Listener) -> None:
-        with self._lock:
-            self._listeners = tuple(one for one in self._listeners if one != listener)
 
     def start(self) -> Session:
         """Runs ``run`` in a thread of its own."""
@@ -191,7 +175,7 @@ class Session:
             try:
                 self._emit(keep=False)
             except Exception:  # Not even a picture of it can be had, but the words can.
-                self._tell(NoFrame(self._error))
+                self._publish(NoFrame(self._error))
 
     # What happens.
 
@@ -353,13 +337,4 @@ class Session:
             error=self._error,
         )
         frame = self._stage.frame(keep, pace)
-        self._tell(frame or NoFrame(self._error))
-
-    def _tell(self, news: Frame | NoFrame) -> None:
-        """To everybody. A listener that fails must not take the session from the others."""
-        self.latest = news
-        for listener in self._listeners:
-            try:
-                listener(news)
-            except Exception:
-                log.exception("somebody who listens to a session failed")
+        self._publish(frame or NoFrame(self._error))

@@ -85,10 +85,10 @@ def run_site(config: SiteConfig) -> dict[str, Any]:
     }
     live = [folder for folder in folders if folder.spec.task.startswith(LIVE)]
     tasks = list(dict.fromkeys(folder.spec.task for folder in live))
-    manifest["tasks"] = [told(task, export_task, out, task, seeds) for task in tasks]
-    manifest["policies"] = [told(one.spec.name, export_policy, out, one) for one in live]
+    manifest["tasks"] = [announced(task, export_task, out, task, seeds) for task in tasks]
+    manifest["policies"] = [announced(one.spec.name, export_policy, out, one) for one in live]
     manifest["recordings"] = [
-        told(
+        announced(
             f"recordings of {one.spec.name}",
             record_policy,
             out,
@@ -171,7 +171,7 @@ def opening(policies: list[dict[str, Any]], seeds: range) -> dict[str, Any] | No
     return {**OPENING, "seed": seeds[0]}
 
 
-def told(name: str, work: Any, *arguments: Any) -> Any:
+def announced(name: str, work: Any, *arguments: Any) -> Any:
     """Says on standard error what is being written: it takes seconds."""
     print(f"writing {name}", file=sys.stderr, flush=True)
     return work(*arguments)

@@ -110,8 +110,8 @@ class ServedPolicy:
             for (stream, picture), on in zip(encoded.private.pictures.items(), mask, strict=True)
             if on
         }
-        told = self.spec.instruction
-        message = speaker.message(self.wiring, shown_now, encoded.state, told, noise)
+        words = self.spec.instruction
+        message = speaker.message(self.wiring, shown_now, encoded.state, words, noise)
         connection.answered |= self._warm
         found = speaker.ask(connection, message)
         self._warm = True

@@ -46,7 +46,7 @@ class Speaker(Protocol):
         ...
 
     def message(
-        self, wiring: Wiring, pictures: dict[str, Array], state: Array, told: str, noise: int
+        self, wiring: Wiring, pictures: dict[str, Array], state: Array, instruction: str, noise: int
     ) -> dict[str, Any]:
         """A look: the pictures (H, W, C) uint8 that are present, by stream, and the rest."""
         ...
@@ -72,12 +72,12 @@ class VlaEval:
         return self._answer(connection, "action", "an action", number)
 
     def message(
-        self, wiring: Wiring, pictures: dict[str, Array], state: Array, told: str, noise: int
+        self, wiring: Wiring, pictures: dict[str, Array], state: Array, instruction: str, noise: int
     ) -> dict[str, Any]:
         images: dict[str, Any] = {}
         for stream, picture in pictures.items():
             _put(images, wiring.key(stream), picture)
-        return {"images": images, "task_description": told, **_besides(wiring, state, noise)}
+        return {"images": images, "task_description": instruction, **_besides(wiring, state, noise)}
 
     def _tell(self, connection: PolicyConnection, kind: str, payload: dict[str, Any]) -> int:
         self._number += 1
@@ -135,9 +135,9 @@ class OpenPi:
         return found
 
     def message(
-        self, wiring: Wiring, pictures: dict[str, Array], state: Array, told: str, noise: int
+        self, wiring: Wiring, pictures: dict[str, Array], state: Array, instruction: str, noise: int
     ) -> dict[str, Any]:
-        message: dict[str, Any] = {"prompt": told, **_besides(wiring, state, noise)}
+        message: dict[str, Any] = {"prompt": instruction, **_besides(wiring, state, noise)}
         for stream, picture in pictures.items():
             _put(message, wiring.key(stream), picture)
         return message

@@ -58,7 +58,7 @@ class Wiring(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=Tr
     protocol: Protocol | None = None
     modality: Modality | dict[str, Modality] = "rgb"
     instruction: Text | None = None
-    """What it is told; by default the task's own sentence."""
+    """The task in words, sent with each observation; by default the task's own sentence."""
     chunk: Digits = 1
     """How many decisions of an answer are taken before it is asked again."""
     history: bool = False

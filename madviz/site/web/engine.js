@@ -59,7 +59,7 @@ export function missing() {
 /** Whether OpenGL is computed by the CPU here, as far as the browser says. */
 export function onCpu() {
   const gl = typeof OffscreenCanvas === 'function' && new OffscreenCanvas(1, 1).getContext('webgl2');
-  const told = gl && gl.getExtension('WEBGL_debug_renderer_info');
-  const name = told ? String(gl.getParameter(told.UNMASKED_RENDERER_WEBGL)) : '';
+  const info = gl && gl.getExtension('WEBGL_debug_renderer_info');
+  const name = info ? String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)) : '';
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }

@@ -231,13 +231,13 @@ function brief(value) {
  * @returns {LinkEvent[]}
  */
 export function mergedEvents(first, second) {
-  const told = (/** @type {CameraEvent} */ event) => JSON.stringify(
+  const keyOf = (/** @type {CameraEvent} */ event) => JSON.stringify(
     [event.step, event.camera, event.state ? stateText(event.state) : moveText(event.move ?? null)]);
-  const others = new Map((second ?? []).map(event => [told(event), event]));
+  const others = new Map((second ?? []).map(event => [keyOf(event), event]));
   /** @type {LinkEvent[]} */
   const events = [];
   for (const event of first) {
-    const both = second === null || others.delete(told(event));
+    const both = second === null || others.delete(keyOf(event));
     events.push({...event, side: both ? 'both' : 'first'});
   }
   for (const event of others.values()) events.push({...event, side: 'second'});

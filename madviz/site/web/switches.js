@@ -26,7 +26,7 @@ const FAILURES = [['none', 'its picture'], ['black', 'black'], ['noise', 'noise'
 const SLIDERS = {noise: [['strength', 'strength']], blur: [['strength', 'strength']],
   patch: [['x', 'across'], ['y', 'down'], ['width', 'width'], ['height', 'height']]};
 
-/** Cards are told apart on the page, also where both sides have theirs. */
+/** Cards have ids of their own on the page, also where both sides have theirs. */
 let count = 0;
 
 export class SwitchBoard {
