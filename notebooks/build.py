@@ -40,9 +40,17 @@ def from_text(name: str) -> nbformat.NotebookNode:
     notebook = jupytext.read(HERE / "text" / f"{name}.py")
     for index, cell in enumerate(notebook.cells):
         cell["id"] = f"{name[:2]}-{index:02d}"
-        cell.metadata.clear()
+        keep_tags(cell)
     notebook.metadata = {"kernelspec": notebook.metadata["kernelspec"]}
     return notebook
+
+
+def keep_tags(cell: nbformat.NotebookNode) -> None:
+    """Leaves a cell its tags and nothing else; a solution is folded until somebody opens it."""
+    tags = cell.metadata.get("tags", [])
+    cell.metadata = nbformat.from_dict({"tags": tags} if tags else {})
+    if "solution" in tags:
+        cell.metadata["jupyter"] = {"source_hidden": True}
 
 
 def run(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
@@ -59,7 +67,7 @@ def run(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
 def tidy(notebook: nbformat.NotebookNode) -> None:
     """Leaves out what differs between two builds for no reason, and joins printed lines."""
     for cell in notebook.cells:
-        cell.metadata.clear()
+        keep_tags(cell)
         outputs, printed = [], {}
         for output in cell.get("outputs", []):
             if output.output_type != "stream":

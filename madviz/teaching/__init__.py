@@ -2,12 +2,14 @@
 
     episode      its time steps, and how a policy acts at each
     rates        successes in words, with their intervals
+    checks       exercises that check themselves
     small_runs   trainings that fit into a lesson
 
 All of these are here under ``madviz.teaching``; ``show``, ``lessons``, ``baselines`` and ``inside``
 are modules of their own, for those lessons that need them.
 """
 
+from madviz.teaching.checks import check as check
 from madviz.teaching.episode import LESSON_SEED as LESSON_SEED
 from madviz.teaching.episode import Moment as Moment
 from madviz.teaching.episode import begin as begin

@@ -27,7 +27,7 @@ import madviz
 from madviz import teaching
 from madviz.agent.merges.sum import merge_sum
 from madviz.agent.networks import FEATURE_SIZE
-from madviz.subsets import every_mask
+from madviz.subsets import every_mask, name_of
 from madviz.teaching.lessons import (
     answers,
     count_views,
@@ -77,7 +77,7 @@ subset_table(now)
 # %% [markdown]
 # ## The norm of a sum
 
-# %%
+# %% tags=["prediction"]
 guess = Predict(
     "How large is the norm of the sum of three features, compared with that of one?",
     [
@@ -153,12 +153,59 @@ explorer = Explorer(policy, seed=2001)
 explorer
 
 # %% [markdown]
-# ## Exercise
+# ## Exercise 1: a sum of your own
 #
-# MAD adds features and does not average them. Suppose it did: divide the sum by the number of
-# cameras. Can you still infer from the norm how many cameras there are? Use `now.probe.features`
-# (one row per camera) and `every_mask(3)`. What would be better about a mean, and what is lost
-# with it? A solution is in `solutions/02_merge.py`.
+# Write `merge` for one time step, with NumPy. `features` has one row per camera, as
+# `now.probe.features` has, and `present` says which cameras are there: `[True, False, True]` is a
+# row of `every_mask(3)`.
 
-# %%
-print(now.probe.features.shape, np.linalg.norm(now.probe.features, axis=1).round(1))
+
+# %% tags=["answer"]
+def merge(features, present):
+    return ...
+
+
+# %% tags=["solution"]
+def merge(features, present):
+    return features[present].sum(0)
+
+
+# %% tags=["check"]
+teaching.check("02.merge", merge)
+
+# %% [markdown]
+# ## Exercise 2: a mean in place of the sum
+#
+# MAD adds features and does not average them. Suppose it did: write `mean` over the cameras that
+# are present, and zeros where there is none. Then ask your function what the norm says: is it
+# still larger with more cameras? What would be better about a mean, and what is lost with it?
+
+
+# %% tags=["answer"]
+def mean(features, present):
+    return ...
+
+
+# %% tags=["solution"]
+def mean(features, present):
+    return features[present].sum(0) / max(present.sum(), 1)
+
+
+# %% tags=["check"]
+teaching.check("02.mean", mean)
+
+# %% tags=["solution"]
+rows = [
+    [name_of(mask, policy.spec.streams)]
+    + [float(np.linalg.norm(merged(now.probe.features, mask))) for merged in (merge, mean)]
+    for mask in every_mask(3)
+]
+table(["cameras", "norm of the sum", "norm of the mean"], rows)
+
+# %% [markdown] tags=["solution"]
+# A mean does not make the norms alike: it reverses their order. Three features that point in
+# different directions shrink when they are averaged, so now the single cameras have large norms
+# and all together a small one. The norm still depends on the number of cameras. And something is
+# lost: with a sum, a camera adds the same term in every subset; with a mean, it counts for a
+# third as soon as two others join. The paper's sum keeps a single camera's feature exactly what
+# that camera's own policy would get.
