@@ -14,6 +14,7 @@ that dropping a camera is data and never a code path.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -184,6 +185,16 @@ class Environment(Protocol):
 
     def close(self) -> None:
         """Frees what the simulator and the renderer hold."""
+        ...
+
+
+@runtime_checkable
+class ResetsInPieces(Protocol):
+    """An environment whose reset takes long enough to be felt on a page."""
+
+    def reset_in_pieces(self, seed: int, between: Callable[[], None]) -> TimeStep:
+        """``reset``, to the bit, with ``between`` called every few milliseconds. It must not touch
+        the environment."""
         ...
 
 

@@ -169,3 +169,13 @@ def test_a_hand_that_still_closes_does_not_lift() -> None:
 @pytest.mark.parametrize("task", METAWORLD_TASKS)
 def test_experts_succeed_at_the_last_step(task: str) -> None:
     assert np.mean([success_at_the_end(task, seed) for seed in range(6000, 6020)]) >= 0.9
+
+
+def test_a_reset_can_be_interrupted_and_stays_the_same() -> None:
+    env = MetaWorld("hammer")
+    plain, calls = env.reset(7), []
+    pieces = env.reset_in_pieces(7, lambda: calls.append(1))
+    assert np.array_equal(plain.state, pieces.state) and len(calls) >= 100
+    env.step(np.zeros(4))
+    assert len(calls) < 110  # A step is short enough.
+    env.close()

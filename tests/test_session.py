@@ -8,6 +8,7 @@ import pytest
 from madviz.envs.toy import ToyReach
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import (
+    Compare,
     Pause,
     Play,
     Reset,
@@ -219,3 +220,36 @@ def test_nan_action_pauses_with_a_traceback_and_reset_recovers(session: Recorder
     well = session.ask(Reset())
     assert (well.pace.error, well.pace.phase, well.world.step) == ("", "playing", 0)
     assert session.steps(2).world.step == 2
+
+
+@pytest.mark.parametrize("compared", [False, True])
+def test_camera_commands_are_served_while_the_next_episode_begins(compared: bool):
+    """It meets the last step of the episode before, and the new one begins with it."""
+
+    class Slow(ToyReach):
+        def reset_in_pieces(self, seed, between):
+            moment = super().reset(seed)
+            if seed == 41 and self is worlds[-1]:
+                session.send(SetCamera("first", OFF))
+                between()
+            return moment
+
+    def built(task, profile, cameras):
+        worlds.append(Slow())
+        return worlds[-1]
+
+    worlds: list[Slow] = []
+    session = Recorder(env_factory=built, seed=40)
+    session.at(0.0)
+    if compared:
+        session.ask(Compare("toy-mad"))
+    session.steps(3)
+    session.ask(Reset(next_seed=True))
+    shown = [(f.world.seed, f.world.step, f.condition.subset) for f in session.frames[-2:]]
+    assert shown == [(40, 3, "third_a+third_b"), (41, 0, "third_a+third_b")]
+    after = session.frames[-1].second
+    assert (after is not None) == compared
+    assert after is None or after.condition.subset == "third_a+third_b"
+    session.steps(2)
+    saved = session.save().episodes[-1]
+    assert saved.commands == () and saved.start == (SetCamera("first", OFF),)

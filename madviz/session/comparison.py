@@ -47,9 +47,9 @@ class SecondSimulation:
         self.simulation = open_simulation(env, policy, ablation)
         self._whole = False
 
-    def begin(self, seed: int) -> None:
-        """Both start at ``seed``."""
-        self.simulation.begin(seed)
+    def begin(self, seed: int, between: Callable[[], None]) -> None:
+        """Both start at ``seed``; ``between`` as in ``Simulation.begin``, for A."""
+        self.simulation.begin(seed, between)
         self._whole = True
 
     def step(self) -> None:

@@ -184,7 +184,7 @@ class Session(FrameSource):
         self._began(now)
 
     def _begin(self, seed: int, now: float) -> None:
-        self._stage.begin(seed)
+        self._stage.begin(seed, self._serve_cameras)
         self._began(now)
 
     def _began(self, now: float) -> None:

@@ -33,7 +33,7 @@ from madviz.session.journal import Journal
 from madviz.session.playing import Playing
 from madviz.session.snapshot import Snapshot, StepData
 from madviz.subsets import every_mask, row_of
-from madviz.types import Array, Encoded, Environment, Policy, TimeStep, View
+from madviz.types import Array, Encoded, Environment, Policy, ResetsInPieces, TimeStep, View
 
 
 class Simulation:
@@ -118,16 +118,20 @@ class Simulation:
         live.update(self.policy, self._stack.views, self.now.time.state, mask, self.probe, now)
         return True
 
-    def begin(self, seed: int) -> None:
-        """Starts the episode of ``seed``; camera settings stay."""
-        moment = self.env.reset(seed)
+    def begin(self, seed: int, between: Callable[[], None] = lambda: None) -> None:
+        """Starts the episode of ``seed``; camera settings stay. ``between`` as in ``step``: until
+        the first pictures are drawn it meets the last step of the episode before."""
+        env, between = self.env, between if self._recent else lambda: None
+        in_pieces = isinstance(env, ResetsInPieces)
+        moment = env.reset_in_pieces(seed, between) if in_pieces else env.reset(seed)
+        views = self._draw(between)
         self.episode, self.seed = self.episode + 1, seed
         self._playing.begin(self.policy, seed)
         self.total_reward, self.success_any, self.change = 0.0, moment.success, None
         self._recent.clear()
         self._worst, self._conditions, self._actions = {}, set(), []
         self.journal.begin(self.policy.spec, self.env.spec, seed, self.ablation)
-        self._arrive(moment, self._draw(lambda: None))
+        self._arrive(moment, views)
 
     def step(self, between: Callable[[], None]) -> None:
         """Takes one decision. ``between`` is called after every camera that is drawn, and may call

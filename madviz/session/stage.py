@@ -91,14 +91,17 @@ class Stage:
             self.simulation.close()
             self.simulation = None
 
-    def begin(self, seed: int) -> None:
-        """Starts the episode of ``seed``. Raises UserError where nothing is open."""
-        self._live.begin(seed)
+    def begin(self, seed: int, between: Callable[[], None] = lambda: None) -> None:
+        """Starts the episode of ``seed``; ``between`` as in ``Simulation.begin``. Raises UserError
+        where nothing is open."""
+        live = self._live
+        self._timeline.show(None)  # What is touched meanwhile is touched now, not in the past.
+        if self._second is not None:  # Before A, whose last step is there to be touched meanwhile.
+            self._second.begin(seed, between)
+        live.begin(seed, between)
         self.seed, self._timeline = seed, Timeline()
         self.saliency.forget()
         self._plan.begin()
-        if self._second is not None:
-            self._second.begin(seed)
         self._follow()
 
     def step(self, between: Callable[[], None]) -> None:

@@ -17,6 +17,8 @@ several simulations side by side would then change each other's scenes.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -125,6 +127,14 @@ class MetaWorld(MuJoCoWorld):
         self._step, self._success = 0, False
 
     def reset(self, seed: int) -> TimeStep:
+        return self.reset_in_pieces(seed, lambda: None)
+
+    def reset_in_pieces(self, seed: int, between: Callable[[], None]) -> TimeStep:
+        """Meta-World lets the hand settle for 100 times five physics steps, some 40 ms."""
+        with _called_between(self.simulation, between):
+            return self._begin(seed)
+
+    def _begin(self, seed: int) -> TimeStep:
         simulation = self.simulation
         simulation.seed(seed)
         simulation.reset()
@@ -163,6 +173,21 @@ class MetaWorld(MuJoCoWorld):
 
     def _state(self) -> Array:
         return np.concatenate(self._states)
+
+
+@contextmanager
+def _called_between(simulation: Any, between: Callable[[], None]) -> Iterator[None]:
+    """Has ``between`` called after every few physics steps of ``simulation``."""
+
+    def do_simulation(ctrl: Any, n_frames: int) -> None:
+        type(simulation).do_simulation(simulation, ctrl, n_frames)
+        between()
+
+    simulation.do_simulation = do_simulation
+    try:
+        yield
+    finally:
+        del simulation.do_simulation
 
 
 def _simulation(task: str) -> Any:
