@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 import torch
+from torch import nn
+from torch.nn import functional as F
 
 from madviz.agent.autoencoder import (
     LEAST_KEPT,
@@ -14,6 +16,7 @@ from madviz.agent.autoencoder import (
     MultiViewAutoencoder,
     drawn_tokens,
     moving,
+    newest,
     pictures_of,
     positions,
     psnr,
@@ -27,7 +30,6 @@ from madviz.training.autoencoder import (
     AutoencoderTraining,
     mean_pictures,
     new_autoencoder,
-    newest,
     schedule,
     train_autoencoder,
 )
@@ -90,7 +92,7 @@ def test_what_has_learned_nothing_draws_the_mean():
     model = new_autoencoder(data, TINY, seed=1)
     views = data.views(np.arange(4))
     keep = whole_views(torch.tensor([True, False]), model.tokens_of_a_view, 4)
-    mean = mean_pictures(data, seed=1)
+    mean = mean_pictures(data)
     torch.testing.assert_close(model(views, keep).pictures, mean.expand(4, -1, -1, -1, -1))
 
 
@@ -132,19 +134,19 @@ def test_losses_are_those_of_an_independent_computation():
     drawn, truth = rng.uniform(0, 1, (2, 3, 2, 3, 4, 4))
     mean = truth.mean(0) + rng.choice([0.0, 0.2], (2, 3, 4, 4))
     moves = np.zeros((3, 2, 4, 4), bool)
-    total = weights = 0.0
+    total, weights = np.zeros(2), np.zeros(2)
     for b, v, y, x in np.ndindex(3, 2, 4, 4):
         moves[b, v, y, x] = any(
             abs(truth[b, v, c, y, x] - mean[v, c, y, x]) > 10 / 255 for c in range(3)
         )
         weight = 21.0 if moves[b, v, y, x] else 1.0
         errors = [(drawn[b, v, c, y, x] - truth[b, v, c, y, x]) ** 2 for c in range(3)]
-        total += weight * sum(errors) / 3
-        weights += weight
+        total[v] += weight * sum(errors) / 3
+        weights[v] += weight
     found = moving(torch.from_numpy(truth), torch.from_numpy(mean))
     np.testing.assert_array_equal(found.numpy(), moves)
     loss = reconstruction_loss(torch.from_numpy(drawn), torch.from_numpy(truth), found, 20.0)
-    assert float(loss) == pytest.approx(total / weights, rel=1e-12)
+    assert float(loss) == pytest.approx((total / weights).mean(), rel=1e-12)
 
 
 def test_psnr_is_over_the_pixels_that_are_asked_for():
@@ -166,10 +168,13 @@ def test_rewards_are_squeezed_symmetrically():
 
 def test_patches_and_positions_are_in_the_order_of_the_stem():
     model, views = network(), pictures(1, 2)
-    tokens = model.tokens(views)
+    everything = torch.arange(72)[None]
+    tokens = model.tokens(views, everything)
     changed = views.clone()
     changed[0, 1, :, 14:28, 70:84] = 0  # Row 1, column 5 of the second view.
-    different = (model.tokens(changed) != tokens).any(-1)[0].nonzero().flatten().tolist()
+    different = (
+        (model.tokens(changed, everything) != tokens).any(-1)[0].nonzero().flatten().tolist()
+    )
     assert different == [36 + 6 + 5]
     patches = torch.zeros(1, 1, 36, 3 * 14 * 14)
     patches[0, 0, 11] = 1
@@ -179,6 +184,21 @@ def test_patches_and_positions_are_in_the_order_of_the_stem():
     assert marks.shape == (36, 16)
     np.testing.assert_allclose(marks[11, 0], math.sin(1), rtol=1e-6)  # Row 1 at the fastest rate.
     np.testing.assert_allclose(marks[11, 8], math.sin(5), rtol=1e-6)  # Column 5.
+
+
+def test_the_stem_is_two_convolutions_of_each_patch():
+    model, views = network(), pictures(2)
+    first, second = model.stem[0], model.stem[3]
+    assert isinstance(first, nn.Linear) and isinstance(second, nn.Linear)
+    pixels = views.flatten(0, 1).float() / 255 - 0.5
+    kernel = first.weight.reshape(-1, 9, 2, 2)
+    small = F.conv2d(pixels, kernel, first.bias, stride=2).relu()
+    kernel = second.weight.unflatten(1, (7, 7, -1)).permute(0, 3, 1, 2)
+    expected = F.conv2d(small, kernel, second.bias, stride=7).flatten(2).transpose(1, 2)
+    expected = expected.reshape(2, 72, -1) + model.marks
+    everything = torch.arange(72).expand(2, -1)
+    torch.testing.assert_close(model.tokens(views, everything), expected)
+    torch.testing.assert_close(model.tokens(views, everything[:, 30:50]), expected[:, 30:50])
 
 
 def test_patches_that_do_not_fit_are_refused():

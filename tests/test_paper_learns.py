@@ -52,7 +52,7 @@ and 0.4 on single cameras; an untrained policy has 0.0."""
 
 
 def test_every_method_is_asked() -> None:
-    assert LEARNS.keys() == METHODS.keys()
+    assert LEARNS.keys() == {name for name, row in METHODS.items() if "paper" in row.recipes}
 
 
 @pytest.mark.slow

@@ -120,6 +120,26 @@ class TorchPolicy:
         q = torch.minimum(*self.agent.critic(rows, state, action)) / self._reward_scale
         return Readout(self.agent.merge.merged_feature(rows).numpy(), action.numpy(), q.numpy())
 
+    @torch.inference_mode()
+    def imagine(self, encoded: Encoded, mask: Bool[Array, " V"]) -> UInt8[Array, "V H W 3"]:
+        """The newest frame of every stream, drawn from those in ``mask`` alone. Raises UserError
+        where the policy does not support ``mask`` or does not draw (``imagines``)."""
+        if not self.imagines:
+            raise UserError(
+                f"expected a policy that draws pictures, found {self.spec.name}, whose merge "
+                f"{self.agent.merge_name!r} does not; pick one of the method mv-mae"
+            )
+        if not self.supports(mask):
+            raise self._cannot(mask)
+        merge, encoder = self.agent.merge, self.agent.encoder
+        pictures = merge.imagined(encoder, encoded.private[0], torch.from_numpy(mask))[0]
+        return (255 * pictures).round().byte().permute(0, 2, 3, 1).contiguous().numpy()
+
+    @property
+    def imagines(self) -> bool:
+        """Whether it can draw what a missing camera would see."""
+        return self.agent.merge.reconstructs
+
     def supports(self, mask: Array) -> bool:
         """Whether there is a place for every stream, and the merge can do without the absent."""
         right_length = len(mask) == len(self.spec.streams)

@@ -18,7 +18,9 @@ move count ``moving_weight`` times more.
 
 Unlike the authors' code: views are hidden uniformly, and the share of tokens that is kept varies up
 to whole views (a network that was trained on 7 % of the tokens gets worse when it is given more);
-only the newest frame of a stack is drawn; positions are fixed, views have learned marks.
+only the newest frame of a stack is drawn; the marks by which places and views are told apart begin
+as sines and cosines, and are learned; every view counts alike in the loss. The last two are what it
+took here to imagine a hand of a few pixels within minutes (``bench/imagine.py`` has the figures).
 """
 
 from __future__ import annotations
@@ -28,31 +30,16 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
+from torch.nn import functional as F
 
-from madviz.system.numbers import Count, Pixels, Weight, Width
+from madviz.agent.sizes import AutoencoderConfig as AutoencoderConfig
 
 MOVING = 10 / 255
 """A pixel moves where a channel differs by more than this from its camera's mean."""
 LEAST_KEPT = 0.3
 """Share of the tokens of visible views that is kept at least, where not all are."""
-
-
-@dataclass(frozen=True)
-class AutoencoderConfig:
-    """The sizes of the autoencoder: light ones, the paper's are in brackets."""
-
-    patch: Pixels = 14
-    """Pixels of a patch's side (16 of 96)."""
-    width: Width = 128
-    """Numbers of a token (256)."""
-    layers: Count = 4
-    """Transformer layers of the encoder (8)."""
-    decoder_layers: Count = 2
-    """Transformer layers of the decoder (6)."""
-    heads: Count = 4
-    """Attention heads of both (4)."""
-    moving_weight: Weight = 20.0
-    """How much more a pixel that moves counts (0)."""
+REWARD_WEIGHT = 0.01
+"""Of the squared error of the reward's symlog, beside the pictures'."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +56,6 @@ class MultiViewAutoencoder(nn.Module):
     """See the module."""
 
     mean: Tensor
-    place: Tensor
 
     def __init__(
         self, config: AutoencoderConfig, channels: int, mean: Float[Tensor, "V 3 H W"]
@@ -82,15 +68,20 @@ class MultiViewAutoencoder(nn.Module):
             raise ValueError(f"a picture of {size} pixels has no even patches of {config.patch}")
         self.config, self.side = config, size // config.patch
         width = config.width
+        places = (config.patch // 2) ** 2
         self.stem = nn.Sequential(
-            nn.Conv2d(channels, width // 2, 2, stride=2),
-            nn.GELU(),
-            nn.Conv2d(width // 2, width, config.patch // 2, stride=config.patch // 2),
+            nn.Linear(4 * channels, width // 4),
+            nn.ReLU(),
+            nn.Flatten(-2),
+            nn.Linear(places * (width // 4), width),
         )
-        """Reads each patch alone: nothing of a hidden patch shows in its neighbours."""
-        self.view = nn.Parameter(0.02 * torch.randn(views, 1, width))
+        """Two convolutions whose strides are their sizes: squares of 2 x 2 pixels, then the patch.
+        Each patch is read alone, so that nothing of a hidden one shows in its neighbours, and the
+        hidden ones need not be read at all."""
+        place = positions(self.side, width)
+        self.marks = nn.Parameter(torch.cat([place + 0.02 * torch.randn(width) for _ in mean]))
+        """(M, W), what tells the M = V T places from each other."""
         self.hidden = nn.Parameter(0.02 * torch.randn(width))
-        self.register_buffer("place", positions(self.side, width), persistent=False)
         self.register_buffer("mean", mean.clone())
         self.encoder = _layers(config, config.layers)
         self.decoder = _layers(config, config.decoder_layers)
@@ -105,22 +96,22 @@ class MultiViewAutoencoder(nn.Module):
         """T."""
         return self.side**2
 
-    def tokens(self, views: UInt8[Tensor, "B V C H W"]) -> Float[Tensor, "B M W"]:
-        """The M = V T tokens of all views, each from its own patch alone."""
-        maps = self.stem(views.flatten(0, 1).to(self.view.dtype) / 255 - 0.5)
-        tokens = maps.flatten(2).transpose(1, 2).unflatten(0, views.shape[:2])
-        return (tokens + self.place + self.view).flatten(1, 2)
-
-    def features(
-        self, tokens: Float[Tensor, "B M W"], keep: Int[Tensor, "B K"]
+    def tokens(
+        self, views: UInt8[Tensor, "B V C H W"], keep: Int[Tensor, "B K"]
     ) -> Float[Tensor, "B K W"]:
-        """Of the tokens that are kept, each having seen the others that are."""
-        return self.norm(self.encoder(_taken(tokens, keep)))
+        """The tokens that are kept, each from its own patch alone."""
+        squares = _taken(squares_of(views, self.config.patch).flatten(2), keep)
+        squares = squares.unflatten(2, (-1, 4 * views.shape[2]))
+        return self.stem(squares.to(self.marks.dtype) / 255 - 0.5) + self.marks[keep]
+
+    def features(self, tokens: Float[Tensor, "B K W"]) -> Float[Tensor, "B K W"]:
+        """Of tokens, each having seen all the others."""
+        return self.norm(self.encoder(tokens))
 
     def draw(self, features: Float[Tensor, "B K W"], keep: Int[Tensor, "B K"]) -> Drawn:
         """Every view's picture, and the reward, from what was kept."""
         batch, width = len(features), self.config.width
-        marks = (self.hidden + self.place + self.view).flatten(0, 1)
+        marks = self.hidden + self.marks
         everything = marks.expand(batch, -1, -1).to(features.dtype)
         where = keep[..., None].expand(-1, -1, width)
         seen = features + marks.to(features.dtype)[keep]
@@ -132,7 +123,7 @@ class MultiViewAutoencoder(nn.Module):
 
     def forward(self, views: UInt8[Tensor, "B V C H W"], keep: Int[Tensor, "B K"]) -> Drawn:
         """What is drawn where the tokens ``keep`` are seen."""
-        return self.draw(self.features(self.tokens(views), keep), keep)
+        return self.draw(self.features(self.tokens(views, keep)), keep)
 
 
 def _layers(config: AutoencoderConfig, count: int) -> nn.TransformerEncoder:
@@ -173,12 +164,31 @@ def drawn_tokens(
     share = 1.0 if share >= 1 else LEAST_KEPT + share * (1 - LEAST_KEPT)
     count = max(1, round(share * visible * tokens))
     order = torch.rand(batch, views, generator=generator).argsort(1).argsort(1)
-    luck = torch.rand(batch, views, tokens, generator=generator)
-    luck[order >= visible] = 2.0  # Behind all others.
-    return luck.flatten(1).argsort(1)[:, :count].sort(1).values
+    score = torch.rand(batch, views, tokens, generator=generator)
+    score[order >= visible] = 2.0  # Hidden views: larger than any score of a visible one.
+    return score.flatten(1).argsort(1)[:, :count].sort(1).values
 
 
 # --- Losses -------------------------------------------------------------------------------------
+
+
+def autoencoder_loss(
+    model: MultiViewAutoencoder,
+    views: UInt8[Tensor, "B V C H W"],
+    reward: Float[Tensor, " B"],
+    generator: torch.Generator,
+) -> Float[Tensor, ""]:
+    """What is learned from a batch of stacks, under tokens that ``generator`` draws."""
+    keep = drawn_tokens(generator, *views.shape[:2], model.tokens_of_a_view)
+    drawn, pictures = model(views, keep), newest(views)
+    moves = moving(pictures, model.mean)
+    loss = reconstruction_loss(drawn.pictures, pictures, moves, model.config.moving_weight)
+    return loss + REWARD_WEIGHT * F.mse_loss(drawn.reward, symlog(reward))
+
+
+def newest(views: UInt8[Tensor, "B V C H W"]) -> Float[Tensor, "B V 3 H W"]:
+    """The last frame of stacks, from 0 to 1."""
+    return views[:, :, -3:].float() / 255
 
 
 def moving(
@@ -194,10 +204,12 @@ def reconstruction_loss(
     moves: Bool[Tensor, "B V H W"],
     moving_weight: float,
 ) -> Float[Tensor, ""]:
-    """Squared error, a mean over pixels in which those that move count 1 + ``moving_weight``."""
+    """Squared error: of each view a mean over pixels in which those that move count 1 +
+    ``moving_weight``, and of these the mean. A camera on the hand, whose whole picture moves,
+    counts no more than one in which a few pixels do."""
     weight = 1 + moving_weight * moves.to(drawn.dtype)
     error = (drawn - pictures).square().mean(2)
-    return (weight * error).sum() / weight.sum()
+    return ((weight * error).sum((0, 2, 3)) / weight.sum((0, 2, 3))).mean()
 
 
 def symlog(x: Tensor) -> Tensor:
@@ -228,6 +240,17 @@ def positions(side: int, width: int) -> Float[Tensor, "T W"]:
     row, column = torch.meshgrid(torch.arange(side), torch.arange(side), indexing="ij")
     angles = [place.flatten()[:, None] * rates for place in (row, column)]
     return torch.cat([wave(angle) for angle in angles for wave in (torch.sin, torch.cos)], 1)
+
+
+def squares_of(views: UInt8[Tensor, "B V C H W"], patch: int) -> UInt8[Tensor, "B M P S"]:
+    """Cuts every view into patches, row by row, and each of them into P squares of 2 x 2 pixels,
+    whose S numbers are 4 of every channel."""
+    batch, count, channels, size, _ = views.shape
+    side, half = size // patch, patch // 2
+    pairs = views.contiguous().view(torch.int16)  # Neighbours in a row, moved together: faster.
+    cut = pairs.view(batch, count, channels, side, half, 2, side, half)
+    cut = cut.permute(0, 1, 3, 6, 4, 7, 2, 5)
+    return cut.reshape(batch, count * side**2, half**2, 2 * channels).view(torch.uint8)
 
 
 def pictures_of(patches: Float[Tensor, "B V T P"], patch: int) -> Float[Tensor, "B V 3 H W"]:

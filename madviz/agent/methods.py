@@ -24,7 +24,7 @@ then MAD with every row weighing alike, and Singular Only is MAD at alpha 0.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -102,7 +102,7 @@ class Method:
             free = ", ".join(name for name, row in METHODS.items() if row.other_merges)
             raise UserError(
                 f"expected the method's own merge {self.merge!r}, found {asked!r}; merges other "
-                f"than {' and '.join(with_a_loss)} can be picked with: {free}"
+                f"than {', '.join(with_a_loss)} can be picked with: {free}"
             )
         for name, mask in zip(self.rows(streams), self.masks(streams), strict=True):
             if not MERGES[chosen].support.allows(mask):
@@ -178,6 +178,14 @@ METHODS: dict[str, Method] = {
         page_words="Single: trained on one camera.",
     ),
     **{name: _merging(name, merge) for name, merge in MERGES.items() if name != "sum"},
+    "mv-mae": replace(
+        _merging("mv-mae", MERGES["mv-mae"]),
+        summary="MV-MAE + imitation: tokens of a masked autoencoder over views; not MV-MWM, which "
+        "learns a world model on them",
+        subsets=mad_subsets,
+        weights=_mad,
+        recipes=("light",),
+    ),
 }
 
 

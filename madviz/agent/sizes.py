@@ -2,14 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
+
+from madviz.system.numbers import Count, Pixels, Weight, Width
 
 FEATURE_MAP = (64, 7, 7)
 FEATURE_SIZE = 64 * 7 * 7
 """Z: the 3136 numbers a stream is encoded to."""
+PICTURE = 84
+"""Pixels of a picture's side that give this map."""
 FURTHEST = 5.0
 """Spreads from the mean beyond which a state number is cut off: nothing like it was trained on."""
+
+
+@dataclass(frozen=True)
+class AutoencoderConfig:
+    """The sizes of the masked autoencoder over views: light ones, the paper's are in brackets."""
+
+    patch: Pixels = 14
+    """Pixels of a patch's side (16 of 96)."""
+    width: Width = 128
+    """Numbers of a token (256)."""
+    layers: Count = 4
+    """Transformer layers of the encoder (8)."""
+    decoder_layers: Count = 2
+    """Transformer layers of the decoder (6)."""
+    heads: Count = 4
+    """Attention heads of both (4)."""
+    moving_weight: Weight = 20.0
+    """How much more a pixel that moves counts (0)."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +60,10 @@ class NetworkConfig:
     """What is subtracted from each number that the heads read; nothing if empty."""
     state_spread: tuple[float, ...] = ()
     """What each is divided by after that, above 0; as many as ``state_mean``."""
+    autoencoder: AutoencoderConfig = field(default_factory=AutoencoderConfig)
+    """MV-MAE's; no other method reads it."""
+    end_to_end: bool = False
+    """MV-MAE alone: whether the actor's loss reaches the autoencoder, too."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for a reading of the state that cannot be carried out."""

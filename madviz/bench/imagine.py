@@ -30,6 +30,7 @@ from madviz.agent.autoencoder import (
     AutoencoderConfig,
     MultiViewAutoencoder,
     moving,
+    newest,
     psnr,
     whole_views,
 )
@@ -40,7 +41,6 @@ from madviz.system.numbers import Count, Seed
 from madviz.training.autoencoder import (
     AutoencoderTraining,
     new_autoencoder,
-    newest,
     train_autoencoder,
 )
 from madviz.training.demonstrations import Dataset, Driver, record_episode

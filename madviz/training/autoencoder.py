@@ -15,19 +15,17 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn import functional as F
 
 from madviz.agent.agent import autocast
 from madviz.agent.autoencoder import (
     AutoencoderConfig,
     MultiViewAutoencoder,
-    drawn_tokens,
-    moving,
-    reconstruction_loss,
-    symlog,
+    autoencoder_loss,
+    newest,
 )
-from madviz.system.numbers import Rate, Steps, Weight, Width
+from madviz.system.numbers import Rate, Steps, Width
 from madviz.training.demonstrations import Dataset
+from madviz.types import Array
 
 WARM_UP = 0.05
 """Share of the updates in which the rate rises."""
@@ -45,20 +43,13 @@ class AutoencoderTraining:
     """Time steps in a gradient step, each with all its views."""
     learning_rate: Rate = 1e-3
     """AdamW's, at its highest."""
-    reward_weight: Weight = 0.01
-    """Of the squared error of the reward's symlog, beside the pictures'."""
 
 
-def newest(views: Tensor) -> Float[Tensor, "B V 3 H W"]:
-    """The last frame of stacks (B, V, C, H, W) uint8, from 0 to 1."""
-    return views[:, :, -3:].float() / 255
-
-
-def mean_pictures(data: Dataset, seed: int = 0) -> Float[Tensor, "V 3 H W"]:
-    """The mean picture of every view, over ``MEAN_OF`` frames drawn by ``seed``."""
-    rng = np.random.default_rng([seed, 11])
-    index = rng.choice(len(data), min(MEAN_OF, len(data)), replace=False)
-    return newest(data.views(index, 1)).mean(0)
+def mean_pictures(data: Dataset, index: Array | None = None) -> Float[Tensor, "V 3 H W"]:
+    """The mean picture of every view, over about ``MEAN_OF`` evenly spaced decisions of those in
+    ``index``, or of all."""
+    index = np.arange(len(data)) if index is None else index
+    return newest(data.views(index[:: max(1, len(index) // MEAN_OF)], 1)).mean(0)
 
 
 def new_autoencoder(
@@ -66,7 +57,7 @@ def new_autoencoder(
 ) -> MultiViewAutoencoder:
     """One that has learned nothing and draws the mean pictures of ``data``."""
     torch.manual_seed(seed)
-    return MultiViewAutoencoder(config, 3 * frame_stack, mean_pictures(data, seed))
+    return MultiViewAutoencoder(config, 3 * frame_stack, mean_pictures(data))
 
 
 def train_autoencoder(
@@ -90,7 +81,7 @@ def train_autoencoder(
         index = rng.integers(0, len(data), config.batch_size)
         views, reward = data.views(index), data.column("rewards", index)
         with autocast():
-            loss = autoencoder_loss(model, views, reward, generator, config.reward_weight)
+            loss = autoencoder_loss(model, views, reward, generator)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
@@ -100,22 +91,6 @@ def train_autoencoder(
             report(update + 1, float(np.mean(losses)))
             losses.clear()
     model.eval()
-
-
-def autoencoder_loss(
-    model: MultiViewAutoencoder,
-    views: Tensor,
-    reward: Float[Tensor, " B"],
-    generator: torch.Generator,
-    reward_weight: float,
-) -> Float[Tensor, ""]:
-    """Of a batch of stacks (B, V, C, H, W) uint8, under tokens that ``generator`` draws."""
-    batch, count = views.shape[:2]
-    keep = drawn_tokens(generator, batch, count, model.tokens_of_a_view)
-    drawn, pictures = model(views, keep), newest(views)
-    moves = moving(pictures, model.mean)
-    loss = reconstruction_loss(drawn.pictures, pictures, moves, model.config.moving_weight)
-    return loss + reward_weight * F.mse_loss(drawn.reward, symlog(reward))
 
 
 def schedule(progress: float) -> float:

@@ -11,7 +11,7 @@ import re
 import shlex
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -181,10 +181,19 @@ def command(config: TrainConfig) -> str:
         if getattr(config, name) != getattr(default, name):
             words += [f"--{name.replace('_', '-')}", str(getattr(config, name))]
     section = RECIPES[config.recipe].options
-    standard = getattr(default, section)
-    for name, value in vars(getattr(config, section)).items():
-        if isinstance(value, bool) and value != getattr(standard, name):
-            words += [f"--{section}.{'' if value else 'no-'}{name.replace('_', '-')}"]
-        elif value != getattr(standard, name):
-            words += [f"--{section}.{name.replace('_', '-')}", str(value)]
+    words += _changed(section, getattr(config, section), getattr(default, section))
     return shlex.join(words)
+
+
+def _changed(section: str, options: Any, standard: Any) -> list[str]:
+    """The words for those of ``options``, a dataclass, that are not as in ``standard``."""
+    words = []
+    for name, value in vars(options).items():
+        usual, option = getattr(standard, name), name.replace("_", "-")
+        if is_dataclass(value):
+            words += _changed(f"{section}.{option}", value, usual)
+        elif isinstance(value, bool) and value != usual:
+            words += [f"--{section}.{'' if value else 'no-'}{option}"]
+        elif value != usual:
+            words += [f"--{section}.{option}", str(value)]
+    return words

@@ -15,6 +15,8 @@ repeats them. At 8 episodes and 300 updates a round, 12 rounds see 9,800 labelle
 The other methods learn from the same episodes and labels, each with its own rows (``methods.py``).
 Naive Both is MAD with alpha = 1 / (1 + V) here: the expert is every row's only teacher, so nothing
 but the weights tells the two apart.
+MV-MAE's autoencoder has an Adam of its own, too; it learns from the pictures as they were
+recorded, and the actor is taught on those it reads of shifted ones.
 VIB adds its bottleneck's cost to the loss; its Gaussians have 64 numbers, and beta is 0.01, because
 errors of actions are about a thousandth of the squared errors of Q that the paper's 10 stands
 beside. MVD's contrastive losses have an Adam of their own, as in the paper's code.
@@ -41,6 +43,7 @@ from madviz.agent.augment import random_shift
 from madviz.agent.networks import read_state
 from madviz.policies.config import TrainingRecord
 from madviz.subsets import mask_of
+from madviz.training.autoencoder import mean_pictures
 from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder
 from madviz.training.light_critic import REWARD_SCALE, fit_critic
 from madviz.training.light_losses import PlacesHead as PlacesHead
@@ -112,8 +115,10 @@ class LightRun:
             self._look_at_demonstrations()
 
     def _look_at_demonstrations(self) -> None:
-        """What depends on how states and places vary in the first episodes."""
+        """What depends on how pictures, states and places vary in the first episodes."""
         config, index = self.config, np.arange(self.config.demonstrations * self.data.horizon)
+        for agent in (self.agent, self.average):
+            agent.merge.look_at(agent.encoder, lambda: mean_pictures(self.data, index))
         if config.standard_state:
             read = read_state(self.plan.networks, self.data.column("states", index))
             for agent in (self.agent, self.average):
@@ -153,7 +158,7 @@ class LightRun:
         penalty = self.agent.merge.penalty(self.agent.encoder, features)
         self._step("optimiser", total if penalty is None else total + config.kl_weight * penalty)
         if self.agent.merge.own_optimiser:
-            self._own_step(index, generator)
+            self._step(self.agent.merge.own_optimiser, self._own_loss(index, generator))
         decay = min(config.average, (1 + self.updates) / (10 + self.updates))
         with torch.no_grad():
             pairs = zip(self.average.parameters(), self.agent.parameters(), strict=True)
@@ -170,18 +175,22 @@ class LightRun:
         place = self.rng.random(size) ** (1 / (1 + recency))  # Its density is as x ** recency.
         return np.minimum((place * many).astype(int), many - 1)
 
-    def _own_step(self, index: Array, generator: torch.Generator) -> None:
-        """The merge's own loss, on freshly shifted pictures; the last decision of an episode has
-        no next one and is its own."""
+    def _own_loss(self, index: Array, generator: torch.Generator) -> Tensor:
+        """The merge's: on pictures as they were recorded, if it draws them; else on freshly shifted
+        ones, where the last decision of an episode has no next one and is its own."""
+        merge, encoder = self.agent.merge, self.agent.encoder
+        if merge.reconstructs:
+            index = index[: self.config.reconstructed]
+            views, reward = self.data.views(index), self.data.column("rewards", index)
+            with autocast():
+                return merge.reconstruction_loss(encoder, views, reward, generator)
         horizon, shift = self.data.horizon, self.config.shift
         following = np.minimum(index + 1, index - index % horizon + horizon - 1)
         now, then = (
             random_shift(self.data.views(i), self.rng, pad=shift) for i in (index, following)
         )
         positive = int(torch.randint(now.shape[1], (), generator=generator))
-        merge = self.agent.merge
-        loss = merge.own_loss(self.agent.encoder, now, then, positive, autocast)
-        self._step(merge.own_optimiser, loss)
+        return merge.own_loss(encoder, now, then, positive, autocast)
 
     def _step(self, name: str, loss: Tensor) -> None:
         config, optimiser = self.config, self.optimisers[name]

@@ -58,11 +58,11 @@ def fit_critic(
     """Trains ``agent.critic`` in place, nothing else; returns the mean loss of the last tenth."""
     streams, rng = data.streams, np.random.default_rng([seed, 11])
     index = np.arange(max(0, data.episodes - MOST_EPISODES) * data.horizon, len(data))
-    features = _encode(agent, data, index)
+    masks, weights = torch.from_numpy(method.masks(streams)), method.weights(alpha)
+    features = _encode(agent, data, index, masks)
     rewards = data.column("rewards", index).numpy() * REWARD_SCALE
     sums, ahead, discount = n_step_returns(rewards, data.horizon)
     state, action = data.column("states", index), data.column("actions", index)
-    masks, weights = torch.from_numpy(method.masks(streams)), method.weights(alpha)
     reads = masks[:1] if method.targets == "merged" else masks
     generator = torch.Generator().manual_seed(seed)
     critic, target = agent.critic.requires_grad_(True).train(), agent.target
@@ -75,7 +75,7 @@ def fit_critic(
         next_value = _value(agent, features[ahead[rows]], state[ahead[rows]], reads, drawn)
         y = torch.from_numpy(sums[rows]) + torch.from_numpy(discount[rows]) * next_value
         with autocast():
-            merged = agent.rows(features[rows], masks, drawn)
+            merged = _rows(agent, features[rows], masks, drawn)
             loss = weighted(critic_losses(agent, merged, state[rows], action[rows], y), weights)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -93,18 +93,29 @@ def _value(agent: Agent, features: Tensor, state: Tensor, reads: Tensor, noise: 
     """Features of B samples, (B, S), masks (R, V) -> (R, B) min of the target twins for the actor's
     mean action, on each of the R rows."""
     with autocast():
-        rows = agent.rows(features, reads, noise)
+        rows = _rows(agent, features, reads, noise)
         states = state.expand(len(rows), *state.shape)
         action = torch.tanh(agent.actor(rows, states)[0])
         return torch.minimum(*agent.target(rows, states, action))
 
 
 @torch.no_grad()
-def _encode(agent: Agent, data: Dataset, index: Array) -> Tensor:
+def _encode(agent: Agent, data: Dataset, index: Array, masks: Tensor) -> Tensor:
     """Features of the decisions ``index`` in the merge's layout, (T, V, Z) for a sum; in bfloat16
-    where that is fast."""
+    where that is fast. Where rows are costly, the rows of ``masks`` themselves, (T, N, ...)."""
     chunks = []
     for start in range(0, len(index), 64):
         with autocast():
-            chunks.append(agent.encode(data.views(index[start : start + 64])))
+            features = agent.encode(data.views(index[start : start + 64]))
+            if agent.merge.costly_rows:
+                features = agent.rows(features, masks).transpose(0, 1)
+            chunks.append(features)
     return torch.cat(chunks)
+
+
+def _rows(agent: Agent, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
+    """(N, B, ...), the rows of ``masks`` from what ``_encode`` made, which begins with them where
+    it holds rows."""
+    if agent.merge.costly_rows:
+        return features[:, : len(masks)].transpose(0, 1)
+    return agent.rows(features, masks, noise)

@@ -6,10 +6,11 @@ were tried beside them; ``results/tried.json`` has the rates.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from madviz.agent.networks import NetworkConfig
+from madviz.agent.sizes import AutoencoderConfig
 from madviz.system.numbers import (
     Count,
     CountOrNone,
@@ -84,6 +85,12 @@ class LightConfig:
     """VIB alone: numbers in the Gaussian of a third-person view (the paper has 3136)."""
     kl_weight: Weight = 0.01
     """VIB alone: weight of the bottleneck's cost, a mean over its numbers."""
+    reconstructed: Width = 32
+    """MV-MAE alone: time steps that the autoencoder draws in a gradient step."""
+    end_to_end: bool = False
+    """MV-MAE alone: whether the actor's loss reaches the autoencoder, too."""
+    autoencoder: AutoencoderConfig = field(default_factory=AutoencoderConfig)
+    """MV-MAE alone."""
 
     @property
     def all_rounds(self) -> int:
@@ -100,4 +107,6 @@ class LightConfig:
             bottleneck_dim=self.bottleneck_dim,
             state_columns=state_columns,
             state_changes=env.state_changes if self.standard_state and not state_columns else (),
+            autoencoder=self.autoencoder,
+            end_to_end=self.end_to_end,
         )

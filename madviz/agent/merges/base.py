@@ -37,8 +37,12 @@ class MergeFunctions:
     """
 
     own_optimiser = ""
-    """Name of the optimiser that steps the encoder on ``own_loss``; empty: there is no such loss.
-    """
+    """Name of the optimiser that steps the encoder on ``own_loss`` or ``reconstruction_loss``;
+    empty: there is no such loss."""
+    reconstructs = False
+    """Whether its own loss is ``reconstruction_loss``: it learns to draw pictures, and can."""
+    costly_rows = False
+    """Whether ``rows`` costs as much as ``encode``, so that rows are better kept than repeated."""
 
     def networks(self, config: NetworkConfig, streams: Streams) -> nn.Module:
         """What the critic's loss trains besides the heads."""
@@ -78,6 +82,22 @@ class MergeFunctions:
     ) -> Tensor:
         """A scalar for ``own_optimiser`` from (B, V, C, H, W) pictures of two time steps that
         follow each other; ``positive`` is a view drawn at random."""
+        raise NotImplementedError
+
+    def look_at(self, net: Any, mean: Callable[[], Tensor]) -> None:
+        """Before the first update: ``mean`` makes the mean picture of every view, (V, 3, H, W) from
+        0 to 1."""
+
+    def reconstruction_loss(
+        self, net: Any, views: Tensor, reward: Tensor, generator: torch.Generator
+    ) -> Tensor:
+        """A scalar for ``own_optimiser`` from (B, V, C, H, W) pictures as they were recorded and
+        the rewards (B,) of these decisions."""
+        raise NotImplementedError
+
+    def imagined(self, net: Any, features: Tensor, mask: Tensor) -> Tensor:
+        """Features, mask (V,) -> (B, V, 3, H, W) from 0 to 1: every view's newest frame, drawn from
+        the streams in ``mask`` alone."""
         raise NotImplementedError
 
     def encode_to_act(self, net: Any, views: Tensor) -> Tensor:

@@ -138,6 +138,14 @@ MERGES: dict[str, Merge] = {
         ),
         own_loss=True,
     ),
+    "mv-mae": Merge(
+        "tokens of a masked autoencoder over views, which learns to draw all of them from some",
+        SOME,
+        page_words="MV-MAE: acts on a network that learned to draw every camera from the others.",
+        cell_words="tokens of an autoencoder",
+        needs=SEVERAL_STREAMS,
+        own_loss=True,
+    ),
 }
 
 
