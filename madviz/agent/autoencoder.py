@@ -179,7 +179,8 @@ def autoencoder_loss(
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
     """What is learned from a batch of stacks, under tokens that ``generator`` draws."""
-    keep = drawn_tokens(generator, *views.shape[:2], model.tokens_of_a_view)
+    batch, count = views.shape[:2]
+    keep = drawn_tokens(generator, batch, count, model.tokens_of_a_view)
     drawn, pictures = model(views, keep), newest(views)
     moves = moving(pictures, model.mean)
     loss = reconstruction_loss(drawn.pictures, pictures, moves, model.config.moving_weight)
