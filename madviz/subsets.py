@@ -8,7 +8,10 @@ the mask 1 1 0 1 0 0 over the streams in the order first.rgb, first.depth, third
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import lru_cache
 from itertools import product
+from types import MappingProxyType
 
 import numpy as np
 
@@ -31,8 +34,9 @@ def cameras_of(streams: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(camera_of(stream) for stream in streams))
 
 
-def groups(streams: tuple[str, ...]) -> dict[str, Array]:
-    """Every single word of the language and its mask (V,) bool."""
+@lru_cache(maxsize=256)
+def groups(streams: tuple[str, ...]) -> Mapping[str, Array]:
+    """Every single word of the language and its mask (V,) bool, read-only."""
     table = {"all": np.ones(len(streams), bool), "none": np.zeros(len(streams), bool)}
     for modality in dict.fromkeys(modality_of(stream) for stream in streams):
         table[modality] = np.array([modality_of(stream) == modality for stream in streams])
@@ -40,7 +44,9 @@ def groups(streams: tuple[str, ...]) -> dict[str, Array]:
         table[camera] = np.array([camera_of(stream) == camera for stream in streams])
     for index, stream in enumerate(streams):
         table[stream] = np.arange(len(streams)) == index
-    return table
+    for mask in table.values():
+        mask.flags.writeable = False  # They are shared by all who ask.
+    return MappingProxyType(table)
 
 
 def mask_of(name: str, streams: tuple[str, ...]) -> Array:
@@ -55,8 +61,12 @@ def mask_of(name: str, streams: tuple[str, ...]) -> Array:
 
 def name_of(mask: Array, streams: tuple[str, ...]) -> str:
     """The shortest honest name: one word of the language if there is one, otherwise ``a+b``."""
-    mask = np.asarray(mask, bool)
-    table = groups(streams)
+    return _name_of(np.asarray(mask, bool).tobytes(), streams)
+
+
+@lru_cache(maxsize=4096)
+def _name_of(bits: bytes, streams: tuple[str, ...]) -> str:
+    mask, table = np.frombuffer(bits, bool), groups(streams)
     several = len(set(map(modality_of, streams))) > 1
     for word, group in table.items():
         if (several or word not in ("rgb", "depth")) and np.array_equal(group, mask):
@@ -78,8 +88,10 @@ def every_mask(count: int) -> Array:
 
 def row_of(mask: Array) -> int:
     """Where ``mask`` (V,) stands in ``every_mask``: its bits as a binary number, inverted."""
-    bits = np.asarray(mask, bool)
-    return int((~bits) @ (1 << np.arange(len(bits))[::-1]))
+    row = 0
+    for on in np.asarray(mask, bool).tolist():
+        row = 2 * row + (not on)
+    return row
 
 
 def single_streams(streams: tuple[str, ...]) -> tuple[str, ...]:

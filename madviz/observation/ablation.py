@@ -131,6 +131,10 @@ class CameraState:
             raise unknown("camera input", str(self.input), list(get_args(CameraInput)))
 
 
+INTACT = CameraState()
+"""Of a camera that nobody has touched."""
+
+
 @dataclass(frozen=True)
 class Ablation:
     """The state of all cameras; cameras that are not named are intact."""
@@ -140,7 +144,7 @@ class Ablation:
     """The cameras that do not stand where they were trained."""
 
     def camera(self, name: str) -> CameraState:
-        return self.cameras.get(name, CameraState())
+        return self.cameras.get(name, INTACT)
 
     def replace(self, name: str, state: CameraState) -> Ablation:
         """The same ablation with another state of the camera ``name``."""
