@@ -21,6 +21,7 @@ from madviz.agent.autoencoder import (
     positions,
     psnr,
     reconstruction_loss,
+    squares_of,
     symlog,
     whole_views,
 )
@@ -239,3 +240,8 @@ def test_controls_come_from_other_episodes():
 def test_newest_is_the_last_of_the_stack():
     views = pictures(1, 2)
     torch.testing.assert_close(newest(views)[0, 1], views[0, 1, 6:].float() / 255)
+
+
+def test_squares_of_bytes_and_of_floats_are_the_same() -> None:
+    views = torch.randint(0, 256, (2, 3, 6, 84, 84), dtype=torch.uint8)
+    assert torch.equal(squares_of(views, 14).float(), squares_of(views.float(), 14))

@@ -28,7 +28,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -243,11 +243,15 @@ def positions(side: int, width: int) -> Float[Tensor, "T W"]:
     return torch.cat([wave(angle) for angle in angles for wave in (torch.sin, torch.cos)], 1)
 
 
-def squares_of(views: UInt8[Tensor, "B V C H W"], patch: int) -> UInt8[Tensor, "B M P S"]:
+def squares_of(views: Shaped[Tensor, "B V C H W"], patch: int) -> Shaped[Tensor, "B M P S"]:
     """Cuts every view into patches, row by row, and each of them into P squares of 2 x 2 pixels,
-    whose S numbers are 4 of every channel."""
+    whose S numbers are 4 of every channel. Saliency asks for gradients, so views may be floats."""
     batch, count, channels, size, _ = views.shape
     side, half = size // patch, patch // 2
+    if views.dtype != torch.uint8:
+        cut = views.reshape(batch, count, channels, side, half, 2, side, half, 2)
+        cut = cut.permute(0, 1, 3, 6, 4, 7, 2, 5, 8)
+        return cut.reshape(batch, count * side**2, half**2, 4 * channels)
     pairs = views.contiguous().view(torch.int16)  # Neighbours in a row, moved together: faster.
     cut = pairs.view(batch, count, channels, side, half, 2, side, half)
     cut = cut.permute(0, 1, 3, 6, 4, 7, 2, 5)

@@ -61,17 +61,21 @@ class TokenNetworks(nn.Module):
         self.reader = TokenReader(config.autoencoder.width)
         self.end_to_end = config.end_to_end
 
+    def _has_gradients(self) -> bool:
+        """The actor's loss stops here in training; saliency asks a trained network."""
+        return (self.end_to_end or not self.training) and torch.is_grad_enabled()
+
     def tokens(self, views: Tensor) -> Tensor:
         """(B, V, C, H, W) uint8 -> (B, V, T, W): of every stream, each from its own patch."""
         batch, count = views.shape[:2]
         every = torch.ones(count, dtype=torch.bool, device=views.device)
         keep = whole_views(every, self.autoencoder.tokens_of_a_view, batch)
-        with torch.set_grad_enabled(self.end_to_end and torch.is_grad_enabled()):
+        with torch.set_grad_enabled(self._has_gradients()):
             return self.autoencoder.tokens(views, keep).unflatten(1, (count, -1))
 
     def features(self, tokens: Tensor, mask: Tensor) -> Tensor:
         """(B, V, T, W), (V,) -> (B, K, W): the tokens of a subset, having seen each other."""
-        with torch.set_grad_enabled(self.end_to_end and torch.is_grad_enabled()):
+        with torch.set_grad_enabled(self._has_gradients()):
             return self.autoencoder.features(tokens[:, mask.bool()].flatten(1, 2))
 
 
