@@ -288,6 +288,23 @@ class Policy(Protocol):
 
 
 @runtime_checkable
+class Imagines(Policy, Protocol):
+    """A policy that can draw what a missing camera would see, if ``imagines``."""
+
+    @property
+    def imagines(self) -> bool: ...
+
+    def imagine(self, encoded: Encoded, mask: Array) -> Array:
+        """(V, H, W, 3) uint8: every stream's newest frame, drawn from those in ``mask`` alone."""
+        ...
+
+    @property
+    def mean_pictures(self) -> Array:
+        """(V, H, W, 3) uint8: what a stream showed on average in training."""
+        ...
+
+
+@runtime_checkable
 class Player(Protocol):
     """Who acts in one episode. What a policy remembers of an episode is kept here, so that two
     episodes that run at the same time do not mix."""

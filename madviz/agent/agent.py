@@ -120,25 +120,33 @@ class TorchPolicy:
         q = torch.minimum(*self.agent.critic(rows, state, action)) / self._reward_scale
         return Readout(self.agent.merge.merged_feature(rows).numpy(), action.numpy(), q.numpy())
 
+    @property
+    def imagines(self) -> bool:
+        """Whether it can draw what a missing camera would see."""
+        return self.agent.merge.reconstructs
+
     @torch.inference_mode()
     def imagine(self, encoded: Encoded, mask: Bool[Array, " V"]) -> UInt8[Array, "V H W 3"]:
         """The newest frame of every stream, drawn from those in ``mask`` alone. Raises UserError
         where the policy does not support ``mask`` or does not draw (``imagines``)."""
+        merge = self._drawing()
+        if not self.supports(mask):
+            raise self._cannot(mask)
+        features, _ = encoded.private
+        return _bytes(merge.imagined(self.agent.encoder, features, torch.from_numpy(mask))[0])
+
+    @property
+    def mean_pictures(self) -> UInt8[Array, "V H W 3"]:
+        """Of every stream in training. Raises UserError for a policy that does not draw."""
+        return _bytes(self._drawing().mean_pictures(self.agent.encoder))
+
+    def _drawing(self) -> MergeFunctions:
         if not self.imagines:
             raise UserError(
                 f"expected a policy that draws pictures, found {self.spec.name}, whose merge "
                 f"{self.agent.merge_name!r} does not; pick one of the method mv-mae"
             )
-        if not self.supports(mask):
-            raise self._cannot(mask)
-        merge, encoder = self.agent.merge, self.agent.encoder
-        pictures = merge.imagined(encoder, encoded.private[0], torch.from_numpy(mask))[0]
-        return (255 * pictures).round().byte().permute(0, 2, 3, 1).contiguous().numpy()
-
-    @property
-    def imagines(self) -> bool:
-        """Whether it can draw what a missing camera would see."""
-        return self.agent.merge.reconstructs
+        return self.agent.merge
 
     def supports(self, mask: Array) -> bool:
         """Whether there is a place for every stream, and the merge can do without the absent."""
@@ -152,6 +160,11 @@ class TorchPolicy:
             f"{self.spec.name} expects {MERGES[self.agent.merge_name].support.words} of "
             f"{', '.join(streams)}, found {found}; bring the missing cameras back"
         )
+
+
+def _bytes(pictures: Float[Tensor, "V 3 H W"]) -> UInt8[Array, "V H W 3"]:
+    """Pictures from 0 to 1 as they are shown."""
+    return (255 * pictures).round().byte().permute(0, 2, 3, 1).contiguous().numpy()
 
 
 def random_policy(spec: PolicySpec, config: NetworkConfig, seed: int = 0) -> TorchPolicy:

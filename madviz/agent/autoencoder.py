@@ -32,10 +32,9 @@ from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from madviz.agent.sizes import MOVING
 from madviz.agent.sizes import AutoencoderConfig as AutoencoderConfig
 
-MOVING = 10 / 255
-"""A pixel moves where a channel differs by more than this from its camera's mean."""
 LEAST_KEPT = 0.3
 """Share of the tokens of visible views that is kept at least, where not all are."""
 REWARD_WEIGHT = 0.01

@@ -12,6 +12,10 @@ FEATURE_SIZE = 64 * 7 * 7
 """Z: the 3136 numbers a stream is encoded to."""
 PICTURE = 84
 """Pixels of a picture's side that give this map."""
+MOVING = 10 / 255
+"""A pixel moves where a channel differs by more than this from its camera's mean."""
+FEWEST_MOVING = 10
+"""Pixels that must move in a picture for what is drawn of it to be judged."""
 FURTHEST = 5.0
 """Spreads from the mean beyond which a state number is cut off: nothing like it was trained on."""
 

@@ -34,6 +34,7 @@ from madviz.agent.autoencoder import (
     psnr,
     whole_views,
 )
+from madviz.agent.sizes import FEWEST_MOVING
 from madviz.envs.registry import TaskName
 from madviz.errors import UserError
 from madviz.subsets import every_mask, name_of
@@ -51,8 +52,6 @@ ENOUGH = 3.0
 """dB above both controls."""
 HELD_OUT = 1000
 """The first seed of the frames that are judged; training seeds are below."""
-FEWEST = 10
-"""Pixels that must move in a picture for it to be judged."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ def imagined(
             "other_episode": psnr(control, truth, moves),
         }
         for camera in np.flatnonzero(~mask):
-            judged = moves[:, camera].sum((1, 2)) >= FEWEST
+            judged = moves[:, camera].sum((1, 2)) >= FEWEST_MOVING
             columns = {name: values[judged, camera] for name, values in table.items()}
             rows.append(_row(data.streams, mask, int(camera), columns))
     return rows

@@ -5,18 +5,22 @@
 
 A tile shows what *arrives* at the policy, occlusions and all, enlarged pixel by pixel. A dropped
 camera still sees, but nothing of it is used: its own picture, dimmed and stamped, so that it cannot
-be mistaken for a camera that sends black. Where saliency is asked for, the pixels that matter glow
-over the picture, which is dimmed under them. Pure NumPy; nothing here knows viser.
+be mistaken for a camera that sends black; or, with a policy that can draw it, what that imagines
+from the other cameras, marked as imagined, with or without the truth in a corner. Where saliency is
+asked for, the pixels that matter glow over the picture, which is dimmed under them. Pure NumPy;
+nothing here knows viser.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Literal
 
 import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from madviz.analysis.imagination import Imagined
 from madviz.drawing.colours import INK, MUTED, NOTE, camera_colours, heat, rgb
 from madviz.observation.streams import depth_code
 from madviz.session.frame import Frame
@@ -25,11 +29,17 @@ from madviz.types import Array, CameraSpec
 GAP, HEADER, SCALE = 6, 24, 18
 """Pixels between tiles, of a tile's title, of the depth scale under a tile."""
 _GROUND = (30, 31, 34)
+Dropped = Literal["imagined", "both", "truth"]
+"""What a dropped camera's tile shows where a policy imagines it; the truth where none does."""
+CORNER = 0.38
+"""Share of a tile's side that the truth takes in the corner of what is imagined."""
 GLOW = 0.85
 """How much of a pixel the brightest saliency covers."""
 
 
-def mosaic(frame: Frame, tile: int, column: int | None = None) -> Array:
+def mosaic(
+    frame: Frame, tile: int, column: int | None = None, dropped: Dropped = "imagined"
+) -> Array:
     """(HEADER + tile, V columns, 3) uint8: all cameras side by side, ``tile`` pixels wide each, in
     the middle of columns that are ``column`` wide, or no wider."""
     cameras, column = frame.world.env.cameras, column or tile
@@ -43,15 +53,61 @@ def mosaic(frame: Frame, tile: int, column: int | None = None) -> Array:
         block = canvas[:, left : left + column]
         _header(block[:HEADER], camera.label, badge(frame, camera.name), colours[camera.name])
         picture = block[HEADER:, inset : inset + tile]
+        drawn = imagined_of(frame, camera.name) if dropped != "truth" else None
+        if drawn is not None:
+            _imagined(picture, drawn, _true_picture(frame, camera, dropped, tile))
+            continue
         picture[:] = _tile(frame, camera, tile)
         if frame.camera(camera.name).input == "off":
             _stamp(picture, "DROPPED")
     return canvas
 
 
+def imagined_of(frame: Frame, camera: str) -> Imagined | None:
+    """What the policy imagines of a dropped camera in colour; None where it does not."""
+    if frame.camera(camera).input != "off":
+        return None
+    found = frame.world.imagined
+    return found.get(f"{camera}.rgb", found.get(camera))
+
+
+def _true_picture(frame: Frame, camera: CameraSpec, dropped: Dropped, tile: int) -> Array | None:
+    """What the camera sees, small, where it is asked for."""
+    if dropped != "both":
+        return None
+    return _enlarge(frame.world.views[camera.name].rgb, round(CORNER * tile))
+
+
+def _imagined(picture: Array, drawn: Imagined, truth: Array | None) -> None:
+    """What is imagined, in a dashed frame and with the word for it, so that nobody takes it for
+    what a camera sends; and the truth in its corner."""
+    tile, ink = len(picture), rgb(NOTE)
+    picture[:] = _enlarge(drawn.picture, tile)
+    for start in range(0, tile, 12):
+        for edge in (picture[:3], picture[-3:]):
+            edge[:, start : start + 6] = ink
+        for edge in (picture[:, :3], picture[:, -3:]):
+            edge[start : start + 6] = ink
+    _label(picture[3:23], "IMAGINED")
+    if truth is not None:
+        place = picture[-len(truth) - 3 : -3, -len(truth) - 3 : -3]
+        place[:] = truth
+        place[:2], place[:, :2] = _GROUND, _GROUND
+        _label(place[2:20, 2:], "TRUTH")
+
+
+def _label(band: Array, text: str) -> None:
+    """A word in white on a darkened band."""
+    band[:] = band // 3
+    _write(band, text, 8, "#ffffff", 12)
+
+
 def badge(frame: Frame, camera: str) -> str:
     """What the state of ``camera`` is in two words, for the corner of its tile."""
     state = frame.camera(camera)
+    drawn = imagined_of(frame, camera)
+    if drawn is not None and np.isfinite(drawn.psnr):
+        return f"OFF, {drawn.psnr:.0f} dB"
     if state.input == "off":
         return "OFF"
     occlusion = state.occlusion

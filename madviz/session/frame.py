@@ -6,11 +6,12 @@ complete picture of one time step that nobody changes afterwards, so that no loc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from madviz.analysis.imagination import Imagined
 from madviz.analysis.probes import Probe
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.schedule import Schedule
@@ -156,6 +157,8 @@ class World:
     """The last thing done to a camera in this episode."""
     outcomes: tuple[Outcome, ...]
     """The last live episodes, oldest first."""
+    imagined: dict[str, Imagined] = field(default_factory=dict)
+    """By stream that is not present: what the policy draws in its place, if it can."""
 
 
 @dataclass(frozen=True)

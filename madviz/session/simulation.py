@@ -19,6 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from madviz.analysis.imagination import imagined
 from madviz.analysis.probes import Probe, probe, read_row
 from madviz.analysis.saliency import LiveSaliency
 from madviz.errors import UserError
@@ -108,6 +109,7 @@ class Simulation:
             success_any=self.success_any,
             change=self.change,
             outcomes=tuple(self.outcomes),
+            imagined=imagined(self.policy, self._encoded, self.ablation, now.views, self.env.spec),
         )
 
     def explain(self, live: LiveSaliency, now: float, moving: bool, hurried: bool) -> bool:
@@ -372,7 +374,6 @@ class Simulation:
     def _conclude(self, moment: TimeStep) -> None:
         # What was touched at the very last step never reached a decision, but it is part of how
         # the episode is shown on the page, so it counts as touched.
-        names = [camera.name for camera in self.env.spec.cameras]
         self.outcomes.append(
             Outcome(
                 self.policy.spec,
@@ -380,7 +381,7 @@ class Simulation:
                 moment.success,
                 self.success_any,
                 self.total_reward,
-                {name: self._worst.get(name, "") for name in names},
+                {camera.name: self._worst.get(camera.name, "") for camera in self.env.spec.cameras},
                 self.condition if len(self._conditions) == 1 else None,
             )
         )

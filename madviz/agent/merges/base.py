@@ -100,6 +100,10 @@ class MergeFunctions:
         the streams in ``mask`` alone."""
         raise NotImplementedError
 
+    def mean_pictures(self, net: Any) -> Tensor:
+        """(V, 3, H, W) from 0 to 1: what ``look_at`` was told."""
+        raise NotImplementedError
+
     def encode_to_act(self, net: Any, views: Tensor) -> Tensor:
         """``encode`` for a policy, which may need more than training does."""
         return self.encode(net, views)

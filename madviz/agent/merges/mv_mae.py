@@ -73,10 +73,15 @@ class TokenNetworks(nn.Module):
         with torch.set_grad_enabled(self._has_gradients()):
             return self.autoencoder.tokens(views, keep).unflatten(1, (count, -1))
 
-    def features(self, tokens: Tensor, mask: Tensor) -> Tensor:
-        """(B, V, T, W), (V,) -> (B, K, W): the tokens of a subset, having seen each other."""
+    def features(self, tokens: Tensor) -> Tensor:
+        """(B, K, W) -> (B, K, W): the tokens of a subset, having seen each other."""
         with torch.set_grad_enabled(self._has_gradients()):
-            return self.autoencoder.features(tokens[:, mask.bool()].flatten(1, 2))
+            return self.autoencoder.features(tokens)
+
+
+def _present(tokens: Tensor, mask: Tensor) -> Tensor:
+    """(B, V, T, W), (V,) -> (B, K, W): the tokens of the streams in a subset."""
+    return tokens[:, mask.bool()].flatten(1, 2)
 
 
 class MvMae(MergeFunctions):
@@ -94,7 +99,14 @@ class MvMae(MergeFunctions):
         return net.tokens(views)
 
     def rows(self, net: TokenNetworks, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
-        return torch.stack([net.reader(net.features(features, mask)) for mask in masks])
+        """Subsets of as many streams go through the networks together."""
+        rows: dict[int, Tensor] = {}
+        for size in masks.sum(1).unique():
+            which = (masks.sum(1) == size).nonzero().flatten().tolist()
+            tokens = torch.stack([_present(features, masks[n]) for n in which])
+            read = net.reader(net.features(tokens.flatten(0, 1)))
+            rows.update(zip(which, read.unflatten(0, tokens.shape[:2]), strict=True))
+        return torch.stack([rows[n] for n in range(len(masks))])
 
     def look_at(self, net: TokenNetworks, mean: Callable[[], Tensor]) -> None:
         net.autoencoder.mean.copy_(mean())
@@ -107,7 +119,10 @@ class MvMae(MergeFunctions):
     def imagined(self, net: TokenNetworks, features: Tensor, mask: Tensor) -> Tensor:
         model = net.autoencoder
         keep = whole_views(mask.bool(), model.tokens_of_a_view, len(features))
-        return model.draw(net.features(features, mask), keep).pictures.clamp(0, 1)
+        return model.draw(net.features(_present(features, mask)), keep).pictures.clamp(0, 1)
+
+    def mean_pictures(self, net: TokenNetworks) -> Tensor:
+        return net.autoencoder.mean
 
     def feature_of_each(self, net: TokenNetworks, features: Tensor, streams: Streams) -> Tensor:
         """Every stream as it is read alone."""

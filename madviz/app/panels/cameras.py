@@ -8,12 +8,12 @@ from html import escape
 
 import viser
 
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, apply
 from madviz.app.panels.patch import HINT, Box, attributes, field_style, parse_box, patched
 from madviz.app.panels.policy import policy_words, verdict
 from madviz.app.screen import Screen
 from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
-from madviz.drawing.mosaic import GAP, mosaic
+from madviz.drawing.mosaic import GAP, Dropped, mosaic
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Compare, Link, SetCamera
 from madviz.session.frame import Frame, untouched
@@ -33,6 +33,8 @@ OCCLUSIONS = {
     "delay": "late",
 }
 """Occlusions, and what their buttons say."""
+DROPPED = {"imagined": "what is imagined", "both": "truth beside it", "truth": "the truth"}
+"""What a dropped camera's tile shows, where the policy draws it."""
 SLIDERS = {
     "strength": ("noise", "blur", "patch", "dropout", "delay"),
     "x": ("patch",),
@@ -49,6 +51,8 @@ HINTS = {
     "y": "Centre of the patch, from the top; 0.5 is the middle.",
     "width": "Width of the patch, as a share of the picture's; 1 is all of it.",
     "link": "Both sides lose the same cameras, or only A does.",
+    "dropped": "It draws what a dropped camera would see, from the others. dB: how near that "
+    "is to the truth, over the pixels that move; 20 dB is an error of a tenth.",
     "end": "Back to one policy. Its cameras stay as they are.",
     "height": "Height of the patch, as a share of the picture's; 1 is all of it.",
 }
@@ -161,10 +165,10 @@ class Mosaic:
     def _attributes(self) -> str:
         return attributes(self._field, self._count, self.tile, self._column) if self._field else ""
 
-    def show(self, frame: Frame, paired: bool) -> Assign:
+    def show(self, frame: Frame, paired: bool, dropped: Dropped) -> Assign:
         """The next picture; ``paired``: one of two."""
         changed, self.paired = paired != self.paired, paired
-        picture, step = mosaic(frame, self.tile, self._column), step_of(frame)
+        picture, step = mosaic(frame, self.tile, self._column, dropped), step_of(frame)
         if changed:
             return self.screen.fit(picture, step, self._attributes())
         return self.screen.show(picture, step)
@@ -185,7 +189,7 @@ class CamerasPanel(WidgetPanel):
         """``width`` in pixels of the picture; tiles share it. ``paired``: pixels of a tile where
         there are two mosaics."""
         count = len(frame.world.env.cameras)
-        self._style = gui.add_html("")
+        self._style, self._frame = gui.add_html(""), frame
         self._controls: list[CameraControls] = []
         self._field = gui.add_text("box", "") if send is not None else None
         self._titles, self._mosaics = [], []
@@ -195,6 +199,7 @@ class CamerasPanel(WidgetPanel):
             field = self._field if name == "A" else None
             self._mosaics.append(Mosaic(gui, frame, width, paired, alt, field))
         self._mosaics[1].screen.handle.visible = False
+        self._dropped = DroppedChoice(gui, self._on_dropped)
         self._link = LinkControls(gui, send) if send is not None else None
         if send is not None:
             self._build(gui, send, frame.world.env.cameras)
@@ -203,7 +208,8 @@ class CamerasPanel(WidgetPanel):
         screens = [one.screen for one in self._mosaics]
         self._note = gui.add_html("")
         grid = place(gui, "cameras", count, self._cells())
-        self.handles = [self._style, *self._titles, *screens, *grid, self._note]
+        styles = [self._style, self._dropped.style]
+        self.handles = [*styles, *self._titles, *screens, *grid, self._note]
 
     def _build(
         self,
@@ -221,6 +227,18 @@ class CamerasPanel(WidgetPanel):
             for control in self._controls:
                 control.add_slider(field)
 
+    def _pictures(self, frame: Frame) -> list[Assign]:
+        changes, paired = [], frame.second is not None
+        for index, side in enumerate((frame, frame.second)):
+            if side is not None:
+                changes.append(self._mosaics[index].show(side, paired, self._dropped.value))
+                title = side_html("AB"[index], side) if paired else ""
+                changes.append(Assign(self._titles[index], "content", title))
+        return changes
+
+    def _on_dropped(self) -> None:
+        apply([*self._pictures(self._frame), *self._dropped.show(self._frame)])
+
     def _draw(self, text: str) -> None:
         box = parse_box(text, len(self._controls))
         self._controls[box.tile].cover(box, self._mosaics[0].tile)
@@ -231,6 +249,7 @@ class CamerasPanel(WidgetPanel):
         if self._link is not None:
             cells.append(Cell(self._link.choice.handle, 1, max(count - 1, 1), "11em"))
             cells.append(Cell(self._link.end, count))
+        cells.append(Cell(self._dropped.choice.handle, 1, max(count, 1), "11em"))
         for index, control in enumerate(self._controls):
             cells.append(Cell(control.input.handle, index + 1, label="above"))
             cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="15%"))
@@ -238,14 +257,10 @@ class CamerasPanel(WidgetPanel):
         return cells
 
     def update(self, frame: Frame) -> list[Assign]:
-        second, paired = frame.second, frame.second is not None
+        self._frame, paired = frame, frame.second is not None
         changes = [Assign(self._mosaics[1].screen.handle, "visible", paired)]
         changes += [Assign(title, "visible", paired) for title in self._titles]
-        for index, side in enumerate((frame, second)):
-            if side is not None:
-                changes.append(self._mosaics[index].show(side, paired))
-                title = side_html("AB"[index], side) if paired else ""
-                changes.append(Assign(self._titles[index], "content", title))
+        changes += [*self._pictures(frame), *self._dropped.show(frame)]
         for control in self._controls:
             changes += control.show(frame.camera(control.name))
         marks = "".join(control.style() for control in self._controls)
@@ -258,6 +273,30 @@ class CamerasPanel(WidgetPanel):
         hint = f'<div class="mv"><span class="dim">{HINT}</span></div>' if hinted else ""
         changes.append(Assign(self._note, "content", unused_note(frame) or hint))
         return changes
+
+
+class DroppedChoice:
+    """What a dropped camera's tile shows, where the policy draws it."""
+
+    def __init__(self, gui: viser.GuiApi, on_change: Callable[[], None]) -> None:
+        self.value: Dropped = "imagined"
+        self._on_change = on_change
+        self.choice = Choice(gui, "Dropped cameras show", DROPPED, self._choose, HINTS["dropped"])
+        self.choice.handle.visible = False
+        self.style = gui.add_html("")
+
+    def _choose(self, _: viser.ClientHandle, value: str) -> None:
+        self.value = value  # type: ignore[assignment]
+        self._on_change()
+
+    def show(self, frame: Frame) -> list[Assign]:
+        """Whether it is to be seen, and what is chosen."""
+        drawn = bool(frame.world.imagined or (frame.second and frame.second.world.imagined))
+        style = f"<style>{self.choice.style(self.value)}</style>"
+        return [
+            Assign(self.choice.handle, "visible", drawn),
+            Assign(self.style, "content", style),
+        ]
 
 
 class LinkControls:
