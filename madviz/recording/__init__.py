@@ -1,1 +1,1 @@
-"""Episodes as files: rerun, film, HTML."""
+"""Episodes as files: rerun, film, HTML, datasets for LeRobot."""

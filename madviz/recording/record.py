@@ -7,6 +7,9 @@ to one writer. The name of the file chooses it:
     .mp4   what the policy sees, with the state of every camera drawn in, and Q under it
     .html  one page that needs nothing else: pictures, curves, the outcome, how to make it again
 
+``--format lerobot`` writes many episodes to a folder instead, of a policy or of a task's expert:
+demonstrations for whoever trains elsewhere (``madviz.recording.lerobot``).
+
 With ``--replay`` the episode is one of a saved session; otherwise a policy and a seed make it, and
 cameras fail when ``--drop`` or ``--scenario`` says (``madviz.observation.schedule``).
 """
@@ -19,9 +22,9 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
-from madviz.envs.registry import make_env
+from madviz.envs.registry import env_spec, make_env
 from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread
 from madviz.observation.schedule import (
@@ -49,7 +52,7 @@ from madviz.session.session import Session
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
 from madviz.system.files import replacing, written_to
-from madviz.system.numbers import Count, Pixels, Rate, Seed
+from madviz.system.numbers import Count, Pixels, Rate, Seed, Share
 from madviz.types import Environment, Policy
 from madviz.wire.reference import plain, with_wire
 
@@ -58,10 +61,11 @@ FIRST_SEED = 5000
 
 @dataclass(frozen=True)
 class RecordConfig:
-    """Records an episode without a page: a rerun file, a film or a report."""
+    """Records episodes without a page: a rerun file, a film or a report; many as a dataset."""
 
     out: Path
-    """Where to: X.rrd for rerun's viewer, X.mp4 a film, X.html a report in one file."""
+    """Where to: X.rrd for rerun's viewer, X.mp4 a film, X.html a report in one file; with --format
+    a new folder."""
     policy: checkpoint.PolicyName | None = None
     """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served;
     beside --replay, where to find it."""
@@ -91,6 +95,15 @@ class RecordConfig:
     itself."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
+    format: Literal["lerobot"] | None = None
+    """lerobot: a LeRobot dataset, from --seed on."""
+    expert: str | None = None
+    """With --format: the task whose scripted expert acts, in place of a policy."""
+    episodes: Count = 1
+    """With --format: how many."""
+    noise: Share = 0.0
+    """With --expert: the largest spread of a noise that is added to what the expert does, not to
+    what is kept as its action. Each episode draws its own."""
 
 
 class Writer(Protocol):
@@ -113,6 +126,12 @@ def check(config: RecordConfig) -> None:
             raise UserError(f"expected --{name} from {low} to {high}, found {found}; change it")
     if config.steps is not None and config.steps < 1:
         raise UserError(f"expected --steps 1 or more, found {config.steps}; leave it out for all")
+    if config.format is not None:
+        return check_dataset(config)
+    if config.expert is not None or config.episodes > 1 or config.noise:
+        raise UserError(
+            "expected --format lerobot beside --expert, --episodes or --noise, found none; add it"
+        )
     if config.replay is None and config.policy is None:
         raise UserError("expected --policy NAME or --replay FILE, found neither; give one")
     if config.replay is not None and (config.drop or config.scenario or config.steps):
@@ -120,6 +139,26 @@ def check(config: RecordConfig) -> None:
             "expected a saved session to have failures and length of its own, found --drop, "
             "--scenario or --steps beside --replay; leave them out"
         )
+
+
+def check_dataset(config: RecordConfig) -> None:
+    """``check`` for ``--format``."""
+    if (config.policy is None) == (config.expert is None):
+        raise UserError(
+            f"expected --policy NAME or --expert TASK, found "
+            f"{'neither' if config.policy is None else 'both'}; give one"
+        )
+    if config.replay or config.keep or config.steps or config.episode:
+        raise UserError(
+            "expected whole episodes with --format, found --replay, --keep, --steps or --episode; "
+            "leave them out"
+        )
+    if config.expert is not None and (config.drop or config.scenario):
+        raise UserError(
+            "expected an expert to need no cameras, found --drop or --scenario; leave them out"
+        )
+    if config.noise and config.expert is None:
+        raise UserError("expected --noise beside --expert, found a policy; leave it out")
 
 
 def writer_for(path: Path, facts: Facts) -> Writer:
@@ -152,6 +191,8 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     """Records what ``config`` says. Raises UserError for whatever in it will not do. ``same`` is
     whether a saved episode came out as it was, to the bit; null where there was none."""
     check(config)
+    if config.format is not None:
+        return run_dataset(config)
     check_out(config.out)
     if config.keep is not None:
         written_to(config.keep, "--keep")
@@ -191,6 +232,42 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     }
 
 
+def run_dataset(config: RecordConfig) -> dict[str, Any]:
+    """``run_record`` for ``--format``."""
+    from madviz.recording import lerobot
+
+    lerobot.check_folder(config.out)
+    trust(config.policy, config.trust)
+    named = with_wire(config.policy or "", config.wire)
+    policy = checkpoint.load_policy(named) if named else None
+    spec = policy.spec if policy else None
+    world = env_spec(str(config.expert)) if spec is None else spec
+    seeds = range(config.seed, config.seed + config.episodes)
+    with closing(make_env(world.task, world.render_profile, world.cameras)) as env, one_thread():
+        schedule, streams = _schedule(config, env), tuple(one.name for one in env.spec.cameras)
+        played = (
+            lerobot.policy_decisions(policy, env, schedule, seed)
+            if policy
+            else lerobot.expert_decisions(env, streams, config.noise, seed)
+            for seed in seeds
+        )
+        told = env.spec.instruction or env.spec.task
+        ends = lerobot.write_dataset(config.out, told, config.fps, played)
+        decisions = len(ends) * env.spec.horizon
+    return {
+        "schema": 1,
+        "out": str(config.out),
+        "bytes": sum(each.stat().st_size for each in config.out.rglob("*") if each.is_file()),
+        "policy": spec.name if spec else "the expert",
+        "task": env.spec.task,
+        "seed": config.seed,
+        "episodes": len(ends),
+        "steps": decisions,
+        "failures": schedule_words(schedule),
+        "success": sum(ends) / len(ends),
+    }
+
+
 def write_all(out: Path, facts: Facts, episode: Iterator[Frame]) -> tuple[Frame, int]:
     """Writes a whole episode; its last frame, and how many bytes it takes. Whoever finds ``out``
     finds all of it: until then it has another name, and if the episode stops there is none."""
@@ -214,6 +291,11 @@ def write_all(out: Path, facts: Facts, episode: Iterator[Frame]) -> tuple[Frame,
 
 def record_words(result: dict[str, Any]) -> str:
     """The result as two lines."""
+    if "episodes" in result:
+        return (
+            f"{result['out']}: {result['episodes']} episodes of {result['policy']} from seed "
+            f"{result['seed']}, {result['success']:.0%} successful, {result['bytes'] / 1e6:.1f} MB"
+        )
     said = [
         f"{result['out']}: {result['steps']} decisions of {result['policy']}, seed "
         f"{result['seed']}, {'success' if result['success'] else 'no success'}, "

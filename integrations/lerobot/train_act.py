@@ -1,0 +1,222 @@
+"""Trains LeRobot's ACT on demonstrations that madviz recorded, on a CPU, in half an hour.
+
+    python train_act.py --data hammer --out act-hammer
+    python train_act.py --data hammer --out act-hammer-dropout --view-dropout
+
+The policy is LeRobot's (``lerobot.policies.act``), small enough for two cores: a ResNet-18 for all
+cameras, a transformer of width 256, ten actions at once, no VAE, because the expert has one way of
+doing things. No pretrained weights are downloaded.
+
+``--view-dropout`` changes one thing: half of the updates see all cameras, as all of them do
+without it; each other one sees a set of cameras that is drawn anew, and the tokens of the others
+are left out. Data, network, updates and learning rate are the same.
+
+ACT's norms are frozen, which a backbone without pretrained weights was not made for: each block
+would double the variance of what passes. So they are set once, from pictures of the demonstrations,
+to what makes every layer's output vary by 1.
+
+A training that was stopped goes on when the same command is given again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from lerobot.configs.types import FeatureType
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.policies.act.configuration_act import ACTConfig
+from lerobot.policies.act.modeling_act import ACTPolicy
+from lerobot.policies.factory import make_pre_post_processors
+from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
+from lerobot.utils.feature_utils import dataset_to_policy_features
+from PIL import Image
+from torch import Tensor
+from torch.nn import functional as F
+from torchvision.ops import FrozenBatchNorm2d
+
+from madviz.agent.augment import random_shift
+
+CHUNK = 10
+WARM_UP = 50
+SAVE_EVERY = 100
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="of madviz record")
+    parser.add_argument("--out", type=Path, required=True, help="a folder for the policy")
+    parser.add_argument("--view-dropout", action="store_true", help="mask cameras at random")
+    parser.add_argument("--updates", type=int, default=800)
+    parser.add_argument("--batch", type=int, default=16)
+    parser.add_argument("--learning-rate", type=float, default=4e-4)
+    parser.add_argument("--action-steps", type=int, default=5, help="actions taken from one look")
+    parser.add_argument("--seed", type=int, default=0)
+    return parser.parse_args()
+
+
+class Demonstrations:
+    """A dataset in memory: 100 decisions of three cameras at 84 pixels are 6.4 MB."""
+
+    def __init__(self, folder: Path) -> None:
+        self.loaded = LeRobotDataset(folder.name, root=folder)
+        self.keys = list(self.loaded.meta.camera_keys)
+        rows = self.loaded.hf_dataset
+        columns = [OBS_STATE, ACTION, "episode_index"]
+        numbers = rows.with_format("numpy", columns=columns)[:]
+        self.states, self.actions = (torch.from_numpy(numbers[k]) for k in columns[:2])
+        episode = numbers["episode_index"]
+        self.ends = np.searchsorted(episode, episode, side="right")
+        coded = rows.with_format("arrow", columns=self.keys)
+        height, width = self.loaded.meta.features[self.keys[0]]["shape"][:2]
+        self.pictures = torch.empty(len(rows), len(self.keys), 3, height, width, dtype=torch.uint8)
+        for start in range(0, len(rows), 100):
+            table = coded[start : start + 100]
+            for camera, key in enumerate(self.keys):
+                for at, png in enumerate(table[key].to_pylist(), start):
+                    picture = np.asarray(Image.open(io.BytesIO(png["bytes"])))
+                    self.pictures[at, camera] = torch.from_numpy(picture.transpose(2, 0, 1).copy())
+
+    def batch(self, index: np.ndarray, rng: np.random.Generator) -> dict[str, Tensor]:
+        """What LeRobot's loader gives, with pictures moved by up to four pixels."""
+        shifted = random_shift(self.pictures[index], rng).float() / 255
+        steps = index[:, None] + np.arange(CHUNK)
+        padded = steps >= self.ends[index][:, None]
+        chunk = self.actions[np.minimum(steps, self.ends[index][:, None] - 1)]
+        pictures = {key: shifted[:, at] for at, key in enumerate(self.keys)}
+        return {
+            **pictures,
+            OBS_STATE: self.states[index],
+            ACTION: chunk,
+            "action_is_pad": torch.from_numpy(padded),
+        }
+
+
+def new_policy(data: Demonstrations, learning_rate: float, action_steps: int) -> ACTPolicy:
+    features = dataset_to_policy_features(data.loaded.meta.features)
+    is_action = {k: f.type is FeatureType.ACTION for k, f in features.items()}
+    config = ACTConfig(
+        input_features={k: f for k, f in features.items() if not is_action[k]},
+        output_features={k: f for k, f in features.items() if is_action[k]},
+        chunk_size=CHUNK,
+        n_action_steps=action_steps,
+        dim_model=256,
+        dim_feedforward=1024,
+        n_encoder_layers=3,
+        use_vae=False,
+        pretrained_backbone_weights=None,
+        optimizer_lr=learning_rate,
+        optimizer_lr_backbone=learning_rate,
+        device="cpu",
+    )
+    return ACTPolicy(config)
+
+
+def set_norms(backbone: torch.nn.Module, pictures: Tensor) -> None:
+    """Frozen norms from what passes them: (N, 3, H, W), normalised."""
+
+    def measure(norm: FrozenBatchNorm2d, inputs: tuple[Tensor, ...]) -> None:
+        norm.running_mean.copy_(inputs[0].mean((0, 2, 3)))
+        norm.running_var.copy_(inputs[0].var((0, 2, 3)))
+
+    hooks = [
+        module.register_forward_pre_hook(measure)
+        for module in backbone.modules()
+        if isinstance(module, FrozenBatchNorm2d)
+    ]
+    with torch.no_grad():
+        backbone(pictures)
+    for hook in hooks:
+        hook.remove()
+
+
+def drawn_cameras(count: int, rng: np.random.Generator) -> np.ndarray:
+    """All cameras for half of the updates, else one of the other sets with at least one in it."""
+    if rng.random() < 0.5:
+        return np.arange(count)
+    number = int(rng.integers(1, 2**count - 1))
+    return np.array([camera for camera in range(count) if number >> camera & 1])
+
+
+def loss_of(policy: ACTPolicy, batch: dict[str, Tensor], present: list[str]) -> Tensor:
+    """ACT's own loss from the cameras ``present``; the model takes any list of pictures."""
+    seen = {OBS_STATE: batch[OBS_STATE], OBS_IMAGES: [batch[key] for key in present]}
+    predicted, _ = policy.model(seen)
+    error = F.l1_loss(predicted, batch[ACTION], reduction="none")
+    counts = ~batch["action_is_pad"][..., None]
+    return (error * counts).sum() / (counts.sum() * error.shape[-1])
+
+
+def main() -> None:
+    asked = arguments()
+    torch.manual_seed(asked.seed)
+    data = Demonstrations(asked.data)
+    policy = new_policy(data, asked.learning_rate, asked.action_steps)
+    stats = data.loaded.meta.stats
+    before, after = make_pre_post_processors(policy.config, dataset_stats=stats)
+    policy.model.backbone.to(memory_format=torch.channels_last)
+    first = before(
+        data.batch(np.arange(0, len(data.states), len(data.states) // 32), np.random.default_rng(0))
+    )
+    set_norms(policy.model.backbone, torch.cat([first[key] for key in data.keys]))
+    optimiser = torch.optim.AdamW(
+        policy.get_optim_params(), lr=asked.learning_rate, weight_decay=1e-4, fused=True
+    )
+    done, seconds, curve = 0, 0.0, []
+    state_file = asked.out / "resume.pt"
+    if state_file.exists():
+        state = torch.load(state_file, weights_only=True)
+        policy.load_state_dict(state["policy"])
+        optimiser.load_state_dict(state["optimiser"])
+        done, seconds, curve = state["done"], state["seconds"], state["curve"]
+    policy.train()
+    recent: list[float] = []
+    began = time.monotonic()
+    while done < asked.updates:
+        rng = np.random.default_rng([asked.seed, done])  # Of this update alone, for a resumed run.
+        torch.manual_seed(asked.seed * 1_000_003 + done)
+        index = rng.integers(0, len(data.states), asked.batch)
+        batch = before(data.batch(index, rng))
+        cameras = np.arange(len(data.keys))
+        if asked.view_dropout:
+            cameras = drawn_cameras(len(cameras), rng)
+        rate = min((done + 1) / WARM_UP, 1) * (1 - done / asked.updates)
+        for group in optimiser.param_groups:
+            group["lr"] = asked.learning_rate * rate
+        loss = loss_of(policy, batch, [data.keys[at] for at in cameras])
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(policy.parameters(), 10.0)
+        optimiser.step()
+        done += 1
+        recent.append(loss.item())
+        if done % 20 == 0:
+            now = seconds + time.monotonic() - began
+            curve.append([done, float(np.mean(recent)), round(now)])
+            print(f"{done}/{asked.updates} loss {curve[-1][1]:.4f} after {now:.0f} s", flush=True)
+            recent = []
+        if done % SAVE_EVERY == 0 or done == asked.updates:
+            asked.out.mkdir(parents=True, exist_ok=True)
+            policy.save_pretrained(asked.out)
+            before.save_pretrained(asked.out)
+            after.save_pretrained(asked.out)
+            trained = {**{k: str(v) for k, v in vars(asked).items()}, "curve": curve}
+            (asked.out / "training.json").write_text(json.dumps(trained, indent=1))
+            state = {
+                "policy": policy.state_dict(),
+                "optimiser": optimiser.state_dict(),
+                "done": done,
+                "seconds": seconds + time.monotonic() - began,
+                "curve": curve,
+            }
+            torch.save(state, state_file.with_suffix(".part"))
+            state_file.with_suffix(".part").replace(state_file)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,349 @@
+"""``madviz record --format lerobot``: episodes as a LeRobot dataset, version 3.0.
+
+LeRobot cannot be installed beside madviz (it wants older versions of torch and NumPy), so its
+format is written here; a slow test reads it with LeRobot's own loader, in its own environment.
+
+    meta/info.json, stats.json       what a row holds; least, largest, mean, spread of columns
+    meta/tasks.parquet               the task in words
+    meta/episodes/…/file-000.parquet where each episode stands, and its own statistics
+    data/chunk-000/file-000.parquet  a row for each decision; pictures as PNG
+
+A row is a decision: what every camera sent (``observation.images.first``), the state, the action,
+and ``camera_mask``, 1 for each camera that the policy was given. A dropped camera still has its
+picture there; an occluded one has what it sent.
+
+An expert's actions are kept as it would have done them, also where noise made the robot do
+something else: that is how recoveries are shown. A hammer episode of 100 decisions and three
+cameras of 84 pixels takes 2.7 MB.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from PIL import Image
+
+from madviz.errors import UserError
+from madviz.evaluation.mean_picture import stack_of
+from madviz.observation.ablation import Ablation
+from madviz.observation.schedule import Schedule, reached
+from madviz.observation.streams import StreamStack
+from madviz.policies.players import player_of
+from madviz.session.frame import untouched
+from madviz.system.files import PART, write_json
+from madviz.training.demonstrations import slow_noise
+from madviz.types import Array, Environment, Policy
+
+FILE_BYTES = 100 * 2**20
+"""A data file of at least this size is followed by another one, as LeRobot does."""
+QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+KINDS = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One decision of an episode."""
+
+    pictures: dict[str, Array]
+    """(H, W, C) uint8 by stream, as they arrived."""
+    mask: Array
+    """(V,) bool, the streams that counted."""
+    state: Array
+    """(S,) float32."""
+    action: Array
+    """(A,) float32."""
+    reward: float
+    success: bool
+    """The task's condition after it."""
+
+
+def expert_decisions(
+    env: Environment, streams: tuple[str, ...], noise: float, seed: int
+) -> Iterator[Decision]:
+    """The expert's episode of ``seed``. A noise that changes slowly is added to what is done, not
+    to what is kept; its spread is another one in each episode, from 0 to ``noise``."""
+    rng = np.random.default_rng([seed, 11])
+    pushed = slow_noise(rng, noise * rng.random(), env.spec.action_dim)
+    stack, intact = StreamStack(env.spec, streams, length=1), Ablation()
+    now, everything = env.reset(seed), np.ones(len(streams), bool)
+    for step in range(env.spec.horizon):
+        stack.push({one.name: env.view(one.name) for one in env.spec.cameras}, intact, seed, step)
+        pictures, state, action = stack.newest, now.state, env.expert()
+        now = env.step(np.clip(action + next(pushed), -1, 1).astype(np.float32))
+        yield Decision(pictures, everything, state, action, now.reward, now.success)
+
+
+def policy_decisions(
+    policy: Policy, env: Environment, schedule: Schedule, seed: int
+) -> Iterator[Decision]:
+    """The episode of ``seed`` in which cameras fail as ``schedule`` says. Raises UserError where
+    the policy cannot act on what is left."""
+    spec, stack, ablation = policy.spec, stack_of(policy.spec, env.spec), Ablation()
+    names = [camera.name for camera in env.spec.cameras]
+    now = env.reset(seed)
+    with closing(player_of(policy, seed)) as player:
+        for step in range(env.spec.horizon):
+            for event in reached(schedule, step, names):
+                ablation = ablation.replace(event.camera, event.state(untouched(spec)))
+            mask = ablation.mask(spec.streams)
+            if not policy.supports(mask):
+                raise UserError(
+                    f"{spec.name} cannot act on what is left of its cameras at step {step}; "
+                    "let them fail otherwise, as in third_a=black@5"
+                )
+            stack.push({name: env.view(name) for name in names}, ablation, seed, step)
+            pictures, state = stack.newest, now.state
+            action = player.act(policy.encode(stack.views, state), mask)
+            now = env.step(action)
+            yield Decision(pictures, mask, state, action, now.reward, now.success)
+
+
+def write_dataset(
+    out: Path, task: str, fps: float, episodes: Iterator[Iterator[Decision]]
+) -> list[bool]:
+    """Writes all of ``episodes`` to the folder ``out``; whether each ended in success. Whoever
+    finds ``out`` finds all of it. Raises UserError for a folder that is there already."""
+    check_folder(out)
+    part = Path(tempfile.mkdtemp(dir=out.resolve().parent, prefix=PART))
+    try:
+        dataset = LeRobotFolder(part, task, fps)
+        ends = [dataset.add(list(episode)) for episode in episodes]
+        dataset.close()
+        part.chmod(0o755)
+        with suppress(FileNotFoundError):
+            out.rmdir()
+        part.rename(out)
+    except OSError as error:
+        raise UserError(
+            f"--out {out}: could not be written: {error.strerror}; make room there or choose "
+            "another"
+        ) from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return ends
+
+
+def check_folder(out: Path) -> None:
+    """Raises UserError unless ``out`` can become a new folder."""
+    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+        raise UserError(
+            f"--out {out}: expected a new folder, found one that is not empty; choose another"
+        )
+    if not out.resolve().parent.is_dir():
+        raise UserError(
+            f"--out {out}: expected a folder in one that exists; make {out.parent} first"
+        )
+
+
+class LeRobotFolder:
+    """The folder, episode by episode. ``close`` completes it."""
+
+    def __init__(self, folder: Path, task: str, fps: float) -> None:
+        self._folder, self._task, self._fps = folder, task, fps
+        self._features: dict[str, dict[str, Any]] = {}
+        self._episodes: list[dict[str, Any]] = []
+        self._columns: dict[str, list[Array]] = {}
+        self._tallies: dict[str, Array] = {}
+        self._writer: pq.ParquetWriter | None = None
+        self._file = self._frames = 0
+
+    def add(self, decisions: Sequence[Decision]) -> bool:
+        """Writes an episode; whether it ended in success."""
+        columns, pictures = self._numbers(decisions), list(decisions[0].pictures)
+        if not self._features:
+            self._features = features(decisions[0], columns)
+        stats = {name: described(column) for name, column in columns.items()}
+        data: dict[str, pa.Array] = {}
+        for name in pictures:
+            frames = [one.pictures[name] for one in decisions]
+            data[_key(name)] = _png_column(frames)
+            tallied = tally(frames)
+            stats[_key(name)] = described_pictures(tallied, len(frames))
+            self._tallies[name] = self._tallies.get(name, 0) + tallied
+        for name, column in columns.items():
+            data[name] = _column(column)
+            self._columns.setdefault(name, []).append(column)
+        place = self._write(pa.table(data))
+        first, self._frames = self._frames, self._frames + len(decisions)
+        self._episodes.append(
+            {
+                "episode_index": len(self._episodes),
+                "tasks": [self._task],
+                "length": len(decisions),
+                "data/chunk_index": 0,
+                "data/file_index": place,
+                "dataset_from_index": first,
+                "dataset_to_index": self._frames,
+                **{f"stats/{k}/{what}": v for k, each in stats.items() for what, v in each.items()},
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+            }
+        )
+        return decisions[-1].success
+
+    def close(self) -> None:
+        """Writes what holds for all episodes."""
+        if self._writer is not None:
+            self._writer.close()
+        count = len(self._episodes)
+        write_json(
+            self._made("meta/info.json"), info(self._features, count, self._frames, self._fps)
+        )
+        whole = {name: described(np.concatenate(each)) for name, each in self._columns.items()}
+        for name, tallied in self._tallies.items():
+            whole[_key(name)] = described_pictures(tallied, self._frames)
+        write_json(self._made("meta/stats.json"), whole)
+        pq.write_table(tasks_table(self._task), self._made("meta/tasks.parquet"))
+        where = "meta/episodes/chunk-000/file-000.parquet"
+        pq.write_table(pa.Table.from_pylist(self._episodes), self._made(where))
+
+    def _numbers(self, decisions: Sequence[Decision]) -> dict[str, Array]:
+        """Column -> (T, n), every row of which has n numbers."""
+        steps, length = np.arange(len(decisions)), len(decisions)
+
+        def all_of(values: list[Any], kind: type[np.generic]) -> Array:
+            return np.asarray(values, kind).reshape(length, -1)
+
+        return {
+            "observation.state": all_of([one.state for one in decisions], np.float32),
+            "action": all_of([one.action for one in decisions], np.float32),
+            "camera_mask": all_of([one.mask for one in decisions], np.bool_),
+            "next.reward": all_of([one.reward for one in decisions], np.float32),
+            "next.success": all_of([one.success for one in decisions], np.bool_),
+            "next.done": all_of([step == length - 1 for step in steps], np.bool_),
+            "timestamp": all_of([step / self._fps for step in steps], np.float32),
+            "frame_index": all_of([*steps], np.int64),
+            "episode_index": all_of([len(self._episodes)] * length, np.int64),
+            "index": all_of([*(self._frames + steps)], np.int64),
+            "task_index": all_of([0] * length, np.int64),
+        }
+
+    def _write(self, table: pa.Table) -> int:
+        """Appends an episode; the number of the file that has it."""
+        if self._writer is not None and self._data_file().stat().st_size > FILE_BYTES:
+            self._writer.close()
+            self._writer, self._file = None, self._file + 1
+        if self._writer is None:
+            self._writer = pq.ParquetWriter(self._data_file(), table.schema)
+        self._writer.write_table(table)
+        return self._file
+
+    def _data_file(self) -> Path:
+        return self._made(DATA.format(chunk_index=0, file_index=self._file))
+
+    def _made(self, name: str) -> Path:
+        path = self._folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+
+def features(one: Decision, columns: dict[str, Array]) -> dict[str, dict[str, Any]]:
+    """What LeRobot has to know of every column."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, picture in one.pictures.items():
+        shape = [*picture.shape[:2], 3]
+        axes = ["height", "width", "channels"]
+        found[_key(name)] = {"dtype": "image", "shape": shape, "names": axes}
+    for name, column in columns.items():
+        named = list(one.pictures) if name == "camera_mask" else None
+        found[name] = {"dtype": str(column.dtype), "shape": [column.shape[1]], "names": named}
+    return found
+
+
+def info(features: dict[str, Any], episodes: int, frames: int, fps: float) -> dict[str, Any]:
+    """meta/info.json."""
+    return {
+        "codebase_version": "v3.0",
+        "fps": int(fps) if float(fps).is_integer() else fps,
+        "features": features,
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": 1,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": FILE_BYTES >> 20,
+        "video_files_size_in_mb": 200,
+        "data_path": DATA,
+        "video_path": None,
+        "robot_type": None,
+        "splits": {"train": f"0:{episodes}"},
+    }
+
+
+def tasks_table(task: str) -> pa.Table:
+    """meta/tasks.parquet, whose column ``task`` is a table's index to pandas, which reads it."""
+    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+    columns = [
+        {"name": k, "field_name": k, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+        for k, (kind, numpy) in kinds.items()
+    ]
+    index = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
+    table = pa.table({"task_index": pa.array([0], pa.int64()), "task": [task]})
+    return table.replace_schema_metadata({"pandas": json.dumps(index)})
+
+
+def described(column: Array) -> dict[str, list[float]]:
+    """Statistics of (T, n), each with n numbers."""
+    values = column.astype(np.float64)
+    found = {
+        "min": values.min(0),
+        "max": values.max(0),
+        "mean": values.mean(0),
+        "std": values.std(0),
+        **{name: np.quantile(values, share, axis=0) for name, share in QUANTILES.items()},
+    }
+    return {**{name: each.tolist() for name, each in found.items()}, "count": [len(column)]}
+
+
+def tally(frames: Sequence[Array]) -> Array:
+    """(3, 256): how many pixels of T pictures (H, W, C) have each value, by channel."""
+    colour = np.stack([np.broadcast_to(frame, (*frame.shape[:2], 3)) for frame in frames])
+    return np.stack([np.bincount(colour[..., c].ravel(), minlength=256) for c in range(3)])
+
+
+def described_pictures(tallied: Array, count: int) -> dict[str, Any]:
+    """Statistics of pictures from their ``tally``, each (3, 1, 1), of values from 0 to 1."""
+    values, total = np.arange(256) / 255, tallied.sum(1)
+    mean = tallied @ values / total
+    below = tallied.cumsum(1) / total[:, None]
+    found = {
+        "min": values[(tallied > 0).argmax(1)],
+        "max": values[255 - (tallied[:, ::-1] > 0).argmax(1)],
+        "mean": mean,
+        "std": np.sqrt(np.maximum(tallied @ values**2 / total - mean**2, 0)),
+        **{name: values[(below >= share).argmax(1)] for name, share in QUANTILES.items()},
+    }
+    return {**{k: each.reshape(3, 1, 1).tolist() for k, each in found.items()}, "count": [count]}
+
+
+def _key(stream: str) -> str:
+    return f"observation.images.{stream}"
+
+
+def _column(column: Array) -> pa.Array:
+    """(T, n): lists of n, or plain values where n is 1."""
+    kind, size = KINDS[str(column.dtype)], column.shape[1]
+    flat = pa.array(column.ravel(), kind)
+    return flat if size == 1 else pa.FixedSizeListArray.from_arrays(flat, size)
+
+
+def _png_column(frames: Sequence[Array]) -> pa.Array:
+    """Pictures (H, W, C) as LeRobot keeps them in a table."""
+    rows = []
+    for number, frame in enumerate(frames):
+        buffer = io.BytesIO()
+        colour = np.broadcast_to(frame, (*frame.shape[:2], 3))
+        Image.fromarray(np.ascontiguousarray(colour)).save(buffer, "PNG")
+        rows.append({"bytes": buffer.getvalue(), "path": f"frame-{number:06d}.png"})
+    return pa.array(rows, pa.struct([("bytes", pa.binary()), ("path", pa.string())]))
