@@ -24,7 +24,8 @@ from tests.fakes import FakePolicy, NanPolicy, policies
 from tests.mistakes import refused
 
 CAMERAS = ("first", "third_a", "third_b")
-PYTHON = Path(os.environ.get("MADVIZ_LEROBOT", "integrations/lerobot/.venv/bin/python"))
+USUAL = Path(__file__).resolve().parent.parent / "integrations/lerobot/.venv/bin/python"
+PYTHON = Path(os.environ.get("MADVIZ_LEROBOT", USUAL))
 
 
 @pytest.fixture(autouse=True)

@@ -149,8 +149,8 @@ def tree() -> str:
         "notebooks/": "eight lessons",
         "docs/": "the documentation's pages",
         "tests/": "fast, slow and browser tests",
-        "tools/": "installation, docs and figures",
-        "typings/": "types of MuJoCo for the type checker",
+        "integrations/": "LeRobot, vla-eval, openpi, Stable-Baselines3, each in an environment",
+        "tools/ typings/": "installation, docs and figures; types of MuJoCo for the type checker",
         "madviz/": "the package",
     }
     lines = [f"{name:16} {text}" for name, text in described.items()]

@@ -1,0 +1,96 @@
+"""What is in integrations/ works in the environments that its setup.sh make, where they are."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from madviz.examples import own_policy
+from madviz.serving.serve import PolicyServer
+
+ROOT = Path(__file__).resolve().parent.parent
+FOLDER = ROOT / "integrations"
+
+
+def python_of(name: str) -> Path:
+    """The interpreter of an environment: MADVIZ_VLA_EVAL=FILE, or where setup.sh makes it."""
+    usual = FOLDER / name / ".venv" / "bin" / "python"
+    return Path(os.environ.get(f"MADVIZ_{name.upper()}", usual))
+
+
+def needs(name: str) -> pytest.MarkDecorator:
+    said = f"integrations/{name}/setup.sh makes its environment"
+    return pytest.mark.skipif(not python_of(name).exists(), reason=said)
+
+
+def ran(words: list[str | Path], folder: Path) -> str:
+    """What a program prints."""
+    paths = os.pathsep.join([str(ROOT), str(folder), str(FOLDER / "lerobot_env_madviz")])
+    kept = {**os.environ, "PYTHONPATH": paths, "HF_HUB_OFFLINE": "1"}
+    found = subprocess.run(words, cwd=folder, env=kept, capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr
+    return found.stdout + found.stderr
+
+
+@pytest.fixture
+def served() -> Iterator[str]:
+    """The address of the example policy."""
+    server = PolicyServer(own_policy.make()).start()
+    yield server.address
+    server.close()
+
+
+@pytest.mark.slow
+@needs("vla_eval")
+def test_vla_evals_harness_evaluates_a_served_policy(served: str, tmp_path: Path) -> None:
+    harness = python_of("vla_eval").with_name("vla-eval")
+    options = ["--no-docker", "--yes", "--render", "cpu", "--config", "reach.yaml"]
+    where = ["--server-url", served, "--output-dir", tmp_path]
+    said = ran([harness, "run", *options, *where], FOLDER / "vla_eval")
+    assert "100.0% (5/5)" in said and "Spec validation passed" in said
+
+
+@pytest.mark.slow
+@needs("openpi")
+@pytest.mark.parametrize("drop", [[], ["--drop", "first", "third_a"]])
+def test_openpis_client_plays_with_a_served_policy(served: str, drop: list[str]) -> None:
+    port = served.rpartition(":")[2]
+    words = [python_of("openpi"), "play.py", "--port", port, "--episodes", "3", *drop]
+    said = ran(words, FOLDER / "openpi")
+    assert "served: finder" in said and "3 of 3 successful" in said
+
+
+@pytest.mark.slow
+@needs("lerobot")
+def test_lerobot_makes_environments_of_madvizs_tasks() -> None:
+    program = (
+        "import lerobot_env_madviz\n"
+        "from lerobot.envs.factory import make_env, make_env_config\n"
+        "from lerobot.envs.utils import preprocess_observation\n"
+        "config = make_env_config('madviz', task='reach-v0')\n"
+        "env = make_env(config, n_envs=2)['madviz'][0]\n"
+        "seen, _ = env.reset(seed=[5000, 5001])\n"
+        "batch = preprocess_observation(seen)\n"
+        "print(sorted(config.features_map.values()), env.call('task_description'))\n"
+        "print({k: tuple(v.shape) for k, v in batch.items()})\n"
+    )
+    said = ran([python_of("lerobot"), "-c", program], FOLDER / "lerobot")
+    assert "'observation.images.third_b': (2, 3, 84, 84)" in said
+    assert "'action', 'observation.images.first'" in said and "Go to the orange target." in said
+
+
+def test_lerobot_finds_the_plug_in_by_its_name() -> None:
+    project = tomllib.loads((FOLDER / "lerobot_env_madviz" / "pyproject.toml").read_text())
+    assert project["project"]["name"] == "lerobot_env_madviz"
+    assert (FOLDER / "lerobot_env_madviz" / "lerobot_env_madviz" / "__init__.py").exists()
+
+
+@pytest.mark.parametrize("script", sorted(FOLDER.glob("*/setup.sh")), ids=lambda s: s.parent.name)
+def test_a_setup_script_can_be_read_by_bash(script: Path) -> None:
+    assert os.access(script, os.X_OK)
+    subprocess.run(["bash", "-n", script], check=True)
