@@ -29,9 +29,9 @@ def test_the_policy_in_the_docs_is_audited_as_the_docs_say():
     assert "Third B is needed, and of the other two no use is shown" in PAGE.read_text()
 
 
-def test_the_two_audits_in_the_docs_are_those_in_the_files() -> None:
+def test_the_audits_in_the_docs_are_those_in_the_files() -> None:
     files = sorted((ROOT / "results" / "audits").glob("*.json"))
-    assert len(files) == 2
+    assert len(files) >= 2
     for file in files:
         for line in in_words(json.loads(file.read_text())):
             assert f"- {line}\n" in PAGE.read_text()
