@@ -19,6 +19,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from html import escape
 from io import StringIO
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
@@ -31,6 +32,10 @@ BAR, PANEL, CELL = 13, 230, (48, 20)
 """Pixels: the least width of a bar, the width of a panel with lines, width and height of a cell."""
 MARKERS = 12
 """On a line, at most about so many."""
+HATCHES = ("", "///", "...", "xxx", "---", "|||")
+"""Of the series in one figure of bars."""
+DASHES = ("-", (0, (5, 1.5)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
+"""Of the curves in one figure, in their order: they can be told apart without colours."""
 
 
 Marker = str | tuple[int, int, float]
@@ -45,6 +50,8 @@ class Style:
     marker: Marker
     hollow: bool = False
     """Whether the marker is only an outline: the same method once more, trained otherwise."""
+    hatch: str = ""
+    """The pattern of its bars, in matplotlib's letters."""
 
 
 STYLES: dict[str, Style] = {
@@ -122,8 +129,14 @@ class Line:
     high: Sequence[float]
 
 
-def bars(title: str, groups: Sequence[str], series: Mapping[str, Sequence[Bar | None]]) -> str:
-    """SVG text; ``series`` has a bar, or None where nothing was measured, for each group."""
+def bars(
+    title: str,
+    groups: Sequence[str],
+    series: Mapping[str, Sequence[Bar | None]],
+    hatched: bool = False,
+) -> str:
+    """SVG text; ``series`` has a bar, or None where nothing was measured, for each group.
+    ``hatched`` gives each series a pattern of its own, for print without colours."""
     group = max(BAR * (len(series) + 2), 60, *(7 * len(name) for name in groups))
     with _style(title):
         figure = _figure(_width(60 + group * len(groups), title, series), 250)
@@ -132,6 +145,9 @@ def bars(title: str, groups: Sequence[str], series: Mapping[str, Sequence[Bar | 
         axes.set_xlim(-0.5, len(groups) - 0.5)
         axes.set_xticks(range(len(groups)), groups)
         chosen = styles(series)
+        if hatched:
+            hatches = cycle(HATCHES)
+            chosen = {name: replace(look, hatch=next(hatches)) for name, look in chosen.items()}
         for number, (name, row) in enumerate(series.items()):
             for place, bar in enumerate(row):
                 if bar is not None:
@@ -250,12 +266,12 @@ def curves(
         for step in marks:
             line = axes.axvline(step, color=MARK, linestyle="--", linewidth=1, clip_on=False)
             line.set_gid(f"mark {step}")
-        for name, values in series.items():
-            axes.plot(values, color=colours[name], label=name, clip_on=False, gid="line")
+        for (name, values), dashes in zip(series.items(), cycle(DASHES)):
+            look = {"color": colours[name], "linestyle": dashes, "label": name}
+            axes.plot(values, **look, clip_on=False, gid="line")
         if len(series) > 1:
-            axes.legend(
-                loc="lower right", bbox_to_anchor=(1, 1), ncols=len(series), borderaxespad=0.2
-            )
+            where = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.2}
+            axes.legend(**where, ncols=len(series), handlelength=3.2)
         drawn = _svg(figure)
     for step, words in marks.items():
         group = f'<g class="mark {step}">'
@@ -314,10 +330,16 @@ def _svg(figure: Figure) -> str:
 def _finished(figure: Figure, title: str, legend: Mapping[str, Style]) -> str:
     """With the title above and the legend at the right."""
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     figure.suptitle(title, x=0.01, horizontalalignment="left")
     if legend:
-        handles = [Line2D([], [], linestyle="", **_marker(style)) for style in legend.values()]
+        handles = [
+            Patch(facecolor=style.colour, edgecolor="white", hatch=style.hatch)
+            if any(one.hatch for one in legend.values())
+            else Line2D([], [], linestyle="", **_marker(style))
+            for style in legend.values()
+        ]
         figure.legend(handles, list(legend), loc="outside right upper")
     return _svg(figure)
 
@@ -343,7 +365,8 @@ def _rate_axis(axes: Axes, which: Literal["x", "y"] = "y", low: int = 0) -> None
 
 
 def _bar(axes: Axes, x: float, width: float, bar: Bar, style: Style) -> None:
-    axes.bar(x, bar.value, width, color=style.colour, clip_on=False, gid="bar")
+    line = {"edgecolor": "white", "hatch": style.hatch, "linewidth": 0} if style.hatch else {}
+    axes.bar(x, bar.value, width, color=style.colour, clip_on=False, gid="bar", **line)
     ends = [[max(bar.value - bar.low, 0.0)], [max(bar.high - bar.value, 0.0)]]
     whisker = axes.errorbar(x, bar.value, ends, fmt="none", ecolor=INK, elinewidth=0.8, capsize=2)
     for artist in whisker.get_children():

@@ -1,5 +1,5 @@
-"""Makes measured/baselines.json, which lesson 6 shows: MAD and nine baselines are trained small on
-toy/reach, as ``mad`` is in lesson 3, and then measured with cameras missing in every way.
+"""Makes madviz/teaching/baselines.json, which lesson 6 shows. MAD and nine baselines are trained on
+toy/reach, as small as ``mad`` in lesson 3, and then measured with cameras missing in every way.
 
     python notebooks/baselines.py             all ten: about twenty minutes on two cores
     python notebooks/baselines.py vib mvd     these again; the others stay as they are
@@ -10,19 +10,16 @@ Trainings are saved in a temporary folder (``madviz-lessons``), so a second run 
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
-from madviz.teaching.baselines import COMPARED, run_cases, save_outcomes, train_baseline
-
-FILE = Path(__file__).resolve().parent / "measured" / "baselines.json"
+from madviz.teaching.baselines import run_cases, train_baseline
+from madviz.teaching.outcomes import COMPARED, SHIPPED, save_outcomes
 
 
 def main(names: list[str]) -> None:
-    FILE.parent.mkdir(exist_ok=True)
     for name in names or COMPARED:
         run = train_baseline(name)
         outcomes = run_cases(run.policy)
-        save_outcomes(FILE, name, outcomes)
+        save_outcomes(SHIPPED, name, outcomes)
         digits = outcomes["all"]
         successes = f"{digits.count('1')} of {len(digits)}"
         print(f"\n{name}: {run.seconds:.0f} s, {successes} succeed", flush=True)

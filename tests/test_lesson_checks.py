@@ -13,13 +13,17 @@ import pytest
 
 from madviz import teaching
 from madviz.errors import UserError
+from madviz.evaluation.statistics import Paired
+from madviz.subsets import mask_of, name_of
 from madviz.teaching import checks
 from madviz.teaching.checks import CHECKS, NotYet, judge, lesson_02, table
 from madviz.teaching.checks.exercise import HINTS
+from madviz.teaching.outcomes import one_missing, read_outcomes
 
 BUILD = runpy.run_path(str(Path(__file__).parent.parent / "notebooks" / "build.py"))
 LESSONS: list[str] = [name for name in BUILD["names"]([]) if checks.of_lesson(name)]
 NAMES = list(CHECKS)
+MERGED_ONLY = "metaworld-hammer-merged-only-light"
 
 
 def tagged(lesson: str, *tags: str) -> list[nbformat.NotebookNode]:
@@ -38,10 +42,33 @@ def imported(lesson: str) -> dict[str, Any]:
     return names
 
 
+class OneTimeStep:
+    """As large as one of lesson 1."""
+
+    stack, state = np.zeros((3, 9, 84, 84), np.uint8), np.zeros(24)
+
+
+def hammer_rate(cameras: Any) -> float:
+    """Success of merged-only, as lesson 8 has it."""
+    streams = ("first", "third_a", "third_b")
+    name = name_of(mask_of("+".join(cameras) or "none", streams), streams)
+    successes, n = teaching.shipped(MERGED_ONLY)[name]
+    return successes / n
+
+
+ABOVE: dict[str, dict[str, Any]] = {
+    "00": {"MERGED_ONLY": lambda: MERGED_ONLY},
+    "01": {"now": OneTimeStep},
+    "06": {"best": lambda: one_missing(read_outcomes())},
+    "08": {"streams": lambda: ("first", "third_a", "third_b"), "rate": lambda: hammer_rate},
+}
+"""Lesson -> names that its solutions have from the cells above, and what makes them."""
+
+
 def answered(name: str, tags: tuple[str, ...]) -> list[Any]:
     """What the cells with ``tags`` above a check give it."""
     lesson = next(lesson for lesson in LESSONS if lesson[:2] == name[:2])
-    names = imported(lesson)
+    names = imported(lesson) | {name: value() for name, value in ABOVE.get(name[:2], {}).items()}
     for cell in tagged(lesson, "check", *tags):
         if cell.source == CHECKS[name].cell:
             return [names[each] for each in CHECKS[name].takes]
@@ -78,7 +105,45 @@ def nothing(*given: Any) -> Any:
     return 0.0
 
 
+def in_place(stack: Any, streams: Any) -> Any:
+    """The right rows, in the stack that was given."""
+    stack[[name.endswith(".rgb") for name in streams]] = 0
+    return stack
+
+
+PLAN: dict[str, Any] = {
+    "question": "Does it need the camera only until then?",
+    "conditions": {"never": None, "early": 10, "late": 60},
+    "episodes": 8,
+    "first_seed": 2000,
+    "expect": {"never": (0.6, 1.0), "early": (0.0, 0.4), "late": (0.6, 1.0)},
+    "wrong_if": "late loses half of the successes",
+}
 WRONG: dict[str, dict[str, tuple[Any, ...]]] = {
+    "00.rates": {
+        "have changed places": (0.0, 1.0),
+        "First person alone": (1.0, 0.02),
+        "from 0 to 1": (100, 0),
+        "not the rates": (0.5, 0.5),
+    },
+    "00.link": {
+        "off leaves the sum": (f"#policy={MERGED_ONLY}&third_a=off@20",),
+        "another camera": (f"#policy={MERGED_ONLY}&first=black@20",),
+        "at step 0": (f"#policy={MERGED_ONLY}&third_a=black",),
+        "not Merged Only": ("#policy=metaworld-hammer-mad-light&third_a=black@20",),
+        "no camera is switched": (f"#policy={MERGED_ONLY}",),
+    },
+    "01.numbers": {
+        "these are the pictures alone": (3 * 9 * 84 * 84,),
+        "one camera, or one frame": (9 * 84 * 84 + 24,),
+        "expected a whole number": ("many",),
+    },
+    "01.still": {
+        "the oldest picture": (lambda stack: np.tile(stack[:, :3], (1, 3, 1, 1)),),
+        "out of order": (lambda stack: np.repeat(stack[:, -3:], 3, axis=1),),
+        "nothing has changed": (lambda stack: stack,),
+        "expected the shape": (lambda stack: stack[:, -3:],),
+    },
     "02.merge": {
         "it is not the sum of those cameras": (lambda features, present: features.sum(0),),
         "expected an array of the shape (4,)": (lambda features, present: features[present],),
@@ -87,6 +152,79 @@ WRONG: dict[str, dict[str, tuple[Any, ...]]] = {
         "it is not the mean of those cameras": (lambda f, present: present @ f / len(f),),
         "with no camera": (lambda features, present: features[present].mean(0),),
         "it is the sum": (lambda features, present: present @ features,),
+    },
+    "03.loss": {
+        "have changed places": (lambda m, s, alpha: (1 - alpha) * m + alpha * s.mean(),),
+        "not their mean": (lambda m, s, alpha: alpha * m + (1 - alpha) * s.sum(),),
+        "with two cameras": (lambda m, s, alpha: alpha * m + (1 - alpha) * s.sum() / 3,),
+        "it has to be the merged loss": (lambda m, s, alpha: (m + s.sum()) / 4,),
+    },
+    "03.weights": {
+        "add up to 3": ([0, 1, 1, 1],),
+        "never reads the sum": ([1, 0, 0, 0],),
+        "expected four numbers": ([1 / 3, 1 / 3, 1 / 3],),
+    },
+    "04.paired": {
+        "in best A does not solve 9": (Paired(7, 0, 2, 1), Paired(6, 3, 1, 0)),
+        "best: B still solves": (Paired(6, 3, 1, 0), Paired(7, 2, 0, 1)),
+        "the same case": (Paired(7, 2, 0, 1), Paired(7, 2, 0, 1)),
+        "best has 9 episodes": (Paired(7, 2, 0, 0), Paired(6, 3, 1, 0)),
+    },
+    "04.episodes": {"p is 0.12": (20,), "fewer are enough": (100,), "not a multiple": (25,)},
+    "05.sets": {"the empty set": (8,), "the single streams": (3,), "is not their number": (32,)},
+    "05.dark": {
+        "it changes the stack": (in_place,),
+        "first.depth has changed": (lambda stack, streams: stack * 0,),
+        "first.rgb is not black": (lambda stack, streams: stack,),
+        "expected the shape": (lambda stack, streams: stack[1::2],),
+    },
+    "06.lost": {
+        "a number of episodes": (lambda before, after: before.count("1") - after.count("1"),),
+        "the sign is reversed": (lambda b, a: (a.count("1") - b.count("1")) / len(b),),
+        "loses less than nothing": (lambda b, a: max(0, b.count("1") - a.count("1")) / len(b),),
+        "for ten episodes": (lambda before, after: (before.count("1") - after.count("1")) / 4,),
+    },
+    "06.sturdy": {
+        "mvd succeeds in 30 of 40": (["mad"],),
+        "`single` has no First person": (["mad", "mvd", "single"],),
+        "found one name": ("mad",),
+        "found MAD": (["MAD", "mvd"],),
+    },
+    "07.mean_action": {
+        "it is the mean of the squashed": (lambda actions, present: actions[present].mean(0),),
+        "the missing cameras": (lambda actions, present: np.tanh(np.arctanh(actions).mean(0)),),
+    },
+    "07.shares": {
+        "the shares add up to 0": (lambda s, present: np.exp(s) / np.exp(s).sum() * present,),
+        "are not softmax": (lambda scores, present: present / present.sum(),),
+        "a missing camera has a share": (lambda s, present: np.exp(s) / np.exp(s).sum(),),
+    },
+    "08.shapley": {
+        "all minus the rate without": (
+            lambda rate, one, cameras: rate(cameras) - rate([c for c in cameras if c != one]),
+        ),
+        "of it alone": (lambda rate, camera, cameras: rate([camera]) - rate([]),),
+        "not the mean over all orders": (lambda rate, camera, cameras: rate(cameras) / 3,),
+    },
+    "08.spared": {
+        "without First person": ("first",),
+        "a fifth": ("third_a",),
+        "expected one of": ("Third B",),
+    },
+    "09.plan": {
+        "the plan has no wrong_if": ({k: v for k, v in PLAN.items() if k != "wrong_if"},),
+        "with what will you compare": (PLAN | {"conditions": {"early": 10, "late": 60}},),
+        "nearly any result agrees": (PLAN | {"expect": dict.fromkeys(PLAN["expect"], (0, 1))},),
+        "take too long": (PLAN | {"episodes": 100},),
+        "seeds of the live page": (PLAN | {"first_seed": 10_000},),
+        "nothing is written for episodes": (PLAN | {"episodes": ...},),
+        "has to be a sentence": (PLAN | {"wrong_if": "never"},),
+        "two different steps": (PLAN | {"conditions": {"never": None, "early": 10}},),
+        "you expect the same": (PLAN | {"expect": dict.fromkeys(PLAN["expect"], (0.5, 1))},),
+    },
+    "09.verdict": {
+        "is not right": (lambda expected, interval: "as planned",),
+        "expected one of as planned": (lambda expected, interval: True,),
     },
 }
 """Check -> what is said about answers that students give."""

@@ -146,7 +146,7 @@ def tree() -> str:
     described = {
         "checkpoints/": "policies: configuration, weights, evaluation, curve, card",
         "results/": "results of all methods, their pictures, and the sweeps that make them",
-        "notebooks/": "eight lessons",
+        "notebooks/": "ten lessons",
         "docs/": "the documentation's pages",
         "tests/": "fast, slow and browser tests",
         "integrations/": "LeRobot, vla-eval, openpi, Stable-Baselines3, each in an environment",

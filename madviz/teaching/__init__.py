@@ -1,12 +1,12 @@
-"""What the notebooks share, so that a cell of theirs is a question and a line or two of code.
+"""What the notebooks share: episodes, figures, small trainings, exercises that check themselves.
 
     episode      its time steps, and how a policy acts at each
     rates        successes in words, with their intervals
     checks       exercises that check themselves
     small_runs   trainings that fit into a lesson
 
-All of these are here under ``madviz.teaching``; ``show``, ``lessons``, ``baselines`` and ``inside``
-are modules of their own, for those lessons that need them.
+All of these are here under ``madviz.teaching``; ``show``, ``lessons``, ``outcomes``, ``baselines``,
+``merges`` and ``inside`` are modules of their own, for those lessons that need them.
 """
 
 from madviz.teaching.checks import check as check

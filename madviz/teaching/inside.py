@@ -1,4 +1,4 @@
-"""For lesson 7: saliency, norms of features, Shapley values of the cameras, an episode as a file.
+"""For lesson 8: saliency, norms of features, Shapley values of the cameras, an episode as a file.
 
 An episode is played once and stored as a list of moments; everything here is computed from that
 list, so that the simulator runs once for all figures. 100 moments of three cameras are 20 MB.
@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from statistics import fmean
 
 import numpy as np
 
@@ -48,18 +47,6 @@ def saliency_sheet(
         weight = 0.15 + 0.85 * np.sqrt(maps[index])[..., None]
         shown[stream] = (weight * glow + (1 - weight) * 0.5 * frame).astype(np.uint8)
     return sheet(shown, size)
-
-
-def saliency_shares(episode: Sequence[Moment], target: Target = "action") -> TextTable:
-    """Which share of all saliency falls on each stream, a mean over the moments given."""
-    shares = []
-    for moment in episode:
-        everything = np.ones(len(moment.stack), bool)
-        maps = saliency(moment.policy, moment.stack, moment.state, everything, target)
-        if maps is not None and maps.sum() > 0:
-            shares.append(maps.sum((1, 2)) / maps.sum())
-    streams = episode[0].policy.spec.streams
-    return table(["stream", "share"], list(zip(streams, np.mean(shares, 0), strict=True)))
 
 
 def norm_curves(episode: Sequence[Moment]) -> Figure:
@@ -107,11 +94,6 @@ def success_shapley(
     ]
     rows.append(["together", f"{float(values.cameras.sum()):+.2f}", ""])
     return values, table(["camera", "Shapley value", "95% interval"], rows)
-
-
-def mean_gap(episode: Sequence[Moment], subset: str) -> float:
-    """Mean distance between the action on ``subset`` and on everything."""
-    return fmean(float(np.linalg.norm(m.action(subset) - m.action())) for m in episode)
 
 
 @dataclass(frozen=True)

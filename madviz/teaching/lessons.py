@@ -1,12 +1,12 @@
-"""One function for each thing that a lesson draws or counts; the words are in the notebooks.
+"""What a lesson draws: a function for each picture, figure or table.
 
 They take moments, policies or counts and return what draws itself (``madviz.teaching.show``), so
-that a cell is one line and a widget can show its result, too.
+that a widget can show it, too. What a lesson computes stands in its cells.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import get_args
 
 import numpy as np
@@ -18,13 +18,11 @@ from madviz.agent.methods import METHODS, method
 from madviz.agent.networks import NetworkConfig
 from madviz.drawing.colours import heat
 from madviz.errors import UserError
-from madviz.evaluation.evaluate import evaluate
 from madviz.evaluation.mean_picture import mean_pictures
-from madviz.evaluation.statistics import wilson
 from madviz.observation.ablation import Occlusion, OcclusionKind, noise_generator
 from madviz.observation.streams import depth_code
 from madviz.subsets import every_mask, name_of
-from madviz.teaching import Moment, counts, frames_of, moments
+from madviz.teaching import Moment, frames_of
 from madviz.teaching.show import MARK, Figure, Picture, TextTable, bars, presence, sheet, table
 from madviz.types import Array, Policy, PolicySpec
 
@@ -41,15 +39,6 @@ def camera_sheet(moment: Moment, modality: str = "rgb", size: int = 168) -> Pict
     return sheet(shown, size)
 
 
-def stack_sheet(moment: Moment, stream: str = "first", size: int = 168) -> Picture:
-    """The frames of one stream, oldest first, and what changed between the last two."""
-    frames = frames_of(moment.stack, moment.policy.spec.streams.index(stream))
-    shown = {f"{stream}, {len(frames) - 1 - i} ago": frame for i, frame in enumerate(frames)}
-    change = np.abs(frames[-1].astype(int) - frames[-2]).mean(2)
-    shown["what changed"] = heat(change / max(change.max(), 1))
-    return sheet(shown, size)
-
-
 def feature_sheet(moment: Moment, size: int = 168) -> Picture:
     """The 3136 numbers of every stream's feature as a square of 56 x 56, on one colour scale."""
     features = moment.probe.features
@@ -60,15 +49,6 @@ def feature_sheet(moment: Moment, size: int = 168) -> Picture:
     squares = features.reshape(-1, side, side) / top
     names = moment.policy.spec.streams
     return sheet({n: heat(np.sqrt(s)) for n, s in zip(names, squares, strict=True)}, size)
-
-
-def state_table(moment: Moment, words: Sequence[str] = ()) -> TextTable:
-    """The proprioceptive numbers, with ``words`` for the first of them."""
-    rows = [
-        [index, words[index] if index < len(words) else "", f"{value:+.3f}"]
-        for index, value in enumerate(moment.state)
-    ]
-    return table(["number", "meaning", "value"], rows)
 
 
 def occlusion_sheet(moment: Moment, camera: str = "first", size: int = 140) -> Picture:
@@ -103,61 +83,7 @@ def subset_table(moment: Moment, every: bool = True) -> TextTable:
     return table(["cameras", "views", "trained", "norm of M", "action", "Q"], rows)
 
 
-def norm_bars(moment: Moment) -> Figure:
-    """The norm of every subset's merged feature, relative to the largest."""
-    probe, streams = moment.probe, moment.policy.spec.streams
-    norms = [probe.merged_norm(row) for row in range(len(probe.masks))]
-    groups = [name_of(mask, streams) for mask in probe.masks]
-    values = [norm / max(norms) for norm in norms]
-    return bars("norm of M, relative to the largest", groups, {"this time step": values})
-
-
-def norms_by_views(policy: Policy, seeds: Sequence[int], every: int = 5) -> dict[int, list]:
-    """Number of views -> norms of the merged feature over subsets, episodes and every fifth
-    decision."""
-    found: dict[int, list[float]] = {}
-    for seed in seeds:
-        for moment in moments(policy, seed):
-            if moment.step % every == 0:
-                for row, mask in enumerate(moment.probe.masks):
-                    found.setdefault(int(mask.sum()), []).append(moment.probe.merged_norm(row))
-    return dict(sorted(found.items()))
-
-
-def count_views(known: Mapping[int, list], asked: Mapping[int, list]) -> tuple[int, int]:
-    """How often the nearest mean norm in ``known`` gives the number of views in ``asked``:
-    (hits, tries). Zero views are left out: their sum is always 0."""
-    means = {views: float(np.mean(norms)) for views, norms in known.items() if views}
-    tries = [(views, norm) for views, norms in asked.items() if views for norm in norms]
-    hits = sum(min(means, key=lambda v: abs(means[v] - norm)) == views for views, norm in tries)
-    return hits, len(tries)
-
-
-def action_gaps(policy: Policy, seed: int, subsets: Sequence[str]) -> dict[str, float]:
-    """Mean distance over an episode between the action on all streams and on each of ``subsets``,
-    at the same time steps; the policy acts on all streams."""
-    gaps: dict[str, list[float]] = {name: [] for name in subsets}
-    for moment in moments(policy, seed):
-        for name in subsets:
-            gaps[name].append(float(np.linalg.norm(moment.action(name) - moment.action("all"))))
-    return {name: float(np.mean(values)) for name, values in gaps.items()}
-
-
 # Success.
-
-
-def measure(
-    policy: Policy,
-    subsets: Sequence[str],
-    episodes: int,
-    seed: int = 5000,
-    occlusions: Mapping[str, Occlusion] | None = None,
-) -> dict[str, tuple[int, int]]:
-    """Subset -> (successes, episodes), run now, in this process."""
-    result = evaluate(
-        policy, subsets, episodes=episodes, seed=seed, workers=0, occlusions=dict(occlusions or {})
-    )
-    return counts(result.rows)
 
 
 def interval_figure(successes: int = 8, n: int = 10) -> Figure:
@@ -165,15 +91,6 @@ def interval_figure(successes: int = 8, n: int = 10) -> Figure:
     successes = min(successes, n)
     series = {"success": [(successes, n), (10 * successes, 10 * n)]}
     return bars(f"{successes} of {n}", [f"n = {n}", f"n = {10 * n}"], series)
-
-
-def width_table(rate: float, episodes: Sequence[int]) -> TextTable:
-    """How wide Wilson's interval is around ``rate`` for several numbers of episodes."""
-    rows = []
-    for n in episodes:
-        low, high = wilson(round(rate * n), n)
-        rows.append([n, f"[{low:.2f}, {high:.2f}]", high - low])
-    return table(["episodes", "95% interval", "width"], rows)
 
 
 # Other methods.

@@ -167,7 +167,7 @@ def bars(
     """Bars in groups. A pair (successes, n) becomes a rate with its Wilson interval; a number in
     [0, 1] stands for itself; where there is None there is no bar."""
     made = {name: [_bar(value) for value in values] for name, values in series.items()}
-    return Figure(plots.bars(title, list(groups), made), f"bars: {title}")
+    return Figure(plots.bars(title, list(groups), made, hatched=True), f"bars: {title}")
 
 
 def _bar(value: float | tuple[int, int] | None) -> plots.Bar | None:

@@ -19,11 +19,14 @@
 # Time: 30 minutes. You need the bundled policy `metaworld-hammer-mad-light`, and nothing else.
 
 # %%
+import numpy as np
+
 import madviz
 from madviz import teaching
 from madviz.agent.networks import Encoder
-from madviz.teaching.lessons import camera_sheet, feature_sheet, measure, stack_sheet, state_table
-from madviz.teaching.show import source, table
+from madviz.drawing.colours import heat
+from madviz.teaching.lessons import feature_sheet
+from madviz.teaching.show import sheet, source, table
 from madviz.widgets import Explorer, Predict
 
 teaching.begin()
@@ -35,22 +38,28 @@ now = teaching.moment_at(policy, seed=2000, step=20)
 #
 # `now` is one time step of one episode, 20 decisions after its start. *First person* is mounted
 # on the hand, *Third A* and *Third B* stand beside the table. The pictures have 84 x 84 pixels;
-# the network gets no more.
+# the network gets no more. `sheet` draws pictures side by side, enlarged.
 
 # %%
-camera_sheet(now)
+sheet({camera: view.rgb for camera, view in now.views.items()})
 
 # %% [markdown]
-# The simulator also knows how far away every pixel is. Dark is near, bright is far. This policy
-# does not get depth; lesson 5 has one that does.
+# The simulator also knows how far away every pixel is, in metres. Below, dark is near and bright is
+# far, over the range of interest of each camera. This policy does not get depth; lesson 5 has one
+# that does.
 
 # %%
-camera_sheet(now, "depth")
+shown = {}
+for camera, view in now.views.items():
+    near, far = now.env.camera(camera).depth_range
+    print(f"{camera:8} dark is {near:.2f} m, bright is {far:.2f} m or more")
+    shown[camera] = heat((view.depth - near) / (far - near))
+sheet(shown)
 
 # %% [markdown]
 # ## What a single picture cannot show
 
-# %%
+# %% tags=["prediction"]
 guess = Predict(
     "The policy gets the last three pictures of every camera, not only the newest. "
     "What does the older pair add?",
@@ -63,7 +72,16 @@ guess = Predict(
 guess
 
 # %%
-stack_sheet(now, "third_a")
+oldest, middle, newest = teaching.frames_of(now.stack, policy.spec.streams.index("third_a"))
+change = np.abs(newest.astype(int) - middle).mean(2)
+sheet(
+    {
+        "two decisions ago": oldest,
+        "one decision ago": middle,
+        "now": newest,
+        "what changed": heat(change / change.max()),
+    }
+)
 
 # %%
 guess.compare("the pictures differ only where something moved, so they show motion")
@@ -79,14 +97,15 @@ now.stack.shape
 # ## The robot's own state
 #
 # Beside the pictures there are 24 numbers that come from the robot itself (*proprioception*):
-# where its hand is and how open its gripper. Each of three frames gives eight. Nothing in here
-# says where the hammer or the nail is.
+# where its hand is and how open its gripper. Each of three frames gives eight: four numbers, and
+# the same four one simulator step before. Nothing in here says where the hammer or the nail is.
 
 # %%
 frames = ("two decisions ago", "one decision ago", "now")
 parts = ("hand x, metres", "hand y", "hand z", "gripper opening")
-halves = ("", ", one simulator step before")
-state_table(now, [f"{f}: {part}{half}" for f in frames for half in halves for part in parts])
+parts += tuple(f"{part}, before" for part in parts)
+rows = zip(parts, now.state.reshape(3, 8).T, strict=True)
+table(["", *frames], [[part, *numbers] for part, numbers in rows])
 
 # %% [markdown]
 # ## Features
@@ -97,14 +116,19 @@ state_table(now, [f"{f}: {part}{half}" for f in frames for half in halves for pa
 # they differ, and that many numbers are zero: the last layer cuts off everything below zero.
 
 # %%
+encoded = policy.encode(now.stack, now.state)
+encoded.features.shape
+
+# %%
 feature_sheet(now)
 
 # %%
 source(Encoder)
 
 # %%
-names = [now.env.camera(camera).label for camera in policy.spec.streams]
-table(["camera", "norm of its feature"], list(zip(names, now.probe.norms, strict=True)))
+for camera, feature in zip(policy.spec.streams, encoded.features, strict=True):
+    zeros = (feature == 0).mean()
+    print(f"{camera:8} norm {np.linalg.norm(feature):.1f}, zeros {zeros:.0%}")
 
 # %% [markdown]
 # ## Play
@@ -127,8 +151,8 @@ explorer
 # Does the policy work? Three episodes, run here and now (some seconds each):
 
 # %%
-tried = measure(policy, ["all"], episodes=3)["all"]
-teaching.in_words(*tried)
+tried = madviz.evaluate(policy, ["all"], episodes=3)
+teaching.in_words(*teaching.counts(tried.rows)["all"])
 
 # %% [markdown]
 # Even three out of three leave a wide interval: a policy that works half the time has three
@@ -139,15 +163,53 @@ teaching.in_words(*tried)
 teaching.in_words(*teaching.shipped("metaworld-hammer-mad-light")["all"])
 
 # %% [markdown]
-# ## Exercise
+# ## Exercise 1: how much is that?
 #
-# Take the motion away: give the policy three copies of the newest picture, for all cameras. How
-# much does its action change, compared with the change when one camera is dropped? A start:
+# How many numbers does the policy get in one time step, all cameras and the robot's own state
+# together?
+
+# %% tags=["answer"]
+numbers = ...
+
+# %% tags=["solution"]
+numbers = now.stack.size + now.state.size
+
+# %% tags=["check"]
+teaching.check("01.numbers", numbers)
+
+# %% [markdown]
+# ## Exercise 2: take the motion away
 #
-#     import numpy as np
-#     still = np.tile(now.stack[:, -3:], (1, 3, 1, 1))
-#     encoded = policy.encode(still, now.state)
-#
-# `policy.read(encoded, np.array([[True, True, True]])).action` is the answer to the still
-# pictures, and `now.action("first+third_b")` the one without Third A. A solution is in
-# `solutions/01_three_cameras.py`.
+# Write `still`: it gets a stack such as `now.stack` and returns one in which every camera has its
+# newest picture three times.
+
+
+# %% tags=["answer"]
+def still(stack):
+    return ...
+
+
+# %% tags=["solution"]
+def still(stack):
+    return np.tile(stack[:, -3:], (1, 3, 1, 1))
+
+
+# %% tags=["check"]
+teaching.check("01.still", still)
+
+# %% [markdown]
+# How much does the action change without motion, compared with the change when Third A is dropped?
+# Say which change is larger before you run it.
+
+# %%
+everything, no_third_a = np.array([[True, True, True]]), np.array([[True, False, True]])
+action = policy.read(encoded, everything).action[0]
+frozen = policy.read(policy.encode(still(now.stack), now.state), everything).action[0]
+dropped = policy.read(encoded, no_third_a).action[0]
+print(f"nothing moves:   {np.linalg.norm(frozen - action):.2f}")
+print(f"Third A dropped: {np.linalg.norm(dropped - action):.2f}")
+
+# %% [markdown] tags=["solution"]
+# The two are of the same kind: both take something away that the policy is used to. Motion is
+# also in the 24 numbers of the robot itself (its hand now and one simulator step before, for
+# three frames), so the pictures are not its only source of it.

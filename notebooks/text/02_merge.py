@@ -28,15 +28,8 @@ from madviz import teaching
 from madviz.agent.merges.sum import merge_sum
 from madviz.agent.networks import FEATURE_SIZE
 from madviz.subsets import every_mask, name_of
-from madviz.teaching.lessons import (
-    answers,
-    count_views,
-    norm_bars,
-    norms_by_views,
-    subset_table,
-    untrained,
-)
-from madviz.teaching.show import source, table
+from madviz.teaching.lessons import answers, untrained
+from madviz.teaching.show import bars, source, table
 from madviz.widgets import Explorer, Predict
 
 teaching.begin()
@@ -66,7 +59,15 @@ every_mask(3).astype(int)
 # also what it would do with every other set of cameras:
 
 # %%
-subset_table(now)
+masks = every_mask(3)
+names = [name_of(mask, policy.spec.streams) for mask in masks]
+encoded = policy.encode(now.stack, now.state)
+read = policy.read(encoded, masks)
+norms = np.linalg.norm(read.merged, axis=1)
+trained = [name in policy.spec.trained_subsets for name in names]
+actions = [" ".join(f"{a:+.2f}" for a in action) for action in read.action]
+columns = zip(names, trained, norms, actions, read.q, strict=True)
+table(["cameras", "trained", "norm of M", "action", "Q"], list(columns))
 
 # %% [markdown]
 # *Trained* says whether the policy learned to work from that set. *Q* is how much reward the
@@ -89,7 +90,7 @@ guess = Predict(
 guess
 
 # %%
-norm_bars(now)
+bars("norm of M, largest = 1", names, {"this time step": list(norms / norms.max())})
 
 # %% [markdown]
 # Features have no negative numbers (the encoder cuts them off), so they cannot cancel out: the
@@ -100,9 +101,20 @@ norm_bars(now)
 # three cameras from one episode, and guess with them in two other episodes:
 
 # %%
-known = norms_by_views(policy, seeds=[2000])
-asked = norms_by_views(policy, seeds=[2001, 2002])
-hits, tries = count_views(known, asked)
+views = masks[:-1].sum(1)  # Of every set but the empty one: 3 2 2 1 2 1 1.
+
+
+def norms_of(seed):
+    """One row per time step, one column per set; every fifth time step of an episode."""
+    chosen = [moment for moment in teaching.moments(policy, seed) if moment.step % 5 == 0]
+    return np.array([np.linalg.norm(m.probe.readout.merged[:-1], axis=1) for m in chosen])
+
+
+# %%
+known, asked = norms_of(2000), np.concatenate([norms_of(2001), norms_of(2002)])
+means = np.array([known[:, views == number].mean() for number in (1, 2, 3)])
+guessed = 1 + np.abs(asked[..., None] - means).argmin(-1)
+hits, tries = int((guessed == views).sum()), guessed.size
 measured = teaching.in_words(hits, tries)
 print(measured)
 guess.compare(f"the number of cameras is guessed from the norm in {measured}")

@@ -17,14 +17,9 @@
 # %%
 import madviz
 from madviz import teaching
-from madviz.evaluation.statistics import pair
+from madviz.evaluation.statistics import Paired, pair, wilson
 from madviz.observation.ablation import Occlusion
-from madviz.teaching.lessons import (
-    interval_figure,
-    measure,
-    occlusion_sheet,
-    width_table,
-)
+from madviz.teaching.lessons import interval_figure, occlusion_sheet
 from madviz.teaching.show import table
 from madviz.widgets import Explorer, Predict, TryOut
 
@@ -49,7 +44,7 @@ occlusion_sheet(now)
 # %% [markdown]
 # ## Is black the same as nothing?
 
-# %%
+# %% tags=["prediction"]
 guess = Predict(
     "A black picture shows nothing. What is its feature?",
     ["All zeros, so black is the same as dropped", "Not zero, so black adds something to the sum"],
@@ -102,11 +97,13 @@ explorer
 
 # %%
 few = {
-    "intact": measure(merged_only, ["all"], 4)["all"],
-    "dropped": measure(merged_only, ["first+third_b"], 4)["first+third_b"],
-    "black": measure(merged_only, ["all"], 4, occlusions=black)["all"],
+    "intact": madviz.evaluate(merged_only, ["all"], episodes=4),
+    "dropped": madviz.evaluate(merged_only, ["first+third_b"], episodes=4),
+    "black": madviz.evaluate(merged_only, ["all"], episodes=4, occlusions=black),
 }
-table(["Third A is", "success"], [[name, teaching.in_words(*one)] for name, one in few.items()])
+for name, result in few.items():
+    (counted,) = teaching.counts(result.rows).values()
+    print(f"{name:8}", teaching.in_words(*counted))
 
 # %% [markdown]
 # Read the intervals before you conclude anything: with four episodes they are so wide that most
@@ -122,7 +119,11 @@ table(["Third A is", "success"], [[name, teaching.in_words(*one)] for name, one 
 TryOut(interval_figure, successes=(0, 50, 1), n=(1, 50, 1))
 
 # %%
-width_table(0.8, [5, 10, 20, 50, 100, 400])
+rows = []
+for n in (5, 10, 20, 50, 100, 400):
+    low, high = wilson(round(0.8 * n), n)
+    rows.append([n, f"[{low:.2f}, {high:.2f}]", high - low])
+table(["episodes", "95% interval around 0.8", "width"], rows)
 
 # %% [markdown]
 # Half the width costs four times the episodes. To distinguish 0.8 from 0.9 you need a few hundred
@@ -145,7 +146,7 @@ teaching.success_table(shipped)
 # which is better; the others are like tosses of a coin, and McNemar's test asks whether it is a
 # fair one.
 
-# %%
+# %% tags=["prediction"]
 guess_pair = Predict(
     "Without Third A, merged-only has 0.79 and mad 1.00. Could that be chance?",
     ["Yes, 100 episodes are too few", "Hardly"],
@@ -167,10 +168,46 @@ print(f"difference {compared.difference:+.2f}, 95% interval [{low:+.2f}, {high:+
 guess_pair.compare(f"exact p = {compared.mcnemar():.2g}, so hardly chance")
 
 # %% [markdown]
-# ## Exercise
+# ## Exercise 1: nine of ten against seven of ten
 #
-# You are shown ten episodes: policy A solved 9, policy B solved 7 of *the same* ones. Is A
-# better? Make the most favourable case for A (every episode that B solves A solves as well) and
-# the least favourable one with `madviz.evaluation.statistics.Paired`, and compare the p-values.
-# How many episodes would you ask for, if the rates stayed what they are? A solution is in
-# `solutions/04_take_cameras_away.py`.
+# Policy A solved 9 of ten episodes, policy B solved 7 of *the same* ten. Is A better? That depends
+# on which episodes they were. Make the best case for A (A solves every episode that B solves) and
+# the worst one (as few as possible that both fail): a `Paired` with the four numbers of the table
+# above, such as `Paired(both=6, first_only=1, second_only=1, neither=2)`, where *first* is A.
+
+# %% tags=["answer"]
+best = ...
+worst = ...
+
+# %% tags=["solution"]
+best = Paired(both=7, first_only=2, second_only=0, neither=1)
+worst = Paired(both=6, first_only=3, second_only=1, neither=0)
+
+# %% tags=["check"]
+teaching.check("04.paired", best, worst)
+
+# %%
+for name, case in (("best", best), ("worst", worst)):
+    low, high = case.interval()
+    print(f"{name}: {case.difference:+.2f} [{low:+.2f}, {high:+.2f}], p = {case.mcnemar():.2g}")
+
+# %% [markdown]
+# ## Exercise 2: how many would be enough?
+#
+# Suppose the rates stay what they are, and every case is the best one for A. What is the smallest
+# number of episodes, a multiple of ten, for which p is below 0.05?
+
+# %% tags=["answer"]
+episodes = ...
+
+# %% tags=["solution"]
+cases = [Paired(both=7 * k, first_only=2 * k, second_only=0, neither=k) for k in range(1, 11)]
+episodes = next(case.n for case in cases if case.mcnemar() < 0.05)
+
+# %% tags=["check"]
+teaching.check("04.episodes", episodes)
+
+# %% [markdown] tags=["solution"]
+# With ten episodes neither case says that A is better: two tosses that both come up heads are no
+# evidence. With thirty the best case does, as six tosses that come up alike are rare. Only episodes
+# with different outcomes count.

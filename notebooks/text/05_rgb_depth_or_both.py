@@ -18,17 +18,13 @@
 # Time: 30 minutes.
 
 # %%
+import numpy as np
+
 import madviz
 from madviz import teaching
 from madviz.observation.streams import depth_code
-from madviz.teaching.lessons import (
-    action_gaps,
-    camera_sheet,
-    feature_sheet,
-    measure,
-    subset_table,
-)
-from madviz.teaching.show import bars, source, table
+from madviz.teaching.lessons import camera_sheet, feature_sheet, subset_table
+from madviz.teaching.show import bars, source
 from madviz.widgets import Explorer, Predict
 
 teaching.begin()
@@ -70,7 +66,7 @@ feature_sheet(now, size=120)
 # %%
 subset_table(now, every=False)
 
-# %%
+# %% tags=["prediction"]
 guess = Predict(
     "Whose action lies nearer to the action on everything, averaged over an episode?",
     ["colour only", "depth only", "about the same"],
@@ -78,7 +74,12 @@ guess = Predict(
 guess
 
 # %%
-gaps = action_gaps(policy, 2000, ["rgb", "depth", "first", "third_a", "third_b"])
+names = ("rgb", "depth", "first", "third_a", "third_b")
+episode = list(teaching.moments(policy, seed=2000))
+gaps = {
+    name: np.mean([np.linalg.norm(m.action(name) - m.action("all")) for m in episode])
+    for name in names
+}
 top = max(gaps.values())
 bars(
     f"mean distance of actions to those on all streams; 1.0 = {top:.2f}",
@@ -111,8 +112,9 @@ print("depth only:", teaching.in_words(*shipped["depth"]))
 # now:
 
 # %%
-few = measure(policy, ["third_a.depth", "third_a.rgb"], 3)
-table(["stream", "success"], [[name, teaching.in_words(*one)] for name, one in few.items()])
+few = madviz.evaluate(policy, ["third_a.depth", "third_a.rgb"], episodes=3)
+for name, counted in teaching.counts(few.rows).items():
+    print(f"{name:14}", teaching.in_words(*counted))
 
 # %% [markdown]
 # ## Play
@@ -125,10 +127,52 @@ explorer = Explorer(policy, seed=2000)
 explorer
 
 # %% [markdown]
-# ## Exercise
+# ## Exercise 1: count the sets
 #
-# Swap the light for distance: let all three cameras send black in *colour* only, with depth
-# intact. The occlusions of this package blacken a camera's every modality, so do it by hand: take
-# `now.stack`, set the streams that end in `.rgb` to zero, and encode. Is the action nearer to
-# that of `depth` (colour dropped) or to that of `all`? A solution is in
-# `solutions/05_rgb_depth_or_both.py`.
+# How many of the 64 sets of streams have depth in them and no colour?
+
+# %% tags=["answer"]
+sets = ...
+
+# %% tags=["solution"]
+sets = 2**3 - 1
+
+# %% tags=["check"]
+teaching.check("05.sets", sets)
+
+# %% [markdown]
+# ## Exercise 2: the light goes out
+#
+# All three cameras send black in *colour*, with depth intact. The occlusions of this package cover
+# a camera in both modalities, so do it by hand: write `dark`, which gets a stack and the names of
+# its streams, such as `now.stack` and `policy.spec.streams`, and returns another stack.
+
+
+# %% tags=["answer"]
+def dark(stack, streams):
+    return ...
+
+
+# %% tags=["solution"]
+def dark(stack, streams):
+    black = stack.copy()
+    black[[name.endswith(".rgb") for name in streams]] = 0
+    return black
+
+
+# %% tags=["check"]
+teaching.check("05.dark", dark)
+
+# %% [markdown]
+# Is the action in the dark nearer to that of `depth` (colour is dropped) or to that of `all`?
+
+# %%
+encoded = policy.encode(dark(now.stack, policy.spec.streams), now.state)
+action = policy.read(encoded, np.ones((1, 6), bool)).action[0]
+for name in ("all", "depth", "rgb"):
+    print(f"distance to the action on {name:5}: {np.linalg.norm(action - now.action(name)):.2f}")
+
+# %% [markdown] tags=["solution"]
+# Black colour is not absent colour: three features of black pictures are in the sum. If it is
+# known that the light is out, it is better to drop the colour streams: the policy was trained on
+# `depth`.

@@ -64,7 +64,7 @@ def prepare(folder: Path, name: str) -> None:
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A JupyterLab of its own, under a path as on a class server; its address."""
     folder, port = tmp_path_factory.mktemp("lab"), free_port()
-    for name in ("02_merge", "08_live_page"):
+    for name in ("02_merge", "09_live_page"):
         prepare(folder, name)
     home = folder / "home"
     environment = {
@@ -172,7 +172,7 @@ def test_a_lesson_runs_and_a_click_takes_a_camera_away(browser, lab: str) -> Non
 
 def test_the_live_page_is_there_behind_the_proxy(browser, lab: str) -> None:
     asked: set[str] = set()
-    page = run_all(browser, lab, "08_live_page", asked)
+    page = run_all(browser, lab, "09_live_page", asked)
     try:
         assert errors(page) == []
         frame = page.locator("iframe.madviz-page")

@@ -7,10 +7,32 @@ from dataclasses import replace
 from typing import Any
 
 from madviz.errors import unknown
-from madviz.teaching.checks import lesson_02
+from madviz.teaching.checks import (
+    lesson_00,
+    lesson_01,
+    lesson_02,
+    lesson_03,
+    lesson_04,
+    lesson_05,
+    lesson_06,
+    lesson_07,
+    lesson_08,
+    lesson_09,
+)
 from madviz.teaching.checks.exercise import Exercise, NotYet, Result
 
-LESSONS = (lesson_02,)
+LESSONS = (
+    lesson_00,
+    lesson_01,
+    lesson_02,
+    lesson_03,
+    lesson_04,
+    lesson_05,
+    lesson_06,
+    lesson_07,
+    lesson_08,
+    lesson_09,
+)
 CHECKS: dict[str, Exercise] = {
     check.name: check
     for lesson in LESSONS

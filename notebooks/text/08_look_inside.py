@@ -7,7 +7,7 @@
 # ---
 
 # %% [markdown]
-# # 7. Look inside a rollout
+# # 8. Look inside a rollout
 #
 # **Question: success says whether a policy works. How do you find out what it works *with*?**
 #
@@ -19,23 +19,25 @@
 
 # %%
 import tempfile
+from itertools import permutations
 from pathlib import Path
+
+import numpy as np
 
 import madviz
 from madviz import teaching
+from madviz.analysis.saliency import saliency
 from madviz.analysis.shapley import action_shapley
+from madviz.subsets import mask_of, name_of
 from madviz.teaching.inside import (
-    mean_gap,
     norm_curves,
     record,
     report,
-    saliency_shares,
     saliency_sheet,
     shapley_curves,
     success_shapley,
 )
-from madviz.teaching.lessons import camera_sheet
-from madviz.teaching.show import source
+from madviz.teaching.show import sheet, source
 from madviz.widgets import Explorer, Predict, Viewer
 
 teaching.begin()
@@ -67,7 +69,7 @@ norm_curves(list(teaching.moments(mad, seed=2000)))
 # is much. All cameras share one scale, so a camera that stays dark has little influence at this
 # time step.
 
-# %%
+# %% tags=["prediction"]
 guess = Predict(
     "On which camera does most of merged-only's saliency fall?",
     ["First person", "Third A", "Third B", "evenly on all"],
@@ -75,14 +77,19 @@ guess = Predict(
 guess
 
 # %%
-camera_sheet(episode[20])
+now = episode[20]
+sheet({camera: view.rgb for camera, view in now.views.items()})
 
 # %%
-saliency_sheet(episode[20])
+saliency_sheet(now)
 
 # %%
-shares = saliency_shares(episode[::20])
-guess.compare(", ".join(f"{name} {share}" for name, share in shares.rows))
+everything = np.ones(3, bool)
+maps = [saliency(merged_only, m.stack, m.state, everything, "action") for m in episode[::20]]
+sums = np.array(maps).sum((2, 3))  # One row per time step, one column per camera.
+shares = (sums / sums.sum(1, keepdims=True)).mean(0)
+named = zip(merged_only.spec.streams, shares, strict=True)
+guess.compare(", ".join(f"{name} {share:.2f}" for name, share in named))
 
 # %% [markdown]
 # In the saved run it falls almost evenly on all three. Keep that in mind for the next part. And
@@ -112,7 +119,7 @@ shapley_curves(episode)
 # The same can be asked about success. The eight sets were measured on 100 episodes each
 # (shipped):
 
-# %%
+# %% tags=["prediction"]
 guess_share = Predict(
     "MAD works with any camera. How is its success shared among the three?",
     ["All to First person", "A third each", "Nothing to any of them, as each can be spared"],
@@ -137,7 +144,8 @@ shown
 # %%
 print("First person alone:", teaching.in_words(*teaching.shipped(MERGED_ONLY)["first"]))
 print("without First person:", teaching.in_words(*teaching.shipped(MERGED_ONLY)["third_a+third_b"]))
-print(f"mean distance of its actions on first alone: {mean_gap(episode, 'first'):.2f}")
+gaps = [np.linalg.norm(moment.action("first") - moment.action("all")) for moment in episode]
+print(f"mean distance of its actions on first alone: {np.mean(gaps):.2f}")
 
 # %% [markdown]
 # Read the two lines together: First person alone has next to no success, and yet it has the
@@ -179,9 +187,58 @@ explorer = Explorer(merged_only, seed=2000)
 explorer
 
 # %% [markdown]
-# ## Exercise
+# ## Exercise 1: six orders by hand
 #
-# Check by hand what `success_shapley` says: write down merged-only's eight success rates, take
-# the six orders of the three cameras, note what First person adds in each, and take the mean.
-# Then find two cameras for which "success without this one" alone would have misled you. A
-# solution is in `solutions/07_look_inside.py`.
+# Check what `success_shapley` says. `rate` below gives the success of merged-only with any of its
+# cameras. Write `shapley`: in every order of `cameras`, what does `camera` add to those before it?
+# Take the mean.
+
+# %%
+measured = teaching.shipped(MERGED_ONLY)
+
+
+def rate(cameras):
+    """rate(["first", "third_a"]) is a number from 0 to 1; rate([]) is that of no camera."""
+    name = name_of(mask_of("+".join(cameras) or "none", streams), streams)
+    successes, n = measured[name]
+    return successes / n
+
+
+# %% tags=["answer"]
+def shapley(rate, camera, cameras):
+    return ...
+
+
+# %% tags=["solution"]
+def shapley(rate, camera, cameras):
+    before = [order[: order.index(camera)] for order in permutations(cameras)]
+    return np.mean([rate([*there, camera]) - rate(there) for there in before])
+
+
+# %% tags=["check"]
+teaching.check("08.shapley", shapley)
+
+# %%
+for camera, value in zip(streams, values.cameras, strict=True):
+    print(f"{camera:8} by hand {shapley(rate, camera, streams):.3f}, success_shapley {value:.3f}")
+
+# %% [markdown]
+# ## Exercise 2: what "success without it" hides
+#
+# One of the three cameras can be taken away, and merged-only succeeds as often as before. Which?
+# Print `rate` of the pairs. And does this camera add nothing, then?
+
+# %% tags=["answer"]
+spared = ...
+
+# %% tags=["solution"]
+spared = max(streams, key=lambda camera: rate([other for other in streams if other != camera]))
+
+# %% tags=["check"]
+teaching.check("08.spared", spared)
+
+# %% [markdown] tags=["solution"]
+# Third B can be spared (without it success is 1.00), and Third A costs a fifth. So "success
+# without it" alone would say that Third B adds nothing; but once Third A is missing, Third B is
+# what is left. And alone, Third A and Third B seem equally useless (0.00 each), though the
+# Shapley value of Third A is twice as large.
