@@ -72,7 +72,7 @@ def test_an_evaluation_and_the_page_send_the_same_one():
     while not simulation.ended:
         simulation.step(lambda: None)
     # All subsets are read in one product there: the last bits differ.
-    assert simulation.total_reward == pytest.approx(first.total_reward, rel=1e-4)
+    assert simulation.record.total_reward == pytest.approx(first.total_reward, rel=1e-4)
 
 
 def test_it_begins_in_mid_episode_at_once():

@@ -29,6 +29,7 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
 from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera
+from madviz.session.episode_record import EpisodeRecord
 from madviz.session.frame import Change, Condition, Outcome, World, condition_of, untouched
 from madviz.session.journal import Journal
 from madviz.session.playing import Playing
@@ -53,11 +54,9 @@ class Simulation:
         self.outcomes: deque[Outcome] = deque(maxlen=20)
         self.episode = self.seed = 0
         self.change: Change | None = None
-        self.total_reward, self.success_any = 0.0, False
         self._recent: deque[StepData] = deque()
         """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
-        self._worst: dict[str, str] = {}
-        self._conditions: set[tuple[str, Condition]] = set()
+        self.record = EpisodeRecord()
         self._actions: list[Array] = []
         self._playing = Playing()
         self._stack: StreamStack
@@ -104,9 +103,9 @@ class Simulation:
             probe=self.probe,
             planned=self._playing.planned,
             reward=now.time.reward,
-            total_reward=self.total_reward,
+            total_reward=self.record.total_reward,
             success=now.time.success,
-            success_any=self.success_any,
+            success_any=self.record.success_any,
             change=self.change,
             outcomes=tuple(self.outcomes),
             imagined=imagined(self.policy, self._encoded, self.ablation, now.views, self.env.spec),
@@ -129,9 +128,9 @@ class Simulation:
         views = self._draw(between)
         self.episode, self.seed = self.episode + 1, seed
         self._playing.begin(self.policy, seed)
-        self.total_reward, self.success_any, self.change = 0.0, moment.success, None
+        self.record, self.change = EpisodeRecord(success_any=moment.success), None
         self._recent.clear()
-        self._worst, self._conditions, self._actions = {}, set(), []
+        self._actions = []
         self.journal.begin(self.policy.spec, self.env.spec, seed, self.ablation)
         self._arrive(moment, views)
 
@@ -149,11 +148,12 @@ class Simulation:
         moment = self.env.step(action)
         self._actions.append(action)
         self.journal.decided(self.now.step, action, moment)
-        self.total_reward += moment.reward
-        self.success_any |= moment.success
+        self.record.arrived(moment)
         self._arrive(moment, self._draw(between))
         if moment.last:
-            self._conclude(moment)
+            names = [camera.name for camera in self.env.spec.cameras]
+            spec = self.policy.spec
+            self.outcomes.append(self.record.outcome(spec, self.seed, moment.success, names))
 
     def close(self) -> None:
         """Frees the environment, and what the policy holds for this episode."""
@@ -256,10 +256,7 @@ class Simulation:
             encoded=self._encoded,
             ablation=self.ablation,
             probe=self.probe,
-            total_reward=self.total_reward,
-            success_any=self.success_any,
-            worst=dict(self._worst),
-            conditions=frozenset(self._conditions),
+            record=self.record.copy(),
             mark=self.journal.mark(),
         )
 
@@ -294,8 +291,7 @@ class Simulation:
                 "found another action: its noise is not fixed by a seed, so an earlier step of it "
                 "cannot be gone back to; start the seed again"
             )
-        self.total_reward, self.success_any = saved.total_reward, saved.success_any
-        self._worst, self._conditions = dict(saved.worst), set(saved.conditions)
+        self.record = saved.record.copy()
         self._settled, self.change = saved.ablation, None
         self.journal.back(saved.mark)
 
@@ -361,30 +357,7 @@ class Simulation:
         return self.condition, self.probe.readout.action[row], float(self.probe.readout.q[row])
 
     def _note_condition(self) -> None:
-        self._conditions.add((self.policy.spec.name, self.condition))
-        for camera in self.env.spec.cameras:
-            state = self.ablation.camera(camera.name)
-            if state.input == "off":
-                self._worst[camera.name] = "off"
-            elif state.occlusion.kind != "none" and self._worst.get(camera.name) != "off":
-                self._worst[camera.name] = "occluded"
-            elif camera.name in self.ablation.moves:
-                self._worst.setdefault(camera.name, "moved")
-
-    def _conclude(self, moment: TimeStep) -> None:
-        # What was touched at the very last step never reached a decision, but it is part of how
-        # the episode is shown on the page, so it counts as touched.
-        self.outcomes.append(
-            Outcome(
-                self.policy.spec,
-                self.seed,
-                moment.success,
-                self.success_any,
-                self.total_reward,
-                {camera.name: self._worst.get(camera.name, "") for camera in self.env.spec.cameras},
-                self.condition if len(self._conditions) == 1 else None,
-            )
-        )
+        self.record.note(self.policy.spec.name, self.condition, self.ablation)
 
 
 def open_simulation(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from madviz.analysis.probes import Probe
 from madviz.observation.ablation import Ablation
-from madviz.session.frame import Condition
+from madviz.session.episode_record import EpisodeRecord
 from madviz.session.journal import Mark
 from madviz.session.playing import Look
 from madviz.types import Array, Body, CameraPose, Encoded, Policy, TimeStep, View
@@ -39,8 +39,5 @@ class Snapshot:
     encoded: Encoded
     ablation: Ablation
     probe: Probe
-    total_reward: float
-    success_any: bool
-    worst: dict[str, str]
-    conditions: frozenset[tuple[str, Condition]]
+    record: EpisodeRecord
     mark: Mark

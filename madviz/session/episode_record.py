@@ -1,0 +1,66 @@
+"""What counts of an episode while it is played: reward, success, and what was wrong with cameras.
+
+An outcome is put beside others of the same condition, so an episode in which a camera was touched
+between its first decision and its last has none: ``Outcome.condition`` is None.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from madviz.observation.ablation import Ablation
+from madviz.session.frame import Condition, Outcome
+from madviz.types import PolicySpec, TimeStep
+
+
+@dataclass
+class EpisodeRecord:
+    """Of one episode so far."""
+
+    total_reward: float = 0.0
+    success_any: bool = False
+    conditions: set[tuple[str, Condition]] = field(default_factory=set)
+    """All that it was played under, with the name of the policy."""
+    worst: dict[str, str] = field(default_factory=dict)
+    """By camera: off, occluded or moved, the first of these that it ever was."""
+
+    def arrived(self, moment: TimeStep) -> None:
+        """Counts a decision's reward and success."""
+        self.total_reward += moment.reward
+        self.success_any |= moment.success
+
+    def note(self, policy: str, condition: Condition, ablation: Ablation) -> None:
+        """What the next decision is taken under."""
+        self.conditions.add((policy, condition))
+        for camera in (*ablation.cameras, *ablation.moves):
+            state = ablation.camera(camera)
+            if state.input == "off":
+                self.worst[camera] = "off"
+            elif state.occlusion.kind != "none" and self.worst.get(camera) != "off":
+                self.worst[camera] = "occluded"
+            elif camera in ablation.moves:
+                self.worst.setdefault(camera, "moved")
+
+    def outcome(
+        self, spec: PolicySpec, seed: int, success: bool, cameras: Iterable[str]
+    ) -> Outcome:
+        """The result of the episode, which has ended."""
+        # What was touched at the very last step never reached a decision, but it is part of how
+        # the episode is shown on the page, so it counts as touched.
+        only = next(iter(self.conditions))[1] if len(self.conditions) == 1 else None
+        return Outcome(
+            policy=spec,
+            seed=seed,
+            success=success,
+            success_any=self.success_any,
+            total_reward=self.total_reward,
+            cameras={camera: self.worst.get(camera, "") for camera in cameras},
+            condition=only,
+        )
+
+    def copy(self) -> EpisodeRecord:
+        """For ``Snapshot``: what happens later does not change it."""
+        return EpisodeRecord(
+            self.total_reward, self.success_any, set(self.conditions), dict(self.worst)
+        )
