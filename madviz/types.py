@@ -298,7 +298,6 @@ class Imagines(Policy, Protocol):
         """(V, H, W, 3) uint8: every stream's newest frame, drawn from those in ``mask`` alone."""
         ...
 
-    @property
     def mean_pictures(self) -> Array:
         """(V, H, W, 3) uint8: what a stream showed on average in training."""
         ...

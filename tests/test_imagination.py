@@ -38,7 +38,6 @@ class Painter(FakePolicy):
     def imagine(self, encoded: Encoded, mask: Array) -> Array:
         return np.full((3, 84, 84, 3), (0, 200, 0), np.uint8)
 
-    @property
     def mean_pictures(self) -> Array:
         return np.zeros((3, 84, 84, 3), np.uint8)
 

@@ -135,7 +135,6 @@ class TorchPolicy:
         features, _ = encoded.private
         return _bytes(merge.imagined(self.agent.encoder, features, torch.from_numpy(mask))[0])
 
-    @property
     def mean_pictures(self) -> UInt8[Array, "V H W 3"]:
         """Of every stream in training. Raises UserError for a policy that does not draw."""
         return _bytes(self._drawing().mean_pictures(self.agent.encoder))

@@ -3,7 +3,7 @@
 Most policies cannot be asked. One that has learned to draw (``madviz.types.Imagines``) draws every
 stream from those that are present; what it draws of an absent one is held against what that camera
 sees. Most of a picture never changes, so only the pixels that move are judged: a hand drawn 10 of
-255 wrong everywhere has 28 dB, the mean picture of a table without the hand perhaps 10 dB.
+255 wrong everywhere has 28 dB, one drawn 100 of 255 wrong has 8 dB.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def imagined(
         return {}
     if not policy.supports(mask):
         return {}
-    drawn, usual = policy.imagine(encoded, mask), policy.mean_pictures
+    drawn, usual = policy.imagine(encoded, mask), policy.mean_pictures()
     found = {}
     for v in np.flatnonzero(~mask):
         stream = streams[v]
