@@ -1,6 +1,7 @@
 # make demo    set everything up and serve the page at http://127.0.0.1:8080
 # make site    write the explorer as static files to build/site, and serve it at http://127.0.0.1:8000
 # make notebooks   the lessons in JupyterLab (notebooks/README.md)
+# make student-copies   copies of the lessons without outputs and solutions, in build/class
 # make test    set up the same, then the fast and the real-browser tests
 # make docs    the documentation as a site in build/docs
 # make dist    a wheel and a source archive in dist/
@@ -16,7 +17,7 @@ PYTHON ?= python3
 POLICY ?= metaworld-hammer-mad-light
 BIN    := .venv/bin
 
-.PHONY: notebooks help demo site setup setup-dev test test-slow check docs figures pictures dist bench clean
+.PHONY: notebooks student-copies help demo site setup setup-dev test test-slow check docs figures pictures dist bench clean
 
 help:
 	@sed -n '/^$$/q; s/^# \{0,1\}//p' Makefile
@@ -34,6 +35,9 @@ setup-dev: .venv/dev.stamp .venv/browser.stamp
 
 notebooks: .venv/notebooks.stamp
 	cd notebooks && ../$(BIN)/jupyter lab $(ARGS)
+
+student-copies: .venv/notebooks.stamp
+	$(BIN)/python tools/student_copies.py
 
 test: setup-dev
 	$(BIN)/python -m pytest -m "not slow and not e2e" -n 2 --dist worksteal

@@ -149,6 +149,14 @@ COMMANDS: dict[str, Command] = {
         work="madviz.site.site:run_site",
         words="madviz.site.site:site_words",
     ),
+    "grade": Command(
+        "Grades a folder of returned notebooks: each exercise a row, whatever a copy does.",
+        "grade returned --lessons build/class/student --out grades.csv",
+        config="madviz.grading.grade:GradeConfig",
+        work="madviz.grading.grade:grade",
+        words="madviz.grading.grade:grade_words",
+        positional=True,
+    ),
     "displace": Command(
         "Moves a camera away from where a policy was trained: success against distance.",
         "displace --policy metaworld-hammer-mad-light --camera third_a --svg moved.svg",

@@ -356,3 +356,18 @@ def test_bytes_that_are_no_request_at_all(open_: App):
 def test_an_address_that_no_file_can_have_is_refused(closed: App, length: int) -> None:
     for page in (f"{closed.url}/{'x' * length}", f"{closed.url}/a/{'x' * length}?b=c"):
         assert get(page, "")[0] == 414
+
+
+def test_a_machine_with_many_accounts_asks_for_its_own_token(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("MADVIZ_TOKEN", "given")
+    gate = gate_for(ExploreConfig())
+    assert (gate.visit, gate.local) == ("given", True)
+    assert gate_for(ExploreConfig(host="0.0.0.0")).visit == "given"
+    assert gate_for(ExploreConfig(token=False)).visit is None
+    app = fake_app(*NAMES, gate=gate)
+    try:
+        assert get(app.url)[0] == 401 and get(app.url, cookie(app, "given"))[0] == 200
+    finally:
+        app.stop()

@@ -180,7 +180,7 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
     assert cli.main(["wurst"]) == 2
     assert capsys.readouterr().err == (
         "madviz: unknown command 'wurst'; known: audit, bench, compare, displace, doctor, eval, "
-        "explore, list, record, replay, report, serve, site, soak, sweep, train\n"
+        "explore, grade, list, record, replay, report, serve, site, soak, sweep, train\n"
     )
     assert cli.main(["bench", "wurst"]) == 2
     known = "known: buffer, crowd, evaluate, imagine, live, render, site, update"

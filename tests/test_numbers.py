@@ -38,7 +38,7 @@ def test_the_defaults_are_in_their_ranges(command: str) -> None:
     config = cli.COMMANDS[command]
     made = cli.named(config.config)
     needed = {"policy": "p", "file": "f", "policies": ("p",), "camera": "c"}
-    needed |= {"out": Path("o"), "site": Path("s")}
+    needed |= {"out": Path("o"), "site": Path("s"), "returned": Path("r")}
     fields = made.__dataclass_fields__
     given = {name: needed[name] for name in needed if name in fields}
     check_numbers(made(**given))

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import types
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -229,6 +230,18 @@ def test_the_live_page_answers_and_frees_its_port(capsys: pytest.CaptureFixture[
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind(("127.0.0.1", page.port))
+
+
+def test_on_a_class_server_the_live_page_brings_its_token(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MADVIZ_TOKEN", "given")
+    with closing(live_page("tests.fakes:FakePolicy", where="direct")) as page:
+        assert page.url == f"http://127.0.0.1:{page.port}/?token=given"
+
+
+def test_colab_is_told_what_works_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "google.colab", types.ModuleType("google.colab"))
+    with pytest.raises(UserError, match="Colab.*Explorer"):
+        live_page("tests.fakes:FakePolicy")
 
 
 def test_a_recording_is_served_by_this_machine(tmp_path: Path) -> None:

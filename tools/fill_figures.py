@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ast
 import json
+import math
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -195,11 +196,67 @@ def summary(file: Path) -> str:
     return sentence if len(sentence) <= 90 else re.split(r"(?<=[a-z0-9)]): ", sentence)[0]
 
 
+def class_server() -> str:
+    """What students took of a class server, from results/class, and what more would take."""
+    folder = ROOT / "results" / "class"
+    files = [folder / name for name in ("lessons.json", "training.json")]
+    if not all(file.exists() for file in files):
+        return "No measurement of this version is stored yet.\n"
+    runs = [json.loads(file.read_text()) for file in files]
+    students, cores = runs[0]["students"], runs[0]["cores"]
+    each = [one for run in runs for one in run["each"].values()]
+    peaks = [one["memory_mb"] for one in each]
+
+    def most(what: str) -> int:
+        return max(found[key] for found in peaks for key in found if key.endswith(what))
+
+    def seconds(lesson: str, key: str) -> float:
+        return max(found[key] for one in each for name, found in one.items() if name[:2] == lesson)
+
+    lines = [
+        f"Measured: {students} students at once on {cores} cores, each with a browser on the same "
+        f"cores, torch with its CUDA libraries. The slowest of them:\n",
+        "| what | seconds | memory of a student (MB, proportional) |",
+        "|---|---|---|",
+    ]
+    for lesson in ("01", "02", "04", "03"):
+        kernel, cells = seconds(lesson, "kernel_s"), seconds(lesson, "cells_s")
+        words = f"lesson {int(lesson)}" + (", which trains" if lesson == "03" else "")
+        lines.append(
+            f"| {words} | kernel after {kernel:.0f}, all cells after {cells:.0f} more | "
+            f"kernel {most(f'{lesson} kernel')}, in all {most(f'{lesson} all')} |"
+        )
+    page = [one["page"]["shown_s"] for one in each if "page" in one]
+    lines.append(f"| the live page | shown after {max(page):.0f} | {most('page page')} |")
+    whole = max(most(f"{lesson} all") for lesson in ("01", "02", "03", "04"))
+    lines += [
+        "\nSo, with as many students for each core, one kernel each, and 2 GB for the system:\n",
+        "| students | cores | memory |",
+        "|---|---|---|",
+    ]
+    for number in (4, 10, 20, 30):
+        needed = 2 + number * whole / 1024
+        lines.append(f"| {number} | {-(-number * cores // students)} | {math.ceil(needed)} GB |")
+    more = math.ceil(most("page page") / 102.4) / 10
+    lines.append(f"\nA live page that is open beside the kernel takes {more} GB more.")
+    return "\n".join(lines) + "\n"
+
+
+def kernel_memory() -> str:
+    """Where the memory of a lesson's kernel goes, from results/class/kernel.json."""
+    found = json.loads((ROOT / "results" / "class" / "kernel.json").read_text())
+    lines = ["| after | MB (proportional) | of them, nobody can share |", "|---|---|---|"]
+    lines += [f"| {one['after']} | {one['pss_mb']} | {one['own_mb']} |" for one in found["steps"]]
+    return "\n".join([*lines, f"\ntorch {found['torch']}, one kernel alone."]) + "\n"
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
     "findings": findings,
     "tree": tree,
     "files": files,
     "benchmarks": benchmarks,
+    "class-server": class_server,
+    "kernel-memory": kernel_memory,
 }
 
 

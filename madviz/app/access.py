@@ -22,9 +22,10 @@ with a websocket. What is left open is a tunnel (``ssh -L``) whose port here has
 there: it looks like a proxy that says nothing.
 
 There are two tokens. The visitors' lets in; where the page serves beyond this machine, it is there
-by default. The presenter's, in presenter mode, also hands over the controls, so a page that is
-loaded again has them again. Both are 128 random bits, compared in constant time: at five tries a
-second, an even chance to guess one takes 10^30 years.
+by default, and where ``MADVIZ_TOKEN`` names one, that is it: a class server sets it, since all of
+its accounts reach 127.0.0.1. The presenter's, in presenter mode, also hands over the controls, so a
+page that is loaded again has them again. Both are 128 random bits, compared in constant time: at
+five tries a second, an even chance to guess one takes 10^30 years.
 
 Nothing here is encrypted: http is for a network that one trusts, or for a tunnel (``ssh -L``).
 """

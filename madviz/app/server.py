@@ -35,7 +35,7 @@ from madviz.session.process import SessionProcess, prepare
 from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
-from madviz.system.hosts import new_token, stays_here
+from madviz.system.hosts import machine_token, new_token, stays_here
 from madviz.system.numbers import Count, CountOrNone, Port, Rate, ThreadsOrNone, check_numbers
 from madviz.system.processes import limit_heaps
 from madviz.system.streams import say, telling
@@ -60,7 +60,8 @@ class ExploreConfig:
     host: str = "127.0.0.1"
     """Which address to serve on; 0.0.0.0 lets other machines in, and then a token is needed."""
     token: bool = True
-    """Whether a page that serves beyond this machine asks for the token that is printed."""
+    """Whether a page that serves beyond this machine asks for the token that is printed; also one
+    that does not, where MADVIZ_TOKEN has a token."""
     present: bool = False
     """One simulation: whoever opens the presenter's address has the controls, all others watch."""
     visitors: Count = 4
@@ -206,10 +207,10 @@ def open_app(config: ExploreConfig) -> App:
 
 
 def gate_for(config: ExploreConfig) -> Gate:
-    """The tokens that a configuration asks for, new ones at every start."""
+    """The tokens that a configuration asks for: new ones at every start, or the machine's own."""
     local = stays_here(config.host)
-    guarded = config.token and not local
-    return Gate(new_token() if guarded else None, new_token() if config.present else None, local)
+    visit = machine_token() or (None if local else new_token())
+    return Gate(visit if config.token else None, new_token() if config.present else None, local)
 
 
 def described(policy: str) -> PolicySpec:

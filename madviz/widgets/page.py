@@ -9,6 +9,9 @@ the wrong one, but the notebook's own server can pass requests on (jupyter-serve
 The page asks for its parts relative to its own address, so the slash at the end matters: without
 it, they would be asked for in ``/proxy/``. Which server a kernel belongs to is read from the
 environment (JupyterHub), or from the file that the kernel's parent writes about itself.
+
+Google Colab passes a port on, too, but no websockets (its makers call that a known limitation), and
+the live page is all websocket. There, an ``Explorer`` shows the same in a cell.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ import json
 import os
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -42,7 +46,8 @@ class LivePage:
     def __init__(self, app, where: Where, height: int) -> None:
         self._app, self._height = app, height
         self.port: int = app.server.get_port()
-        self.url = address(self.port, where)
+        asked: str | None = app.gate.visit
+        self.url = address(self.port, where) + (f"?token={asked}" if asked else "")
         self.direct: str = app.url
         """Its address on the kernel's own machine."""
 
@@ -143,6 +148,7 @@ def live_page(
     from madviz.teaching import begin
 
     begin()
+    address(0, where)  # Where no browser could open it, it is not started.
     config = ExploreConfig(policy=policy, port=0, visitors=visitors, workers=workers)
     with quietly():
         return LivePage(open_app(config), where, height)
@@ -163,8 +169,14 @@ def quietly() -> Iterator[None]:
 def address(port: int, where: Where = "auto") -> str:
     """What a browser should open for ``port`` of this machine; always with a slash at the end.
 
-    Raises UserError if the proxy is asked for and the notebook's server cannot be found.
+    Raises UserError if the proxy is asked for and the notebook's server cannot be found, and in
+    Colab.
     """
+    if where == "auto" and "google.colab" in sys.modules:
+        raise UserError(
+            "expected a notebook server that passes websockets on, found Google Colab, which does "
+            "not; use madviz.widgets.Explorer in a cell"
+        )
     base = None if where == "direct" else base_url()
     if where == "proxy" and base is None:
         raise UserError(

@@ -1,0 +1,1 @@
+"""Returned notebooks, run and checked: from a folder of copies to a table."""

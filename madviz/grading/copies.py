@@ -1,0 +1,130 @@
+"""Returned copies: whose they are, of which lesson, and their checks as they were handed out.
+
+The problem: a copy comes back under any name, and a student may have edited its checks, by mistake
+or not. The idea: the notebooks that were handed out say which cells are checks. A copy's own checks
+are taken out, and each is put back, where it was, as a call that asks the installed package:
+
+    handed out   teaching.check("02.merge", merge)       ─┐
+    returned     print("02.merge: right")                 ├─► report("02.merge", globals())
+                                                          │   and in the table: 'check edited'
+                                                         ─┘
+A cell is found by its identifier, which JupyterLab keeps, or else by the name of its check. Where
+it is gone it goes to the end: everything that the student wrote has run by then.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import nbformat
+from nbformat import NotebookNode
+
+from madviz.errors import UserError
+from madviz.teaching.checks import CHECKS
+
+LARGEST = 50 << 20
+"""Bytes of a copy."""
+NAME = re.compile(r"""check\(\s*["']([^"']+)["']""")
+REPORT = '__import__("madviz.grading.inside", fromlist=["report"]).report({!r}, globals())'
+"""What is run in place of a check; no name of it is the student's."""
+
+
+@dataclass(frozen=True)
+class Returned:
+    """A file that came back."""
+
+    file: Path
+    student: str
+    lesson: str
+    """'' where its name is none of a lesson."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A copy with its checks put back."""
+
+    notebook: NotebookNode
+    edited: frozenset[str]
+    """Checks that were not as they had been handed out."""
+
+
+def handed_out(folder: Path) -> dict[str, NotebookNode]:
+    """Lessons with checks, by name. Raises UserError where there are none."""
+    found = {path.stem: nbformat.read(path, 4) for path in sorted(folder.glob("*.ipynb"))}
+    found = {name: notebook for name, notebook in found.items() if checks_of(notebook)}
+    if not found:
+        raise UserError(
+            f"expected the notebooks that were handed out in {folder}, found none with checks; "
+            "run `make student-copies`, or name their folder with --lessons"
+        )
+    return found
+
+
+def returned(folder: Path, lessons: list[str]) -> Iterator[Returned]:
+    """Every file in ``folder``: STUDENT/…/LESSON.ipynb, or STUDENT_LESSON.ipynb side by side."""
+    for file in sorted(folder.rglob("*")):
+        inside = file.relative_to(folder)
+        if file.is_dir() and not file.is_symlink() or any(p.startswith(".") for p in inside.parts):
+            continue
+        lesson = next((name for name in lessons if name in file.stem), "")
+        alone = file.stem.replace(lesson, "").strip(" _-.") or file.stem
+        yield Returned(file, inside.parts[0] if len(inside.parts) > 1 else alone, lesson)
+
+
+def checks_of(notebook: NotebookNode) -> dict[str, NotebookNode]:
+    """A lesson's cells that are checks, by the name of the check."""
+    found = {}
+    for cell in notebook.cells:
+        name = check_in(cell)
+        if name in CHECKS and "check" in cell.metadata.get("tags", []):
+            found[name] = cell
+    return found
+
+
+def check_in(cell: NotebookNode) -> str:
+    """The name of the check that a cell asks for; '' if it asks for none."""
+    asked = NAME.search(cell.source) if cell.cell_type == "code" else None
+    return asked[1] if asked else ""
+
+
+def prepare(file: Path, lesson: NotebookNode) -> Prepared:
+    """A copy of ``lesson`` that can be run. Raises UserError for what is no notebook."""
+    notebook, edited = read_copy(file), set()
+    cells = list(notebook.cells)
+    for name, original in checks_of(lesson).items():
+        same_id = [c for c in cells if c.get("id") == original.get("id") and c.cell_type == "code"]
+        found = next(iter(same_id or [c for c in cells if check_in(c) == name]), None)
+        if found is None or found.source.strip() != original.source.strip():
+            edited.add(name)
+        if found is None:
+            found = nbformat.v4.new_code_cell()
+            cells.append(found)
+        found.source = REPORT.format(name)
+        found.metadata = NotebookNode(madviz=name)
+    for cell in cells:
+        if cell.cell_type == "code":
+            cell.outputs, cell.execution_count = [], None
+    notebook.cells = cells
+    return Prepared(notebook, frozenset(edited))
+
+
+def read_copy(file: Path) -> NotebookNode:
+    """A notebook of whatever version. Raises UserError for anything else."""
+    if file.is_symlink() or not file.is_file():
+        raise UserError("expected a notebook, found a link or a device")
+    if file.stat().st_size > LARGEST:
+        raise UserError(f"expected a notebook of at most {LARGEST >> 20} MB, found a larger file")
+    try:
+        notebook = nbformat.read(file, 4)
+        cells = notebook.cells
+        assert all(isinstance(c.source, str) and c.cell_type for c in cells)
+    except Exception as error:  # Whatever a student's file may hold.
+        raise UserError(
+            f"expected a notebook, found another file ({type(error).__name__})"
+        ) from error
+    for cell in cells:  # Tags can tell a runner to skip a cell.
+        cell.metadata = NotebookNode()
+    return notebook

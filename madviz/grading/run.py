@@ -1,0 +1,142 @@
+"""Runs one copy in a process of its own, within limits, and ends all that it has started."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import nbformat
+
+from madviz.bench.memory import family
+from madviz.errors import printable
+
+KEPT = ("PATH", "LANG", "PYTHONPATH", "LD_LIBRARY_PATH", "XDG_DATA_DIRS")
+"""What a copy gets of this process's environment."""
+CELL = 0.5
+"""Of a copy's time, that one cell may take: so one endless cell leaves time for the others."""
+STEP = 0.1
+"""Seconds between two looks at a copy that runs."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a copy may take."""
+
+    seconds: float
+    memory: int
+    """Bytes of data of each of its processes."""
+
+
+@dataclass
+class CopyRun:
+    """What came of a copy."""
+
+    results: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Each check that was reached: the fields of a ``Result``."""
+    errors: dict[str, str] = field(default_factory=dict)
+    """For a check: the last error between it and the check before it."""
+    end: str = ""
+    """Why it did not come to its end; '' if it did."""
+    seconds: float = 0.0
+
+
+def run_copy(
+    notebook: nbformat.NotebookNode,
+    beside: list[Path],
+    policies: list[Path],
+    bounds: Bounds,
+    stop: threading.Event,
+) -> CopyRun:
+    """Runs ``notebook`` in an empty folder, in which are also copies of the folders ``beside``."""
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
+        work, report = Path(place, "work"), Path(place, "report")
+        for folder in (work, Path(place, "home"), Path(place, "tmp")):
+            folder.mkdir()
+        for one in beside:
+            shutil.copytree(one, work / one.name)
+        nbformat.write(notebook, work / "copy.ipynb")
+        words = [work / "copy.ipynb", report, bounds.seconds * CELL, bounds.memory]
+        complaints = Path(place, "complaints")
+        with complaints.open("wb") as said:
+            worker = subprocess.Popen(
+                [sys.executable, "-m", "madviz.grading.worker", *map(str, words)],
+                cwd=work,
+                env=environment(Path(place), policies),
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=said,
+                start_new_session=True,
+            )
+            end = watch(worker, began + bounds.seconds, stop)
+        done = read(report)
+    if end or worker.returncode:
+        done.end = done.end or end or "its process ended without a word: too much memory or output"
+    if end == OVER:
+        done.end = f"it did not end within {bounds.seconds:g} s"
+    done.seconds = time.monotonic() - began
+    return done
+
+
+OVER = "over"
+
+
+def watch(worker: subprocess.Popen, deadline: float, stop: threading.Event) -> str:
+    """Waits for a copy's process, and ends it and all under it where that takes too long."""
+    try:
+        while worker.poll() is None and time.monotonic() < deadline and not stop.is_set():
+            time.sleep(STEP)
+        return "" if worker.poll() is not None else "stopped" if stop.is_set() else OVER
+    finally:
+        if worker.poll() is None:
+            for process in [*family(worker.pid)[1:], worker.pid]:
+                try:
+                    os.kill(process, signal.SIGKILL)
+                except ProcessLookupError:
+                    continue
+        worker.wait()
+
+
+def environment(place: Path, policies: list[Path]) -> dict[str, str]:
+    """A home and a folder for temporary files of its own, one core, no display."""
+    kept = {name: os.environ[name] for name in KEPT if name in os.environ}
+    one = dict.fromkeys(("OMP_NUM_THREADS", "LP_NUM_THREADS"), "1")
+    return {
+        **kept,
+        **one,
+        "HOME": str(place / "home"),
+        "TMPDIR": str(place / "tmp"),
+        "MUJOCO_GL": "egl",
+        "PYTHONNOUSERSITE": "1",
+        "MADVIZ_CHECKPOINTS": os.pathsep.join(map(str, policies)),
+    }
+
+
+def read(report: Path) -> CopyRun:
+    """The lines that a copy's process has written; the last one may be half of one."""
+    done, error = CopyRun(), ""
+    lines = report.read_text().splitlines() if report.exists() else []
+    for text in lines:
+        try:
+            line = json.loads(text)
+        except ValueError:
+            continue
+        if "result" in line:
+            name = line["result"]["name"]
+            done.results[name] = line["result"]
+            done.errors[name], error = error, ""
+        elif "error" in line:
+            error = printable(line["error"])
+        else:
+            done.end = line["end"]
+    return done
