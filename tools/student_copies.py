@@ -24,8 +24,6 @@ from nbformat import NotebookNode
 
 ROOT = Path(__file__).resolve().parent.parent
 NOTEBOOKS = ROOT / "notebooks"
-DATA = ("measured",)
-"""Folders that lessons read."""
 WIDGET = "application/vnd.jupyter.widget-view+json"
 KEPT = ("answer", "check", "prediction")
 """Tags that a student's copy keeps."""
@@ -79,9 +77,6 @@ def make(out: Path, notebooks: Path = NOTEBOOKS) -> list[Path]:
         for one in (folder, pages):
             shutil.rmtree(one, ignore_errors=True)
             one.mkdir(parents=True)
-        for name in DATA:
-            if (notebooks / name).is_dir():
-                shutil.copytree(notebooks / name, folder / name)
         for file in sorted(notebooks.glob("*.ipynb")):
             copy = copied(nbformat.read(file, 4))
             nbformat.write(copy, folder / file.name)

@@ -48,7 +48,7 @@ class GradeConfig:
     returned: Path
     """The folder with what came back: STUDENT/LESSON.ipynb, or STUDENT_LESSON.ipynb."""
     lessons: Path = Path("build/class/student")
-    """The notebooks that were handed out (`make student-copies`), and the folders beside them."""
+    """The notebooks that were handed out (`make student-copies`)."""
     out: Path = Path("grades.csv")
     """The table: student, lesson, exercise, passed, hint, error."""
     seconds: Count = 300
@@ -138,9 +138,8 @@ def graded(
         copy = prepare(one.file, lessons[one.lesson])
     except UserError as error:
         return [Grade(one.student, one.lesson, name, False, error=str(error)) for name in exercises]
-    beside = [path for path in config.lessons.iterdir() if path.is_dir() and path.name[0] != "."]
     bounds = Bounds(config.seconds, config.gigabytes << 30)
-    run = run_copy(copy.notebook, beside, [p.resolve() for p in policy_roots()], bounds, stop)
+    run = run_copy(copy.notebook, [p.resolve() for p in policy_roots()], bounds, stop)
     return list(rows_of(one, exercises, copy.edited, run))
 
 

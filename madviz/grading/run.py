@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -52,19 +51,16 @@ class CopyRun:
 
 def run_copy(
     notebook: nbformat.NotebookNode,
-    beside: list[Path],
     policies: list[Path],
     bounds: Bounds,
     stop: threading.Event,
 ) -> CopyRun:
-    """Runs ``notebook`` in an empty folder, in which are also copies of the folders ``beside``."""
+    """Runs ``notebook`` in an empty folder."""
     began = time.monotonic()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
         work, report = Path(place, "work"), Path(place, "report")
         for folder in (work, Path(place, "home"), Path(place, "tmp")):
             folder.mkdir()
-        for one in beside:
-            shutil.copytree(one, work / one.name)
         nbformat.write(notebook, work / "copy.ipynb")
         words = [work / "copy.ipynb", report, bounds.seconds * CELL, bounds.memory]
         complaints = Path(place, "complaints")

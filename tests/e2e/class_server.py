@@ -45,14 +45,21 @@ PICTURES = ROOT / "build" / "e2e"
 EXPOSED = "c = get_config()\nc.LabApp.expose_app_in_browser = True\n"
 READY = """() => {
   const panel = window.jupyterapp?.shell?.currentWidget;
-  const kernel = panel?.sessionContext?.session?.kernel;
-  return panel?.context?.isReady && kernel?.status === 'idle';
+  return panel?.context?.isReady && panel?.sessionContext?.session?.kernel
+    ?.connectionStatus === 'connected';
+}"""
+ANSWERS = """async () => {
+  const kernel = window.jupyterapp.shell.currentWidget.sessionContext.session.kernel;
+  await kernel.requestExecute({code: ''}).done;
 }"""
 RUN = "async () => { await window.jupyterapp.commands.execute('notebook:run-all-cells'); }"
 ERRORS = """() => [...window.jupyterapp.shell.currentWidget.content.model.cells]
   .filter(cell => cell.type === 'code').flatMap(cell => cell.outputs.toJSON())
   .filter(output => output.output_type === 'error').map(output => output.ename)"""
-CLOSE = "async () => { await window.jupyterapp.serviceManager.sessions.shutdownAll(); }"
+CLOSE = """async () => {
+  await window.jupyterapp.commands.execute('docmanager:save');
+  await window.jupyterapp.serviceManager.sessions.shutdownAll();
+}"""
 
 
 class Memory:
@@ -109,12 +116,18 @@ async def log_in(context: BrowserContext, url: str, name: str, password: str) ->
     return page, time.monotonic() - began
 
 
-async def lesson(page: Page, url: str, name: str, file: str, memory: Memory) -> dict[str, Any]:
-    """Runs all cells of a lesson. A student's copy stops at the first missing answer."""
+async def lesson(
+    context: BrowserContext, url: str, name: str, file: str, memory: Memory
+) -> dict[str, Any]:
+    """Runs all cells of a lesson, in a tab of its own, and saves it. A student's copy stops at the
+    first missing answer."""
     memory.doing[name] = "start"
+    page = await context.new_page()
+    page.set_default_timeout(PATIENCE)
     began = time.monotonic()
     await page.goto(f"{url}/user/{name}/lab/tree/{file}.ipynb?reset")
     await page.wait_for_function(READY)
+    await page.evaluate(ANSWERS)
     kernel = time.monotonic() - began
     memory.doing[name] = file[:2]
     began = time.monotonic()
@@ -125,6 +138,7 @@ async def lesson(page: Page, url: str, name: str, file: str, memory: Memory) -> 
     await page.screenshot(path=PICTURES / f"class-{name}-{file}.png")
     memory.doing[name] = "end"
     await page.evaluate(CLOSE)
+    await page.close()
     return {"kernel_s": round(kernel, 1), "cells_s": round(took, 1), "errors": errors}
 
 
@@ -191,9 +205,9 @@ async def student(
     memory.doing[name] = "login"
     page, took = await log_in(context, url, name, password)
     found["login_s"] = round(took, 1)
-    for file in asked:
-        found[file] = await lesson(page, url, name, file, memory)
     await page.close()
+    for file in asked:
+        found[file] = await lesson(context, url, name, file, memory)
     return context
 
 

@@ -36,7 +36,15 @@ c.Spawner.default_url = "/lab"
 c.Spawner.start_timeout = 180
 c.Spawner.http_timeout = 180
 c.JupyterHub.concurrent_spawn_limit = 8
+
+
+def temporary(spawner) -> Path:
+    """Lessons keep trainings in a folder of one name; in /tmp it would be the first student's."""
+    return Path(pwd.getpwnam(spawner.user.name).pw_dir, ".cache", "tmp")
+
+
 c.Spawner.environment = {
+    "TMPDIR": lambda spawner: str(temporary(spawner)),
     "JUPYTER_CONFIG_PATH": f"{prefix}/etc",
     "MADVIZ_CHECKPOINTS": f"{prefix}/policies/checkpoints",
     # Everybody on this machine reaches everybody's ports; a page asks for this token first.
@@ -53,11 +61,14 @@ c.Spawner.environment = {
 
 
 def hand_out(spawner) -> None:
-    """Copies the lessons that a student does not have yet; as that student, so no link in their
-    home leads anywhere that is not theirs."""
+    """Makes folders, and copies the lessons that a student does not have yet; as that student, so
+    no link in their home leads anywhere that is not theirs."""
     user = pwd.getpwnam(spawner.user.name)
-    words = ["cp", "--recursive", "--no-clobber", f"{prefix}/lessons", user.pw_dir]
-    subprocess.run(words, check=True, user=user.pw_uid, group=user.pw_gid, extra_groups=[])
+    for words in (
+        ["cp", "--recursive", "--no-clobber", f"{prefix}/lessons", user.pw_dir],
+        ["mkdir", "--parents", str(temporary(spawner))],
+    ):
+        subprocess.run(words, check=True, user=user.pw_uid, group=user.pw_gid, extra_groups=[])
 
 
 c.Spawner.pre_spawn_hook = hand_out
