@@ -24,6 +24,8 @@ SINGLES = ("first", "third_a", "third_b")
 LABELS = {"first": "First person", "third_a": "Third A", "third_b": "Third B"}
 Evaluation = dict[str, Any]
 """An evaluation.json."""
+CLASS_RUNS = ("quiet", "busy", "page")
+"""Of results/class; each file says in which conditions it was measured."""
 WEAK = 0.70
 """A single camera below this success rate is named as weak."""
 
@@ -199,46 +201,42 @@ def summary(file: Path) -> str:
 def class_server() -> str:
     """What students took of a class server, from results/class, and what more would take."""
     folder = ROOT / "results" / "class"
-    files = [folder / name for name in ("lessons.json", "training.json")]
-    if not all(file.exists() for file in files):
-        return "No measurement of this version is stored yet.\n"
-    runs = [json.loads(file.read_text()) for file in files]
-    students, cores = runs[0]["students"], runs[0]["cores"]
-    each = [one for run in runs for one in run["each"].values()]
-    peaks = [one["memory_mb"] for one in each]
+    runs = {name: json.loads((folder / f"{name}.json").read_text()) for name in CLASS_RUNS}
+    students, cores = runs["quiet"]["students"], runs["quiet"]["cores"]
+    quiet = list(runs["quiet"]["each"].values())
+    peaks = [one["memory_mb"] for run in runs.values() for one in run["each"].values()]
 
     def most(what: str) -> int:
-        return max(found[key] for found in peaks for key in found if key.endswith(what))
-
-    def seconds(lesson: str, key: str) -> float:
-        return max(found[key] for one in each for name, found in one.items() if name[:2] == lesson)
+        return max(found.get(what, 0) for found in peaks)
 
     lines = [
-        f"Measured: {students} students at once on {cores} cores, each with a browser on the same "
-        f"cores, torch with its CUDA libraries. The slowest of them:\n",
-        "| what | seconds | memory of a student (MB, proportional) |",
-        "|---|---|---|",
+        f"Measured with {students} students on {cores} cores, browsers on the same cores, torch with "
+        f"its CUDA libraries. {len([o for o in quiet if len(o) > 2])} of them ran the lessons of "
+        f"the timed run, the others had only logged in. A login took {min(o['login_s'] for o in quiet):.0f} to "
+        f"{max(o['login_s'] for o in quiet):.0f} s. The slowest, and the largest of all runs:\n",
+        "| lesson | kernel ready after (s) | all cells after (s) | kernel, whole student (MB) |",
+        "|---|---|---|---|",
     ]
-    for lesson in ("01", "02", "04", "03"):
-        kernel, cells = seconds(lesson, "kernel_s"), seconds(lesson, "cells_s")
-        words = f"lesson {int(lesson)}" + (", which trains" if lesson == "03" else "")
-        lines.append(
-            f"| {words} | kernel after {kernel:.0f}, all cells after {cells:.0f} more | "
-            f"kernel {most(f'{lesson} kernel')}, in all {most(f'{lesson} all')} |"
-        )
-    page = [one["page"]["shown_s"] for one in each if "page" in one]
-    lines.append(f"| the live page | shown after {max(page):.0f} | {most('page page')} |")
-    whole = max(most(f"{lesson} all") for lesson in ("01", "02", "03", "04"))
+    for lesson in ("01", "02", "04"):
+        timed = [one[n] for one in quiet for n in one if n[:2] == lesson]
+        times = [
+            f"{max(found[key] for found in timed):.0f}" if timed else "not measured"
+            for key in ("kernel_s", "cells_s")
+        ]
+        memory = f"{most(f'{lesson} kernel')}, {most(f'{lesson} all')}"
+        lines.append(f"| {int(lesson)} | {' | '.join(times)} | {memory} |")
+    whole = max(most(f"{lesson} all") for lesson in ("01", "02", "04"))
     lines += [
-        "\nSo, with as many students for each core, one kernel each, and 2 GB for the system:\n",
+        "\nMemory is proportional: what several processes share counts once. So, with as many "
+        "students for each core, one kernel each that trains nothing, and 2 GB for the system:\n",
         "| students | cores | memory |",
         "|---|---|---|",
     ]
     for number in (4, 10, 20, 30):
-        needed = 2 + number * whole / 1024
-        lines.append(f"| {number} | {-(-number * cores // students)} | {math.ceil(needed)} GB |")
-    more = math.ceil(most("page page") / 102.4) / 10
-    lines.append(f"\nA live page that is open beside the kernel takes {more} GB more.")
+        needed = math.ceil(2 + number * whole / 1024)
+        lines.append(f"| {number} | {-(-number * cores // students)} | {needed} GB |")
+    more = most("page page")
+    lines.append(f"\nA live page that is open beside the kernel took {more} MB more (one page).")
     return "\n".join(lines) + "\n"
 
 
