@@ -209,11 +209,13 @@ def class_server() -> str:
     def most(what: str) -> int:
         return max(found.get(what, 0) for found in peaks)
 
+    active = sum(any(name[:2].isdigit() for name in one) for one in quiet)
+    logins = [one["login_s"] for one in quiet]
     lines = [
-        f"Measured with {students} students on {cores} cores, browsers on the same cores, torch with "
-        f"its CUDA libraries. {len([o for o in quiet if len(o) > 2])} of them ran the lessons of "
-        f"the timed run, the others had only logged in. A login took {min(o['login_s'] for o in quiet):.0f} to "
-        f"{max(o['login_s'] for o in quiet):.0f} s. The slowest, and the largest of all runs:\n",
+        f"Measured with {students} students on {cores} cores, browsers on the same cores, torch "
+        f"with its CUDA libraries. {active} of them ran the lessons of the timed run, the others "
+        f"had only logged in. A login took {min(logins):.0f} to {max(logins):.0f} s. The slowest, "
+        "and the largest of all runs:\n",
         "| lesson | kernel ready after (s) | all cells after (s) | kernel, whole student (MB) |",
         "|---|---|---|---|",
     ]
