@@ -1,4 +1,4 @@
-"""Trains LeRobot's ACT on demonstrations that madviz recorded, on a CPU, in half an hour.
+"""Trains a small ACT of LeRobot's on demonstrations that madviz recorded, on a CPU.
 
     python train_act.py --data hammer --out act-hammer
     python train_act.py --data hammer --out act-hammer-dropout --view-dropout
@@ -16,6 +16,9 @@ would double the variance of what passes. So they are set once, from pictures of
 to what makes every layer's output vary by 1.
 
 A training that was stopped goes on when the same command is given again.
+
+An update of 16 decisions takes 2.2 s of one core of an AMD EPYC without AVX-512. Only its first
+updates, saving and serving were tried: how often a policy of this size succeeds is not known yet.
 """
 
 from __future__ import annotations

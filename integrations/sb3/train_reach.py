@@ -1,10 +1,11 @@
-"""Trains PPO of Stable-Baselines3 on madviz's toy, from pictures, in a few minutes on a CPU.
+"""Trains PPO of Stable-Baselines3 on madviz's toy, from pictures, on a CPU.
 
     python train_reach.py --out ppo-reach.zip
     madviz explore --policy sb3:ppo-reach.zip@toy/reach --trust
     madviz audit --policy sb3:ppo-reach.zip@toy/reach --trust --episodes 30 --out audit-ppo
 
-In madviz's own environment, with ``pip install "madviz[sb3]"``.
+In madviz's own environment, with ``pip install "madviz[sb3]"``. After 6,000 decisions, the policy
+of seed 0 succeeded in 0.33 [0.19, 0.51] of 30 episodes (seeds 5000 on): too seldom for an audit.
 """
 
 from __future__ import annotations
