@@ -21,10 +21,8 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
-import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,7 +39,7 @@ from madviz.observation.schedule import Schedule, reached
 from madviz.observation.streams import StreamStack
 from madviz.policies.players import player_of
 from madviz.session.frame import untouched
-from madviz.system.files import PART, write_json
+from madviz.system.files import new_folder, write_json
 from madviz.training.demonstrations import slow_noise
 from madviz.types import Array, Environment, Policy
 
@@ -116,22 +114,16 @@ def write_dataset(
     """Writes all of ``episodes`` to the folder ``out``; whether each ended in success. Whoever
     finds ``out`` finds all of it. Raises UserError for a folder that is there already."""
     check_folder(out)
-    part = Path(tempfile.mkdtemp(dir=out.resolve().parent, prefix=PART))
     try:
-        dataset = LeRobotFolder(part, task, fps)
-        ends = [dataset.add(list(episode)) for episode in episodes]
-        dataset.close()
-        part.chmod(0o755)
-        with suppress(FileNotFoundError):
-            out.rmdir()
-        part.rename(out)
+        with new_folder(out) as part:
+            dataset = LeRobotFolder(part, task, fps)
+            ends = [dataset.add(list(episode)) for episode in episodes]
+            dataset.close()
     except OSError as error:
         raise UserError(
             f"--out {out}: could not be written: {error.strerror}; make room there or choose "
             "another"
         ) from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
     return ends
 
 

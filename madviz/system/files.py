@@ -108,6 +108,21 @@ def replacing(path: Path) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
+@contextmanager
+def new_folder(out: Path) -> Iterator[Path]:
+    """A folder to write to; after the block it is ``out``, which must not be there or be empty.
+    Whoever finds ``out`` finds all of it. If the block fails, nothing stays."""
+    part = Path(tempfile.mkdtemp(dir=out.resolve().parent, prefix=PART))
+    try:
+        yield part
+        part.chmod(0o755)  # mkdtemp's folders are private; these are to be shared.
+        with suppress(FileNotFoundError):
+            out.rmdir()
+        part.rename(out)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """Gives ``path`` this content, as ``replacing`` does."""
     with replacing(path) as part:
