@@ -24,7 +24,7 @@ SINGLES = ("first", "third_a", "third_b")
 LABELS = {"first": "First person", "third_a": "Third A", "third_b": "Third B"}
 Evaluation = dict[str, Any]
 """An evaluation.json."""
-CLASS_RUNS = ("quiet", "busy", "page")
+CLASS_RUNS = ("quiet", "busy", "page", "training")
 """Of results/class; each file says in which conditions it was measured."""
 WEAK = 0.70
 """A single camera below this success rate is named as weak."""
@@ -219,7 +219,7 @@ def class_server() -> str:
         "| lesson | kernel ready after (s) | all cells after (s) | kernel, whole student (MB) |",
         "|---|---|---|---|",
     ]
-    for lesson in ("01", "02", "04"):
+    for lesson in ("01", "02", "03", "04"):
         timed = [one[n] for one in quiet for n in one if n[:2] == lesson]
         times = [
             f"{max(found[key] for found in timed):.0f}" if timed else "not measured"
@@ -227,10 +227,10 @@ def class_server() -> str:
         ]
         memory = f"{most(f'{lesson} kernel')}, {most(f'{lesson} all')}"
         lines.append(f"| {int(lesson)} | {' | '.join(times)} | {memory} |")
-    whole = max(most(f"{lesson} all") for lesson in ("01", "02", "04"))
+    whole = max(most(f"{lesson} all") for lesson in ("01", "02", "03", "04"))
     lines += [
         "\nMemory is proportional: what several processes share counts once. So, with as many "
-        "students for each core, one kernel each that trains nothing, and 2 GB for the system:\n",
+        "students for each core, one kernel each, and 2 GB for the system:\n",
         "| students | cores | memory |",
         "|---|---|---|",
     ]
