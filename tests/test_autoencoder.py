@@ -25,7 +25,13 @@ from madviz.agent.autoencoder import (
     symlog,
     whole_views,
 )
-from madviz.bench.imagine import imagined, judged_frames
+from madviz.bench.imagine import (
+    ImagineConfig,
+    bench_imagine,
+    imagine_words,
+    imagined,
+    judged_frames,
+)
 from madviz.evaluation.episodes import one_thread
 from madviz.training.autoencoder import (
     AutoencoderTraining,
@@ -235,6 +241,25 @@ def test_controls_come_from_other_episodes():
     data = seen_alike(4)
     index, other = judged_frames(data, 50, seed=0)
     assert len(index) == 50 and (index // data.horizon != other // data.horizon).all()
+
+
+def test_the_benchmark_judges_every_subset_of_every_hidden_camera():
+    config = ImagineConfig(
+        task="toy/reach",
+        episodes=2,
+        frames=12,
+        training=AutoencoderTraining(updates=2, batch_size=2),
+        network=SMALL,
+    )
+    with one_thread():
+        found = bench_imagine(config)
+    assert len(found["rows"]) == 9 and found["training"]["updates"] == 2
+    hidden = [row["hidden"] for row in found["rows"] if "+" in row["from"]]
+    assert sorted(hidden) == ["first", "third_a", "third_b"]
+    assert found["passes"] is False and found["least_gain"] < 1
+    words = imagine_words(found).splitlines()
+    assert words[0].startswith("toy/reach: 2 updates in") and "NOT imagined" in words[-1]
+    assert len(words) == 2 + 9 + 1
 
 
 def test_newest_is_the_last_of_the_stack():

@@ -13,6 +13,7 @@ from torch import Tensor
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.autoencoder import autoencoder_loss
 from madviz.agent.merges.mv_mae import FUNCTIONS, QUESTIONS, TokenNetworks
+from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.sizes import AutoencoderConfig
@@ -174,7 +175,7 @@ def test_rows_that_are_kept_fit_the_same_critic(
 ) -> None:
     losses, critics = [], []
     for kept in (True, False):
-        monkeypatch.setattr(FUNCTIONS, "costly_rows", kept, raising=False)
+        monkeypatch.setitem(MERGES, "mv-mae", replace(MERGES["mv-mae"], costly_rows=kept))
         (tmp_path / str(kept)).mkdir()
         run = run_of(tmp_path / str(kept))
         fit = light_critic.fit_critic
@@ -191,7 +192,7 @@ def test_a_policy_imagines_what_is_missing() -> None:
     FUNCTIONS.look_at(net_of(agent), lambda: mean)
     policy = policy_of(agent)
     encoded = policy.encode(pictures()[0].numpy(), np.zeros(6, np.float32))
-    assert encoded.features.shape == (3, QUESTIONS * 16)
+    assert encoded.features.shape == (3, 36 * 16)
     found = policy.imagine(encoded, np.array([True, False, True]))
     expected = (255 * mean).round().byte().permute(0, 2, 3, 1).numpy()
     np.testing.assert_array_equal(found, expected)  # Nothing is learned: the mean.
@@ -214,6 +215,7 @@ def test_a_saved_policy_imagines_as_before(tmp_path: Path) -> None:
     light._save(run, folder, final=False)
     policy = load_policy(folder.path)
     assert isinstance(policy, TorchPolicy) and policy.imagines
+    assert not policy.spec.reads_together  # A page reads the subsets that it is asked for.
     views = run.data.views(np.array([9]))[0].numpy()
     mask = np.array([True, False, False])
     one, two = (

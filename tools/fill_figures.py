@@ -250,6 +250,27 @@ def kernel_memory() -> str:
     return "\n".join([*lines, f"\ntorch {found['torch']}, one kernel alone."]) + "\n"
 
 
+def imagine() -> str:
+    """What `madviz bench imagine` measured, from results/imagine: one row for each camera that is
+    hidden while all others are seen."""
+    lines = [
+        "| task | hidden | imagined | worst frame | mean | another episode | gain | passes |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for file in sorted((ROOT / "results" / "imagine").glob("*.json")):
+        found = json.loads(file.read_text())
+        most = max(row["from"].count("+") for row in found["rows"])
+        for row in found["rows"]:
+            if row["from"].count("+") == most:
+                words = ("imagined", "worst", "mean_picture", "other_episode", "gain")
+                numbers = " | ".join(f"{row[word]:.1f}" for word in words)
+                passes = "yes" if row["gain"] >= 3 else "no"
+                lines.append(
+                    f"| {found['task']} | {LABELS[row['hidden']]} | {numbers} | {passes} |"
+                )
+    return "\n".join(lines) + "\n"
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
     "findings": findings,
     "tree": tree,
@@ -257,6 +278,8 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "benchmarks": benchmarks,
     "class-server": class_server,
     "kernel-memory": kernel_memory,
+=======
+    "imagine": imagine,
 }
 
 

@@ -19,7 +19,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -78,18 +78,27 @@ def bench_imagine(config: ImagineConfig) -> dict[str, Any]:
     """The result of the module's table, by hidden camera and by what is seen. Raises UserError for
     a task with one camera."""
     train, judged = recorded(config)
-    began = time.monotonic()
+    began = time.process_time()
     model = new_autoencoder(train, config.network, config.seed)
     train_autoencoder(model, train, config.training, config.seed, _progress(config))
-    seconds = time.monotonic() - began
+    return judgement(config, model, judged, time.process_time() - began)
+
+
+def judgement(
+    config: ImagineConfig, model: MultiViewAutoencoder, judged: Dataset, seconds: float
+) -> dict[str, Any]:
+    """The result of a ``model`` that took ``seconds`` of a processor to train."""
     rows = imagined(model, judged, config.frames, config.seed)
-    others = [row for row in rows if row["from"].count("+") == len(train.streams) - 2]
+    others = [row for row in rows if row["from"].count("+") == len(judged.streams) - 2]
     return {
         "schema": 1,
         "task": config.task,
+        "episodes": config.episodes,
         "frames": config.frames,
-        "updates": config.training.updates,
-        "seconds": round(seconds),
+        "training": asdict(config.training),
+        "network": asdict(config.network),
+        "seed": config.seed,
+        "cpu_seconds": round(seconds),
         "parameters": sum(p.numel() for p in model.parameters()),
         "rows": rows,
         "least_gain": min(row["gain"] for row in others),
@@ -177,8 +186,8 @@ def drawn(model: MultiViewAutoencoder, views: Tensor, mask: Array) -> Tensor:
 def imagine_words(result: dict[str, Any]) -> str:
     """The module's table."""
     lines = [
-        f"{result['task']}: {result['updates']} updates in {result['seconds']} s, "
-        f"{result['frames']} frames; dB over the pixels that move",
+        f"{result['task']}: {result['training']['updates']} updates in {result['cpu_seconds']} s "
+        f"of a processor, {result['frames']} frames; dB over the pixels that move",
         f"{'hidden':10}{'from':22}{'imagined':>9}{'worst':>8}{'mean':>8}{'other':>8}{'gain':>8}",
     ]
     for row in result["rows"]:

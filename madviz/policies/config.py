@@ -30,6 +30,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+from madviz.agent.merges.table import MERGES
 from madviz.agent.sizes import NetworkConfig
 from madviz.errors import UserError, unknown
 from madviz.observation.streams import IMAGE_SIZE
@@ -122,6 +123,7 @@ class PolicyConfig(msgspec.Struct, kw_only=True, frozen=True, omit_defaults=True
             state_dim=self.networks.state_dim,
             action_dim=self.networks.action_dim,
             horizon=self.horizon,
+            reads_together=self.merge not in MERGES or not MERGES[self.merge].costly_rows,
         )
 
     def document(self) -> Document:

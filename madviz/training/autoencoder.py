@@ -37,9 +37,9 @@ MEAN_OF = 512
 class AutoencoderTraining:
     """How the autoencoder is trained."""
 
-    updates: Steps = 6000
+    updates: Steps = 4000
     """Gradient steps."""
-    batch_size: Width = 32
+    batch_size: Width = 16
     """Time steps in a gradient step, each with all its views."""
     learning_rate: Rate = 1e-3
     """AdamW's, at its highest."""

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from madviz.agent.agent import Agent, autocast
 from madviz.agent.merges.base import Noise
+from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import Method
 from madviz.agent.objectives import critic_losses, weighted
 from madviz.training.demonstrations import Dataset
@@ -107,7 +108,7 @@ def _encode(agent: Agent, data: Dataset, index: Array, masks: Tensor) -> Tensor:
     for start in range(0, len(index), 64):
         with autocast():
             features = agent.encode(data.views(index[start : start + 64]))
-            if agent.merge.costly_rows:
+            if MERGES[agent.merge_name].costly_rows:
                 features = agent.rows(features, masks).transpose(0, 1)
             chunks.append(features)
     return torch.cat(chunks)
@@ -116,6 +117,6 @@ def _encode(agent: Agent, data: Dataset, index: Array, masks: Tensor) -> Tensor:
 def _rows(agent: Agent, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
     """(N, B, ...), the rows of ``masks`` from what ``_encode`` made, which begins with them where
     it holds rows."""
-    if agent.merge.costly_rows:
+    if MERGES[agent.merge_name].costly_rows:
         return features[:, : len(masks)].transpose(0, 1)
     return agent.rows(features, masks, noise)

@@ -41,8 +41,6 @@ class MergeFunctions:
     empty: there is no such loss."""
     reconstructs = False
     """Whether its own loss is ``reconstruction_loss``: it learns to draw pictures, and can."""
-    costly_rows = False
-    """Whether ``rows`` costs as much as ``encode``, so that rows are better kept than repeated."""
 
     def networks(self, config: NetworkConfig, streams: Streams) -> nn.Module:
         """What the critic's loss trains besides the heads."""

@@ -84,6 +84,9 @@ class Merge:
     needs: Needs = Needs()
     own_loss: bool = False
     """Whether it brings a loss, and therefore is a method of its own and serves no other."""
+    costly_rows: bool = False
+    """Whether a row costs as much as encoding: rows are kept where they would be made again, and a
+    page reads the subsets that it is asked for."""
     trains_each_alone: bool = False
     """Whether training on all streams is often training on one, because streams are drawn."""
 
@@ -145,6 +148,7 @@ MERGES: dict[str, Merge] = {
         cell_words="tokens of an autoencoder",
         needs=SEVERAL_STREAMS,
         own_loss=True,
+        costly_rows=True,
     ),
 }
 
