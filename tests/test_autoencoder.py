@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +27,7 @@ from madviz.agent.autoencoder import (
     symlog,
     whole_views,
 )
+from madviz.bench import imagine
 from madviz.bench.imagine import (
     ImagineConfig,
     bench_imagine,
@@ -42,6 +45,7 @@ from madviz.training.autoencoder import (
 )
 from madviz.training.demonstrations import Dataset, Episode
 
+ROOT = Path(__file__).resolve().parent.parent
 SMALL = AutoencoderConfig(patch=14, width=16, layers=1, decoder_layers=1, heads=2)
 TINY = AutoencoderConfig(patch=6, width=32, layers=1, decoder_layers=1, heads=2)
 """For pictures of 24 pixels."""
@@ -260,6 +264,17 @@ def test_the_benchmark_judges_every_subset_of_every_hidden_camera():
     words = imagine_words(found).splitlines()
     assert words[0].startswith("toy/reach: 2 updates in") and "NOT imagined" in words[-1]
     assert len(words) == 2 + 9 + 1
+
+
+def test_the_figures_in_the_text_of_the_benchmark_are_those_that_were_measured():
+    measured = json.loads((ROOT / "results" / "imagine" / "toy-reach.json").read_text())
+    written = [line.split() for line in (imagine.__doc__ or "").splitlines() if " gain " in line]
+    assert written
+    for hidden, *seen, drawn, _, mean, _, other, _, _, gain, _ in written:
+        subset = "+".join(seen).replace(",", "")
+        row = next(r for r in measured["rows"] if (r["hidden"], r["from"]) == (hidden, subset))
+        found = [row[name] for name in ("imagined", "mean_picture", "other_episode", "gain")]
+        assert [drawn, mean, other, gain] == [f"{number:.1f}" for number in found]
 
 
 def test_newest_is_the_last_of_the_stack():
