@@ -278,7 +278,6 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "benchmarks": benchmarks,
     "class-server": class_server,
     "kernel-memory": kernel_memory,
-=======
     "imagine": imagine,
 }
 
