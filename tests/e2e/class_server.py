@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from playwright.async_api import BrowserContext, Page, async_playwright
+from playwright.async_api import TimeoutError as PlaywrightTimeoutError
 
 from madviz.bench.memory import proportional_megabytes
 from madviz.system.browser import CHROMIUM_FLAGS, find_browser
@@ -43,23 +44,41 @@ SMALL: Any = {"width": 800, "height": 600}
 """Of a page: browsers without a GPU draw its scene on the cores that are measured."""
 PICTURES = ROOT / "build" / "e2e"
 EXPOSED = "c = get_config()\nc.LabApp.expose_app_in_browser = True\n"
-READY = """() => {
-  const panel = window.jupyterapp?.shell?.currentWidget;
-  return panel?.context?.isReady && panel?.sessionContext?.session?.kernel
+PANEL = """() => {
+  for (const widget of window.jupyterapp?.shell?.widgets('main') ?? [])
+    if (widget.sessionContext && widget.content?.model?.cells) return widget;
+  return null;
+}"""
+"""The notebook's panel. The shell's ``currentWidget`` is null while the window has no focus."""
+READY = f"""() => {{
+  const panel = ({PANEL})();
+  return panel?.context.isReady && panel.sessionContext.session?.kernel
     ?.connectionStatus === 'connected';
-}"""
-ANSWERS = """async () => {
-  const kernel = window.jupyterapp.shell.currentWidget.sessionContext.session.kernel;
-  await kernel.requestExecute({code: ''}).done;
-}"""
+}}"""
+STATE = f"""() => {{
+  const shell = window.jupyterapp?.shell, panel = ({PANEL})();
+  const kernel = panel?.sessionContext.session?.kernel;
+  return {{
+    address: location.href, focus: document.hasFocus(),
+    main: shell ? [...shell.widgets('main')].map(widget => widget.title.label) : 'no shell',
+    current: shell?.currentWidget?.title.label ?? null,
+    ready: panel?.context.isReady ?? null,
+    kernel: kernel ? `${{kernel.connectionStatus}}, ${{kernel.status}}` : null,
+    dialogs: [...document.querySelectorAll('.jp-Dialog-content')].map(one => one.innerText),
+  }};
+}}"""
+"""What is looked at where a notebook does not become ready."""
+ANSWERS = f"""async () => {{
+  await ({PANEL})().sessionContext.session.kernel.requestExecute({{code: ''}}).done;
+}}"""
 RUN = "async () => { await window.jupyterapp.commands.execute('notebook:run-all-cells'); }"
-ERRORS = """() => [...window.jupyterapp.shell.currentWidget.content.model.cells]
+ERRORS = f"""() => [...({PANEL})().content.model.cells]
   .filter(cell => cell.type === 'code').flatMap(cell => cell.outputs.toJSON())
   .filter(output => output.output_type === 'error').map(output => output.ename)"""
-CLOSE = """async () => {
-  await window.jupyterapp.commands.execute('docmanager:save');
+CLOSE = f"""async () => {{
+  await ({PANEL})().context.save();
   await window.jupyterapp.serviceManager.sessions.shutdownAll();
-}"""
+}}"""
 
 
 class Memory:
@@ -126,7 +145,7 @@ async def lesson(
     page.set_default_timeout(PATIENCE)
     began = time.monotonic()
     await page.goto(f"{url}/user/{name}/lab/tree/{file}.ipynb?reset")
-    await page.wait_for_function(READY)
+    await notebook_ready(page, f"class-{name}-{file}-not-ready.png")
     await page.evaluate(ANSWERS)
     kernel = time.monotonic() - began
     memory.doing[name] = file[:2]
@@ -140,6 +159,18 @@ async def lesson(
     await page.evaluate(CLOSE)
     await page.close()
     return {"kernel_s": round(kernel, 1), "cells_s": round(took, 1), "errors": errors}
+
+
+async def notebook_ready(page: Page, picture: str) -> None:
+    """Waits until the notebook is open and its kernel is connected. Where that does not happen,
+    there is a picture, and the error says how everything stands."""
+    try:
+        await page.wait_for_function(READY)
+    except PlaywrightTimeoutError as error:
+        await page.screenshot(path=PICTURES / picture)
+        state = await page.evaluate(STATE)
+        said = f"no notebook after {PATIENCE / 1000:.0f} s: {state}; see {PICTURES / picture}"
+        raise AssertionError(said) from error
 
 
 async def live_page(context: BrowserContext, url: str, name: str, memory: Memory) -> dict[str, Any]:
