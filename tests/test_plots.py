@@ -12,7 +12,8 @@ import pytest
 from madviz.agent.methods import METHODS
 from madviz.drawing.colours import colours_on_white
 from madviz.envs.registry import SETTINGS
-from madviz.plots import STYLES, Bar, Line, bars, curves, dots, heat, lines, styles
+from madviz.plots.figures import Bar, Line, bars, curves, dots, heat, lines
+from madviz.plots.styles import STYLES, styles
 from madviz.types import CameraSpec
 
 NAN = float("nan")
@@ -99,7 +100,7 @@ def test_curves_have_gaps_where_there_is_no_number() -> None:
 
 def test_the_same_numbers_are_the_same_bytes_in_another_process() -> None:
     program = (
-        "from madviz.plots import Bar, bars;"
+        "from madviz.plots.figures import Bar, bars;"
         "print(bars('t', ['all', 'first'], {'mad': [Bar(0.5, 0.2, 0.8, (0.4,)), None]}), end='')"
     )
     one, other = (subprocess.check_output([sys.executable, "-c", program]) for _ in range(2))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from fill_figures import LABELS, SINGLES, measured, seeds
 
-from madviz.plots import Bar, bars
+from madviz.plots.figures import Bar, bars
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 GROUPS = ("all", *SINGLES)

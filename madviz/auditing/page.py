@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-from madviz import plots
 from madviz.auditing.conditions import HOWS
 from madviz.auditing.result import AuditFile, ConditionRow
 from madviz.auditing.words import HOW_WORDS, MEANING, change, deciding, in_words, planned
 from madviz.evaluation.statistics import SuccessRate
+from madviz.plots import figures
 from madviz.policies.seeds import use_of
 
 HOW_TO_READ = (
@@ -123,17 +123,18 @@ def _shapley(found: AuditFile) -> list[Block]:
         return []
     labels = [found["labels"][name] for name in found["shapley"]]
     bars = [
-        plots.Bar(row["value"], row["ci95"][0], row["ci95"][1]) for row in found["shapley"].values()
+        figures.Bar(row["value"], row["ci95"][0], row["ci95"][1])
+        for row in found["shapley"].values()
     ]
     away = "cameras are dropped" if found["shapley_how"] == "dropped" else "cameras send the mean"
     title = f"Shapley values: what a camera adds to success ({away})"
-    return [Block("svg", [plots.dots(title, labels, {found["shapley_how"]: bars}, signed=True)])]
+    return [Block("svg", [figures.dots(title, labels, {found["shapley_how"]: bars}, signed=True)])]
 
 
 def rates_picture(found: AuditFile) -> str:
     """SVG: a line for every camera removed and alone and for none, a dot for every way."""
     labels = list(dict.fromkeys(condition_label(found, row) for row in found["conditions"]))
-    series: dict[str, list[plots.Bar | None]] = {}
+    series: dict[str, list[figures.Bar | None]] = {}
     for how in HOWS:
         rows = {condition_label(found, r): r for r in found["conditions"] if r["how"] == how}
         if rows:
@@ -141,12 +142,12 @@ def rates_picture(found: AuditFile) -> str:
             series[words] = [_bar(rows[label]) if label in rows else None for label in labels]
     intact = found["intact"]["success"]
     title = f"{found['policy']}: success; the dashed line is all cameras"
-    return plots.dots(title, labels, series, marks=(intact,))
+    return figures.dots(title, labels, series, marks=(intact,))
 
 
-def _bar(row: ConditionRow) -> plots.Bar:
+def _bar(row: ConditionRow) -> figures.Bar:
     rate = _rate(row)
-    return plots.Bar(rate.value, *rate.interval)
+    return figures.Bar(rate.value, *rate.interval)
 
 
 def _facts(found: AuditFile) -> list[tuple[str, str]]:

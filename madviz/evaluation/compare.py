@@ -21,13 +21,13 @@ from math import sqrt
 from pathlib import Path
 from typing import Any
 
-from madviz import plots
 from madviz.errors import UserError
 from madviz.evaluation.conditions import compare_conditions, conditions_table
 from madviz.evaluation.episodes import FIRST_SEED
 from madviz.evaluation.evidence import Evidence, Outcomes, alike, readable
 from madviz.evaluation.statistics import Interval, pair, wilson
 from madviz.evaluation.store import ResultKey, Store
+from madviz.plots import figures
 from madviz.policies import checkpoint
 from madviz.policies.listing import BrokenRow
 from madviz.system.files import write_bytes, written_to
@@ -90,7 +90,7 @@ def run_compare(config: CompareConfig) -> dict[str, Any]:
             _same_seeds(name, first, rows[0], other, outcomes)
     if config.figure is not None:
         title = f"{first.config.task}: success by subset"
-        write_bytes(config.figure, plots.bars(title, list(table), _bars(found, table)).encode())
+        write_bytes(config.figure, figures.bars(title, list(table), _bars(found, table)).encode())
     if config.curves is not None:
         write_bytes(config.curves, curves(found).encode())
     return {
@@ -248,8 +248,8 @@ def over_trainings(rates: Sequence[float]) -> Interval:
 
 def _bars(
     found: Sequence[Evidence], table: dict[str, list[Outcomes]]
-) -> dict[str, list[plots.Bar | None]]:
-    series: dict[str, list[plots.Bar | None]] = {}
+) -> dict[str, list[figures.Bar | None]]:
+    series: dict[str, list[figures.Bar | None]] = {}
     for label, places in _grouped(found).items():
         series[label] = []
         for rows in table.values():
@@ -257,7 +257,7 @@ def _bars(
             mean = sum(rates) / len(rates)
             counted = wilson(sum(rows[places[0]].values()), len(rows[places[0]]))
             ends = over_trainings(rates) if len(rates) > 1 else counted
-            series[label].append(plots.Bar(mean, *ends, tuple(rates) if len(rates) > 1 else ()))
+            series[label].append(figures.Bar(mean, *ends, tuple(rates) if len(rates) > 1 else ()))
     return series
 
 
@@ -266,7 +266,7 @@ def curves(found: Sequence[Evidence]) -> str:
 
     Raises UserError for a policy whose curve.csv has no success by subset.
     """
-    panels: dict[str, dict[str, plots.Line]] = {}
+    panels: dict[str, dict[str, figures.Line]] = {}
     for label, places in _grouped(found).items():
         tables = [_curve(found[index]) for index in places]
         common = sorted(set.intersection(*(set(table) for table in tables)))
@@ -276,8 +276,8 @@ def curves(found: Sequence[Evidence]) -> str:
             means = [sum(rates) / len(rates) for rates in line]
             ends = [over_trainings(r) if len(r) > 1 else (r[0], r[0]) for r in line]
             lows, highs = [low for low, _ in ends], [high for _, high in ends]
-            panels.setdefault(name, {})[label] = plots.Line(common, means, lows, highs)
-    return plots.lines(f"{found[0].config.task}: success while training", "steps", panels)
+            panels.setdefault(name, {})[label] = figures.Line(common, means, lows, highs)
+    return figures.lines(f"{found[0].config.task}: success while training", "steps", panels)
 
 
 def _curve(evidence: Evidence) -> dict[float, dict[str, float]]:

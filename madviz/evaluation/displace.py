@@ -29,7 +29,7 @@ from madviz.evaluation.episodes import FIRST_SEED, Job, Runner, unsupported
 from madviz.evaluation.evaluate import adopted, run_anywhere
 from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.displacement import Displacement, along
-from madviz.plots import Line, lines
+from madviz.plots.figures import Line, lines
 from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of, name_of
 from madviz.system.files import write_bytes, written_to

@@ -14,7 +14,7 @@ import numpy as np
 from madviz.drawing.colours import MERGED_ON_WHITE, colours_on_white
 from madviz.drawing.jpeg import jpeg_url
 from madviz.drawing.mosaic import mosaic
-from madviz.plots import curves
+from madviz.plots.figures import curves
 from madviz.recording.facts import Facts, condition_words
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of

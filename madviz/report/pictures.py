@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 
-from madviz import plots
 from madviz.evaluation.evidence import Evidence
 from madviz.evaluation.statistics import SuccessRate
+from madviz.plots import figures
 from madviz.report.layouts import THREE, rank
 from madviz.report.rows import Row
 from madviz.report.tables import ResultTable
@@ -17,9 +17,9 @@ from madviz.training.curve import success_lines
 TWENTY, METHODS, CURVE = "twenty.svg", "methods.svg", "reinforcement.svg"
 
 
-def bar(rate: SuccessRate | None) -> plots.Bar | None:
+def bar(rate: SuccessRate | None) -> figures.Bar | None:
     """A rate as it is drawn."""
-    return None if rate is None else plots.Bar(rate.value, *rate.interval)
+    return None if rate is None else figures.Bar(rate.value, *rate.interval)
 
 
 def twenty(verdicts: Sequence[Verdict]) -> str:
@@ -32,7 +32,7 @@ def twenty(verdicts: Sequence[Verdict]) -> str:
     ]
     series = {subset: [bar(row.rate(subset)) for row in rows] for subset in THREE}
     title = f"MAD on twenty tasks: success, 95% intervals, {' and '.join(uses)} seeds"
-    return plots.dots(title, tasks, series, (WEAK,))
+    return figures.dots(title, tasks, series, (WEAK,))
 
 
 def methods(tables: Sequence[ResultTable]) -> str:
@@ -46,7 +46,7 @@ def methods(tables: Sequence[ResultTable]) -> str:
     labels = sorted({row.label for table in tables for row in table.averages}, key=rank)
     uses = " and ".join(sorted({row.seeds for table in tables for row in table.averages}))
     title = f"{tables[0].layout.title}, imitation, {uses} seeds"
-    return plots.heat(title, labels, tables[0].columns, panels)
+    return figures.heat(title, labels, tables[0].columns, panels)
 
 
 def rates(table: ResultTable) -> str:
@@ -64,12 +64,12 @@ def rates(table: ResultTable) -> str:
         series[row.label] = [bar(rate) for rate in found]
     where = " and ".join(sorted(tasks)) or table.suite
     uses = " and ".join(sorted({row.seeds for row in table.averages}))
-    return plots.dots(f"{table.layout.title}: {where}, {uses} seeds", groups, series)
+    return figures.dots(f"{table.layout.title}: {where}, {uses} seeds", groups, series)
 
 
 def curve(evidence: Sequence[Evidence]) -> str:
     """Success while training by reinforcement, '' where no training measured it by subset."""
-    panels: dict[str, dict[str, plots.Line]] = {}
+    panels: dict[str, dict[str, figures.Line]] = {}
     for each in evidence:
         file = each.path / "curve.csv"
         if each.config.recipe == "light" or not file.is_file():
@@ -83,4 +83,4 @@ def curve(evidence: Sequence[Evidence]) -> str:
             )
             panels.setdefault(name, {})[label] = line
     title = "Reinforcement learning: success at evaluations on selection seeds, 95% intervals"
-    return plots.lines(title, "simulator steps", panels) if panels else ""
+    return figures.lines(title, "simulator steps", panels) if panels else ""

@@ -19,7 +19,7 @@ from madviz.analysis.shapley import ShapleyValues, action_shapley, success_inter
 from madviz.drawing.colours import MERGED_ON_WHITE, colours_on_white, heat
 from madviz.errors import UserError
 from madviz.evaluation.statistics import wilson
-from madviz.plots import curves
+from madviz.plots.figures import curves
 from madviz.recording.record import RecordConfig, run_record
 from madviz.subsets import camera_of, mask_of
 from madviz.teaching import Moment, frames_of

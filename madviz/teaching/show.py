@@ -21,9 +21,9 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from madviz import plots
 from madviz.errors import UserError
 from madviz.evaluation.statistics import wilson
+from madviz.plots import figures
 from madviz.types import Array
 
 LABEL = 18
@@ -167,16 +167,16 @@ def bars(
     """Bars in groups. A pair (successes, n) becomes a rate with its Wilson interval; a number in
     [0, 1] stands for itself; where there is None there is no bar."""
     made = {name: [_bar(value) for value in values] for name, values in series.items()}
-    return Figure(plots.bars(title, list(groups), made, hatched=True), f"bars: {title}")
+    return Figure(figures.bars(title, list(groups), made, hatched=True), f"bars: {title}")
 
 
-def _bar(value: float | tuple[int, int] | None) -> plots.Bar | None:
+def _bar(value: float | tuple[int, int] | None) -> figures.Bar | None:
     if value is None:
         return None
     if isinstance(value, tuple):
         successes, n = value
-        return plots.Bar(successes / n if n else 0.0, *wilson(successes, n))
-    return plots.Bar(float(value), float(value), float(value))
+        return figures.Bar(successes / n if n else 0.0, *wilson(successes, n))
+    return figures.Bar(float(value), float(value), float(value))
 
 
 def curves(title: str, x_label: str, lines: Mapping[str, tuple[Sequence[float], Sequence[float]]]):
@@ -185,8 +185,8 @@ def curves(title: str, x_label: str, lines: Mapping[str, tuple[Sequence[float], 
     panel = {}
     for name, (x, y) in lines.items():
         scaled = [value / top for value in y]
-        panel[name] = plots.Line(list(x), scaled, scaled, scaled)
-    return Figure(plots.lines(title, x_label, {"": panel}), f"curves: {title}")
+        panel[name] = figures.Line(list(x), scaled, scaled, scaled)
+    return Figure(figures.lines(title, x_label, {"": panel}), f"curves: {title}")
 
 
 def presence(mask: Array, streams: Sequence[str]) -> str:

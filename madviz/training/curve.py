@@ -13,8 +13,8 @@ import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from madviz import plots
 from madviz.evaluation.statistics import wilson
+from madviz.plots import figures
 from madviz.system.files import write_bytes
 
 PREFIX = "success_"
@@ -31,20 +31,20 @@ def draw_curve(folder: Path, name: str, steps: int) -> None:
     if not lines:
         return
     title = f"{name}: {progress(rows[-1], steps)}"
-    figure = plots.lines(title, "simulator steps", {"success, 95% intervals": lines})
+    figure = figures.lines(title, "simulator steps", {"success, 95% intervals": lines})
     write_bytes(folder / "curve.svg", figure.encode())
 
 
-def success_lines(rows: Sequence[Mapping[str, str]]) -> dict[str, plots.Line]:
+def success_lines(rows: Sequence[Mapping[str, str]]) -> dict[str, figures.Line]:
     """A line by subset from the rows of a curve; empty without success by subset."""
-    lines: dict[str, plots.Line] = {}
+    lines: dict[str, figures.Line] = {}
     steps = [float(row["env_steps"]) for row in rows if "env_steps" in row]
     for column in [key for key in (rows[0] if steps else {}) if key.startswith(PREFIX)]:
         rates = [float(row[column]) for row in rows]
         counts = [int(row["episodes"]) for row in rows]
         ends = [wilson(round(r * n), n) for r, n in zip(rates, counts, strict=True)]
         lows, highs = [low for low, _ in ends], [high for _, high in ends]
-        lines[column.removeprefix(PREFIX)] = plots.Line(steps, rates, lows, highs)
+        lines[column.removeprefix(PREFIX)] = figures.Line(steps, rates, lows, highs)
     return lines
 
 

@@ -5,8 +5,7 @@ numbers: without a date, a version or random names, and with text as text. Nothi
 no reference in it leads outside, and one HTML page can hold several of them. What belongs to
 the data is in groups of the class ``bar``, ``dot``, ``cell``, ``line``, ``band`` or ``mark``.
 
-A method has one colour and one marker in every figure (``STYLES``). No two markers are alike, so
-that a figure can be read without colours.
+How a series looks is chosen in ``madviz.plots.styles``.
 
 matplotlib takes half a second to import, so that happens when something is drawn.
 """
@@ -14,13 +13,15 @@ matplotlib takes half a second to import, so that happens when something is draw
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from io import StringIO
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
+
+from madviz.plots.styles import Style, marker_words, styles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,80 +33,8 @@ BAR, PANEL, CELL = 13, 230, (48, 20)
 """Pixels: the least width of a bar, the width of a panel with lines, width and height of a cell."""
 MARKERS = 12
 """On a line, at most about so many."""
-HATCHES = ("", "///", "...", "xxx", "---", "|||")
-"""Of the series in one figure of bars."""
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
 """Of the curves in one figure, in their order: they can be told apart without colours."""
-
-
-Marker = str | tuple[int, int, float]
-"""A shape of matplotlib's: a letter, or corners, 0 for a polygon or 1 for a star, and a turn."""
-
-
-@dataclass(frozen=True)
-class Style:
-    """How one series is drawn."""
-
-    colour: str
-    marker: Marker
-    hollow: bool = False
-    """Whether the marker is only an outline: the same method once more, trained otherwise."""
-    hatch: str = ""
-    """The pattern of its bars, in matplotlib's letters."""
-
-
-STYLES: dict[str, Style] = {
-    "mad": Style("#0b5e86", "o"),
-    "single": Style("#e07b18", "s"),
-    "mvd": Style("#5c9a3a", "^"),
-    "vib": Style("#a3156a", "v"),
-    "mv-mwm": Style("#6940a5", "p"),
-    "naive-both": Style("#9a6a3f", "D"),
-    "merged-only": Style("#1b1b1b", "X"),
-    "singular-only": Style("#d8b400", "P"),
-    "concat": Style("#8a8a8a", "<"),
-    "frame-stack": Style("#c02f2f", ">"),
-    "attention": Style("#ee93c4", "*"),
-    "vit": Style("#8f8600", "h"),
-    "q-mean": Style("#7d92e0", "d"),
-    "dropped": Style("#222222", "o"),
-    "black": Style("#a8550f", "s"),
-    "mean-picture": Style("#2f8fc9", "D"),
-    "noise": Style("#b03a8c", "^"),
-    "frozen": Style("#5c9a3a", "v"),
-    "all": Style("#222222", "o"),
-    "first": Style("#c98500", "^"),
-    "third_a": Style("#2f8fc9", "s"),
-    "third_b": Style("#cc79a7", "D"),
-}
-"""By method; by what happens to a camera; and for the subsets of three cameras. Those three never
-share a figure's legend. A camera has the colour that it has on the page."""
-SAME = {"sum": "merged-only"}
-"""Other names of a method."""
-SPARE = (
-    Style("#2f9e9e", "8"),
-    Style("#b8571f", (4, 1, 0.0)),
-    Style("#5b5bb0", (3, 1, 0.0)),
-    Style("#9cc24a", (6, 1, 0.0)),
-    Style("#7a1f3d", (5, 1, 180.0)),
-    Style("#5fb8e8", (4, 1, 45.0)),
-    Style("#4f6b52", (3, 1, 180.0)),
-    Style("#c9a0dc", (8, 1, 0.0)),
-)
-"""For series that are no method, in the order in which they come."""
-
-
-def styles(labels: Iterable[str]) -> dict[str, Style]:
-    """A style for every label, which begins with a method's name, ``mad (light)`` or ``Merged
-    Only, paper`` for example, or is something else."""
-    chosen: dict[str, Style] = {}
-    for label in labels:
-        name = re.split(r"\s*[,(]|\s+with\s", label)[0].lower().replace(" ", "-")
-        own = STYLES.get(SAME.get(name, name))
-        choices = [] if own is None else [own, replace(own, hollow=True)]
-        free = [s for s in (*choices, *SPARE) if s not in chosen.values()]
-        chosen[label] = free[0] if free else SPARE[len(chosen) % len(SPARE)]
-    return chosen
 
 
 @dataclass(frozen=True)
@@ -144,10 +73,7 @@ def bars(
         _rate_axis(axes)
         axes.set_xlim(-0.5, len(groups) - 0.5)
         axes.set_xticks(range(len(groups)), groups)
-        chosen = styles(series)
-        if hatched:
-            hatches = cycle(HATCHES)
-            chosen = {name: replace(look, hatch=next(hatches)) for name, look in chosen.items()}
+        chosen = styles(series, hatched)
         for number, (name, row) in enumerate(series.items()):
             for place, bar in enumerate(row):
                 if bar is not None:
@@ -231,12 +157,12 @@ def lines(title: str, x_label: str, panels: Mapping[str, Mapping[str, Line]]) ->
             axes.locator_params(axis="x", nbins=3)
             axes.xaxis.set_major_formatter("{x:,g}")
             for name, line in panel.items():
-                colour = chosen[name].colour
-                band = axes.fill_between(line.x, line.low, line.high, color=colour, alpha=0.15)
+                look = chosen[name]
+                band = axes.fill_between(line.x, line.low, line.high, color=look.colour, alpha=0.15)
                 band.set(linewidth=0, clip_on=False, gid="band")
                 every = max(len(line.x) // MARKERS, 1)
-                axes.plot(line.x, line.y, color=colour, clip_on=False, gid="line")
-                axes.plot(line.x[::every], line.y[::every], linestyle="", **_marker(chosen[name]))
+                axes.plot(line.x, line.y, color=look.colour, clip_on=False, gid="line")
+                axes.plot(line.x[::every], line.y[::every], linestyle="", **marker_words(look))
         return _finished(figure, title, chosen)
 
 
@@ -337,24 +263,11 @@ def _finished(figure: Figure, title: str, legend: Mapping[str, Style]) -> str:
         handles = [
             Patch(facecolor=style.colour, edgecolor="white", hatch=style.hatch)
             if any(one.hatch for one in legend.values())
-            else Line2D([], [], linestyle="", **_marker(style))
+            else Line2D([], [], linestyle="", **marker_words(style))
             for style in legend.values()
         ]
         figure.legend(handles, list(legend), loc="outside right upper")
     return _svg(figure)
-
-
-def _marker(style: Style) -> dict[str, Any]:
-    """matplotlib's words for a series' marker; thin shapes are drawn larger."""
-    small = style.marker in ("o", "s", "D", "8", "h", "p")
-    return {
-        "color": style.colour,
-        "marker": style.marker,
-        "markersize": 5 if small else 6.5,
-        "markerfacecolor": "white" if style.hollow else style.colour,
-        "markeredgewidth": 1.2 if style.hollow else 0.4,
-        "clip_on": False,
-    }
 
 
 def _rate_axis(axes: Axes, which: Literal["x", "y"] = "y", low: int = 0) -> None:
@@ -379,7 +292,7 @@ def _bar(axes: Axes, x: float, width: float, bar: Bar, style: Style) -> None:
 
 def _dot(axes: Axes, bar: Bar, y: float, style: Style) -> None:
     axes.plot([bar.low, bar.high], [y, y], color=style.colour, linewidth=1.2)
-    axes.plot(bar.value, y, linestyle="", gid="dot", **_marker(style))
+    axes.plot(bar.value, y, linestyle="", gid="dot", **marker_words(style))
 
 
 def _cell(axes: Axes, x: int, y: int, rate: float | None) -> None:

@@ -1,0 +1,1 @@
+"""Figures for files: bars, dots, tables, lines and curves, as SVG text."""
