@@ -37,7 +37,7 @@ DIALS = replace(
 
 
 class InlineRecorder:
-    """Records at once, in this process; can be told to break off."""
+    """Records at once, in this process; can break off after so many plans."""
 
     def __init__(self, breaks_after: int = 1000) -> None:
         self.env, self.left = ToyReach(), breaks_after

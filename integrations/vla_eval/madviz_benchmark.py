@@ -46,14 +46,14 @@ class MadvizBenchmark(StepBenchmark):
         return seen
 
     def step(self, action: Action) -> StepResult:
-        told = np.asarray(action["actions"], np.float32).reshape(-1)
-        seen, reward, terminated, truncated, info = self._env.step(told)
+        decided = np.asarray(action["actions"], np.float32).reshape(-1)
+        seen, reward, terminated, truncated, info = self._env.step(decided)
         return StepResult(seen, float(reward), bool(terminated or truncated), info)
 
     def make_obs(self, raw_obs: Any, task: Task) -> Observation:
         images = {name: each for name, each in raw_obs["pixels"].items() if name not in self._drop}
-        told = self._env.unwrapped.task_description
-        return {"images": images, "state": raw_obs["agent_pos"], "task_description": told}
+        words = self._env.unwrapped.task_description
+        return {"images": images, "state": raw_obs["agent_pos"], "task_description": words}
 
     def get_step_result(self, step_result: StepResult) -> EpisodeResult:
         return {"success": bool(step_result.info.get("is_success", False))}

@@ -18,9 +18,9 @@ move count ``moving_weight`` times more.
 
 Unlike the authors' code: views are hidden uniformly, and the share of tokens that is kept varies up
 to whole views (a network that was trained on 7 % of the tokens gets worse when it is given more);
-only the newest frame of a stack is drawn; the marks by which places and views are told apart begin
-as sines and cosines, and are learned; every view counts alike in the loss. The last two are what it
-took here to imagine a hand of a few pixels within minutes (``bench/imagine.py`` has the figures).
+only the newest frame of a stack is drawn; the vectors that mark places and views begin as sines and
+cosines, and are learned; every view counts alike in the loss. The last two are what it took here to
+imagine a hand of a few pixels within minutes (``bench/imagine.py`` has the figures).
 """
 
 from __future__ import annotations

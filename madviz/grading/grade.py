@@ -96,7 +96,9 @@ def grade(config: GradeConfig) -> dict[str, Any]:
         jobs = [pool.submit(graded, one, lessons, config, stop) for one in copies]
         try:
             rows = [
-                row for number, job in enumerate(jobs) for row in told(number, jobs, job.result())
+                row
+                for number, job in enumerate(jobs)
+                for row in announced(number, jobs, job.result())
             ]
         finally:
             stop.set()
@@ -109,7 +111,7 @@ def grade(config: GradeConfig) -> dict[str, Any]:
     }
 
 
-def told(number: int, jobs: list, rows: list[Grade]) -> list[Grade]:
+def announced(number: int, jobs: list, rows: list[Grade]) -> list[Grade]:
     """``rows`` of a copy, after a line about them."""
     right, first = sum(row.passed for row in rows), rows[0]
     trouble = next((f"; {row.error}" for row in rows if row.error), "")

@@ -99,7 +99,7 @@ class MergeFunctions:
         raise NotImplementedError
 
     def mean_pictures(self, net: Any) -> Tensor:
-        """(V, 3, H, W) from 0 to 1: what ``look_at`` was told."""
+        """(V, 3, H, W) from 0 to 1: what ``look_at`` was given."""
         raise NotImplementedError
 
     def encode_to_act(self, net: Any, views: Tensor) -> Tensor:
