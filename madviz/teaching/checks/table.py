@@ -4,39 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 from madviz.errors import unknown
-from madviz.teaching.checks import (
-    lesson_00,
-    lesson_01,
-    lesson_02,
-    lesson_03,
-    lesson_04,
-    lesson_05,
-    lesson_06,
-    lesson_07,
-    lesson_08,
-    lesson_09,
-)
 from madviz.teaching.checks.exercise import Exercise, NotYet, Result
 
-LESSONS = (
-    lesson_00,
-    lesson_01,
-    lesson_02,
-    lesson_03,
-    lesson_04,
-    lesson_05,
-    lesson_06,
-    lesson_07,
-    lesson_08,
-    lesson_09,
-)
+LESSONS = range(10)
 CHECKS: dict[str, Exercise] = {
     check.name: check
-    for lesson in LESSONS
-    for check in vars(lesson).values()
+    for number in LESSONS
+    for check in vars(import_module(f"madviz.teaching.checks.lesson_{number:02}")).values()
     if isinstance(check, Exercise)
 }
 """In the order of the lessons."""
