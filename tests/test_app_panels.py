@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import viser
 
+from madviz.app.connection import is_too_late
 from madviz.app.panel import CROSSED, Assign, apply
 from madviz.app.panels.cameras import CamerasPanel
 from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
@@ -517,3 +518,14 @@ def test_a_message_that_woke_nobody_stops_no_other():
     assert (first.content, second.content) == ("crossed", "fine")  # type: ignore[attr-defined]
     with pytest.raises(RuntimeError, match="something else"):
         apply([Assign(first, "content", "broken")])
+
+
+def test_a_touch_that_crosses_the_end_of_its_panels_is_no_fault(server):
+    gone, there = server.gui.add_html("before"), server.gui.add_html("before")
+    gone.remove()
+    apply([Assign(gone, "content", "after"), Assign(there, "content", "after")])
+    assert there.content == "after"
+    with pytest.raises(RuntimeError) as removed:
+        gone.content = "after"
+    assert is_too_late(removed.value), "what viser says of a widget that is gone"
+    there.remove()

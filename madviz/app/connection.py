@@ -155,6 +155,13 @@ def note(page: Any, error: Exception) -> bool:
     return True
 
 
+def is_too_late(error: Exception) -> bool:
+    """Whether it is viser's for a widget that was taken off the page: a visitor touched something
+    while the page's own thread took it down, so there is nothing left to show."""
+    words = str(error)
+    return isinstance(error, RuntimeError) and "Cannot assign" in words and "on a removed" in words
+
+
 def guard(server: viser.ViserServer) -> None:
     """From now on, a message that viser can make nothing of is noted once for each visitor and kind
     (asyncio would write a traceback for every one), and whoever does not read is let go."""
@@ -177,7 +184,8 @@ def _forgive(handlers: Any, pages: Mapping[int, Any]) -> None:
         try:
             await handle(client_id, message)
         except Exception as error:
-            note(pages[client_id], error)
+            if not is_too_late(error):
+                note(pages[client_id], error)
 
     handlers._handle_incoming_message = forgiving
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, Protocol
 
+from madviz.app.connection import is_too_late
 from madviz.session.frame import Frame
 
 
@@ -43,10 +44,12 @@ def apply(changes: list[Assign]) -> None:
     viser wakes its sender with an asyncio event, from our thread, and asyncio's events do not
     expect that: now and then one is set while the sender stops waiting for it. By then the message
     lies in viser's buffer, and the end of the block wakes the sender again, so nothing is lost.
+
+    What another thread has taken off the page meanwhile is left out, too.
     """
     for handle, name, value in changes:
         try:
             setattr(handle, name, value)
         except RuntimeError as error:
-            if str(error) != CROSSED:
+            if str(error) != CROSSED and not is_too_late(error):
                 raise
