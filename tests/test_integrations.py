@@ -90,7 +90,10 @@ def test_lerobot_finds_the_plug_in_by_its_name() -> None:
     assert (FOLDER / "lerobot_env_madviz" / "lerobot_env_madviz" / "__init__.py").exists()
 
 
-@pytest.mark.parametrize("script", sorted(FOLDER.glob("*/setup.sh")), ids=lambda s: s.parent.name)
+SCRIPTS = sorted([*FOLDER.glob("*.sh"), *FOLDER.glob("*/setup.sh")])
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: f"{script.relative_to(FOLDER)}")
 def test_a_setup_script_can_be_read_by_bash(script: Path) -> None:
     assert os.access(script, os.X_OK)
     subprocess.run(["bash", "-n", script], check=True)
