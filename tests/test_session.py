@@ -224,14 +224,17 @@ def test_nan_action_pauses_with_a_traceback_and_reset_recovers(session: Recorder
 
 @pytest.mark.parametrize("compared", [False, True])
 def test_camera_commands_are_served_while_the_next_episode_begins(compared: bool):
-    """It meets the last step of the episode before, and the new one begins with it."""
+    """It meets the last step of the episode before, and the new one begins with it. Where two
+    simulations begin, the second one's reset does not have to be over, either."""
 
     class Slow(ToyReach):
         def reset_in_pieces(self, seed, between):
             moment = super().reset(seed)
             if seed == 41 and self is worlds[-1]:
+                before = len(session.frames)
                 session.send(SetCamera("first", OFF))
                 between()
+                served.append(len(session.frames) - before)
             return moment
 
     def built(task, profile, cameras):
@@ -239,12 +242,14 @@ def test_camera_commands_are_served_while_the_next_episode_begins(compared: bool
         return worlds[-1]
 
     worlds: list[Slow] = []
+    served: list[int] = []
     session = Recorder(env_factory=built, seed=40)
     session.at(0.0)
     if compared:
         session.ask(Compare("toy-mad"))
     session.steps(3)
     session.ask(Reset(next_seed=True))
+    assert len(worlds) == 1 + compared and served == [1]
     shown = [(f.world.seed, f.world.step, f.condition.subset) for f in session.frames[-2:]]
     assert shown == [(40, 3, "third_a+third_b"), (41, 0, "third_a+third_b")]
     after = session.frames[-1].second
