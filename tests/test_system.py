@@ -1,14 +1,19 @@
-"""tools/system.py: which packages it wants, and the apt source it derives."""
+"""tools/system.py: which packages it wants, and the apt source it derives. And the pinned ones."""
 
 from __future__ import annotations
 
 import importlib.util
+import tomllib
+from importlib.metadata import distributions
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
 
-SCRIPT = Path(__file__).resolve().parent.parent / "tools" / "system.py"
+ROOT = Path(__file__).resolve().parent.parent
+SCRIPT = ROOT / "tools" / "system.py"
 
 DEB822 = """\
 Types: deb deb-src
@@ -142,3 +147,15 @@ def test_backports_that_cannot_be_had_leave_no_source_behind(
     written = tmp_path / "sources.list.d" / "madviz-backports.sources"
     assert target == (["-t", "bookworm-backports"] if offers else [])
     assert written.exists() == offers and ran == ["update"] * (1 if offers else 2)
+
+
+def test_every_pinned_package_works_with_the_oldest_python() -> None:
+    """Debian 12 has Python 3.11.2; the versions are chosen on a newer one."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    oldest = project["requires-python"].removeprefix(">=") + ".0"
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pinned = {canonicalize_name(line.split("==")[0]) for line in lines if "==" in line}
+    found = [one for one in distributions() if canonicalize_name(one.name) in pinned]
+    assert len(found) > len(pinned) / 2
+    needs = {f"{one.name} {one.version}": one.metadata["Requires-Python"] or "" for one in found}
+    assert {k: v for k, v in needs.items() if not SpecifierSet(v).contains(oldest)} == {}
