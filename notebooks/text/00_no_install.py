@@ -10,7 +10,7 @@
 # # 0. No install: a camera goes off
 #
 # **Question: two policies control the same robot and see it through the same three cameras. One
-# camera fails. Why does only one of them go on?**
+# camera fails. What do they do then, and why?**
 #
 # This lesson happens in a browser. The *site* is a folder of files: simulator, pictures, policies
 # run in the browser that opens it, on a laptop or a phone, and nothing is installed. Your teacher
@@ -110,6 +110,11 @@ teaching.check("00.link", link)
 # %% [markdown]
 # ## Why
 #
+# <details>
+# <summary>Open this once you have predicted and looked.</summary>
+#
 # Merged Only was trained on the sum of all three features and on nothing else. A sum of two is an
 # input that it never met. MAD was trained on the sum and also on every camera alone, so it has met
 # less than everything before. That is one sentence; how it is done is in lessons 1 to 3.
+#
+# </details>

@@ -16,6 +16,8 @@ def test_a_student_predicts_looks_and_answers(browser, tmp_path: Path) -> None:
         page.on("pageerror", lambda error: complaints.append(str(error)))
         try:
             page.goto(f"{address}lesson.html")
+            why = page.get_by_text("Merged Only was trained on the sum")
+            assert not why.is_visible(), "the answer, before a prediction"
             page.get_by_label("One goes on, the other fails").check()
             page.get_by_role("button", name="Show the robots").click()
             page.get_by_text("You predicted: One goes on.").wait_for()
@@ -43,6 +45,8 @@ def test_a_student_predicts_looks_and_answers(browser, tmp_path: Path) -> None:
             link.get_by_label("Link").fill(f"#policy={MERGED_ONLY}&third_a=black@20")
             link.get_by_label("Link").press("Enter")
             link.get_by_text("Right.", exact=True).wait_for()
+            page.get_by_text("Open this once").click()
+            assert why.is_visible()
             assert complaints == []
         finally:
             page.context.close()
