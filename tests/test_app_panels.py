@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from base64 import b64decode
 from collections.abc import Hashable, Iterator
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 import viser
 
-from madviz.app.connection import is_too_late
+from madviz.app.connection import _forgive, is_too_late
 from madviz.app.panel import CROSSED, Assign, apply
 from madviz.app.panels.cameras import CamerasPanel
 from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
@@ -529,3 +530,21 @@ def test_a_touch_that_crosses_the_end_of_its_panels_is_no_fault(server):
         gone.content = "after"
     assert is_too_late(removed.value), "what viser says of a widget that is gone"
     there.remove()
+
+
+def test_only_what_came_too_late_is_left_out_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    async def handle(client_id: int, message: RuntimeError) -> None:
+        raise message
+
+    class Page:
+        """Has what viser's connection has of this."""
+
+        _handle_incoming_message = staticmethod(handle)
+
+    page = Page()
+    _forgive(page, {7: page})
+    late = "Cannot assign to 'content' on a removed GuiHtmlHandle."
+    asyncio.run(page._handle_incoming_message(7, RuntimeError(late)))
+    assert caplog.records == []
+    asyncio.run(page._handle_incoming_message(7, RuntimeError("something else")))
+    assert len(caplog.records) == 1

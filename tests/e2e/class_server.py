@@ -37,6 +37,7 @@ from playwright.async_api import TimeoutError as PlaywrightTimeoutError
 from madviz.bench.memory import proportional_megabytes
 from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 from madviz.system.files import pretty, write_json
+from tests.e2e.jupyterlab import ERRORS, PANEL, READY, RUN
 
 ROOT = Path(__file__).resolve().parents[2]
 SERVER = ROOT / "tools" / "class_server" / "server.py"
@@ -48,17 +49,6 @@ SMALL: Any = {"width": 800, "height": 600}
 """Of a page: browsers without a GPU draw its scene on the cores that are measured."""
 PICTURES = ROOT / "build" / "e2e"
 EXPOSED = "c = get_config()\nc.LabApp.expose_app_in_browser = True\n"
-PANEL = """() => {
-  for (const widget of window.jupyterapp?.shell?.widgets('main') ?? [])
-    if (widget.sessionContext && widget.content?.model?.cells) return widget;
-  return null;
-}"""
-"""The notebook's panel. The shell's ``currentWidget`` is null while the window has no focus."""
-READY = f"""() => {{
-  const panel = ({PANEL})();
-  return panel?.context.isReady && panel.sessionContext.session?.kernel
-    ?.connectionStatus === 'connected';
-}}"""
 STATE = f"""() => {{
   const shell = window.jupyterapp?.shell, panel = ({PANEL})();
   const kernel = panel?.sessionContext.session?.kernel;
@@ -76,11 +66,6 @@ ANSWERS = f"""async () => {{
   await ({PANEL})().sessionContext.session.kernel.requestExecute({{code: ''}}).done;
 }}"""
 RESTART = f"async () => {{ await ({PANEL})().sessionContext.restartKernel(); }}"
-RUN = "async () => { await window.jupyterapp.commands.execute('notebook:run-all-cells'); }"
-ERRORS = f"""() => [...({PANEL})().content.model.cells]
-  .filter(cell => cell.type === 'code').flatMap(cell => cell.outputs.toJSON()
-    .filter(output => output.output_type === 'error')
-    .map(output => ({{cell: cell.getMetadata('tags') ?? [], ...output}})))"""
 CLOSE = f"""async () => {{
   await ({PANEL})().context.save();
   await window.jupyterapp.serviceManager.sessions.shutdownAll();

@@ -23,12 +23,15 @@ import nbformat
 import pytest
 
 from tests.e2e.conftest import PICTURES
+from tests.e2e.jupyterlab import ERRORS, PANEL, READY, RUN
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 240_000
 """Milliseconds. A kernel imports PyTorch before the first cell is done, on a machine that also runs
 the browser, the notebook server and other tests."""
 FAKE = "tests.fakes:FakePolicy"
+ALL_RAN = f"""() => [...({PANEL})().content.model.cells]
+  .filter(cell => cell.type === 'code').every(cell => cell.executionCount !== null)"""
 COUNT_PICTURES = """async milliseconds => {
   const image = document.querySelector('.jp-OutputArea img.widget-image');
   let count = 0;
@@ -110,15 +113,9 @@ def run_all(browser, lab: str, name: str, asked: set[str]):
     page.on("request", lambda request: asked.add(urlsplit(request.url).netloc))
     page.goto(f"{lab}lab/tree/{name}.ipynb?reset")
     page.wait_for_selector(".jp-NotebookPanel .jp-Cell")
-    page.wait_for_function("() => window.jupyterapp?.shell?.currentWidget?.sessionContext?.isReady")
-    page.evaluate("() => window.jupyterapp.commands.execute('notebook:run-all-cells')")
-    page.wait_for_function(
-        """() => {
-          const cells = window.jupyterapp.shell.currentWidget.content.model.cells;
-          const code = [...cells].filter(cell => cell.type === 'code');
-          return code.every(cell => cell.executionCount !== null);
-        }""",
-    )
+    page.wait_for_function(READY)
+    page.evaluate(RUN)
+    page.wait_for_function(ALL_RAN)
     return page
 
 
@@ -129,13 +126,7 @@ def elsewhere(asked: set[str], lab: str) -> set[str]:
 
 def errors(page) -> list[str]:
     """What cells complained about."""
-    return page.evaluate(
-        """() => [...window.jupyterapp.shell.currentWidget.content.model.cells]
-          .filter(cell => cell.type === 'code')
-          .flatMap(cell => cell.outputs.toJSON())
-          .filter(output => output.output_type === 'error')
-          .map(output => output.evalue)"""
-    )
+    return [error["evalue"] for error in page.evaluate(ERRORS)]
 
 
 def picture(page, name: str) -> None:
