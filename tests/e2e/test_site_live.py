@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,21 @@ from tests.e2e.static_site import MAD, MERGED_ONLY, served, until
 
 PATIENCE = 240_000
 """Milliseconds; an episode of a hundred decisions on a loaded machine."""
+EVERY = 40
+LOSING = f"""() => {{
+  const {{readPixels}} = WebGL2RenderingContext.prototype;
+  let calls = 0;
+  WebGL2RenderingContext.prototype.readPixels = function (...words) {{
+    if (++calls % {EVERY} === 3) {{
+      const driver = this.getExtension('WEBGL_lose_context');
+      driver.loseContext();
+      setTimeout(() => driver.restoreContext(), 300);
+      self.lost = (self.lost ?? 0) + 1;
+    }}
+    return readPixels.apply(this, words);
+  }};
+}}"""
+"""In the worker: the driver takes the context away while pictures are drawn, and gives it back."""
 
 pytestmark = pytest.mark.slow
 
@@ -86,3 +102,49 @@ def test_a_link_is_played_saved_and_played_by_python(page, address, tmp_path: Pa
     page.wait_for_function("() => document.querySelector('.outcome').innerText === 'working'")
     page.wait_for_function("() => location.hash.includes('first=on@20')")
     assert sorted(page.url.split("&")) == sorted(link.split("&"))
+
+
+def played(page) -> dict[str, Any]:
+    """The episode that a link plays, as it is saved."""
+    page.locator("#speed").select_option("")
+    page.wait_for_function(
+        "() => /success|failed/.test(document.querySelector('.outcome').innerText)"
+    )
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save", exact=True).click()
+    return json.loads(Path(download.value.path()).read_text())["episodes"][-1]
+
+
+def test_a_driver_that_takes_pictures_away_changes_no_action(page, address) -> None:
+    link = f"{address}#policy={MAD}&seed=5001&first=off@30"
+    page.goto(link)
+    page.wait_for_selector("body[data-ready]")
+    (worker,) = page.workers
+    worker.evaluate(LOSING)
+    disturbed = played(page)
+    assert worker.evaluate("self.lost") >= disturbed["steps"] // EVERY
+    until(page, "The graphics driver took the pictures away.")
+    page.goto("about:blank")
+    page.goto(link)
+    page.wait_for_selector("body[data-ready]")
+    assert played(page) == disturbed, "the digests of all actions too"
+
+
+def test_a_hidden_page_stands_still_and_goes_on(page, address) -> None:
+    page.goto(f"{address}#policy={MAD}&seed=5000")
+    page.wait_for_selector("body[data-ready]")
+    now = page.locator(".now")
+    hide = """hidden => {
+      Object.defineProperty(document, 'hidden', {value: hidden, configurable: true});
+      document.dispatchEvent(new Event('visibilitychange'));
+    }"""
+    until(page, " · step ", ".now")
+    page.evaluate(hide, True)
+    page.wait_for_timeout(1000)  # What was under way is shown.
+    before = now.inner_text()
+    page.wait_for_timeout(2000)
+    assert now.inner_text() == before
+    page.evaluate(hide, False)
+    page.wait_for_function(
+        "before => document.querySelector('.now').innerText !== before", arg=before
+    )

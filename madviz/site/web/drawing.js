@@ -1,32 +1,31 @@
 /**
  * The worker's one OpenGL context, and the scenes that were uploaded to it.
  *
- * A driver may take a context away at any moment; when it gives it back, everything that was in it
- * is gone and is uploaded again. Until then nothing moves.
+ * A driver may take a context away at any moment, also between two drawings of one picture. From
+ * then on every picture is black, and a policy that acts on one does what it would never do. So
+ * pictures are drawn again when the context is back, and until then their caller waits. Everything
+ * that was in the context is gone then, and is uploaded again.
  */
 import {Pictures} from './pictures.js';
 
+/** @typedef {import('./pictures.js').Eye} Eye */
+/** @typedef {import('./pictures.js').Picture} Picture */
 /** @typedef {import('./scene.js').Scene} Scene */
 
 /** Scenes that stay uploaded: one for each task that was shown last. */
 const MOST = 3;
 
 export class Drawing {
-  /** @param {() => void} renewed Called when a lost context is back. */
-  constructor(renewed) {
-    this.lost = false;
+  /** @param {() => void} onLost Called when the context was taken away. */
+  constructor(onLost) {
     /** @type {Map<Scene, Pictures>} */
     this.made = new Map();
     this.canvas = new OffscreenCanvas(8, 8);
     this.canvas.addEventListener('webglcontextlost', event => {
-      event.preventDefault();
-      this.lost = true;
+      event.preventDefault(); // Without this it never comes back.
+      onLost();
     });
-    this.canvas.addEventListener('webglcontextrestored', () => {
-      this.lost = false;
-      this.made.clear();
-      renewed();
-    });
+    this.canvas.addEventListener('webglcontextrestored', () => this.made.clear());
     this.gl = this.canvas.getContext('webgl2', {antialias: false});
   }
 
@@ -38,15 +37,46 @@ export class Drawing {
   }
 
   /**
-   * Throws an Error where there is no WebGL2.
+   * Pictures as `Pictures.views` draws them. Throws an Error where there is no WebGL2.
    * @param {Scene} scene
-   * @returns {Pictures}
+   * @param {Float32Array} poses
+   * @param {Eye[]} eyes
+   * @param {number} size
+   * @returns {Promise<Picture[]>}
    */
-  of(scene) {
-    if (!this.gl) throw new Error('This browser has no WebGL2 in workers; try another browser.');
+  async views(scene, poses, eyes, size) {
+    const {gl} = this;
+    if (!gl) throw new Error('This browser has no WebGL2 in workers; try another browser.');
+    for (;;) {
+      await this.present(gl);
+      try {
+        const drawn = this.of(gl, scene).views(poses, eyes, size);
+        if (!gl.isContextLost()) return drawn;
+      } catch (error) {
+        if (!gl.isContextLost()) throw error;
+      }
+    }
+  }
+
+  /**
+   * Waits while there is no context.
+   * @param {WebGL2RenderingContext} gl
+   */
+  async present(gl) {
+    while (gl.isContextLost()) {
+      await new Promise(resolve =>
+        this.canvas.addEventListener('webglcontextrestored', resolve, {once: true}));
+    }
+  }
+
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {Scene} scene
+   */
+  of(gl, scene) {
     let found = this.made.get(scene);
     if (!found) {
-      found = new Pictures(this.gl, scene);
+      found = new Pictures(gl, scene);
       this.made.set(scene, found);
       if (this.made.size > MOST) this.forget();
     }
@@ -57,12 +87,5 @@ export class Drawing {
     const [oldest] = this.made.keys();
     this.made.get(oldest)?.close();
     this.made.delete(oldest);
-  }
-
-  /** For tests. */
-  lose() {
-    const loser = this.gl?.getExtension('WEBGL_lose_context');
-    loser?.loseContext();
-    setTimeout(() => loser?.restoreContext(), 500);
   }
 }

@@ -14,6 +14,7 @@ import {savedEpisode} from './saved.js';
 /** Milliseconds between frames while many episodes are played. */
 const RARELY = 500;
 const MOST_OUTCOMES = 200;
+const LOST = 'The graphics driver took the pictures away. The simulation goes on when they are back.';
 export const MOST_SAVED = 100;
 
 export class Episodes {
@@ -30,7 +31,7 @@ export class Episodes {
     this.episodes = [];
     /** @type {Many | null} */
     this.many = null;
-    this.drawing = new Drawing(() => this.renewed());
+    this.drawing = new Drawing(() => this.problem(LOST));
     this.pace = new Pace();
     this.phase = 'paused';
     this.autoNext = false;
@@ -124,12 +125,6 @@ export class Episodes {
     this.say({kind: 'Run', done, of, ended, outcomes: [...outcomes]});
   }
 
-  /** The OpenGL context came back: everything in it is made again. */
-  renewed() {
-    for (const one of this.sides) one.pictures = this.drawing.of(one.task.scene);
-    this.pace.wake();
-  }
-
   /**
    * What the schedule does to a side at a step; cameras come back before others fail.
    * @param {number} index
@@ -142,6 +137,14 @@ export class Episodes {
   async readAll() {
     if (this.readEvery === 0) return;
     for (const one of this.sides) await one.readAll();
+  }
+
+  /**
+   * @param {any} error
+   * @param {boolean} [fatal]
+   */
+  problem(error, fatal = false) {
+    this.say({kind: 'Problem', message: String(error?.message ?? error), fatal});
   }
 
   show() {

@@ -129,15 +129,11 @@
  * The page was hidden or is shown again; a hidden page's simulation stands still.
  * @typedef {{kind: 'SetVisible', on: boolean}} SetVisible
  */
-/**
- * For tests: loses the OpenGL context, as a driver may.
- * @typedef {{kind: 'LoseContext'}} LoseContext
- */
 
 /**
  * @typedef {Open | SetCamera | MoveCamera | SetPolicy | SetSeed | Play | Pause | StepOnce | Reset
  *   | SetSpeed | SetAutoNext | Compare | SetSchedule | SetReadout | RunMany | StopRun | Save
- *   | Replay | SetVisible | LoseContext} Command
+ *   | Replay | SetVisible} Command
  */
 
 // --- Answers: worker to page --------------------------------------------------------------------

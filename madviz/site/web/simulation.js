@@ -17,7 +17,7 @@ import {conditionOf, present, readSubsets} from './subsets.js';
 /** @typedef {import('./messages.js').World} World */
 /** @typedef {import('./messages.js').Readout} Readout */
 /** @typedef {import('./physics.js').Physics} Physics */
-/** @typedef {import('./pictures.js').Pictures} Pictures */
+/** @typedef {import('./drawing.js').Drawing} Drawing */
 /** @typedef {import('./policy.js').Policy} Policy */
 /** @typedef {import('./stock.js').Task} Task */
 
@@ -27,13 +27,13 @@ export class Simulation {
   /**
    * @param {Task} task
    * @param {Physics} physics
-   * @param {Pictures} pictures
+   * @param {Drawing} drawing
    * @param {Policy} policy
    */
-  constructor(task, physics, pictures, policy) {
+  constructor(task, physics, drawing, policy) {
     this.task = task;
     this.physics = physics;
-    this.pictures = pictures;
+    this.drawing = drawing;
     this.policy = policy;
     /** @type {Record<string, CameraState>} */
     this.cameras = {};
@@ -148,15 +148,16 @@ export class Simulation {
 
   /** Draws every camera, and reads the policy on what comes of it. */
   async arrive() {
-    this.stack.push(this.draw(), this.occlusions(), {seed: this.seed, step: this.step});
+    this.stack.push(await this.draw(), this.occlusions(), {seed: this.seed, step: this.step});
     await this.read();
   }
 
-  draw() {
+  async draw() {
     const start = performance.now();
     this.poses = shapePoses(this.task.scene, this.physics.data);
     const {cameras} = this.policy.spec;
-    const drawn = this.pictures.views(this.poses, eyes(cameras, this.moves, this.physics), SIZE);
+    const from = eyes(cameras, this.moves, this.physics);
+    const drawn = await this.drawing.views(this.task.scene, this.poses, from, SIZE);
     this.timings.pictures = performance.now() - start;
     this.views = Object.fromEntries(cameras.map((camera, i) => [camera.name, drawn[i]]));
     return this.views;
@@ -188,7 +189,7 @@ export class Simulation {
     const old = this.reading;
     const note = this.apply(event);
     if (event.state) this.stack.replaceLast(this.occlusions());
-    else this.stack.replaceViews(this.draw(), this.occlusions());
+    else this.stack.replaceViews(await this.draw(), this.occlusions());
     await this.read();
     this.events.push({step: this.step, ...note});
     this.readout = null;

@@ -51,7 +51,7 @@ export class Stage extends Episodes {
   async turn() {
     const command = this.queue.shift();
     if (command) return this.obey(command);
-    if (this.sides.length === 0 || !this.visible || this.drawing.lost) return this.pace.sleep();
+    if (this.sides.length === 0 || !this.visible) return this.pace.sleep();
     if (this.many) return this.playMany();
     if (this.phase === 'ended' && this.autoNext) {
       const left = this.endedAt + HOLD - performance.now();
@@ -219,10 +219,6 @@ export class Stage extends Episodes {
     this.pace.restart();
   }
 
-  onLoseContext() {
-    this.drawing.lose();
-  }
-
   // --- Parts --------------------------------------------------------------------------------------
 
   /**
@@ -236,7 +232,7 @@ export class Stage extends Episodes {
       const [task, policy] = await Promise.all(
         [stock.task(stock.describe(name).task), stock.policy(name)]);
       const physics = await stock.physics(task);
-      return new Simulation(task, physics, this.drawing.of(task.scene), policy);
+      return new Simulation(task, physics, this.drawing, policy);
     }));
   }
 
@@ -254,13 +250,5 @@ export class Stage extends Episodes {
   /** @param {Side} side */
   meant(side) {
     return side === 'both' ? this.sides : this.sides.slice(...(side === 'first' ? [0, 1] : [1, 2]));
-  }
-
-  /**
-   * @param {any} error
-   * @param {boolean} [fatal]
-   */
-  problem(error, fatal = false) {
-    this.say({kind: 'Problem', message: String(error?.message ?? error), fatal});
   }
 }
