@@ -24,8 +24,50 @@ SINGLES = ("first", "third_a", "third_b")
 LABELS = {"first": "First person", "third_a": "Third A", "third_b": "Third B"}
 Evaluation = dict[str, Any]
 """An evaluation.json."""
-CLASS_RUNS = ("quiet", "busy", "page", "training")
-"""Of results/class; each file says in which conditions it was measured."""
+CLASS_RUNS = ("lessons", "pages", "alone")
+"""Of results/class: files of ``python -m tests.e2e.class_server``."""
+MEASURED = ("kernel", "all")
+"""What the memory of a lesson is given for: its kernel, and all that the student runs."""
+FASTER = "{ours_ms:.0f} ms; stock {stock_ms:.0f} ms; {ratio:.1f} times faster"
+PAGE = (
+    "{updates_per_s:.0f} updates per second; a switch is seen after {toggle_ms_p50:.0f} ms, 19 of "
+    "20 times within {toggle_ms_p95:.0f} ms"
+)
+BENCHMARKS = (
+    ("render", "", "render", FASTER),
+    ("render-maniskill", "", "render --suite maniskill", FASTER),
+    ("live", "", "live", f"one page: {PAGE}"),
+    ("live", "with_workers", "live", f"beside an evaluation: {PAGE}"),
+    ("live-training", "with_training", "live --training", f"beside a training: {PAGE}"),
+    (
+        "crowd",
+        "",
+        "crowd",
+        "{visitors} visitors at once: {decisions_per_s} decisions per second each, of {speed:.0f} "
+        "asked for; {cores} cores, {mb} MB",
+    ),
+    (
+        "update",
+        "",
+        "update",
+        "{ours_ms:.0f} ms; simple {naive_ms:.0f} ms; {ratio:.1f} times faster ({precision})",
+    ),
+    (
+        "buffer",
+        "",
+        "buffer",
+        "{times_smaller:.1f} times smaller; a batch takes {times_slower_to_sample:.1f} times as "
+        "long",
+    ),
+    (
+        "evaluate",
+        "",
+        "evaluate --workers 2",
+        "{ours:.1f} episodes per minute; one process {serial:.1f} ({ratio_serial:.1f} times), with "
+        "the simulator's own rendering {stock:.2f} ({ratio_stock:.0f} times)",
+    ),
+)
+"""A file of results/bench, the part of it that is meant, its command, a sentence about it."""
 WEAK = 0.70
 """A single camera below this success rate is named as weak."""
 
@@ -119,29 +161,15 @@ def findings() -> str:
 
 
 def benchmarks() -> str:
-    """What `madviz bench` measured, from results/bench: one row for each file."""
-    files = sorted((ROOT / "results" / "bench").glob("*.json"))
-    rows = [(file.stem, json.loads(file.read_text())) for file in files]
-    for _, found in rows:
-        found.pop("schema", None)
+    """What `madviz bench` measured, from results/bench: a row for each of ``BENCHMARKS``."""
+    folder = ROOT / "results" / "bench"
     lines = ["| benchmark | measured |", "|---|---|"]
-    for name, found in rows:
-        numbers = ", ".join(
-            f"{key} {in_a_cell(value)}" for key, value in found.items() if in_a_cell(value)
-        )
-        lines.append(f"| {name} | {numbers} |")
-    return "\n".join(lines) + "\n" if rows else "No measurement of this version is stored yet.\n"
-
-
-def in_a_cell(value: object) -> str:
-    """A number, or several of a row, as a table's cell says it; empty for anything else."""
-    if isinstance(value, bool):
-        return ""
-    if isinstance(value, int | float):
-        return f"{value:g}"
-    if isinstance(value, list) and len(value) <= 8:
-        return " / ".join(in_a_cell(one) for one in value)
-    return ""
+    for name, part, command, words in BENCHMARKS:
+        found = json.loads((folder / f"{name}.json").read_text())
+        said = words.format(**(found[part] if part else found))
+        lines.append(f"| `madviz bench {command}` | {re.sub(r'[][]', '', said)} |")
+    machine = json.loads((folder / "machine.json").read_text())["machine"]
+    return "\n".join(lines) + f"\n\nOn {machine}.\n"
 
 
 def tree() -> str:
@@ -201,33 +229,25 @@ def summary(file: Path) -> str:
 def class_server() -> str:
     """What students took of a class server, from results/class, and what more would take."""
     folder = ROOT / "results" / "class"
-    runs = {name: json.loads((folder / f"{name}.json").read_text()) for name in CLASS_RUNS}
-    students, cores = runs["quiet"]["students"], runs["quiet"]["cores"]
-    quiet = list(runs["quiet"]["each"].values())
-    peaks = [one["memory_mb"] for run in runs.values() for one in run["each"].values()]
-
-    def most(what: str) -> int:
-        return max(found.get(what, 0) for found in peaks)
-
-    active = sum(any(name[:2].isdigit() for name in one) for one in quiet)
-    logins = [one["login_s"] for one in quiet]
+    lessons, pages, alone = (json.loads((folder / f"{run}.json").read_text()) for run in CLASS_RUNS)
+    students, cores = lessons["students"], lessons["cores"]
+    each = list(lessons["each"].values())
+    logins = [one["login_s"] for one in each]
     lines = [
-        f"Measured with {students} students on {cores} cores, browsers on the same cores, torch "
-        f"with its CUDA libraries. {active} of them ran the lessons of the timed run, the others "
-        f"had only logged in. A login took {min(logins):.0f} to {max(logins):.0f} s. The slowest, "
-        "and the largest of all runs:\n",
-        "| lesson | kernel ready after (s) | all cells after (s) | kernel, whole student (MB) |",
-        "|---|---|---|---|",
+        f"Measured with {students} students at once on {cores} cores, their browsers on the same "
+        f"cores, torch with its CUDA libraries. A login took {min(logins):.0f} to "
+        f"{max(logins):.0f} s. Of each lesson the slowest, and the largest memory:\n",
+        "| lesson | open (s) | new kernel (s) | all cells (s) | kernel (MB) | whole student (MB) |",
+        "|---|---|---|---|---|---|",
     ]
-    for lesson in ("01", "02", "03", "04"):
-        timed = [one[n] for one in quiet for n in one if n[:2] == lesson]
-        times = [
-            f"{max(found[key] for found in timed):.0f}" if timed else "not measured"
-            for key in ("kernel_s", "cells_s")
-        ]
-        memory = f"{most(f'{lesson} kernel')}, {most(f'{lesson} all')}"
-        lines.append(f"| {int(lesson)} | {' | '.join(times)} | {memory} |")
-    whole = max(most(f"{lesson} all") for lesson in ("01", "02", "03", "04"))
+    whole = 0
+    for number in sorted({name[:2] for one in each for name in one if name[:2].isdigit()}):
+        timed = [one[name] for one in each for name in one if name[:2] == number]
+        times = (max(one[key] for one in timed) for key in ("opened_s", "kernel_s", "cells_s"))
+        memory = [max(one["memory_mb"][f"{number} {what}"] for one in each) for what in MEASURED]
+        whole = max(whole, memory[-1])
+        words = (f"{int(number)}", *(f"{took:.0f}" for took in times), *map(str, memory))
+        lines.append(f"| {' | '.join(words)} |")
     lines += [
         "\nMemory is proportional: what several processes share counts once. So, with as many "
         "students for each core, one kernel each, and 2 GB for the system:\n",
@@ -237,8 +257,24 @@ def class_server() -> str:
     for number in (4, 10, 20, 30):
         needed = math.ceil(2 + number * whole / 1024)
         lines.append(f"| {number} | {-(-number * cores // students)} | {needed} GB |")
-    more = most("page page")
-    lines.append(f"\nA live page that is open beside the kernel took {more} MB more (one page).")
+    shown = [one["page"] for one in pages["each"].values()]
+    more = max(one["memory_mb"]["page page"] for one in pages["each"].values())
+    lines.append(
+        f"\nWith {len(shown)} live pages at once, whose browsers hardly drew the 3D scene, "
+        "each had its first numbers after "
+        f"{max(one['shown_s'] for one in shown):.0f} s at most, then at least "
+        f"{min(one['messages_a_second'] for one in shown):.0f} messages a second, and took "
+        f"{more} MB more at most."
+    )
+    timed = [
+        one for found in alone["each"].values() for name, one in found.items() if name[:2].isdigit()
+    ]
+    opened, kernels = ([one[key] for one in timed] for key in ("opened_s", "kernel_s"))
+    lines.append(
+        f"\nWith one student on the machine ({len(timed)} lessons), a lesson was open after "
+        f"{min(opened):.0f} to {max(opened):.0f} s, and a new kernel answered after "
+        f"{max(kernels):.1f} s at most."
+    )
     return "\n".join(lines) + "\n"
 
 
@@ -271,6 +307,37 @@ def imagine() -> str:
     return "\n".join(lines) + "\n"
 
 
+def site_success() -> str:
+    """Success that `madviz bench site` counted in a browser, from results/site, beside Python's on
+    the same seeds: one row for each policy and subset that was tried."""
+    from madviz.evaluation.statistics import SuccessRate, pair
+
+    lines = [
+        "| policy | cameras | in the browser | in Python | only browser, only Python | p |",
+        "|---|---|---|---|---|---|",
+    ]
+    for file in sorted((ROOT / "results" / "site").glob("*.json")):
+        played: dict[tuple[str, str], dict[int, bool]] = {}
+        for one in json.loads(file.read_text())["episodes"]:
+            played.setdefault((one["policy"], one["subset"]), {})[one["seed"]] = one["success"]
+        for (policy, subset), browser in played.items():
+            rows = (evaluation(policy), evaluation(policy, development=True))
+            of_seed = {
+                row["seed"]: row["success"]
+                for found in rows
+                for row in found["episodes"]
+                if row["subset"] == subset
+            }
+            python = {seed: of_seed[seed] for seed in browser}
+            rates = [SuccessRate.of(sum(one.values()), len(one)) for one in (browser, python)]
+            compared = pair(browser, python)
+            lines.append(
+                f"| {policy} | {LABELS.get(subset, subset)} | {rates[0]} | {rates[1]} | "
+                f"{compared.first_only}, {compared.second_only} | {compared.mcnemar():.2g} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
     "findings": findings,
     "tree": tree,
@@ -279,6 +346,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "class-server": class_server,
     "kernel-memory": kernel_memory,
     "imagine": imagine,
+    "site-success": site_success,
 }
 
 

@@ -28,6 +28,7 @@ from __future__ import annotations
 import argparse
 import csv
 import grp
+import json
 import os
 import pwd
 import re
@@ -44,6 +45,8 @@ PREFIX = Path("/opt/madviz-class")
 GROUP = "madviz-class"
 PROXY = "configurable-http-proxy@4"
 CONFIGS = ("jupyterhub_config.py", "jupyter_server_config.py")
+SETTINGS = {"@jupyterlab/apputils-extension:notification": {"fetchNews": "false"}}
+"""Of every student's JupyterLab: it does not ask who wants to read news."""
 NAME = re.compile(r"[a-z][a-z0-9-]{0,30}")
 LETTERS = "abcdefghijkmnpqrstuvwxyz23456789"
 """Of passwords: none that look alike."""
@@ -94,6 +97,9 @@ def configure(prefix: Path) -> None:
     etc.mkdir(exist_ok=True)
     for name in CONFIGS:
         shutil.copyfile(HERE / name, etc / name)
+    settings = prefix / "venv/share/jupyter/lab/settings"
+    settings.mkdir(parents=True, exist_ok=True)
+    (settings / "overrides.json").write_text(json.dumps(SETTINGS))
     for name in ("checkpoints", "results/tables"):
         target = prefix / "policies" / name
         shutil.copytree(REPOSITORY / name, target, dirs_exist_ok=True)
