@@ -179,7 +179,7 @@ def test_figures_in_readme_compare_alike_seeds(
 ) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
     tool = importlib.import_module("fill_figures")
-    monkeypatch.setattr(tool, "ROOT", tmp_path)
+    monkeypatch.setattr(importlib.import_module("policy_files"), "ROOT", tmp_path)
     shown = write_policy(tmp_path / "checkpoints", rates(0.5, 0.5, 0.5, 0.5), folder="shown")
     write_policy(tmp_path / "results" / "tables", GOOD, folder="row")
     move_to_reporting(shown, rates(1, 1, 1, 1))

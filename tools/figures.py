@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fill_figures import LABELS, SINGLES, measured, seeds
+from policy_files import LABELS, SINGLES, measured, seeds
 
 from madviz.plots.figures import Bar, bars
 
