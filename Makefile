@@ -7,6 +7,7 @@
 # make dist    a wheel and a source archive in dist/
 # make figures  evaluate every policy on the reporting seeds (hours; goes on where it was stopped),
 #               then make pictures
+# make bench   every benchmark, into docs/benchmarks.md (20 minutes on an idle machine)
 # make pictures  results/RESULTS.md, and figures and pictures in README and docs, from the files
 #
 # Variables: PYTHON=python3.12      the Python the environment is made from (3.11 or newer)
@@ -70,9 +71,15 @@ pictures: setup-dev
 	$(BIN)/python tools/fill_figures.py
 
 bench: setup-dev
-	$(BIN)/madviz bench render
-	$(BIN)/madviz bench live
-	$(BIN)/madviz bench update
+	$(BIN)/madviz bench render --json results/bench/render.json
+	$(BIN)/madviz bench render --suite maniskill --json results/bench/render-maniskill.json
+	$(BIN)/madviz bench live --json results/bench/live.json
+	$(BIN)/madviz bench live --training --json results/bench/live-training.json
+	$(BIN)/madviz bench crowd --json results/bench/crowd.json
+	$(BIN)/madviz bench update --json results/bench/update.json
+	$(BIN)/madviz bench buffer --json results/bench/buffer.json
+	$(BIN)/madviz bench evaluate --workers 2 --json results/bench/evaluate.json
+	$(BIN)/python tools/fill_figures.py
 
 clean:
 	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache
