@@ -57,12 +57,12 @@ def test_workers_end_when_their_parent_is_killed():
         "workers.submit(Job('tests.fakes:FakePolicy', 'toy-mad0', 'all', (), 1)).result()\n"
         "print(*(c.pid for c in multiprocessing.active_children()), flush=True); time.sleep(600)"
     )
-    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
-    children = [int(pid) for pid in parent.stdout.readline().split()]
-    assert len(children) == 1
-    parent.kill()
-    parent.wait()
+    words = [sys.executable, "-c", code]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        children = [int(pid) for pid in parent.stdout.readline().split()]
+        assert len(children) == 1
+        parent.kill()
     deadline = time.monotonic() + 5
     while any(alive(pid) for pid in children) and time.monotonic() < deadline:
         time.sleep(0.05)
