@@ -148,6 +148,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "files": files,
     "benchmarks": measurements.benchmarks,
     "class-server": measurements.class_server,
+    "grading": measurements.grading,
     "kernel-memory": measurements.kernel_memory,
     "imagine": measurements.imagine,
     "site-speed": measurements.site_speed,

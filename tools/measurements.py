@@ -119,6 +119,17 @@ def class_server() -> str:
     return "\n".join(lines) + "\n"
 
 
+def grading() -> str:
+    """How long a class's copies took to grade, from results/class/grading.json."""
+    found = json.loads((ROOT / "results" / "class" / "grading.json").read_text())
+    return (
+        f"{found['copies']} copies of lesson {int(found['lesson'][:2])} took "
+        f"{found['seconds'] / 60:.0f} minutes with {found['workers']} workers on two cores: "
+        f"{found['right']} right ones, and empty, wrong, edited, crashing and endless ones, "
+        "ones that want too much memory, and one that is no notebook.\n"
+    )
+
+
 def kernel_memory() -> str:
     """Where the memory of a lesson's kernel goes, from results/class/kernel.json."""
     found = json.loads((ROOT / "results" / "class" / "kernel.json").read_text())

@@ -47,6 +47,7 @@ def train_small(
     rounds: int = 8,
     updates: int = 100,
     critic: int = 100,
+    batch: int = 32,
     camera: str = "",
     task: str = "toy/reach",
     folder: Path | str | None = None,
@@ -54,12 +55,12 @@ def train_small(
 ) -> SmallRun:
     """Trains ``method`` with the light recipe and small numbers: about a minute on ``toy/reach``.
 
-    ``rounds`` of ``updates`` shape what the policy does, ``critic`` updates the Q it shows. For the
-    rest see ``train_light``.
+    ``rounds`` of ``updates`` shape what the policy does, ``critic`` updates the Q it shows; each
+    has ``batch`` samples. For the rest see ``train_light``.
     """
     from madviz.training.light import LightConfig
 
-    light = LightConfig(rounds=rounds, updates_per_round=updates, batch_size=32, hidden_dim=128)
+    light = LightConfig(rounds=rounds, updates_per_round=updates, batch_size=batch, hidden_dim=128)
     light = replace(light, critic_updates=critic)
     return train_light(task, method, light, camera=camera, folder=folder, seed=seed)
 

@@ -30,7 +30,7 @@ from madviz.training import light
 from madviz.widgets import Explorer, Predict
 
 teaching.begin()
-ROUNDS, UPDATES = 6, 100  # Of the trainings below.
+ROUNDS, UPDATES, BATCH = 6, 100, 16  # Of the trainings below.
 HAMMER = False  # True also trains MAD on a real robot task, in about 28 minutes.
 HAMMER_TASK, HAMMER_SIZE, HAMMER_EPISODES = "metaworld/hammer", light.LightConfig(rounds=20), 20
 
@@ -88,14 +88,14 @@ source(light.imitation_loss, light.row_errors)
 # surroundings.
 #
 # `train_small` is `madviz train --task toy/reach --recipe light` with small numbers (600 updates,
-# 32 samples each), and it does not train again what is saved already.
+# 16 samples each), and it does not train again what is saved already.
 
 # %%
-mad = teaching.train_small("mad", rounds=ROUNDS, updates=UPDATES)
+mad = teaching.train_small("mad", rounds=ROUNDS, updates=UPDATES, batch=BATCH)
 print(f"\nMAD: {mad.seconds:.0f} s")
 
 # %%
-merged_only = teaching.train_small("merged-only", rounds=ROUNDS, updates=UPDATES)
+merged_only = teaching.train_small("merged-only", rounds=ROUNDS, updates=UPDATES, batch=BATCH)
 print(f"\nMerged Only: {merged_only.seconds:.0f} s")
 
 # %%
@@ -280,7 +280,7 @@ teaching.check("03.weights", weights)
 # %% [markdown]
 # If there is time, train it. Before you do, say what it will do with all three cameras, and why.
 #
-#     singular = teaching.train_small("singular-only", rounds=ROUNDS, updates=UPDATES)
+#     singular = teaching.train_small("singular-only", rounds=ROUNDS, updates=UPDATES, batch=BATCH)
 #     found = madviz.evaluate(singular.policy, subsets, episodes=40)
 #     teaching.success_table({"singular-only": teaching.counts(found.rows)})
 

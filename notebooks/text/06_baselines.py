@@ -12,9 +12,9 @@
 # **Question: other methods handle several cameras in other ways. Which of them still work when a
 # camera is missing?**
 #
-# Ten methods were trained on `toy/reach`, as small as in lesson 3, and each was measured with
-# cameras missing in every way, in the same 40 episodes. One of them you train yourself. Lesson 7
-# says how each of them is built, and so why it does what you see here.
+# Ten methods were trained on `toy/reach`, as in lesson 3 with twice the samples for each update,
+# and each was measured with cameras missing in every way, in the same 40 episodes. One of them you
+# train yourself. Lesson 7 says how each of them is built, and so why it does what you see here.
 #
 # Time: 35 minutes. Lesson 3 comes before this one.
 
