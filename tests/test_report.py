@@ -154,10 +154,12 @@ def test_trainings_of_several_seeds_pool_and_tasks_average(tmp_path: Path) -> No
     hammer = overall.rows[0][1]
     found = hammer.rate("all")
     assert found is not None and (hammer.trainings, found.value, found.n) == (2, 0.75, 200)
+    # Over trainings too: one had 0.5 and one 1.0, so the next may have either.
+    assert found.interval[0] < 0.5 and found.interval[1] == 1.0
     whole = overall.averages[0]
     assert whole.tasks == ("metaworld/hammer", "metaworld/push")
     assert (
-        "| average of 2 in metaworld | mad | 2 | 0.60 [0.54, 0.65] n=300 |" in report(tmp_path)[1]
+        "| average of 2 in metaworld | mad | 2 | 0.60 [0.43, 0.77] n=300 |" in report(tmp_path)[1]
     )
 
 

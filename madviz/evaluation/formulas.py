@@ -10,11 +10,13 @@ Worked: 100 scenes, 70 both, 10 first only, 2 second only, 18 neither.
     holm([0.039, 0.001])       [0.039, 0.002]: the smaller one counts twice, because there are two
 
 Wilson (1927); Newcombe (Statistics in Medicine 1998, second paper, method 10); McNemar (1947),
-exact; Holm (1979); Agresti and Min (Statistics in Medicine 2005).
+exact; Holm (1979); Agresti and Min (Statistics in Medicine 2005); Davison and Hinkley (Bootstrap
+Methods and their Application, 1997, section 3.8) on data in groups.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from statistics import NormalDist
 from typing import Any
 
@@ -110,6 +112,37 @@ def agresti_min(differences: Numbers, confidence: float = 0.95) -> tuple[Array, 
     if n == 2:
         return np.full(mean.shape, -1.0), np.full(mean.shape, 1.0)
     return np.maximum(mean - half, -1.0), np.minimum(mean + half, 1.0)
+
+
+def hierarchical_bootstrap(
+    groups: Sequence[Sequence[Numbers]], confidence: float = 0.95, draws: int = 4000
+) -> tuple[float, float]:
+    """Interval of a mean over groups (tasks) of trainings of episodes, (low, high).
+
+    ``groups[g][k]``: the outcomes of all episodes of training k in group g, shares or differences.
+    The groups are the ones of interest and stay; trainings are drawn anew from each, and episodes
+    anew from every training that was drawn; the interval holds the middle ``confidence`` of the
+    means. The same numbers give the same interval.
+
+    Worked: three trainings with 50 episodes each and rates 0.9, 0.8 and 0.4, whose pooled 105 of
+    150 have Wilson's [0.62, 0.77], have [0.43, 0.91]: most of the scatter is between trainings.
+    With K trainings the scatter between them is found too small by (K - 1) / K on average.
+    """
+    rng = np.random.default_rng(0)
+    total, count = np.zeros(draws), sum(len(episodes) for group in groups for episodes in group)
+    for group in groups:
+        drawn = rng.integers(0, len(group), (draws, len(group)))
+        for number, episodes in enumerate(group):
+            values = np.asarray(episodes, float)
+            for slot in range(len(group)):
+                here = np.flatnonzero(drawn[:, slot] == number)
+                picked = rng.integers(0, len(values), (len(here), len(values)))
+                # Every training that is drawn weighs as one, however many episodes it has.
+                share = sum(map(len, group)) / len(group)
+                total[here] += share * values[picked].mean(1)
+    tail = (1 - confidence) / 2
+    low, high = np.quantile(total / count, [tail, 1 - tail])
+    return float(low), float(high)
 
 
 def detectable(n: int, level: float, chance: float = 0.05, power: float = 0.8) -> float:

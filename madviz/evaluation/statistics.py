@@ -19,7 +19,13 @@ from dataclasses import dataclass
 from math import nan
 
 from madviz.errors import UserError
-from madviz.evaluation.formulas import agresti_min, mcnemar, newcombe, wilson_bounds
+from madviz.evaluation.formulas import (
+    agresti_min,
+    hierarchical_bootstrap,
+    mcnemar,
+    newcombe,
+    wilson_bounds,
+)
 from madviz.types import Array
 
 Interval = tuple[float, float]
@@ -124,6 +130,19 @@ def mean_interval(shares: Sequence[float], parts: int) -> Interval:
 def difference_interval(differences: Sequence[float]) -> Interval:
     """95% interval of a mean of paired differences, each in [-1, 1]; see ``agresti_min``."""
     return _floats(agresti_min(differences))
+
+
+def interval_over_trainings(
+    groups: Sequence[Sequence[Sequence[float]]], episodes: Interval
+) -> Interval:
+    """95% interval of a mean over several trainings, of ``hierarchical_bootstrap``'s groups.
+
+    ``episodes``: the interval over the episodes of these very trainings. It is part of the result:
+    three trainings that agree by chance are no proof that the next one would, and a rate of 1 must
+    not have an interval of nothing.
+    """
+    low, high = hierarchical_bootstrap(groups)
+    return min(low, episodes[0]), max(high, episodes[1])
 
 
 def _floats(ends: tuple[Array, Array]) -> Interval:

@@ -56,10 +56,13 @@ def page(
         *pictured,
         "## How to read the tables",
         "Success counts at the last step of an episode. A rate has its 95% interval in brackets "
-        "(Wilson) and its count of episodes n; a mean has n episodes of each subset. Intervals are "
-        "about episodes: another training or another task would scatter more. A dash is what was "
-        "not measured or cannot be. All rates, a line each, are in [rates.csv](rates.csv). What "
-        "was tried and did not help is in [tried.json](tried.json).",
+        "and its count of episodes n; a mean has n episodes of each subset. A row with one "
+        "training has an interval over its episodes (Wilson): another training or another task "
+        "would scatter more. A row with several trainings has one over trainings and episodes "
+        "(hierarchical bootstrap, at least as wide as the one over episodes); with three trainings "
+        "it is still somewhat too narrow. A dash is what was not measured or cannot be. All rates, "
+        "a line each, are in [rates.csv](rates.csv). What was tried and did not help is in "
+        "[tried.json](tried.json).",
         "The paper's sentences are about reinforcement learning, five trainings for each row. They "
         "stand beside our differences; only rows that were trained so three times or more are "
         "judged by them.",

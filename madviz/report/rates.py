@@ -26,8 +26,8 @@ COLUMNS = (
     "policies",
     "weights",
 )
-"""``low`` and ``high``: the 95% interval, over episodes. ``policies``: their folders. ``weights``:
-whether they are all there."""
+"""``low`` and ``high``: the 95% interval, over episodes; over trainings too, where ``trainings`` is
+above 1. ``policies``: their folders. ``weights``: whether they are all there."""
 
 
 def rates_csv(verdicts: Sequence[Verdict], tables: Sequence[ResultTable]) -> str:

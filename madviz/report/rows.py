@@ -7,12 +7,15 @@ average over tasks is the same code as one task:
     row          units of `all`                                   rate
     mad, hammer  (hammer, 1, 5000) yes, (hammer, 1, 5001) no ...  99 of 100
     mad, 2 tasks the same and (push, 1, 5000) yes ...             190 of 200
+
+Where a task has several trainings, intervals are over trainings and episodes: both are drawn anew
+(``formulas.hierarchical_bootstrap``). With one training they are over its episodes.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from madviz.evaluation.evidence import Evidence
@@ -20,6 +23,7 @@ from madviz.evaluation.statistics import (
     Interval,
     SuccessRate,
     difference_interval,
+    interval_over_trainings,
     mean_interval,
 )
 from madviz.policies.seeds import use_of
@@ -65,7 +69,8 @@ class Row:
         cell = self.cells.get(column)
         if not cell:
             return None
-        return SuccessRate.of(sum(cell.values()), len(cell))
+        rate = SuccessRate.of(sum(cell.values()), len(cell))
+        return SuccessRate(rate.value, _interval(cell, rate.interval), rate.n)
 
     def shares(self, columns: Sequence[str]) -> dict[Unit, float]:
         """By unit, the share of ``columns`` that succeeded; of units that have them all."""
@@ -83,10 +88,11 @@ class Row:
         present = self.measured(columns)
         if len(present) < 2:
             return None
-        shares = list(self.shares(present).values())
+        by_unit = self.shares(present)
+        shares = list(by_unit.values())
         if not shares:
             return None
-        interval = mean_interval(shares, len(present))
+        interval = _interval(by_unit, mean_interval(shares, len(present)))
         return SuccessRate(sum(shares) / len(shares), interval, len(shares))
 
 
@@ -119,5 +125,16 @@ def difference(first: Row, second: Row, columns: Sequence[str]) -> Difference | 
     seeds = [{unit[1] for unit in units if unit[0] == task} for task in tasks]
     complete = sorted(set.intersection(*seeds))
     trainings = tuple(sum(by_training[s]) / len(by_training[s]) for s in complete)
-    interval = difference_interval(gaps)
+    interval = _interval(dict(zip(units, gaps, strict=True)), difference_interval(gaps))
     return Difference(value, interval, len(gaps), tasks, tuple(shared), trainings)
+
+
+def _interval(values: Mapping[Unit, float], episodes: Interval) -> Interval:
+    """``episodes``, the interval over episodes; wider where a task has several trainings."""
+    trainings: dict[str, dict[int, list[float]]] = {}
+    for (task, training, _), value in values.items():
+        trainings.setdefault(task, {}).setdefault(training, []).append(value)
+    if all(len(each) == 1 for each in trainings.values()):
+        return episodes
+    groups = [[each[seed] for seed in sorted(each)] for _, each in sorted(trainings.items())]
+    return interval_over_trainings(groups, episodes)
