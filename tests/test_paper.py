@@ -23,7 +23,7 @@ from madviz.policies.seeds import use_of
 from madviz.training import loop, reinforcement
 from madviz.training.config import TrainConfig, resolve
 from madviz.training.paper import PaperConfig, PaperRun, train_paper
-from madviz.training.reinforcement import SuiteNumbers
+from madviz.training.reward_run import SuiteNumbers
 from madviz.training.run_folder import Event, RunFolder
 from madviz.training.vectorised import VectorisedConfig
 from madviz.types import Array, Environment

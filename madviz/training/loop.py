@@ -14,17 +14,15 @@ import time
 from collections.abc import Callable
 
 from madviz.evaluation.episodes import Stopped
-from madviz.policies.config import TrainingRecord
-from madviz.policies.seeds import FIRST_LEARNING
 from madviz.training.curve import draw_curve
-from madviz.training.reinforcement import ReinforcementRun
+from madviz.training.reward_run import RewardRun
 from madviz.training.run_folder import interruptible
 
 PROGRESS_SECONDS = 20
 """Between lines that say how far a run is."""
 
 
-def train_on(run: ReinforcementRun) -> None:
+def train_on(run: RewardRun) -> None:
     """From the folder's last state, if it has one, to the end of the run or a Ctrl-C."""
     state = run.folder.load_state()
     if state:
@@ -34,7 +32,7 @@ def train_on(run: ReinforcementRun) -> None:
     _loop(run)
 
 
-def _loop(run: ReinforcementRun) -> None:
+def _loop(run: RewardRun) -> None:
     saved, began = run.step, time.monotonic() - run.seconds
     reported, speed = time.monotonic(), Speed(run)
     with interruptible(run.folder) as stop:
@@ -63,7 +61,7 @@ def _loop(run: ReinforcementRun) -> None:
 class Speed:
     """How fast a run goes since now; evaluating and saving are left out."""
 
-    def __init__(self, run: ReinforcementRun) -> None:
+    def __init__(self, run: RewardRun) -> None:
         self._run, self._before = run, (run.env_steps, run.updates, run.busy)
 
     def now(self) -> dict[str, float]:
@@ -76,14 +74,14 @@ class Speed:
         }
 
 
-def _evaluate(run: ReinforcementRun, stop: Callable[[], bool], speed: Speed) -> None:
+def _evaluate(run: RewardRun, stop: Callable[[], bool], speed: Speed) -> None:
     """A row of the curve, and the picture of all rows."""
     try:
         row = run.evaluate(stop)
     except Stopped:
         return  # It is due again when the run goes on.
     counts = {"step": run.step, "env_steps": run.env_steps, "updates": run.updates}
-    losses = {name: round(run.losses.get(name, float("nan")), 5) for name in _LOSSES}
+    losses = {name: round(run.losses.get(name, float("nan")), 5) for name in run.LOSSES}
     left = _seconds_left(run) if run.step else ""
     clock = {"seconds": round(run.seconds, 1), "seconds_left": left, **speed.now()}
     episodes = {"episodes": run.config.eval_episodes}
@@ -91,10 +89,7 @@ def _evaluate(run: ReinforcementRun, stop: Callable[[], bool], speed: Speed) -> 
     draw_curve(run.folder.path, run.plan.spec.name, run.config.steps)
 
 
-_LOSSES = ("critic_loss", "actor_loss", "temperature", "entropy")
-
-
-def _report(run: ReinforcementRun, speed: Speed) -> None:
+def _report(run: RewardRun, speed: Speed) -> None:
     run.folder.report(
         "progress",
         step=run.step,
@@ -107,25 +102,12 @@ def _report(run: ReinforcementRun, speed: Speed) -> None:
     )
 
 
-def _seconds_left(run: ReinforcementRun) -> int:
+def _seconds_left(run: RewardRun) -> int:
     """At the rate of all that was done so far, evaluations included."""
     return round(run.seconds / max(run.step, 1) * max(run.config.steps - run.step, 0))
 
 
-def _save(run: ReinforcementRun) -> None:
+def _save(run: RewardRun) -> None:
     """Resume state, then the policy in its shipped form."""
     run.folder.save_state(run.state())
-    record = TrainingRecord(
-        how=f"reinforcement learning from scratch, {run.SCHEDULE}",
-        command=run.plan.command,
-        steps=run.step,
-        environment_steps=run.env_steps,
-        episodes=run.episodes,
-        updates=run.updates,
-        batch_size=run.config.batch_size,
-        alpha=run.config.alpha,
-        seeds=f"network and data {run.plan.seed}, episodes from {FIRST_LEARNING} on",
-        wall_time_s=round(run.seconds),
-        finished=run.finished,
-    )
-    run.plan.save(run.folder, run.acting_agent(), record)
+    run.plan.save(run.folder, run.acting_agent(), run.record())

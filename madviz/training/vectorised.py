@@ -25,7 +25,6 @@ update of 32 transitions took 81 ms in place of 75).
 from __future__ import annotations
 
 import copy
-import os
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from typing import Literal
@@ -35,38 +34,25 @@ import torch
 from madviz.agent.agent import Agent
 from madviz.envs.maniskill.batch import claim_gpu
 from madviz.errors import UserError
-from madviz.system.numbers import Count, ThreadsOrNone, Weight
+from madviz.training.lanes_run import LanesConfig, LanesRun
 from madviz.training.loop import train_on
 from madviz.training.plan import TrainingPlan
 from madviz.training.reinforcement import ReinforcementConfig, ReinforcementRun
 from madviz.training.run_folder import RunFolder
 from madviz.training.vector_batch import BatchedEnvs, check_batched
 from madviz.training.vector_envs import Board, VectorEnvs
-from madviz.types import Array, Environment
+from madviz.types import Environment
 
 
 @dataclass(frozen=True)
-class VectorisedConfig(ReinforcementConfig):
+class VectorisedConfig(LanesConfig, ReinforcementConfig):
     """The paper's numbers, and how many environments share the work."""
 
-    environments: Count = 8
-    """That step together; a decision of all of them counts as so many decisions."""
-    workers: ThreadsOrNone | None = None
-    """Processes that step them; 0: none but this one. By default one for every second core. Their
-    number changes nothing but the time."""
     simulation: Literal["processes", "gpu"] = "processes"
     """``gpu``: all in one simulation on a CUDA device, without workers; tasks of ManiSkill alone. A
     resumed run then goes on nearly, not exactly, as if it had never stopped."""
-    update_ratio: Weight = 0.5
-    """Updates per decision; the paper makes one for every second decision."""
     compile: bool = False
     """Compile the encoder with torch.compile; on CUDA into CUDA graphs. Needs a C++ compiler."""
-
-    def processes(self) -> int:
-        """Worker processes to start."""
-        if self.workers is not None:
-            return self.workers
-        return min(self.environments, max(1, (os.cpu_count() or 1) // 2))
 
     def prepare(self, task: str) -> None:
         """What must happen before this process simulates anything. Raises UserError where ``task``
@@ -76,8 +62,8 @@ class VectorisedConfig(ReinforcementConfig):
             claim_gpu()
 
 
-class VectorisedRun(ReinforcementRun):
-    """A run whose decisions are made in all lanes at once."""
+class VectorisedRun(LanesRun, ReinforcementRun):
+    """A run with the paper's losses whose decisions are made in all lanes at once."""
 
     SCHEDULE = "with the paper's losses over many environments"
     config: VectorisedConfig
@@ -90,40 +76,17 @@ class VectorisedRun(ReinforcementRun):
         folder: RunFolder,
         envs: VectorEnvs | BatchedEnvs,
     ) -> None:
-        """``env`` only evaluates; ``envs`` are learned from."""
-        super().__init__(plan, config, env, folder, lanes=config.environments)
-        self.envs = envs
+        super().__init__(plan, config, env, folder, envs)
         if config.compile:
             mode = "reduce-overhead" if config.torch_device() == "cuda" else "default"
             self.learner.agent.encoder.compile(mode=mode)
-
-    def advance(self) -> None:
-        """A decision in every lane; updates that are due are made while the lanes take theirs."""
-        config, lanes = self.config, range(self.envs.lanes)
-        if self.between_episodes:
-            self._begin()
-        exploring = self.step < config.exploration_steps
-        actions = self.explore(self.envs.lanes) if exploring else self.act()
-        self.envs.send(actions)
-        try:
-            self._update()
-        finally:
-            self.envs.receive()  # Whatever happened, no answer may be left in a pipe.
-        board = self.envs.board
-        last = bool(board["last"].all())
-        discount = self.discount_of(last)
-        for lane in lanes:
-            reward, state = float(board["reward"][lane, 0]), board["state"][lane]
-            self.buffer.add(actions[lane], reward, discount, state, self.envs.frames(lane))
-        self.step += len(lanes)
-        self.between_episodes = last
 
     def acting_agent(self) -> Agent:
         plain = not self.config.compile and self.config.torch_device() == "cpu"
         return self.learner.agent if plain else copy.deepcopy(self.learner.agent).cpu()
 
-    def _update(self) -> None:
-        """As many as the decisions before this one ask for."""
+    def learn(self) -> None:
+        """As many updates as the decisions before this one ask for."""
         since = self.step - self.config.exploration_steps
         while since > 0 and self.updates < int(since * self.config.update_ratio):
             if self.config.compile:
@@ -131,16 +94,6 @@ class VectorisedRun(ReinforcementRun):
             batch = self.buffer.sample(self.config.batch_size, self.rng)
             self.losses = self.learner.update(batch)
             self.updates += 1
-
-    def _begin(self) -> None:
-        self.episode_seeds = self.draw_seeds(self.envs.lanes)
-        self.episodes += self.envs.lanes
-        self.envs.reset(self.episode_seeds)
-        for lane in range(self.envs.lanes):
-            self.buffer.begin(self.envs.board["state"][lane], self.envs.frames(lane))
-
-    def repeat(self, actions: Array) -> None:
-        self.envs.repeat(self.episode_seeds, actions)
 
 
 def train_vectorised(plan: TrainingPlan, config: VectorisedConfig, folder: RunFolder) -> None:
