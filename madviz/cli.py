@@ -200,6 +200,13 @@ COMMANDS: dict[str, Command] = {
         work="madviz.bench.imagine:bench_imagine",
         words="madviz.bench.imagine:imagine_words",
     ),
+    "bench places": Command(
+        "Where the task's objects are, read from each camera's feature, against two controls.",
+        "bench places --policy metaworld-hammer-mad-light",
+        config="madviz.bench.places:PlacesConfig",
+        work="madviz.bench.places:bench_places",
+        words="madviz.bench.places:places_words",
+    ),
     "bench update": Command(
         "One training update against a straightforward implementation.",
         "bench update --batch-size 64 --hidden-dim 512",
@@ -236,7 +243,9 @@ OTHERS = (
     "      madviz --completion bash > ~/.local/share/bash-completion/completions/madviz",
 )
 """The options of ``madviz`` itself."""
-GROUPS = {"bench": "Measures: bench render, live, crowd, imagine, update, buffer, evaluate, site."}
+GROUPS = {
+    "bench": "Measures: bench render, live, crowd, imagine, places, update, buffer, evaluate, site."
+}
 
 
 def main(words: Sequence[str] | None = None) -> int:

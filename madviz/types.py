@@ -209,6 +209,16 @@ class KnowsPlaces(Protocol):
         ...
 
 
+@runtime_checkable
+class NamesPlaces(KnowsPlaces, Protocol):
+    """An environment that also says what ``places`` are the places of."""
+
+    @property
+    def place_names(self) -> tuple[str, ...]:
+        """(P,) names, in the order of ``places``."""
+        ...
+
+
 @dataclass(frozen=True)
 class Encoded:
     """The features of all streams at one time step, before a subset is chosen."""

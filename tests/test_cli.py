@@ -101,7 +101,8 @@ def test_help_has_the_options_of_the_chosen_recipe_alone(
     recipe: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     printed = printed_by(capsys, "train", "--recipe", recipe, "--help")
-    shown = [name for name, row in RECIPES.items() if f"--{row.options}.hidden-dim" in printed]
+    options = {name: f"--{row.options.replace('_', '-')}." for name, row in RECIPES.items()}
+    shown = [name for name, option in options.items() if f"{option}hidden-dim" in printed]
     assert shown == [recipe]
 
 
@@ -183,7 +184,7 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
         "explore, grade, list, record, replay, report, serve, site, soak, sweep, train\n"
     )
     assert cli.main(["bench", "wurst"]) == 2
-    known = "known: buffer, crowd, evaluate, imagine, live, render, site, update"
+    known = "known: buffer, crowd, evaluate, imagine, live, places, render, site, update"
     assert known in capsys.readouterr().err
 
 

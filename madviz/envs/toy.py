@@ -130,6 +130,8 @@ class ToyReach(PlacedCameras):
     def hand(self) -> Array:
         return np.array([*self._hand, _HAND_SIZE[1]], np.float32)
 
+    place_names = ("target",)
+
     def places(self) -> Array:
         return np.array([*self._target, _TARGET_SIZE[1]], np.float32)
 

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from madviz.envs.cameras import look_at, standing_camera
 from madviz.envs.checks import check_action
 from madviz.envs.maniskill.experts import ManiSkillExpert
-from madviz.envs.maniskill.tasks import STATE_DIM, build, places, position, states
+from madviz.envs.maniskill.tasks import PLACES, STATE_DIM, build, places, position, states
 from madviz.envs.maniskill.vulkan import renderer
 from madviz.envs.placement import PlacedCameras, drawn_cameras
 from madviz.envs.tasks import INSTRUCTIONS, MANISKILL_SUCCESS
@@ -142,6 +142,11 @@ class ManiSkill(PlacedCameras):
 
     def hand(self) -> Array:
         return position(self.simulation.agent.tcp).astype(np.float32)
+
+    @property
+    def place_names(self) -> tuple[str, ...]:
+        """See ``madviz.types.NamesPlaces``: ManiSkill's own names."""
+        return PLACES[self._task]
 
     def places(self) -> Array:
         return places(self._task, self.simulation)

@@ -160,6 +160,8 @@ class MetaWorld(MuJoCoWorld):
     def hand(self) -> Array:
         return np.asarray(self.simulation.tcp_center, np.float32)
 
+    place_names = ("object", "second object", "goal")
+
     def places(self) -> Array:
         # Two objects, of which the second may not be there and is then zero, and the goal.
         parts = [self.observation[4:7], self.observation[11:14], self.observation[36:39]]
