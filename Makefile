@@ -40,7 +40,7 @@ notebooks: .venv/notebooks.stamp
 student-copies: .venv/notebooks.stamp
 	$(BIN)/python tools/student_copies.py
 
-test: setup-dev
+test: setup-dev .venv/node.stamp
 	$(BIN)/python -m pytest -m "not slow and not e2e" -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m "e2e and not slow"
 

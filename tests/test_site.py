@@ -65,10 +65,17 @@ def test_only_what_collides_is_in_the_model(hammer: MetaWorld) -> None:
     assert model.nbody == own.nbody
 
 
-def test_a_model_with_unknown_parts_is_refused() -> None:
-    text = """<mujoco><worldbody><body><joint name="j"/><geom size="1"/></body></worldbody>
-      <sensor><jointpos joint="j"/></sensor></mujoco>"""
-    with pytest.raises(UserError, match="found one with sensors"):
+@pytest.mark.parametrize(
+    ("parts", "said"),
+    [
+        ('<sensor><jointpos joint="j"/></sensor>', "sensors"),
+        ('<option integrator="RK4"/>', "an integrator other than Euler's"),
+    ],
+)
+def test_a_model_with_unknown_parts_is_refused(parts: str, said: str) -> None:
+    text = f"""<mujoco><worldbody><body><joint name="j"/><geom size="1"/></body></worldbody>
+      {parts}</mujoco>"""
+    with pytest.raises(UserError, match=f"found one with {said}"):
         model_text(mujoco.MjModel.from_xml_string(text))
 
 

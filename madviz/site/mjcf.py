@@ -28,7 +28,6 @@ _BIASES = {0: "none", 1: "affine"}
 _CONES = {0: "pyramidal", 1: "elliptic"}
 _JACOBIANS = {0: "dense", 1: "sparse", 2: "auto"}
 _SOLVERS = {0: "PGS", 1: "CG", 2: "Newton"}
-_INTEGRATORS = {0: "Euler", 1: "RK4", 2: "implicit", 3: "implicitfast"}
 _OPTION_NUMBERS = (
     "timestep", "impratio", "gravity", "wind", "density", "viscosity", "iterations", "tolerance",
     "ls_iterations", "ls_tolerance", "ccd_iterations", "ccd_tolerance", "noslip_iterations",
@@ -61,6 +60,8 @@ def _check_known(model: mujoco.MjModel) -> None:
         "plugins": model.nplugin,
         "activations": model.na,
         "flags": model.opt.disableflags | model.opt.enableflags,
+        "an integrator other than Euler's": int(model.opt.integrator),
+        "gaps between shapes": np.count_nonzero(model.geom_gap),
         "compensated gravity": np.count_nonzero(model.body_gravcomp),
         "constraints other than welds": np.count_nonzero(
             model.eq_type != mujoco.mjtEq.mjEQ_WELD.value
@@ -95,7 +96,7 @@ def _option(model: mujoco.MjModel) -> str:
     return _element(
         "option",
         **{name: getattr(option, name) for name in _OPTION_NUMBERS},
-        integrator=_INTEGRATORS[int(option.integrator)],
+        integrator="Euler",
         cone=_CONES[int(option.cone)],
         jacobian=_JACOBIANS[int(option.jacobian)],
         solver=_SOLVERS[int(option.solver)],

@@ -6,6 +6,7 @@
  * the way out in 32 bits, and so does this file (`Math.fround`).
  */
 import {importSource} from './files.js';
+import {Stepping} from './stepping.js';
 import {readTensors, rowOf} from './tensors.js';
 import {SUCCESS} from './tasks.js';
 
@@ -13,9 +14,6 @@ import {SUCCESS} from './tasks.js';
 /** @typedef {import('./tensors.js').Tensor} Tensor */
 /** @typedef {any} MuJoCo The module of `@mujoco/mujoco`. */
 
-/** What later versions of MuJoCo do by themselves, and the version of the policies did not: more than
- *  one contact for each pair of shapes (grips are then firmer by 3 mm), and solving by islands. */
-const LATER = ['mjDSBL_MULTICCD', 'mjDSBL_ISLAND'];
 const SUBSTEPS = 5;
 const METRES = 0.01;
 /** Where Meta-World's observation ends for the hand: low and high, metres. */
@@ -47,11 +45,8 @@ export class Physics {
     this.mujoco = mujoco;
     this.task = task;
     this.model = mujoco.MjModel.from_xml_string(new TextDecoder().decode(model));
-    this.model.opt.disableflags |= LATER.reduce(
-      (all, flag) => all | mujoco.mjtDisableBit[flag].value,
-      0,
-    );
     this.data = new mujoco.MjData(this.model);
+    this.stepping = new Stepping(mujoco, this.model, this.data);
     /** @type {Record<string, Tensor>} */
     this.starts = readTensors(starts).tensors;
     this.seeds = Array.from(this.starts.seeds.data);
@@ -90,7 +85,7 @@ export class Physics {
     for (const name of ['qpos', 'qvel', 'ctrl', 'mocap_pos', 'mocap_quat', 'qacc_warmstart']) {
       data[name].set(rowOf(this.starts[name], row));
     }
-    this.forward();
+    this.stepping.forward();
     this.step = 0;
     this.success = rowOf(this.starts.success, row)[0] !== 0;
     this.lifted = rowOf(this.starts.lifted, row)[0];
@@ -104,7 +99,7 @@ export class Physics {
    * @param {Float32Array} action (4) in [-1, 1].
    */
   act(action) {
-    const {mujoco, model, data} = this;
+    const {data} = this;
     const clipped = action.map(value => Math.min(Math.max(value, -1), 1));
     for (let repeat = 0; repeat < this.task.action_repeat; repeat++) {
       this.before.set(this.hand());
@@ -115,19 +110,12 @@ export class Physics {
       }
       data.mocap_quat.set([1, 0, 1, 0]);
       data.ctrl.set([clipped[3], -clipped[3]]);
-      for (let n = 0; n < SUBSTEPS; n++) mujoco.mj_step(model, data);
-      this.forward();
+      for (let n = 0; n < SUBSTEPS; n++) this.stepping.step();
+      this.stepping.forward();
     }
     this.step += 1;
     this.observe();
     this.success = SUCCESS[this.task.name](this, this.target);
-  }
-
-  /** Works out where everything is. The solver starts from its last result the next time, as it did
-   *  in the version of the policies. */
-  forward() {
-    this.mujoco.mj_forward(this.model, this.data);
-    this.data.qacc_warmstart.set(this.data.qacc);
   }
 
   /** Puts the newest eight numbers behind those of the two decisions before. */
