@@ -219,6 +219,7 @@ def test_the_table_says_which_merges_bring_a_loss() -> None:
         ("sum", "11111111"), ("concat", "10000000"), ("frame-stack", "10000000"),
         ("attention", "11111110"), ("vit", "11111110"), ("q-mean", "11111110"),
         ("mvd", "11111110"), ("vib", "10010110"), ("mv-mae", "11111110"),
+        ("mv-mwm", "11111110"),
     ],
 )  # fmt: skip
 def test_what_a_merge_can_do_without(merge: str, expected: str) -> None:

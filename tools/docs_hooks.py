@@ -78,7 +78,9 @@ def command_line() -> str:
         if name == "train":
             for recipe in [one for one in RECIPES if one != TrainConfig.recipe]:
                 asked = help_of(name, "--recipe", recipe)
-                own = asked[asked.index(f"╭─ {RECIPES[recipe].options} options") :]
+                own = asked[
+                    asked.index(f"╭─ {RECIPES[recipe].options.replace('_', '-')} options") :
+                ]
                 parts.append(f"### Options of the recipe {recipe}\n\n```text\n{own}\n```")
         if name == "bench":
             for each in commands(described):

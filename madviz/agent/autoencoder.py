@@ -179,7 +179,7 @@ def autoencoder_loss(
 ) -> Float[Tensor, ""]:
     """What is learned from a batch of stacks, under tokens that ``generator`` draws."""
     batch, count = views.shape[:2]
-    keep = drawn_tokens(generator, batch, count, model.tokens_of_a_view)
+    keep = drawn_tokens(generator, batch, count, model.tokens_of_a_view).to(views.device)
     drawn, pictures = model(views, keep), newest(views)
     moves = moving(pictures, model.mean)
     loss = reconstruction_loss(drawn.pictures, pictures, moves, model.config.moving_weight)

@@ -31,7 +31,7 @@ import numpy as np
 
 from madviz.agent.merges.table import MERGES, SEVERAL_STREAMS, Merge, Needs
 from madviz.errors import UserError, unknown
-from madviz.subsets import mad_subsets, mask_of, name_of, single_streams
+from madviz.subsets import every_mask, mad_subsets, mask_of, name_of, single_streams
 from madviz.types import Array
 
 Streams = tuple[str, ...]
@@ -125,6 +125,10 @@ def _nothing(streams: Streams) -> Streams:
     return ()
 
 
+def _every_other_subset(streams: Streams) -> Streams:
+    return tuple(name_of(mask, streams) for mask in every_mask(len(streams))[1:-1])
+
+
 def _merging(name: str, merge: Merge) -> Method:
     """Merged Only with another merge: the paper's comparison of merges, MVD and VIB."""
     return Method(
@@ -185,6 +189,14 @@ METHODS: dict[str, Method] = {
         subsets=mad_subsets,
         weights=_mad,
         recipes=("light",),
+    ),
+    "mv-mwm": replace(
+        _merging("mv-mwm", MERGES["mv-mwm"]),
+        summary="MV-MWM: a world model on a masked autoencoder over views, which views are present "
+        "drawn uniformly; actor and critic learn in its imagination",
+        subsets=_every_other_subset,
+        weights=lambda alpha: {"every": 1.0},
+        recipes=("mv-mwm",),
     ),
 }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import inf
 
-from madviz.system.numbers import Count, Pixels, Weight, Width
+from madviz.system.numbers import Count, CountOrNone, Pixels, Weight, Width
 
 FEATURE_MAP = (64, 7, 7)
 FEATURE_SIZE = 64 * 7 * 7
@@ -39,6 +39,31 @@ class AutoencoderConfig:
 
 
 @dataclass(frozen=True)
+class WorldModelConfig:
+    """The sizes of MV-MWM's world model: light ones, the paper's are in brackets."""
+
+    memory: Width = 256
+    """Numbers of the recurrent, deterministic part of a belief (1024)."""
+    groups: Count = 16
+    """Choices that the random part of a belief consists of (32)."""
+    classes: Count = 16
+    """Values of each choice (32)."""
+    hidden: Width = 256
+    """Width of hidden layers (1024)."""
+    reader_layers: CountOrNone = 0
+    """Transformer layers between the autoencoder's tokens and the questions to them (2)."""
+    reader_width: Width = 64
+    """Numbers of a token in front of the questions (128)."""
+    head_layers: Count = 2
+    """Hidden layers of actor and critic (4)."""
+
+    @property
+    def feature(self) -> int:
+        """Z: numbers of a belief, as the heads read it."""
+        return self.memory + self.groups * self.classes
+
+
+@dataclass(frozen=True)
 class NetworkConfig:
     """Sizes of the networks; the defaults are the paper's."""
 
@@ -65,9 +90,11 @@ class NetworkConfig:
     state_spread: tuple[float, ...] = ()
     """What each is divided by after that, above 0; as many as ``state_mean``."""
     autoencoder: AutoencoderConfig = field(default_factory=AutoencoderConfig)
-    """MV-MAE's; no other method reads it."""
+    """MV-MAE's and MV-MWM's; no other method reads it."""
     end_to_end: bool = False
     """MV-MAE alone: whether the actor's loss reaches the autoencoder, too."""
+    world_model: WorldModelConfig = field(default_factory=WorldModelConfig)
+    """MV-MWM's; no other method reads it."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for a reading of the state that cannot be carried out."""

@@ -46,6 +46,23 @@ from madviz.types import Array
 
 
 @dataclass(frozen=True)
+class Stretch:
+    """Consecutive time steps of B episodes: a frame stack, and L decisions after it."""
+
+    frames: Tensor
+    """(T, B, V, 3, H, W) uint8; T is the frame stack and L. Before an episode's first frame stand
+    copies of it, as in a stack."""
+    state: Tensor
+    """(L + 1, B, S), from the newest frame of the stack on."""
+    action: Tensor
+    """(L, B, A)."""
+    reward: Tensor
+    """(L, B), for these actions."""
+    follows: Tensor
+    """(L, B): 1 where anything may be expected after it, else 0."""
+
+
+@dataclass(frozen=True)
 class BufferSpec:
     """What is stored, and how much of it."""
 
@@ -164,6 +181,20 @@ class ReplayBuffer:
             next_state=self._column("state", following),
         )
 
+    def stretch(self, index: Array, ahead: int) -> Stretch:
+        """From the time steps numbered ``index`` (B,), ``ahead`` decisions on."""
+        later = index[:, None] + self.spec.lanes * np.arange(1, ahead + 1)
+        shown = self._shown(np.concatenate([self._history(index), later], 1))[0]
+        known = np.concatenate([index[:, None], later], 1).T
+        done = known[:-1]
+        return Stretch(
+            frames=shown.unflatten(2, (-1, 3)).permute(2, 0, 1, 3, 4, 5),
+            state=self._column("state", known),
+            action=self._column("action", done),
+            reward=self._column("reward", done),
+            follows=(self._column("discount", done) > 0).float(),
+        )
+
     def save(self, folder: Path) -> dict[str, Any]:
         """Writes what is new since the last ``save`` to ``folder``; returns what ``restore`` needs.
 
@@ -252,15 +283,27 @@ class ReplayBuffer:
         reach = np.minimum(self._numbers["age"][row], self.spec.frame_stack - 1)
         return self._numbers["goes_on"][row] & (index - reach * self.spec.lanes >= self._oldest)
 
-    def draw(self, size: int, rng: np.random.Generator) -> Array:
-        """(size,) numbers of time steps at which a transition begins, for ``batch``."""
+    def draw(self, size: int, rng: np.random.Generator, ahead: int = 1) -> Array:
+        """(size,) numbers of time steps at which a transition begins, for ``batch``, or ``ahead``
+        of them in one episode, for ``stretch``. Raises ValueError where there are none."""
         found: list[int] = []
         if not len(self):
             raise ValueError("expected at least one transition in the buffer, found none")
         while len(found) < size:
             index = rng.integers(self._oldest, self._count, size)
-            found += index[self._usable(index)].tolist()
+            found += index[self._goes_far(index, ahead)].tolist()
+            every = np.arange(self._oldest, self._count)
+            if not found and not self._goes_far(every, ahead).any():
+                raise ValueError(f"expected {ahead} transitions in a row, found fewer")
         return np.array(found[:size])
+
+    def _goes_far(self, index: Array, ahead: int) -> Array:
+        """Whether ``ahead`` transitions follow each other from these time steps on."""
+        far = self._usable(index)
+        for step in range(1, ahead):
+            later = index + step * self.spec.lanes
+            far &= (later < self._count) & self._numbers["goes_on"][self._row(later)]
+        return far
 
     def _column(self, name: str, index: Array) -> Tensor:
         return torch.from_numpy(self._numbers[name][self._row(index)])
@@ -268,10 +311,15 @@ class ReplayBuffer:
     def _stacks(self, *indices: Array) -> list[Tensor]:
         """Of each (B,) of time steps its (B, V, 3 x stack, H, W) uint8, channels last in memory:
         what the encoder wants. A frame that several stacks show is fetched once."""
-        stack, size = self.spec.frame_stack, IMAGE_SIZE
-        shape = (len(self.spec.streams), size, size, 3 * stack)
-        stacks = [np.empty((len(index), *shape), np.uint8) for index in indices]
-        histories = [self._history(index) for index in indices]
+        return self._shown(*(self._history(index) for index in indices))
+
+    def _shown(self, *histories: Array) -> list[Tensor]:
+        """Of each (B, F) of time steps the (B, V, 3 F, H, W) uint8 that they show."""
+        count, size = len(self.spec.streams), IMAGE_SIZE
+        stacks = [
+            np.empty((len(history), count, size, size, 3 * history.shape[1]), np.uint8)
+            for history in histories
+        ]
         needed = np.unique(np.concatenate(histories)).tolist()
         for v, channels in enumerate(self.spec.channels):
             frames, repeat = self._frames.read(v, needed), 3 // channels

@@ -24,7 +24,9 @@ from madviz.subsets import camera_of
 from madviz.system.numbers import Seed, Threads
 from madviz.system.options import OneOf, Only
 from madviz.training.drawn_task import DrawnTask
+from madviz.training.lanes_run import LanesConfig
 from madviz.training.light import LightConfig, train_light
+from madviz.training.mv_mwm import MvMwmConfig, train_mv_mwm
 from madviz.training.paper import PaperConfig, train_paper
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder
@@ -46,6 +48,7 @@ RECIPES = {
     "light": Recipe("light", train_light),
     "paper": Recipe("paper", train_paper),
     "paper-vectorised": Recipe("vectorised", train_vectorised),
+    "mv-mwm": Recipe("mv_mwm", train_mv_mwm),
 }
 
 
@@ -58,9 +61,10 @@ class TrainConfig:
     method: Annotated[str, OneOf("method", METHODS)] = "mad"
     """What is trained on which subsets of streams; ``madviz list`` says more."""
     recipe: Annotated[str, OneOf("recipe", RECIPES)] = "light"
-    """``light`` (minutes, from a scripted expert), ``paper`` (reinforcement learning) or
-    ``paper-vectorised`` (the same over many environments). Each has options of its own: the help
-    shows those of the recipe that it is asked for with."""
+    """``light`` (minutes, from a scripted expert), ``paper`` (reinforcement learning),
+    ``paper-vectorised`` (the same over many environments) or ``mv-mwm`` (in the imagination of a
+    world model). Each has options of its own: the help shows those of the recipe that it is asked
+    for with."""
     setting: Annotated[str, OneOf("setting", SETTINGS)] = "three"
     """Which cameras, and whether the policy gets colour (rgb), depth or both."""
     cameras: Path | None = None
@@ -83,13 +87,14 @@ class TrainConfig:
     """Go on with the run in ``out``."""
     threads: Threads | None = None
     """Of the learner; by default 1 for ``light``, whose recorder uses the other core, one per core
-    for ``paper``, one per core without a worker for ``paper-vectorised``. Sums are split between
-    threads, so another number is another run."""
+    for ``paper``, one per core without a worker for the others. Sums are split between threads, so
+    another number is another run."""
     light: Annotated[LightConfig, Only("recipe", "light")] = field(default_factory=LightConfig)
     paper: Annotated[PaperConfig, Only("recipe", "paper")] = field(default_factory=PaperConfig)
     vectorised: Annotated[VectorisedConfig, Only("recipe", "paper-vectorised")] = field(
         default_factory=VectorisedConfig
     )
+    mv_mwm: Annotated[MvMwmConfig, Only("recipe", "mv-mwm")] = field(default_factory=MvMwmConfig)
 
 
 def resolve(config: TrainConfig) -> TrainingPlan:
@@ -111,7 +116,7 @@ def resolve(config: TrainConfig) -> TrainingPlan:
     drawn_task = DrawnTask(config.task, config.render_profile, cameras, streams)
     with closing(drawn_task.build()) as env:
         facts = env.spec
-    options = getattr(config, RECIPES[config.recipe].options)
+    options = options_of(config)
     return TrainingPlan(
         PolicySpec(
             _name(config, chosen, camera),
@@ -131,6 +136,11 @@ def resolve(config: TrainConfig) -> TrainingPlan:
         camera,
         command(config),
     )
+
+
+def options_of(config: TrainConfig) -> Any:
+    """Those of the recipe that is asked for."""
+    return getattr(config, RECIPES[config.recipe].options)
 
 
 def _one_camera(config: TrainConfig, chosen: Method, known: tuple[str, ...]) -> str:
@@ -165,7 +175,8 @@ def identity(config: TrainConfig, drawn: tuple[CameraSpec, ...]) -> dict[str, An
     for recipe in RECIPES.values():
         if recipe != RECIPES[config.recipe]:
             del facts[recipe.options]
-    facts.get("vectorised", {}).pop("workers", None)
+    if isinstance(options_of(config), LanesConfig):
+        del facts[RECIPES[config.recipe].options]["workers"]
     facts["cameras"] = [asdict(camera) for camera in drawn] if config.cameras else None
     return facts
 
@@ -181,7 +192,8 @@ def command(config: TrainConfig) -> str:
         if getattr(config, name) != getattr(default, name):
             words += [f"--{name.replace('_', '-')}", str(getattr(config, name))]
     section = RECIPES[config.recipe].options
-    words += _changed(section, getattr(config, section), getattr(default, section))
+    asked = getattr(config, section), getattr(default, section)
+    words += _changed(section.replace("_", "-"), *asked)
     return shlex.join(words)
 
 

@@ -53,6 +53,11 @@ BUDGETS: dict[str, dict[str, tuple[str, ...]]] = {
         "short": ("--paper.steps", "50000", "--paper.buffer-capacity", "50000"),
         "full": (),
     },
+    "mv-mwm": {
+        "trial": ("--mv-mwm.steps", "3000"),
+        "short": (),
+        "full": ("--mv-mwm.steps", "100000"),
+    },
 }
 """By recipe and name, what is added to the command; nothing stands for the recipe's defaults."""
 POLICY_FILES = ("config.json", "weights.safetensors")

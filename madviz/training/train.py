@@ -3,6 +3,7 @@
     light              minutes on two cores, by imitating an expert   training/light.py
     paper              the paper's reinforcement learning, exactly    training/paper.py
     paper-vectorised   the same losses over many environments         training/vectorised.py
+    mv-mwm             an actor-critic in a world model's imagination training/mv_mwm.py
 
 The folder given with --out is a policy folder from the first checkpoint on: explore it, evaluate
 it, copy it to checkpoints/. Ctrl-C finishes the round, saves, and says how to go on."""
@@ -21,7 +22,8 @@ from madviz.errors import Interrupted, UserError, signal_of
 from madviz.system.numbers import check_numbers
 from madviz.system.processes import reuse_large_blocks
 from madviz.system.streams import say
-from madviz.training.config import RECIPES, TrainConfig, identity, resolve
+from madviz.training.config import RECIPES, TrainConfig, identity, options_of, resolve
+from madviz.training.lanes_run import LanesConfig
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import Event, RunFolder, alone_in, not_written
 
@@ -82,7 +84,8 @@ def _work(config: TrainConfig, plan: TrainingPlan, folder: RunFolder) -> None:
 def _usual_threads(config: TrainConfig) -> int:
     """Of the learner: one beside a recorder, or all cores that no worker has."""
     cores = os.cpu_count() or 1
-    busy = config.vectorised.processes() if config.recipe == "paper-vectorised" else 0
+    options = options_of(config)
+    busy = options.processes() if isinstance(options, LanesConfig) else 0
     return 1 if config.recipe == "light" else max(1, cores - busy)
 
 

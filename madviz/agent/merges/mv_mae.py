@@ -20,35 +20,13 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from madviz.agent.autoencoder import MultiViewAutoencoder, autoencoder_loss, whole_views
 from madviz.agent.merges.base import Heads, MergeFunctions, Noise, Streams, wide_heads
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.sizes import PICTURE
-
-QUESTIONS = 8
-HEADS = 4
-
-
-class TokenReader(nn.Module):
-    """Learned questions to tokens: attention whose queries are parameters."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.questions = nn.Parameter(torch.randn(QUESTIONS, width))
-        self.key, self.value = nn.Linear(width, width), nn.Linear(width, width)
-
-    def forward(self, tokens: Tensor) -> Tensor:
-        """(B, K, W) -> (B, 8 W)."""
-        query = self.questions.to(tokens.dtype).expand(len(tokens), -1, -1)
-        query, key, value = map(_split, (query, self.key(tokens), self.value(tokens)))
-        return F.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(1)
-
-
-def _split(x: Tensor) -> Tensor:
-    """(B, K, W) -> (B, heads, K, W / heads)."""
-    return x.unflatten(-1, (HEADS, -1)).transpose(1, 2)
+from madviz.agent.token_reader import QUESTIONS as QUESTIONS
+from madviz.agent.token_reader import TokenReader
 
 
 class TokenNetworks(nn.Module):

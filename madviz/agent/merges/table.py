@@ -150,6 +150,15 @@ MERGES: dict[str, Merge] = {
         own_loss=True,
         costly_rows=True,
     ),
+    "mv-mwm": Merge(
+        "a world model's belief over the tokens of a masked autoencoder over views",
+        SOME,
+        page_words="MV-MWM: learned to act in what a world model imagines.",
+        cell_words="a belief over tokens of an autoencoder",
+        needs=SEVERAL_STREAMS,
+        own_loss=True,
+        costly_rows=True,
+    ),
 }
 
 

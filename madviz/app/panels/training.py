@@ -35,11 +35,12 @@ WORDS = {
 RECIPES = {
     "light": "imitates a scripted expert; minutes",
     "paper": "reinforcement learning from scratch; hours to days here",
+    "mv-mwm": "reinforcement learning in the imagination of a world model; hours here",
 }
 HINTS = {
     "task": "What is to be learned.",
     "method": "How the cameras are merged and which of them are learned from.",
-    "recipe": "light imitates an expert in minutes; paper learns from rewards and needs hours.",
+    "recipe": "light imitates an expert in minutes; paper and mv-mwm learn from rewards: hours.",
     "budget": "trial: minutes, to see it move. short: the recipe's defaults. full: as shipped.",
     "start": "A process of its own, at the lowest priority: the page stays quick.",
     "stop": "Loses nothing that was learned.",

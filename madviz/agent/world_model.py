@@ -1,0 +1,158 @@
+"""MV-MWM's world model: a belief over the tokens of a masked autoencoder (Seo et al., 2023).
+
+A masked autoencoder over views (``autoencoder.py``) learns to draw all views from some patches. The
+world model takes its tokens as data: no gradient reaches the autoencoder from here. It reads the
+tokens of the views that are present, and predicts those of *all* views:
+
+    a window of 3 + 4 frames, its actions; of every sample only some views are present
+    tokens --reader--> 7 embeddings --RSSM--> belief at the 3rd frame, rebuilt from nothing
+                                              and 4 more, with the known actions between them
+    each of these 5 beliefs predicts: all views' features, the state;
+    each of the last 4 also: the reward (symlog) that led there, and whether anything follows
+
+The first three frames are the policy's frame stack. A policy keeps nothing between decisions, so it
+rebuilds its belief over its stack at each of them; what happened between these frames is unknown to
+it, and therefore here. The present views are drawn uniformly: of three cameras 1, 2 or 3.
+
+The losses are negative logarithms of likelihoods, as in the paper: squared errors, halved, and
+summed over what is predicted. Of the features the mean over tokens is taken, times ``FEATURES``:
+an error of 0.1 in each of a token's 64 numbers costs 0.5 x 64 x 0.01 = 0.32, times 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from madviz.agent.autoencoder import symlog
+from madviz.agent.rssm import Belief, Rssm, balanced_kl, joined, mlp
+from madviz.agent.sizes import NetworkConfig
+from madviz.agent.token_reader import QUESTIONS, TokenReader
+
+BALANCE, FREE = 0.8, 0.1
+"""Share of the KL that moves the prior, and nats that cost nothing: the paper's."""
+FEATURES, REWARD, STATE = 4.0, 10.0, 10.0
+"""Weights of the errors in features, in the reward's symlog and in the state's."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """What a world model learns from: T frames of B samples, of which the last L have known
+    actions before them."""
+
+    present: Float[Tensor, "T B E"]
+    """Embeddings of the views that are present."""
+    features: Float[Tensor, "L+1 B M W"]
+    """The autoencoder's tokens of all views, at the last L + 1 frames: data."""
+    state: Float[Tensor, "L+1 B S"]
+    action: Float[Tensor, "L B A"]
+    reward: Float[Tensor, "L B"]
+    """For these actions."""
+    follows: Float[Tensor, "L B"]
+    """1 where anything follows, 0 where nothing does."""
+
+
+class WorldModel(nn.Module):
+    """See the module."""
+
+    def __init__(self, config: NetworkConfig, tokens: int) -> None:
+        """For an autoencoder of ``tokens`` tokens, those of all views."""
+        super().__init__()
+        sizes, width = config.world_model, config.autoencoder.width
+        self.shape = (tokens, width)
+        self.narrow = nn.Linear(width, sizes.reader_width)
+        layers = [_layer(sizes.reader_width) for _ in range(sizes.reader_layers)]
+        self.layers = nn.Sequential(*layers)
+        self.reader = TokenReader(sizes.reader_width)
+        self.rssm = Rssm(sizes, QUESTIONS * sizes.reader_width, config.action_dim)
+        belief, hidden = sizes.feature, sizes.hidden
+        self.features = mlp(belief, hidden, 1, tokens * width)
+        self.reward = mlp(belief, hidden, 1, 1)
+        self.follows = mlp(belief, hidden, 1, 1)
+        self.state = mlp(belief, hidden, 1, config.state_dim)
+
+    def embed(self, tokens: Float[Tensor, "B K W"]) -> Float[Tensor, "B E"]:
+        """What is read of the tokens that are present, whichever they are."""
+        return self.reader(self.layers(self.narrow(tokens)))
+
+    def predicted_features(self, belief: Float[Tensor, "B Z"]) -> Float[Tensor, "B M W"]:
+        """Tokens of all views."""
+        return self.features(belief).unflatten(1, self.shape)
+
+    def predicted_state(self, belief: Float[Tensor, "B Z"]) -> Float[Tensor, "B S"]:
+        """Proprioception."""
+        return symexp(self.state(belief))
+
+    def predicted_reward(self, belief: Float[Tensor, "B Z"]) -> Float[Tensor, " B"]:
+        """Of the decision that led there."""
+        return symexp(self.reward(belief).squeeze(1))
+
+    def predicted_follows(self, belief: Float[Tensor, "B Z"]) -> Float[Tensor, " B"]:
+        """How likely it is that anything follows."""
+        return self.follows(belief).squeeze(1).sigmoid()
+
+    def observe(
+        self, window: Window, noise: Float[Tensor, "T B G"]
+    ) -> tuple[list[Belief], list[Belief]]:
+        """L + 1 posteriors, the first of them rebuilt over the stack, and L priors."""
+        stack = len(window.present) - len(window.action)
+        posteriors = [self.rssm.believe(window.present[:stack], noise[:stack])]
+        priors = []
+        for step, action in enumerate(window.action):
+            memory = self.rssm.advance(posteriors[-1], action)
+            priors.append(self.rssm.guess(memory, None))
+            embedding = window.present[stack + step]
+            posteriors.append(self.rssm.correct(memory, embedding, noise[stack + step]))
+        return posteriors, priors
+
+
+def _layer(width: int) -> nn.Module:
+    return nn.TransformerEncoderLayer(
+        width, 4, 4 * width, 0.0, "gelu", batch_first=True, norm_first=True
+    )
+
+
+def world_model_losses(
+    model: WorldModel, window: Window, noise: Float[Tensor, "T B G"], kl_weight: float
+) -> dict[str, Float[Tensor, ""]]:
+    """The terms that the world model minimises the sum of, by name; ``noise`` draws the beliefs.
+
+    Raises ValueError for a window without actions.
+    """
+    if not len(window.action):
+        raise ValueError("expected a window with actions, found none")
+    posteriors, priors = model.observe(window, noise)
+    believed, later = joined(posteriors), joined(posteriors[1:])
+    features = model.predicted_features(believed.feature)
+    reward = model.reward(later.feature).squeeze(1)
+    follows = model.follows(later.feature).squeeze(1)
+    kl = balanced_kl(later.logits, joined(priors).logits, BALANCE, FREE)
+    state = model.state(believed.feature)
+    return {
+        "features": FEATURES * feature_loss(features, window.features.flatten(0, 1)),
+        "reward": REWARD * squared_error(reward, symlog(window.reward).flatten()[:, None]),
+        "follows": F.binary_cross_entropy_with_logits(follows, window.follows.flatten()),
+        "state": STATE * squared_error(state, symlog(window.state).flatten(0, 1)),
+        "kl": kl_weight * kl,
+    }
+
+
+def feature_loss(
+    predicted: Float[Tensor, "B M W"], features: Float[Tensor, "B M W"]
+) -> Float[Tensor, ""]:
+    """Half the squared error, summed over a token's numbers; the mean over tokens and samples."""
+    return 0.5 * (predicted - features).square().sum(2).mean()
+
+
+def squared_error(predicted: Tensor, target: Float[Tensor, "B N"]) -> Float[Tensor, ""]:
+    """Half the squared error, summed over N numbers; the mean over samples. ``predicted`` has as
+    many numbers, (B, N), or (B,) where N is 1."""
+    return 0.5 * (predicted.reshape(target.shape) - target).square().sum(1).mean()
+
+
+def symexp(x: Tensor) -> Tensor:
+    """The other way round than ``symlog``."""
+    return x.sign() * x.abs().expm1()

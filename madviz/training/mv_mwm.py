@@ -1,0 +1,218 @@
+"""The recipe ``mv-mwm``: a world model on a masked autoencoder over views, an actor-critic in its
+imagination (Seo et al., 2023); the last of the MAD paper's baselines.
+
+    explore, in L environments      meanwhile the autoencoder learns to draw all views from some,
+                                    and then the world model what actions lead to
+    act, in L environments          meanwhile, ``update_ratio`` times a decision, one update each of
+                                    autoencoder, world model, actor and critic
+
+The MAD paper ran it without demonstrations. With ``--mv-mwm.demonstrations`` episodes of the
+scripted expert are there from the start: a quarter of every batch is theirs, and the actor is
+taught the expert's actions in them besides.
+
+With the defaults 20,000 decisions are 600 + 4,000 updates: each sees 16 stretches of 4 decisions
+and, after the first 600, imagines 64 x 15 more. ``UNLIKE`` says what differs from the authors'
+code; it stands on every card.
+
+On a CUDA device (``--mv-mwm.device``) it learns there. No such device was at hand when this was
+written: THAT NEVER RAN.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, closing
+from dataclasses import fields
+from typing import Any
+
+import msgspec
+import numpy as np
+import torch
+from torch import Tensor
+
+from madviz.agent.autoencoder import newest
+from madviz.errors import UserError
+from madviz.policies.config import TrainingRecord
+from madviz.training.autoencoder import MEAN_OF
+from madviz.training.buffer import Stretch
+from madviz.training.demonstrations import Dataset, Driver, record_episode
+from madviz.training.lanes_run import LanesRun
+from madviz.training.loop import train_on
+from madviz.training.mv_mwm_learner import Labels, WorldLearner
+from madviz.training.mv_mwm_options import MvMwmConfig
+from madviz.training.plan import TrainingPlan
+from madviz.training.run_folder import RunFolder
+from madviz.training.vector_envs import Board, VectorEnvs
+
+UNLIKE = (
+    "beliefs are rebuilt from nothing over a frame stack, without the actions in between, so that "
+    "a policy keeps no memory; the world model is trained on short stretches, too; "
+    "the state is given to actor and critic, and predicted in imagination; "
+    "views are dropped uniformly, also where the world model reads them; "
+    "the autoencoder sees single frames of 84 pixels in patches of 14, keeps up to whole views "
+    "and weights what moves; learned questions read its tokens; "
+    "batches, rates and schedule are those of the command"
+)
+"""What differs from the authors' code, for the card."""
+DEMONSTRATED = 4
+"""One of so many stretches of a batch is an expert's, where there are demonstrations."""
+_SMOOTHING = 0.02
+"""Share of the newest losses in those that are reported."""
+
+
+class MvMwmRun(LanesRun):
+    """A run of the recipe; see the module."""
+
+    SCHEDULE = f"in the imagination of a world model. Unlike the authors' code: {UNLIKE}"
+    LOSSES = (
+        "autoencoder_loss",
+        "model_loss",
+        "features_loss",
+        "reward_loss",
+        "reward_explained",
+        "state_loss",
+        "kl",
+        "actor_loss",
+        "critic_loss",
+        "imagined_return",
+        "imagined_reward",
+        "entropy",
+        "cloning_loss",
+    )
+    config: MvMwmConfig
+    learner: WorldLearner
+    demonstrations: Dataset | None = None
+
+    def new_learner(self) -> WorldLearner:
+        agent = self.plan.new_agent().to(self.config.torch_device())
+        self.drawn = 0
+        """Updates that the autoencoder made."""
+        return WorldLearner(agent, self.config, self.numbers.discount, self.plan.seed)
+
+    def demonstrate(self) -> None:
+        """Records the demonstrations that are asked for, the same at every call."""
+        count, streams = self.config.demonstrations, self.plan.spec.streams
+        if not count:
+            return
+        self.demonstrations = Dataset(streams, count, self.plan.env.horizon)
+        for number in range(count):
+            seed = (self.plan.seed * 137 + number) % 1000  # Training seeds of expert episodes.
+            self.demonstrations.add(record_episode(self.env, streams, Driver(), seed))
+
+    def learn(self) -> None:
+        """The updates that are due: those of a pretraining while exploring, and of all four
+        networks from then on."""
+        config, whole = self.config, self.plan.env.horizon * self.envs.lanes
+        if self.step < min(whole, config.exploration_steps):
+            return
+        if not self.drawn:
+            self.learner.look_at(self._mean_pictures)
+        explored = min(1.0, self.step / max(config.exploration_steps, 1))
+        while self.drawn < int(config.pretraining * explored):
+            self._learn_pictures()
+        before = int(config.world_pretraining * max(0.0, 2 * explored - 1))
+        while self.updates < before:
+            self._learn_world(imagines=False)
+        since = max(0, self.step - config.exploration_steps)
+        while self.updates < before + int(since * config.update_ratio):
+            self._learn_pictures()
+            self._learn_world(imagines=True)
+
+    def _learn_pictures(self) -> None:
+        index = self.buffer.draw(self.config.pictures, self.rng)
+        seen = self.buffer.stretch(index, 1)
+        views = seen.frames[-2]  # Before the decision whose reward it is.
+        self._note(self.learner.learn_pictures(views, seen.reward[0]))
+        self.drawn += 1
+
+    def _learn_world(self, imagines: bool) -> None:
+        config, labels = self.config, None
+        expert = config.batch_size // DEMONSTRATED if self.demonstrations else 0
+        index = self.buffer.draw(config.batch_size - expert, self.rng, config.ahead)
+        stretch = self.buffer.stretch(index, config.ahead)
+        if self.demonstrations:
+            theirs, labels = demonstrated(self.demonstrations, expert, config.ahead, self.rng)
+            stretch = beside(stretch, theirs)
+            labels = unlabelled_before(labels, len(index))
+        self._note(self.learner.update(stretch, labels, imagines))
+        self.updates += 1
+
+    def _mean_pictures(self) -> Tensor:
+        index = self.buffer.draw(MEAN_OF // 2, self.rng)
+        return newest(self.buffer.stretch(index, 1).frames[-1]).mean(0)
+
+    def _note(self, losses: dict[str, float]) -> None:
+        """Takes new losses into the running means that are reported."""
+        for name, loss in losses.items():
+            before = self.losses.get(name, loss)
+            self.losses[name] = before + _SMOOTHING * (loss - before)
+
+    def record(self) -> TrainingRecord:
+        record = super().record()
+        count = self.config.demonstrations
+        if not count:
+            return record
+        how = f"reinforcement learning and imitation of {count} episodes of a scripted expert"
+        return msgspec.structs.replace(
+            record, how=f"{how}, {self.SCHEDULE}", expert_demonstrations=count
+        )
+
+    def state(self) -> dict[str, Any]:
+        return super().state() | {"drawn": self.drawn}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        super().restore(state)
+        self.drawn = state["drawn"]
+
+
+def demonstrated(
+    data: Dataset, size: int, ahead: int, rng: np.random.Generator
+) -> tuple[Stretch, Labels]:
+    """``size`` stretches of ``ahead`` decisions from an expert's episodes, and what it would do at
+    each of their L + 1 last time steps."""
+    places = data.horizon - ahead
+    index = rng.integers(0, data.episodes * places, size)
+    index = index // places * data.horizon + index % places
+    seen = torch.cat([data.views(index), data.views(index + ahead, ahead)], 2)
+    known = index + np.arange(ahead + 1)[:, None]
+    done = known[:-1]
+    reward = data.column("rewards", done)
+    stretch = Stretch(
+        frames=seen.unflatten(2, (-1, 3)).permute(2, 0, 1, 3, 4, 5),
+        state=data.column("states", known),
+        action=data.column("actions", done),
+        reward=reward,
+        follows=torch.ones_like(reward),
+    )
+    return stretch, Labels(data.column("labels", known), torch.ones(size, dtype=torch.bool))
+
+
+def beside(one: Stretch, other: Stretch) -> Stretch:
+    """The samples of both."""
+    names = [field.name for field in fields(Stretch)]
+    return Stretch(*(torch.cat([getattr(one, name), getattr(other, name)], 1) for name in names))
+
+
+def unlabelled_before(labels: Labels, count: int) -> Labels:
+    """``labels`` after ``count`` samples that have none."""
+    shape = (labels.action.shape[0], count, labels.action.shape[2])
+    action = torch.cat([torch.zeros(shape), labels.action], 1)
+    return Labels(action, torch.cat([torch.zeros(count, dtype=torch.bool), labels.known]))
+
+
+def train_mv_mwm(plan: TrainingPlan, config: MvMwmConfig, folder: RunFolder) -> None:
+    """Trains from the folder's last state on, if it has one; Ctrl-C saves after the decision at
+    hand. Raises UserError for what the machine cannot do and for stretches that no episode has."""
+    drawn_task, facts, lanes = plan.drawn_task, plan.env, config.environments
+    if config.ahead >= facts.horizon:
+        raise UserError(
+            f"expected an --mv-mwm.ahead below the {facts.horizon} decisions of an episode, found "
+            f"{config.ahead}"
+        )
+    with ExitStack() as resources:
+        env = resources.enter_context(closing(drawn_task.build()))
+        board = Board(lanes, drawn_task.streams, facts.state_dim, facts.action_dim)
+        envs = VectorEnvs(drawn_task, board, lanes, config.processes())
+        resources.callback(envs.close)
+        run = MvMwmRun(plan, config, env, folder, envs)
+        run.demonstrate()
+        train_on(run)

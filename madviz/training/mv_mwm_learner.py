@@ -1,0 +1,294 @@
+"""What learns in the recipe ``mv-mwm``: an autoencoder, a world model, an actor and a critic.
+
+    frames                --> autoencoder                          pictures, AdamW
+    stretches of episodes --> its tokens, data --> world model     world, Adam
+    beliefs, data         --> imagined decisions --> actor, critic  two Adams
+
+Each has an optimiser of its own, and no loss reaches what stands before it. An imagination begins
+at beliefs that are rebuilt over a frame stack, as the acting policy has them, under the views that
+are present in a stretch: which ones is drawn uniformly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor, nn
+
+from madviz.agent.agent import Agent, autocast
+from madviz.agent.autoencoder import autoencoder_loss, symlog
+from madviz.agent.dreaming import (
+    BeliefActor,
+    BeliefCritic,
+    Noise,
+    act,
+    dream,
+    dream_actor_loss,
+    dream_critic_loss,
+    lambda_returns,
+    reached,
+)
+from madviz.agent.merges.mv_mwm import WorldNetworks
+from madviz.agent.rssm import Belief
+from madviz.agent.world_model import REWARD, Window, world_model_losses
+from madviz.training.buffer import Stretch
+from madviz.training.mv_mwm_options import MvMwmConfig
+from madviz.types import Array
+
+LARGEST = {"pictures": 1.0, "world": 100.0, "actor": 100.0, "critic": 100.0}
+"""Norms that gradients are cut to: the paper's 100, and 1 for the autoencoder."""
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What an expert would have done in a stretch."""
+
+    action: Float[Tensor, "L+1 B A"]
+    known: Bool[Tensor, " B"]
+    """Which samples have labels at all."""
+
+
+class WorldLearner:
+    """An agent of the merge ``mv-mwm`` in training: its optimisers and its generator."""
+
+    def __init__(self, agent: Agent, config: MvMwmConfig, gamma: float, seed: int = 0) -> None:
+        self.agent, self.config, self.gamma = agent.train(), config, gamma
+        assert isinstance(agent.encoder, WorldNetworks)
+        assert isinstance(agent.actor, BeliefActor) and isinstance(agent.critic, BeliefCritic)
+        assert isinstance(agent.target, BeliefCritic)
+        self.net, self.actor, self.critic = agent.encoder, agent.actor, agent.critic
+        self.target = agent.target
+        self.parts: dict[str, nn.Module] = {
+            "pictures": self.net.autoencoder,
+            "world": self.net.world,
+            "actor": self.actor,
+            "critic": self.critic,
+        }
+        rates = {"world": config.world_rate, "actor": config.heads_rate}
+        rates["critic"] = config.heads_rate
+        self.optimisers: dict[str, torch.optim.Optimizer] = {
+            name: torch.optim.Adam(self.parts[name].parameters(), lr=rate, fused=True)
+            for name, rate in rates.items()
+        }
+        self.optimisers["pictures"] = torch.optim.AdamW(
+            self.net.autoencoder.parameters(),
+            lr=config.autoencoder_rate,
+            weight_decay=0.01,
+            fused=True,
+        )
+        self.updates = 0
+        self._device = next(agent.parameters()).device
+        self._generator = torch.Generator().manual_seed(seed)
+
+    # --- Learning -------------------------------------------------------------------------------
+
+    def look_at(self, mean: Callable[[], Float[Tensor, "V 3 H W"]]) -> None:
+        """Before the first update: the mean picture of every view."""
+        self.agent.merge.look_at(self.net, mean)
+
+    def learn_pictures(
+        self, views: UInt8[Tensor, "B V 3 H W"], reward: Float[Tensor, " B"]
+    ) -> dict[str, float]:
+        """One step of the autoencoder."""
+        self.agent.train()
+        views, reward = views.to(self._device), reward.to(self._device)
+        with autocast():
+            loss = autoencoder_loss(self.net.autoencoder, views, reward, self._generator)
+        self._step("pictures", loss)
+        return {"autoencoder_loss": loss.item()}
+
+    def update(
+        self, stretch: Stretch, labels: Labels | None = None, imagines: bool = True
+    ) -> dict[str, float]:
+        """One step of the world model and then, if it ``imagines``, of actor and critic; returns
+        named losses."""
+        # An evaluation before may have left it otherwise, and PyTorch's transformers compute
+        # differently then: a resumed run, which was not evaluated, would go on elsewhere.
+        self.agent.train()
+        window = self._window(_moved(stretch, self._device))
+        noise = self._uniform(*window.present.shape[:2], self.agent.config.world_model.groups)
+        losses = world_model_losses(self.net.world, window, noise, self.config.kl_weight)
+        total = torch.stack(list(losses.values())).sum()
+        self._step("world", total)
+        named = {f"{name}_loss": loss.item() for name, loss in losses.items()}
+        named["model_loss"] = total.item()
+        named["reward_explained"] = _explained(named["reward_loss"], window.reward)
+        named["kl"] = named.pop("kl_loss") / max(self.config.kl_weight, 1e-9)
+        if not imagines:
+            return named
+        named |= self._imagine(window, labels)
+        self.updates += 1
+        if self.updates % self.config.target_every == 0:
+            self.target.load_state_dict(self.critic.state_dict())
+        return named
+
+    def _imagine(self, window: Window, labels: Labels | None) -> dict[str, float]:
+        """One step of actor and critic, from beliefs of ``window``."""
+        config = self.config
+        belief, state = self._starts(window)
+        cloning = torch.zeros((), device=self._device)
+        if labels is not None:
+            cloning = self._cloning_loss(belief, state, _moved(labels, self._device))
+        belief, state = self._some(belief, state)
+        with _data(self.net.world, self.target):
+            drawn = self._noise(len(state))
+            dreamt = dream(self.net.world, self.actor, belief, state, drawn, self.gamma)
+            value = self.target.value(dreamt.feature[1:], dreamt.state[1:])
+            returns = lambda_returns(dreamt.reward, dreamt.discount, value, config.mixture)
+            weight = reached(dreamt.discount)
+            loss = dream_actor_loss(returns, dreamt.entropy, weight, config.entropy_weight)
+            self._step("actor", loss + config.cloning_weight * cloning)
+        expected = self.critic.value(dreamt.feature[:-1].detach(), dreamt.state[:-1].detach())
+        critic = dream_critic_loss(expected, returns, weight)
+        self._step("critic", critic)
+        return {
+            "actor_loss": loss.item(),
+            "critic_loss": critic.item(),
+            "imagined_return": returns[0].mean().item(),
+            "imagined_reward": dreamt.reward.mean().item(),
+            "entropy": dreamt.entropy.mean().item(),
+            "cloning_loss": cloning.item(),
+        }
+
+    def _cloning_loss(self, belief: Belief, state: Tensor, labels: Labels) -> Tensor:
+        """Squared error of the actor's likeliest action, a mean over labelled samples."""
+        known = labels.known.expand(len(labels.action), -1).flatten()
+        middle, _ = self.actor(belief.feature[known], state[known])
+        return (torch.tanh(middle) - labels.action.flatten(0, 1)[known]).square().mean()
+
+    @torch.no_grad()
+    def _starts(self, window: Window) -> tuple[Belief, Tensor]:
+        """Beliefs and states at the last L + 1 frames, each rebuilt over its own stack; time
+        first."""
+        count = len(window.state)
+        stack = len(window.present) - count + 1
+        frames = torch.stack([window.present[t : t + count].flatten(0, 1) for t in range(stack)])
+        noise = self._uniform(*frames.shape[:2], self.agent.config.world_model.groups)
+        return self.net.world.rssm.believe(frames, noise), window.state.flatten(0, 1)
+
+    def _some(self, belief: Belief, state: Tensor) -> tuple[Belief, Tensor]:
+        """Those that are imagined from."""
+        many = self.config.dream_starts
+        if not many or many >= len(state):
+            return belief, state
+        which = torch.randperm(len(state), generator=self._generator)[:many].to(self._device)
+        chosen = Belief(belief.memory[which], belief.latent[which], belief.logits[which])
+        return chosen, state[which]
+
+    # --- Tokens ---------------------------------------------------------------------------------
+
+    def _window(self, stretch: Stretch) -> Window:
+        """Tokens of all views, and what is read of those that are present."""
+        frames = stretch.frames
+        with torch.no_grad(), autocast():
+            tokens = self.net.tokens(frames.flatten(0, 1)).unflatten(0, frames.shape[:2])
+            count = len(stretch.state)
+            features = self._features(tokens[-count:])
+        present = drawn_views(self._generator, *frames.shape[1:3]).to(self._device)
+        return Window(
+            self._embedded(tokens, present),
+            features.float(),
+            stretch.state,
+            stretch.action,
+            stretch.reward,
+            stretch.follows,
+        )
+
+    def _features(self, tokens: Float[Tensor, "T B N P W"]) -> Float[Tensor, "T B K W"]:
+        """Of the tokens of N views that see each other."""
+        seen = self.net.autoencoder.features(tokens.flatten(0, 1).flatten(1, 2))
+        return seen.unflatten(0, tokens.shape[:2])
+
+    def _embedded(
+        self, tokens: Float[Tensor, "T B V P W"], present: Bool[Tensor, "B V"]
+    ) -> Float[Tensor, "T B E"]:
+        """What the world model reads of the views that are present in each sample; samples with as
+        many of them go through the networks together."""
+        found, order = [], []
+        for size in present.sum(1).unique():
+            which = (present.sum(1) == size).nonzero().flatten()
+            seen = torch.stack([tokens[:, b, present[b]] for b in which.tolist()], 1)
+            with torch.no_grad(), autocast():
+                features = self._features(seen)
+            read = self.net.world.embed(features.float().flatten(0, 1))
+            found.append(read.unflatten(0, features.shape[:2]))
+            order.append(which)
+        return torch.cat(found, 1)[:, torch.cat(order).argsort()]
+
+    # --- Acting, and going on -------------------------------------------------------------------
+
+    @torch.inference_mode()
+    def act_all(self, views: Tensor, state: Tensor) -> Array:
+        """(L, V, C, H, W) uint8 and (L, S) to drawn actions (L, A), on all views."""
+        self.agent.eval()
+        mask = torch.ones(1, views.shape[1], dtype=torch.bool, device=self._device)
+        belief = self.agent.encode_and_merge(views.to(self._device), mask)[1][0]
+        noise = self._uniform(len(views), self.agent.config.action_dim)
+        return act(self.actor, belief, state.to(self._device), noise)[0].cpu().numpy()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything a resumed run needs to go on as if it had never stopped."""
+        return {
+            "agent": self.agent.state_dict(),
+            "optimisers": {name: one.state_dict() for name, one in self.optimisers.items()},
+            "generator": self._generator.get_state(),
+            "updates": self.updates,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.agent.load_state_dict(state["agent"])
+        for name, optimiser in self.optimisers.items():
+            optimiser.load_state_dict(state["optimisers"][name])
+        self._generator.set_state(state["generator"])
+        self.updates = state["updates"]
+
+    def _uniform(self, *shape: int) -> Tensor:
+        return torch.rand(*shape, generator=self._generator).to(self._device)
+
+    def _noise(self, batch: int) -> Noise:
+        config, horizon = self.agent.config, self.config.horizon
+        action = self._uniform(horizon, batch, config.action_dim)
+        return Noise(action, self._uniform(horizon, batch, config.world_model.groups))
+
+    def _step(self, name: str, loss: Tensor) -> None:
+        optimiser, parameters = self.optimisers[name], list(self.parts[name].parameters())
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward(inputs=parameters)
+        torch.nn.utils.clip_grad_norm_(parameters, LARGEST[name])
+        optimiser.step()
+
+
+def _explained(loss: float, reward: Tensor) -> float:
+    """Share of the variance of the rewards' symlog that is predicted; 1 is all of it."""
+    return 1 - 2 * loss / REWARD / max(symlog(reward).var().item(), 1e-9)
+
+
+def drawn_views(generator: torch.Generator, batch: int, views: int) -> Bool[Tensor, "B V"]:
+    """Which views are present in each sample: of 1 to V, each number as likely, whichever ones."""
+    count = torch.randint(1, views + 1, (batch,), generator=generator)
+    order = torch.rand(batch, views, generator=generator).argsort(1).argsort(1)
+    return order < count[:, None]
+
+
+def _moved(of_tensors: Any, device: torch.device) -> Any:
+    """A dataclass of tensors, on ``device``."""
+    moved = {name: tensor.to(device) for name, tensor in vars(of_tensors).items()}
+    return replace(of_tensors, **moved)
+
+
+@contextmanager
+def _data(*modules: nn.Module) -> Iterator[None]:
+    """Weights of ``modules`` are data meanwhile: gradients pass through, and are kept of none."""
+    weights = [p for module in modules for p in module.parameters() if p.requires_grad]
+    for weight in weights:
+        weight.requires_grad_(False)
+    try:
+        yield
+    finally:
+        for weight in weights:
+            weight.requires_grad_(True)

@@ -1,0 +1,474 @@
+"""MV-MWM: its formulas in float64, and what each of its losses reaches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+from torch import Tensor
+
+from madviz.agent.agent import Agent, TorchPolicy
+from madviz.agent.autoencoder import symlog
+from madviz.agent.dreaming import (
+    BeliefActor,
+    Noise,
+    dream,
+    dream_actor_loss,
+    dream_critic_loss,
+    lambda_returns,
+    reached,
+    truncated_normal,
+)
+from madviz.agent.merges.mv_mwm import FUNCTIONS, WorldNetworks
+from madviz.agent.methods import METHODS
+from madviz.agent.networks import NetworkConfig
+from madviz.agent.rssm import Belief, balanced_kl, straight_through
+from madviz.agent.world_model import (
+    FEATURES,
+    REWARD,
+    STATE,
+    Window,
+    symexp,
+    world_model_losses,
+)
+from madviz.envs.registry import SETTINGS
+from madviz.errors import UserError
+from madviz.subsets import every_mask, name_of
+from madviz.training.mv_mwm_learner import WorldLearner, drawn_views
+from madviz.training.mv_mwm_options import SIZES, MvMwmConfig
+from madviz.types import Array, PolicySpec
+from tests.test_merges import Weights, layer_norm, linear, pictures, softmax, weights
+
+STREAMS = SETTINGS["three"].streams
+TINY = SIZES["tiny"]
+NETWORKS = NetworkConfig(
+    6, 2, hidden_dim=8, autoencoder=TINY.autoencoder, world_model=TINY.world_model
+)
+GROUPS, CLASSES, MEMORY = 4, 4, 16
+T, L, B = 4, 2, 3
+"""Frames, decisions and samples of a window: the stack has two frames."""
+
+
+def make() -> Agent:
+    """With biases and norms that are not 0 and 1, which would hide mistakes."""
+    torch.manual_seed(0)
+    agent = Agent(NETWORKS, merge="mv-mwm", streams=STREAMS)
+    with torch.no_grad():
+        for parameter in agent.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    return agent
+
+
+def net_of(agent: Agent) -> WorldNetworks:
+    assert isinstance(agent.encoder, WorldNetworks)
+    return agent.encoder
+
+
+def policy_of(agent: Agent) -> TorchPolicy:
+    spec = PolicySpec("p", "toy/reach", "mv-mwm", "three", "mv-mwm", STREAMS, ("all",))
+    return TorchPolicy(spec, agent)
+
+
+def normal(*shape: int, seed: int = 1) -> Tensor:
+    return torch.from_numpy(np.random.default_rng(seed).standard_normal(shape))
+
+
+def uniform(*shape: int, seed: int = 2) -> Tensor:
+    return torch.from_numpy(np.random.default_rng(seed).random(shape))
+
+
+# --- A second computation -----------------------------------------------------------------------
+
+
+def sigmoid(x: Array) -> Array:
+    return 1 / (1 + np.exp(-x))
+
+
+def mlp(w: Weights, name: str, x: Array, layers: int = 1) -> Array:
+    for layer in range(layers):
+        x = layer_norm(w, f"{name}.{3 * layer + 1}", linear(w, f"{name}.{3 * layer}", x))
+        x = x * sigmoid(x)
+    return linear(w, f"{name}.{3 * layers}", x)
+
+
+def attended(query: Array, key: Array, value: Array, heads: int) -> Array:
+    size = query.shape[1] // heads
+    parts = [slice(size * h, size * (h + 1)) for h in range(heads)]
+    answers = [
+        np.concatenate([softmax(key[:, h] @ q[h] / size**0.5) @ value[:, h] for h in parts])
+        for q in query
+    ]
+    return np.stack(answers)
+
+
+def each(w: Weights, name: str, rows: Array, how=linear) -> Array:
+    return np.stack([how(w, name, row) for row in rows])
+
+
+def seen(w: Weights, tokens: Array) -> Array:
+    """(K, W) tokens through the autoencoder's one layer."""
+    layer = "autoencoder.encoder.layers.0"
+    inner, bias = w[f"{layer}.self_attn.in_proj_weight"], w[f"{layer}.self_attn.in_proj_bias"]
+    normed = each(w, f"{layer}.norm1", tokens, layer_norm)
+    answers = attended(*np.split(normed @ inner.T + bias, 3, axis=1), heads=2)
+    x = tokens + each(w, f"{layer}.self_attn.out_proj", answers)
+    wide = each(w, f"{layer}.linear1", each(w, f"{layer}.norm2", x, layer_norm))
+    wide = wide * stats.norm.cdf(wide)
+    return each(w, "autoencoder.norm", x + each(w, f"{layer}.linear2", wide), layer_norm)
+
+
+def embedded(w: Weights, features: Array) -> Array:
+    narrow = each(w, "world.narrow", features)
+    key, value = each(w, "world.reader.key", narrow), each(w, "world.reader.value", narrow)
+    return attended(w["world.reader.questions"], key, value, heads=4).ravel()
+
+
+def advanced(w: Weights, memory: Array, latent: Array, action: Array | None) -> Array:
+    """A GRU's cell, gate by gate."""
+    done = np.zeros(3) if action is None else np.append(action, 1)
+    x = linear(w, "world.rssm.inputs.0", np.concatenate([latent, done]))
+    x = layer_norm(w, "world.rssm.inputs.1", x)
+    cell, x = "world.rssm.cell", x * sigmoid(x)
+    reads = np.split(w[f"{cell}.weight_ih"] @ x + w[f"{cell}.bias_ih"], 3)
+    keeps = np.split(w[f"{cell}.weight_hh"] @ memory + w[f"{cell}.bias_hh"], 3)
+    reset, update = (sigmoid(reads[i] + keeps[i]) for i in range(2))
+    new = np.tanh(reads[2] + reset * keeps[2])
+    return (1 - update) * new + update * memory
+
+
+def drawn(logits: Array, noise: Array | None) -> Array:
+    """One-hot, by the inverse of each choice's cumulative probabilities."""
+    rows = []
+    for g, row in enumerate(logits.reshape(GROUPS, CLASSES)):
+        index = row.argmax()
+        if noise is not None:
+            index = np.searchsorted(np.cumsum(softmax(row)), noise[g], side="right")
+        rows.append(np.eye(CLASSES)[index])
+    return np.concatenate(rows)
+
+
+def corrected(w: Weights, memory: Array, embedding: Array) -> Array:
+    return mlp(w, "world.rssm.posterior", np.concatenate([memory, embedding]))
+
+
+def rebuilt(w: Weights, embeddings: Array, noise: Array | None) -> tuple[Array, Array]:
+    memory, latent = np.zeros(MEMORY), np.zeros(GROUPS * CLASSES)
+    for t, embedding in enumerate(embeddings):
+        memory = advanced(w, memory, latent, None)
+        latent = drawn(corrected(w, memory, embedding), None if noise is None else noise[t])
+    return memory, latent
+
+
+def kl(one: Array, other: Array) -> float:
+    pairs = zip(one.reshape(GROUPS, CLASSES), other.reshape(GROUPS, CLASSES), strict=True)
+    return float(sum(stats.entropy(softmax(p), softmax(q)) for p, q in pairs))
+
+
+# --- The belief ---------------------------------------------------------------------------------
+
+
+def test_the_belief_of_every_subset_is_the_formula() -> None:
+    agent = make().double().eval()
+    w, views = weights(agent.encoder), pictures()
+    features = agent.encode(views)
+    assert features.shape == (2, 3, 3, 36, 16)  # B, V, frames, patches, W
+    masks = every_mask(3)[:-1]
+    rows = agent.rows(features, torch.from_numpy(masks))
+    assert rows.shape == (7, 2, MEMORY + GROUPS * CLASSES)
+    for mask, row in zip(masks, rows, strict=True):
+        frames = features[1, torch.from_numpy(mask)].detach().numpy()  # (n, frames, 36, W)
+        seen_each = [embedded(w, seen(w, frames[:, f].reshape(-1, 16))) for f in range(3)]
+        expected = np.concatenate(rebuilt(w, np.stack(seen_each), None))
+        np.testing.assert_allclose(row[1].detach().numpy(), expected, rtol=1e-7, atol=1e-7)
+
+
+def test_a_belief_depends_on_no_absent_camera() -> None:
+    agent, views = make(), pictures()[0].numpy()
+    policy, state = policy_of(agent), np.zeros(6, np.float32)
+    for mask in every_mask(3)[1:-1]:
+        other = views.copy()
+        other[~mask] = 255 - other[~mask]
+        one, two = (policy.read(policy.encode(v, state), mask) for v in (views, other))
+        np.testing.assert_array_equal(one.merged, two.merged)
+        np.testing.assert_array_equal(one.action, two.action)
+        np.testing.assert_array_equal(one.q, two.q)
+        other[mask] = 255 - other[mask]
+        assert not np.array_equal(policy.read(policy.encode(other, state), mask).merged, one.merged)
+    with pytest.raises(UserError, match="at least one stream"):
+        policy.read(policy.encode(views, state), np.zeros(3, bool))
+
+
+def test_a_policy_keeps_nothing_between_decisions() -> None:
+    policy, views = policy_of(make()), pictures().numpy()
+    state, masks = np.zeros(6, np.float32), every_mask(3)[:-1]
+    before = policy.read(policy.encode(views[0], state), masks)
+    policy.read(policy.encode(views[1], state), masks)
+    after = policy.read(policy.encode(views[0], state), masks)
+    np.testing.assert_array_equal(before.action, after.action)
+
+
+def test_a_policy_imagines_what_is_missing() -> None:
+    agent = Agent(NETWORKS, merge="mv-mwm", streams=STREAMS)
+    mean = torch.rand(3, 3, 84, 84)
+    FUNCTIONS.look_at(net_of(agent), lambda: mean)
+    policy = policy_of(agent)
+    found = policy.imagine(
+        policy.encode(pictures()[0].numpy(), np.zeros(6, np.float32)), np.array([True, False, True])
+    )
+    expected = (255 * mean).round().byte().permute(0, 2, 3, 1).numpy()
+    np.testing.assert_array_equal(found, expected)  # Nothing is learned: the mean.
+
+
+# --- The world model's losses -------------------------------------------------------------------
+
+
+def test_symlog_and_back() -> None:
+    x = np.array([-100.0, -1.5, 0.0, 0.3, 40.0])
+    there = np.sign(x) * np.log(1 + np.abs(x))
+    np.testing.assert_allclose(symlog(torch.from_numpy(x)).numpy(), there, rtol=1e-12)
+    np.testing.assert_allclose(symexp(torch.from_numpy(there)).numpy(), x, rtol=1e-12)
+
+
+def test_a_draw_is_one_hot_and_its_gradient_that_of_the_probabilities() -> None:
+    logits, noise, slope = normal(5, 3).requires_grad_(), uniform(5), normal(5, 3, seed=4)
+    values = straight_through(logits, noise)
+    (values * slope).sum().backward()
+    assert logits.grad is not None
+    for row, u, value, s, grad in zip(
+        logits.detach().numpy(), noise.numpy(), values.detach().numpy(), slope.numpy(),
+        logits.grad.numpy(), strict=True,
+    ):  # fmt: skip
+        p = softmax(row)
+        index = int(u >= p[0]) + int(u >= p[0] + p[1])
+        np.testing.assert_allclose(value, np.eye(3)[index], atol=1e-12)
+        np.testing.assert_allclose(grad, (np.diag(p) - np.outer(p, p)) @ s, rtol=1e-9)
+    likeliest = straight_through(logits, None).detach()
+    assert torch.equal(likeliest.argmax(-1), logits.argmax(-1))
+    share = straight_through(torch.tensor([0.7, 0.3]).log().expand(4000, 2), uniform(4000)).mean(0)
+    np.testing.assert_allclose(share.numpy(), [0.7, 0.3], atol=0.03)
+
+
+def test_the_example_at_the_top_of_the_rssm() -> None:
+    logits = torch.tensor([0.7, 0.3]).log().requires_grad_()
+    (straight_through(logits, torch.tensor(0.1)) * torch.tensor([2.0, 0.0])).sum().backward()
+    assert logits.grad is not None
+    np.testing.assert_allclose(logits.grad.numpy(), [0.42, -0.42], rtol=1e-5)
+
+
+def test_the_balanced_kl_moves_the_prior_faster_and_has_free_nats() -> None:
+    posterior, prior = normal(B, GROUPS, CLASSES), normal(B, GROUPS, CLASSES, seed=5)
+    expected = np.mean([kl(q, p) for q, p in zip(posterior.numpy(), prior.numpy(), strict=True)])
+    for one in (posterior, prior):
+        one.requires_grad_()
+    found = balanced_kl(posterior, prior, 0.8, 0.1)
+    assert found.item() == pytest.approx(expected) and expected > 0.1
+    found.backward()
+    assert posterior.grad is not None and prior.grad is not None
+    q, p = (torch.softmax(one, -1).detach().numpy() for one in (posterior, prior))
+    np.testing.assert_allclose(prior.grad.numpy(), 0.8 * (p - q) / B, rtol=1e-9, atol=1e-12)
+    away = np.log(q / p)
+    slope = q * (away - (q * away).sum(-1, keepdims=True))
+    np.testing.assert_allclose(posterior.grad.numpy(), 0.2 * slope / B, rtol=1e-8, atol=1e-12)
+    near = (posterior.detach() + 0.01 * prior.detach()).requires_grad_()
+    little = balanced_kl(posterior.detach(), near, 0.8, 0.1)
+    little.backward()
+    assert little.item() == pytest.approx(0.1) and near.grad is not None and not near.grad.any()
+
+
+def window(agent: Agent) -> Window:
+    embedding = 8 * NETWORKS.world_model.reader_width
+    return Window(
+        present=normal(T, B, embedding),
+        features=normal(L + 1, B, 108, 16, seed=3),
+        state=normal(L + 1, B, 6, seed=4),
+        action=uniform(L, B, 2, seed=5),
+        reward=10 * normal(L, B, seed=6),
+        follows=(uniform(L, B, seed=7) > 0.4).double(),
+    )
+
+
+def test_the_world_models_losses_are_the_formula() -> None:
+    agent = make().double()
+    seen_there, noise = window(agent), uniform(T, B, GROUPS)
+    found = world_model_losses(net_of(agent).world, seen_there, noise, kl_weight=3.0)
+    w, numbers = weights(agent.encoder), {k: v.numpy() for k, v in vars(seen_there).items()}
+    terms: dict[str, list[float]] = {name: [] for name in found}
+    for b in range(B):
+        stack = T - L
+        start = noise[:stack, b].numpy()
+        memory, latent = rebuilt(w, numbers["present"][:stack, b], start)
+        for step in range(L + 1):
+            belief = np.concatenate([memory, latent])
+            error = mlp(w, "world.features", belief) - numbers["features"][step, b].ravel()
+            terms["features"].append(0.5 * (error**2).sum() / 108)
+            state = numbers["state"][step, b]
+            error = mlp(w, "world.state", belief) - np.sign(state) * np.log1p(np.abs(state))
+            terms["state"].append(0.5 * (error**2).sum())
+            if step:
+                reward, goes_on = (numbers[k][step - 1, b] for k in ("reward", "follows"))
+                error = mlp(w, "world.reward", belief) - np.sign(reward) * np.log1p(abs(reward))
+                terms["reward"].append(0.5 * float(error[0]) ** 2)
+                likely = sigmoid(mlp(w, "world.follows", belief)[0])
+                terms["follows"].append(-math.log(likely if goes_on else 1 - likely))
+            if step < L:
+                memory = advanced(w, memory, latent, numbers["action"][step, b])
+                guess = mlp(w, "world.rssm.prior", memory)
+                logits = corrected(w, memory, numbers["present"][stack + step, b])
+                terms["kl"].append(kl(logits, guess))
+                latent = drawn(logits, noise[stack + step, b].numpy())
+    weight = {"features": FEATURES, "reward": REWARD, "state": STATE, "follows": 1, "kl": 3.0}
+    expected = {name: weight[name] * np.mean(rows) for name, rows in terms.items()}
+    assert {k: v.item() for k, v in found.items()} == pytest.approx(expected, rel=1e-8)
+
+
+def test_a_window_without_actions_is_refused() -> None:
+    agent = make().double()
+    empty = replace(window(agent), action=torch.zeros(0, B, 2))
+    with pytest.raises(ValueError, match="with actions"):
+        world_model_losses(net_of(agent).world, empty, uniform(T, B, GROUPS), 1.0)
+
+
+@pytest.mark.parametrize("views", [1, 2, 5])
+def test_views_are_dropped_uniformly(views: int) -> None:
+    present = drawn_views(torch.Generator().manual_seed(0), 6000, views)
+    counts = torch.bincount(present.sum(1), minlength=views + 1)[1:] / 6000
+    np.testing.assert_allclose(counts.numpy(), np.full(views, 1 / views), atol=0.03)
+    expected = (1 + views) / 2 / views
+    np.testing.assert_allclose(present.float().mean(0).numpy(), expected, atol=0.03)
+
+
+def test_a_sample_is_read_from_its_present_views_alone() -> None:
+    """In a batch of several subsets, each row is what its own tokens give."""
+    agent = make().double()
+    learner, w = WorldLearner(agent, MvMwmConfig(), 0.9), weights(agent.encoder)
+    tokens = normal(2, 4, 3, 36, 16)
+    present = torch.tensor([[1, 0, 1], [0, 1, 0], [1, 1, 1], [1, 1, 0]]).bool()
+    with pytest.MonkeyPatch.context() as patch:
+        off = torch.autocast("cpu", enabled=False)
+        patch.setattr("madviz.training.mv_mwm_learner.autocast", lambda: off)
+        patch.setattr(Tensor, "float", lambda self: self)
+        found = learner._embedded(tokens, present)
+    for t in range(2):
+        for b in range(4):
+            own = tokens[t, b, present[b]].flatten(0, 1).numpy()
+            expected = embedded(w, seen(w, own))
+            np.testing.assert_allclose(found[t, b].detach().numpy(), expected, rtol=1e-7)
+
+
+# --- Imagination --------------------------------------------------------------------------------
+
+
+def test_lambda_returns_are_the_mixture_of_all_shorter_returns() -> None:
+    reward, value = normal(5, B).numpy(), normal(5, B, seed=3).numpy()
+    discount, mixture = uniform(5, B).numpy(), 0.95
+    given = [torch.from_numpy(x) for x in (reward, discount, value)]
+    found = lambda_returns(given[0], given[1], given[2], mixture).numpy()
+    for k in range(5):
+        shorter = []
+        for end in range(k, 5):  # Rewards up to ``end``, then the value of where that leads.
+            total, weight = np.zeros(B), np.ones(B)
+            for j in range(k, end + 1):
+                total += weight * reward[j]
+                weight = weight * discount[j]
+            shorter.append(total + weight * value[end])
+        shares = [(1 - mixture) * mixture**n for n in range(len(shorter) - 1)]
+        shares.append(mixture ** (len(shorter) - 1))
+        mixed = sum(share * one for share, one in zip(shares, shorter, strict=True))
+        np.testing.assert_allclose(found[k], mixed, rtol=1e-10)
+    example = lambda_returns(
+        torch.ones(2, 1), torch.full((2, 1), 0.9), torch.full((2, 1), 5.0), 0.95
+    )
+    np.testing.assert_allclose(example[:, 0].numpy(), [5.9275, 5.5], rtol=1e-6)
+
+
+def test_actions_are_a_truncated_normals() -> None:
+    middle, spread = np.array([[-0.9, 0.2], [0.0, 0.99]]), np.array([[0.1, 1.5], [2.0, 0.3]])
+    noise = uniform(2, 2)
+    action, entropy = truncated_normal(torch.from_numpy(middle), torch.from_numpy(spread), noise)
+    real = stats.truncnorm((-1 - middle) / spread, (1 - middle) / spread, middle, spread)
+    np.testing.assert_allclose(action.numpy(), real.ppf(noise.numpy()), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(entropy.numpy(), real.entropy().sum(-1), rtol=1e-6)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1 - 1e-7])
+def test_actions_at_the_edges_have_finite_gradients(noise: float) -> None:
+    middle = torch.tensor([[-0.999, 0.999, 0.0]], requires_grad=True)
+    spread = torch.tensor([[0.1, 0.1, 2.1]], requires_grad=True)
+    action, entropy = truncated_normal(middle, spread, torch.full((1, 3), noise))
+    (action.sum() + entropy.sum()).backward()
+    assert middle.grad is not None and spread.grad is not None
+    assert (
+        (action.abs() <= 1).all() and middle.grad.isfinite().all() and spread.grad.isfinite().all()
+    )
+
+
+def believed(agent: Agent, batch: int = B) -> Belief:
+    rssm = net_of(agent).world.rssm
+    return rssm.believe(normal(2, batch, 64), None).detach()
+
+
+def test_a_dream_is_the_formula_and_weighs_by_what_follows() -> None:
+    agent = make().double()
+    assert isinstance(agent.actor, BeliefActor)
+    start, state = believed(agent), normal(B, 6)
+    noise = Noise(uniform(2, B, 2), uniform(2, B, GROUPS, seed=8))
+    dreamt = dream(net_of(agent).world, agent.actor, start, state, noise, gamma=0.9)
+    w, actor = weights(agent.encoder), weights(agent.actor)
+    memory, latent, known = start.memory[1].numpy(), start.latent[1].flatten().numpy(), state[1]
+    for step in range(2):
+        belief = np.concatenate([memory, latent])
+        middle, raw = np.split(mlp(actor, "mlp", np.concatenate([belief, known])), 2)
+        middle, spread = np.tanh(middle), 2 * sigmoid(raw / 2) + 0.1
+        edges = (-1 - middle) / spread, (1 - middle) / spread
+        choice = stats.truncnorm(*edges, middle, spread)
+        action = choice.ppf(noise.action[step, 1].numpy())
+        assert dreamt.entropy[step, 1].item() == pytest.approx(choice.entropy().sum(), rel=1e-6)
+        memory = advanced(w, memory, latent, action)
+        latent = drawn(mlp(w, "world.rssm.prior", memory), noise.latent[step, 1].numpy())
+        belief = np.concatenate([memory, latent])
+        reward, known = mlp(w, "world.reward", belief)[0], mlp(w, "world.state", belief)
+        reward, known = (np.sign(x) * np.expm1(np.abs(x)) for x in (reward, known))
+        follows = 0.9 * sigmoid(mlp(w, "world.follows", belief)[0])
+        assert dreamt.reward[step, 1].item() == pytest.approx(reward, rel=1e-4)
+        assert dreamt.discount[step, 1].item() == pytest.approx(follows, rel=1e-4)
+        found = dreamt.state[step + 1, 1].detach().numpy()
+        np.testing.assert_allclose(found, known, rtol=1e-4)
+    expected = torch.stack([torch.ones(B), dreamt.discount[0].detach()])
+    torch.testing.assert_close(reached(dreamt.discount), expected, check_dtype=False)
+
+
+def test_the_losses_of_actor_and_critic() -> None:
+    returns, entropy, weight = normal(2, B), normal(2, B, seed=3), uniform(2, B)
+    value = normal(2, B, seed=4)
+    numbers = [x.numpy() for x in (returns, entropy, weight, value)]
+    g, h, w, v = numbers
+    found = dream_actor_loss(returns, entropy, weight, 0.01).item()
+    assert found == pytest.approx(-(w * (g + 0.01 * h)).mean())
+    critic = dream_critic_loss(value, returns.requires_grad_(), weight)
+    assert critic.item() == pytest.approx(0.5 * (w * (v - g) ** 2).mean())
+    assert not critic.requires_grad, "returns are data to the critic"
+
+
+def test_rewards_reach_actions_through_the_world_model() -> None:
+    agent = make().double()
+    assert isinstance(agent.actor, BeliefActor)
+    noise = Noise(uniform(3, B, 2), uniform(3, B, GROUPS, seed=8))
+    dreamt = dream(net_of(agent).world, agent.actor, believed(agent), normal(B, 6), noise, 0.9)
+    dreamt.reward[-1].sum().backward()
+    slopes = [p.grad for p in agent.actor.parameters()]
+    assert all(slope is not None and slope.any() for slope in slopes)
+
+
+# --- The table ----------------------------------------------------------------------------------
+
+
+def test_the_method_trains_every_subset_and_has_one_recipe() -> None:
+    row = METHODS["mv-mwm"]
+    assert row.recipes == ("mv-mwm",) and row.merge == "mv-mwm"
+    expected = {name_of(mask, STREAMS) for mask in every_mask(3)[:-1]}
+    assert set(row.trained_subsets(STREAMS)) == expected and len(expected) == 7
+    assert "mv-mwm" not in METHODS["mv-mae"].recipes
