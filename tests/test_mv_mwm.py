@@ -223,6 +223,17 @@ def test_a_policy_imagines_what_is_missing() -> None:
     np.testing.assert_array_equal(found, expected)  # Nothing is learned: the mean.
 
 
+def test_what_is_imagined_is_of_the_newest_frame() -> None:
+    agent, views, mask = make().eval(), pictures(), torch.tensor([True, False, True])
+    net, older, newer = net_of(agent), views.clone(), views.clone()
+    older[:, :, :6] = 255 - older[:, :, :6]
+    newer[:, :, 6:] = 255 - newer[:, :, 6:]
+    one, two, three = (
+        FUNCTIONS.imagined(net, agent.encode(v), mask) for v in (views, older, newer)
+    )
+    assert torch.equal(one, two) and not torch.equal(one, three)
+
+
 # --- The world model's losses -------------------------------------------------------------------
 
 

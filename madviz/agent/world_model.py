@@ -15,8 +15,9 @@ rebuilds its belief over its stack at each of them; what happened between these 
 it, and therefore here. The present views are drawn uniformly: of three cameras 1, 2 or 3.
 
 The losses are negative logarithms of likelihoods, as in the paper: squared errors, halved, and
-summed over what is predicted. Of the features the mean over tokens is taken, times ``FEATURES``:
-an error of 0.1 in each of a token's 64 numbers costs 0.5 x 64 x 0.01 = 0.32, times 4.
+summed over what is predicted; of the features the mean over tokens is taken. An error of 0.1 in
+each of a token's 64 numbers costs 0.5 x 64 x 0.01 = 0.32, and one of 0.1 in the reward's symlog
+0.005, times ``REWARD``: 0.5.
 """
 
 from __future__ import annotations
@@ -34,8 +35,10 @@ from madviz.agent.token_reader import QUESTIONS, TokenReader
 
 BALANCE, FREE = 0.8, 0.1
 """Share of the KL that moves the prior, and nats that cost nothing: the paper's."""
-FEATURES, REWARD, STATE = 4.0, 10.0, 10.0
-"""Weights of the errors in features, in the reward's symlog and in the state's."""
+FEATURES, REWARD, STATE = 1.0, 100.0, 10.0
+"""Weights of the errors in features, in the reward's symlog and in the state's. At equal weights
+the features, which are thousands of numbers, leave little to the reward, which is one: after 200
+updates on toy/reach 0.70 of its variance was predicted with these, and 0.02 with 4 and 10."""
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ The MAD paper ran it without demonstrations. With ``--mv-mwm.demonstrations`` ep
 scripted expert are there from the start: a quarter of every batch is theirs, and the actor is
 taught the expert's actions in them besides.
 
-With the defaults 20,000 decisions are 600 + 4,000 updates: each sees 16 stretches of 4 decisions
-and, after the first 600, imagines 64 x 15 more. ``UNLIKE`` says what differs from the authors'
+With the defaults 20,000 decisions are 400 + 4,000 updates: each sees 16 stretches of 4 decisions
+and, after the first 400, imagines 64 x 15 more. ``UNLIKE`` says what differs from the authors'
 code; it stands on every card.
 
 On a CUDA device (``--mv-mwm.device``) it learns there. No such device was at hand when this was

@@ -67,9 +67,10 @@ class MvMwmConfig(LanesConfig):
     as the authors did."""
     cloning_weight: Weight = 1.0
     """With demonstrations: of the squared error of the actor's action there."""
-    pretraining: CountOrNone = 400
-    """Updates of the autoencoder while exploring (10000)."""
-    world_pretraining: CountOrNone = 600
+    pretraining: CountOrNone = 1_500
+    """Updates of the autoencoder while exploring (10000). Too few, and its tokens do not tell yet
+    where small things are: on toy/reach no reward could be predicted from them after 400."""
+    world_pretraining: CountOrNone = 400
     """Updates of the world model in the second half of exploring (1000, with actor and critic). An
     actor that learns from rewards that are not known yet ends at an edge and stays there."""
     pictures: Width = 16
