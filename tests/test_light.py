@@ -32,6 +32,7 @@ TINY = LightConfig(
 DIALS = replace(
     TINY, final_rounds=2, recency=1.0, learning_rate_floor=0.1, standard_state=True,
     position_weight=0.1, gripper_loss="cross-entropy", noise_share=0.0, noise_spread=0.2,
+    focus=0.5,
 )  # fmt: skip
 """Everything that is off by default."""
 

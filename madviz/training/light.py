@@ -46,6 +46,7 @@ from madviz.subsets import mask_of
 from madviz.training.autoencoder import mean_pictures
 from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder
 from madviz.training.light_critic import REWARD_SCALE, fit_critic
+from madviz.training.light_focus import Outcomes, failures, focused, in_turn, shares
 from madviz.training.light_losses import PlacesHead as PlacesHead
 from madviz.training.light_losses import imitation_loss as imitation_loss
 from madviz.training.light_losses import mean_and_spread
@@ -65,7 +66,11 @@ class LightRun:
         agent, streams = self.agent, plan.spec.streams
         self.masks = torch.from_numpy(plan.method.masks(streams))
         self.driven = [mask_of(name, streams) for name in plan.spec.trained_subsets]
-        self.weights = torch.from_numpy(plan.method.row_weights(streams, config.alpha))
+        self._even = plan.method.row_weights(streams, config.alpha)
+        self.weights = torch.from_numpy(self._even)
+        self.outcomes: Outcomes = []
+        self._turns: list[int] = []
+        """Who drives the episodes that are being recorded, as places in ``driven``."""
         self.average = copy.deepcopy(agent).eval().requires_grad_(False)
         learned = [*agent.encoder.parameters(), *agent.actor.parameters()]
         self.optimisers = {
@@ -98,13 +103,17 @@ class LightRun:
         fade = config.noise_decay ** (round_index - 1)
         student = TorchPolicy(self.plan.spec, copy.deepcopy(self.average))
         first = config.demonstrations + (round_index - 1) * config.episodes_per_round
+        noise, spread = config.noise_share * fade, config.noise_spread * fade
+        self._turns = in_turn(self.shares(), config.episodes_per_round, first)
         planned = []
-        for number in range(first, first + config.episodes_per_round):
-            mask = self.driven[number % len(self.driven)]
-            noise, spread = config.noise_share * fade, config.noise_spread * fade
-            driver = Driver(share, noise, student, mask, spread)
+        for number, chosen in enumerate(self._turns, first):
+            driver = Driver(share, noise, student, self.driven[chosen], spread)
             planned.append((driver, self._train_seed(number)))
         return planned
+
+    def shares(self) -> Array:
+        """(K,) of the subsets that drive, by where the student has failed."""
+        return shares(failures(self.outcomes, len(self.driven)), self.config.focus)
 
     def add(self, episodes: list[Episode], round_index: int) -> None:
         """Adds a round's episodes to the data and to the run folder."""
@@ -113,6 +122,9 @@ class LightRun:
             self.data.add(episode)
         if round_index == 0:
             self._look_at_demonstrations()
+        elif episodes:
+            found = [episode.success for episode in episodes]
+            self.outcomes.append(list(zip(self._turns, found, strict=True)))
 
     def _look_at_demonstrations(self) -> None:
         """What depends on how pictures, states and places vary in the first episodes."""
@@ -131,6 +143,9 @@ class LightRun:
 
     def learn(self) -> float:
         """One round of updates; the mean loss."""
+        if self.config.focus:
+            rows = focused(self._even, self.masks.numpy(), self.driven, self.shares())
+            self.weights = torch.from_numpy(rows)
         total = 0.0
         for _ in range(self.config.updates_per_round):
             total += self.update()
@@ -214,6 +229,7 @@ class LightRun:
             "average": self.average.state_dict(),
             "places": self.places.state_dict() if self.places else {},
             **{name: optimiser.state_dict() for name, optimiser in self.optimisers.items()},
+            "outcomes": self.outcomes,
             "rng": _plain(self.rng.bit_generator.state),
             "round": self.round,
             "updates": self.updates,
@@ -223,6 +239,7 @@ class LightRun:
     def restore(self, state: dict[str, Any]) -> None:
         """Continues from ``state``; episodes come back from the run folder."""
         self.round, self.updates, self.seconds = (state[k] for k in ("round", "updates", "seconds"))
+        self.outcomes = state["outcomes"]
         for file in sorted(self._episodes.glob("*.npz")):
             if int(file.name.split("-")[0]) <= self.round:
                 self.data.add(Episode.load(file))

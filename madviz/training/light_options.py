@@ -77,6 +77,9 @@ class LightConfig:
     noise_decay: Share = 1.0
     """Factor on both noises from round to round. Below 1 the last rounds show where the student
     goes by itself, which is what a task needs whose end few episodes reach under noise."""
+    focus: Share = 0.0
+    """How far drivers and the weights of single streams follow where the student fails: 0 not at
+    all, 1 in proportion to the failures of the last rounds."""
     critic_updates: CountOrNone = 1500
     """Gradient steps of the critic at the end."""
     workers: Threads = 1
