@@ -304,34 +304,47 @@ def window(agent: Agent) -> Window:
 
 def test_the_world_models_losses_are_the_formula() -> None:
     agent = make().double()
-    seen_there, noise = window(agent), uniform(T, B, GROUPS)
+    seen_there, noise = window(agent), uniform(T + L, B, GROUPS)
     found = world_model_losses(net_of(agent).world, seen_there, noise, kl_weight=3.0)
     w, numbers = weights(agent.encoder), {k: v.numpy() for k, v in vars(seen_there).items()}
     terms: dict[str, list[float]] = {name: [] for name in found}
+    weight = {"features": FEATURES, "reward": REWARD, "state": STATE, "follows": 1, "kl": 3.0}
+    weight["ahead"] = 1
+
+    def errors(belief: Array, step: int, b: int) -> dict[str, float]:
+        """Of what one belief predicts; of what came before the first one, nothing is asked."""
+        state = numbers["state"][step, b]
+        features = mlp(w, "world.features", belief) - numbers["features"][step, b].ravel()
+        felt = mlp(w, "world.state", belief) - np.sign(state) * np.log1p(np.abs(state))
+        wrong = {"features": 0.5 * (features**2).sum() / 108, "state": 0.5 * (felt**2).sum()}
+        if step:
+            reward, goes_on = (numbers[k][step - 1, b] for k in ("reward", "follows"))
+            error = mlp(w, "world.reward", belief) - np.sign(reward) * np.log1p(abs(reward))
+            likely = sigmoid(mlp(w, "world.follows", belief)[0])
+            wrong["reward"] = 0.5 * float(error[0]) ** 2
+            wrong["follows"] = -math.log(likely if goes_on else 1 - likely)
+        return wrong
+
     for b in range(B):
         stack = T - L
         start = noise[:stack, b].numpy()
-        memory, latent = rebuilt(w, numbers["present"][:stack, b], start)
+        memory, latent = first = rebuilt(w, numbers["present"][:stack, b], start)
         for step in range(L + 1):
             belief = np.concatenate([memory, latent])
-            error = mlp(w, "world.features", belief) - numbers["features"][step, b].ravel()
-            terms["features"].append(0.5 * (error**2).sum() / 108)
-            state = numbers["state"][step, b]
-            error = mlp(w, "world.state", belief) - np.sign(state) * np.log1p(np.abs(state))
-            terms["state"].append(0.5 * (error**2).sum())
-            if step:
-                reward, goes_on = (numbers[k][step - 1, b] for k in ("reward", "follows"))
-                error = mlp(w, "world.reward", belief) - np.sign(reward) * np.log1p(abs(reward))
-                terms["reward"].append(0.5 * float(error[0]) ** 2)
-                likely = sigmoid(mlp(w, "world.follows", belief)[0])
-                terms["follows"].append(-math.log(likely if goes_on else 1 - likely))
+            for name, error in errors(belief, step, b).items():
+                terms[name].append(error)
             if step < L:
                 memory = advanced(w, memory, latent, numbers["action"][step, b])
                 guess = mlp(w, "world.rssm.prior", memory)
                 logits = corrected(w, memory, numbers["present"][stack + step, b])
                 terms["kl"].append(kl(logits, guess))
                 latent = drawn(logits, noise[stack + step, b].numpy())
-    weight = {"features": FEATURES, "reward": REWARD, "state": STATE, "follows": 1, "kl": 3.0}
+        memory, latent = first
+        for step in range(L):  # Without the pictures.
+            memory = advanced(w, memory, latent, numbers["action"][step, b])
+            latent = drawn(mlp(w, "world.rssm.prior", memory), noise[T + step, b].numpy())
+            wrong = errors(np.concatenate([memory, latent]), step + 1, b)
+            terms["ahead"].append(sum(weight[name] * error for name, error in wrong.items()))
     expected = {name: weight[name] * np.mean(rows) for name, rows in terms.items()}
     assert {k: v.item() for k, v in found.items()} == pytest.approx(expected, rel=1e-8)
 

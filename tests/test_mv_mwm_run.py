@@ -388,7 +388,7 @@ def test_the_mean_picture_is_of_what_was_seen(undisturbed: tuple[Path, dict[str,
 def test_mv_mwm_learns_toy_reach(tmp_path: Path) -> None:
     """Nearly an hour on two cores."""
     config = MvMwmConfig(
-        steps=8_000, discount=0.9, ahead=4, update_ratio=0.5, heads_rate=5e-4, eval_every=8_000,
+        steps=12_000, discount=0.9, update_ratio=0.5, entropy_weight=3e-3, eval_every=12_000,
         eval_episodes=20,
     )  # fmt: skip
     run(tmp_path / "run", config)

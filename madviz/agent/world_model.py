@@ -14,6 +14,10 @@ The first three frames are the policy's frame stack. A policy keeps nothing betw
 rebuilds its belief over its stack at each of them; what happened between these frames is unknown to
 it, and therefore here. The present views are drawn uniformly: of three cameras 1, 2 or 3.
 
+A guess is only good for the next decision if nothing else is asked of it: what was believed of a
+target is lost within a few imagined decisions. So the beliefs guessed from the first one on,
+without any further picture, must predict all that, too (*ahead*; not in the paper).
+
 The losses are negative logarithms of likelihoods, as in the paper: squared errors, halved, and
 summed over what is predicted; of the features the mean over tokens is taken. An error of 0.1 in
 each of a token's 64 numbers costs 0.5 x 64 x 0.01 = 0.32, and one of 0.1 in the reward's symlog
@@ -24,6 +28,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -111,6 +116,16 @@ class WorldModel(nn.Module):
             posteriors.append(self.rssm.correct(memory, embedding, noise[stack + step]))
         return posteriors, priors
 
+    def go_on(
+        self, belief: Belief, action: Float[Tensor, "L B A"], noise: Float[Tensor, "L B G"]
+    ) -> list[Belief]:
+        """L priors in a row: what is guessed of the decisions ``action`` without a picture."""
+        guessed = []
+        for done, drawn in zip(action, noise, strict=True):
+            belief = self.rssm.guess(self.rssm.advance(belief, done), drawn)
+            guessed.append(belief)
+        return guessed
+
 
 def _layer(width: int) -> nn.Module:
     return nn.TransformerEncoderLayer(
@@ -119,27 +134,51 @@ def _layer(width: int) -> nn.Module:
 
 
 def world_model_losses(
-    model: WorldModel, window: Window, noise: Float[Tensor, "T B G"], kl_weight: float
+    model: WorldModel, window: Window, noise: Float[Tensor, "T+L B G"], kl_weight: float
 ) -> dict[str, Float[Tensor, ""]]:
-    """The terms that the world model minimises the sum of, by name; ``noise`` draws the beliefs.
+    """The terms that the world model minimises the sum of, by name; ``noise`` draws the beliefs,
+    and those that are guessed without pictures after them.
 
     Raises ValueError for a window without actions.
     """
-    if not len(window.action):
+    count, frames = len(window.action), len(window.present)
+    if not count:
         raise ValueError("expected a window with actions, found none")
-    posteriors, priors = model.observe(window, noise)
-    believed, later = joined(posteriors), joined(posteriors[1:])
-    features = model.predicted_features(believed.feature)
-    reward = model.reward(later.feature).squeeze(1)
-    follows = model.follows(later.feature).squeeze(1)
-    kl = balanced_kl(later.logits, joined(priors).logits, BALANCE, FREE)
-    state = model.state(believed.feature)
+    posteriors, priors = model.observe(window, noise[:frames])
+    kl = balanced_kl(joined(posteriors[1:]).logits, joined(priors).logits, BALANCE, FREE)
+    seen = sight_losses(model, joined(posteriors), window.features, window.state)
+    seen |= outcome_losses(model, joined(posteriors[1:]), window.reward, window.follows)
+    guesses = joined(model.go_on(posteriors[0], window.action, noise[frames:]))
+    guessed = sight_losses(model, guesses, window.features[1:], window.state[1:])
+    guessed |= outcome_losses(model, guesses, window.reward, window.follows)
+    ahead = torch.stack(list(guessed.values())).sum()
+    return seen | {"ahead": ahead, "kl": kl_weight * kl}
+
+
+def sight_losses(
+    model: WorldModel,
+    belief: Belief,
+    features: Float[Tensor, "T B M W"],
+    state: Float[Tensor, "T B S"],
+) -> dict[str, Float[Tensor, ""]]:
+    """What T x B beliefs predict wrongly of what is seen and felt."""
+    predicted = model.predicted_features(belief.feature)
+    felt = symlog(state).flatten(0, 1)
     return {
-        "features": FEATURES * feature_loss(features, window.features.flatten(0, 1)),
-        "reward": REWARD * squared_error(reward, symlog(window.reward).flatten()[:, None]),
-        "follows": F.binary_cross_entropy_with_logits(follows, window.follows.flatten()),
-        "state": STATE * squared_error(state, symlog(window.state).flatten(0, 1)),
-        "kl": kl_weight * kl,
+        "features": FEATURES * feature_loss(predicted, features.flatten(0, 1)),
+        "state": STATE * squared_error(model.state(belief.feature), felt),
+    }
+
+
+def outcome_losses(
+    model: WorldModel, belief: Belief, reward: Float[Tensor, "L B"], follows: Float[Tensor, "L B"]
+) -> dict[str, Float[Tensor, ""]]:
+    """What L x B beliefs predict wrongly of what the decisions before them brought."""
+    likely = model.follows(belief.feature).squeeze(1)
+    brought = symlog(reward).flatten()[:, None]
+    return {
+        "reward": REWARD * squared_error(model.reward(belief.feature), brought),
+        "follows": F.binary_cross_entropy_with_logits(likely, follows.flatten()),
     }
 
 
@@ -150,10 +189,11 @@ def feature_loss(
     return 0.5 * (predicted - features).square().sum(2).mean()
 
 
-def squared_error(predicted: Tensor, target: Float[Tensor, "B N"]) -> Float[Tensor, ""]:
-    """Half the squared error, summed over N numbers; the mean over samples. ``predicted`` has as
-    many numbers, (B, N), or (B,) where N is 1."""
-    return 0.5 * (predicted.reshape(target.shape) - target).square().sum(1).mean()
+def squared_error(
+    predicted: Float[Tensor, "B N"], target: Float[Tensor, "B N"]
+) -> Float[Tensor, ""]:
+    """Half the squared error, summed over N numbers; the mean over samples."""
+    return 0.5 * (predicted - target).square().sum(1).mean()
 
 
 def symexp(x: Tensor) -> Tensor:

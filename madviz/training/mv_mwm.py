@@ -10,8 +10,8 @@ The MAD paper ran it without demonstrations. With ``--mv-mwm.demonstrations`` ep
 scripted expert are there from the start: a quarter of every batch is theirs, and the actor is
 taught the expert's actions in them besides.
 
-With the defaults 20,000 decisions are 400 + 4,000 updates: each sees 16 stretches of 4 decisions
-and, after the first 400, imagines 64 x 15 more. ``UNLIKE`` says what differs from the authors'
+With the defaults 20,000 decisions are 800 + 4,000 updates: each sees 16 stretches of 4 decisions
+and, after the first 800, imagines 64 x 15 more. ``UNLIKE`` says what differs from the authors'
 code; it stands on every card.
 
 On a CUDA device (``--mv-mwm.device``) it learns there. No such device was at hand when this was
@@ -45,7 +45,8 @@ from madviz.training.vector_envs import Board, VectorEnvs
 
 UNLIKE = (
     "beliefs are rebuilt from nothing over a frame stack, without the actions in between, so that "
-    "a policy keeps no memory; the world model is trained on short stretches, too; "
+    "a policy keeps no memory; the world model is trained on short stretches, too, and "
+    "predicts them also without their pictures; "
     "the state is given to actor and critic, and predicted in imagination; "
     "views are dropped uniformly, also where the world model reads them; "
     "the autoencoder sees single frames of 84 pixels in patches of 14, keeps up to whole views "
@@ -70,6 +71,7 @@ class MvMwmRun(LanesRun):
         "reward_loss",
         "reward_explained",
         "state_loss",
+        "ahead_loss",
         "kl",
         "actor_loss",
         "critic_loss",

@@ -111,7 +111,9 @@ class WorldLearner:
         # differently then: a resumed run, which was not evaluated, would go on elsewhere.
         self.agent.train()
         window = self._window(_moved(stretch, self._device))
-        noise = self._uniform(*window.present.shape[:2], self.agent.config.world_model.groups)
+        frames, batch = window.present.shape[:2]
+        groups = self.agent.config.world_model.groups
+        noise = self._uniform(frames + len(window.action), batch, groups)
         losses = world_model_losses(self.net.world, window, noise, self.config.kl_weight)
         total = torch.stack(list(losses.values())).sum()
         self._step("world", total)

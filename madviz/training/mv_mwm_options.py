@@ -67,10 +67,10 @@ class MvMwmConfig(LanesConfig):
     as the authors did."""
     cloning_weight: Weight = 1.0
     """With demonstrations: of the squared error of the actor's action there."""
-    pretraining: CountOrNone = 1_500
+    pretraining: CountOrNone = 2_000
     """Updates of the autoencoder while exploring (10000). Too few, and its tokens do not tell yet
     where small things are: on toy/reach no reward could be predicted from them after 400."""
-    world_pretraining: CountOrNone = 400
+    world_pretraining: CountOrNone = 800
     """Updates of the world model in the second half of exploring (1000, with actor and critic). An
     actor that learns from rewards that are not known yet ends at an edge and stays there."""
     pictures: Width = 16
@@ -93,7 +93,7 @@ class MvMwmConfig(LanesConfig):
     """AdamW's (3e-4)."""
     world_rate: Rate = 1e-3
     """Adam's, of the world model (3e-4)."""
-    heads_rate: Rate = 3e-4
+    heads_rate: Rate = 1e-3
     """Of the two Adams of actor and critic (1e-4)."""
 
     def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
