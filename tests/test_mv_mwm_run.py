@@ -249,6 +249,15 @@ def test_each_loss_moves_what_is_its_own() -> None:
     assert all(p.requires_grad for p in learner.net.parameters())
 
 
+def test_rates_fall_in_a_line_to_their_floor() -> None:
+    learner, _, _ = learner_and_stretch(replace(TINY, world_rate=0.4, rate_floor=0.25))
+    for progress, expected in ((0.0, 0.4), (0.5, 0.25), (1.0, 0.1)):
+        learner.slow_down(progress)
+        assert learner.optimisers["world"].param_groups[0]["lr"] == pytest.approx(expected)
+    pictures = learner.optimisers["pictures"].param_groups[0]
+    assert pictures["lr"] == pytest.approx(0.25 * TINY.autoencoder_rate)
+
+
 def test_an_imagination_begins_where_the_acting_policy_stands() -> None:
     learner, stretch, _ = learner_and_stretch()
     rng = np.random.default_rng(0)
@@ -306,6 +315,9 @@ def test_the_schedule(undisturbed: tuple[Path, dict[str, Any]]) -> None:
     assert [row["step"] for row in rows] == ["0", "50", "80"]
     for name in (*MvMwmRun.LOSSES, "success_all", "success_first", "success_third_b"):
         assert np.isfinite(float(rows[-1][name])), name
+    for name, rate in (("pictures", TINY.autoencoder_rate), ("actor", TINY.heads_rate)):
+        found = state["learner"]["optimisers"][name]["param_groups"][0]["lr"]
+        assert found == pytest.approx(rate * (1 - 0.9 * 78 / 80)), "at the last decision"
     assert (folder / "curve.svg").read_text().startswith("<svg")
 
 
@@ -388,7 +400,7 @@ def test_the_mean_picture_is_of_what_was_seen(undisturbed: tuple[Path, dict[str,
 def test_mv_mwm_learns_toy_reach(tmp_path: Path) -> None:
     """Nearly an hour on two cores."""
     config = MvMwmConfig(
-        steps=12_000, discount=0.9, update_ratio=0.5, entropy_weight=3e-3, eval_every=12_000,
+        steps=13_000, discount=0.9, update_ratio=0.5, entropy_weight=3e-3, eval_every=13_000,
         eval_episodes=20,
     )  # fmt: skip
     run(tmp_path / "run", config)

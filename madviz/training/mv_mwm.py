@@ -108,6 +108,7 @@ class MvMwmRun(LanesRun):
             return
         if not self.drawn:
             self.learner.look_at(self._mean_pictures)
+        self.learner.slow_down(self.step / config.steps)
         explored = min(1.0, self.step / max(config.exploration_steps, 1))
         while self.drawn < int(config.pretraining * explored):
             self._learn_pictures()

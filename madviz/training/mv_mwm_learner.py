@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -69,23 +70,30 @@ class WorldLearner:
             "actor": self.actor,
             "critic": self.critic,
         }
-        rates = {"world": config.world_rate, "actor": config.heads_rate}
-        rates["critic"] = config.heads_rate
-        self.optimisers: dict[str, torch.optim.Optimizer] = {
-            name: torch.optim.Adam(self.parts[name].parameters(), lr=rate, fused=True)
-            for name, rate in rates.items()
+        self.rates = {
+            "pictures": config.autoencoder_rate,
+            "world": config.world_rate,
+            "actor": config.heads_rate,
+            "critic": config.heads_rate,
         }
-        self.optimisers["pictures"] = torch.optim.AdamW(
-            self.net.autoencoder.parameters(),
-            lr=config.autoencoder_rate,
-            weight_decay=0.01,
-            fused=True,
-        )
+        kinds = {"pictures": partial(torch.optim.AdamW, weight_decay=0.01)}
+        self.optimisers: dict[str, torch.optim.Optimizer] = {
+            name: kinds.get(name, torch.optim.Adam)(part.parameters(), fused=True)
+            for name, part in self.parts.items()
+        }
+        self.slow_down(0.0)
         self.updates = 0
         self._device = next(agent.parameters()).device
         self._generator = torch.Generator().manual_seed(seed)
 
     # --- Learning -------------------------------------------------------------------------------
+
+    def slow_down(self, progress: float) -> None:
+        """Sets all rates to what is due at ``progress`` from 0 to 1."""
+        share = 1 - progress * (1 - self.config.rate_floor)
+        for name, optimiser in self.optimisers.items():
+            for group in optimiser.param_groups:
+                group["lr"] = share * self.rates[name]
 
     def look_at(self, mean: Callable[[], Float[Tensor, "V 3 H W"]]) -> None:
         """Before the first update: the mean picture of every view."""

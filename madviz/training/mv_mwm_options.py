@@ -95,6 +95,9 @@ class MvMwmConfig(LanesConfig):
     """Adam's, of the world model (3e-4)."""
     heads_rate: Rate = 1e-3
     """Of the two Adams of actor and critic (1e-4)."""
+    rate_floor: Share = 0.1
+    """Share of all rates that is left at the end; they fall in a line from the first decision on
+    (1: they stay)."""
 
     def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
         """Of an agent that reads ``state_columns`` of the state, or all of it if empty."""
