@@ -27,7 +27,11 @@ def policy_with(merge: str = "sum") -> TorchPolicy:
     spec = PolicySpec("p", "toy/reach", "mad", "three", "light", STREAMS, ("all", *STREAMS))
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        return TorchPolicy(spec, Agent(NETWORKS, merge=merge, streams=STREAMS))
+        agent = Agent(NETWORKS, merge=merge, streams=STREAMS)
+        for weight in agent.critic.parameters():
+            if weight.ndim > 1 and not weight.any():  # MV-MWM's value is 0 until it is trained.
+                torch.nn.init.normal_(weight, std=0.1)
+        return TorchPolicy(spec, agent)
 
 
 def pictures(seed: int = 0) -> np.ndarray:
