@@ -42,6 +42,18 @@ def test_ridge_finds_a_linear_map_and_makes_no_more_than_the_mean_of_noise() -> 
     assert np.abs(noise).mean() < 0.15 * np.abs(targets).mean()
 
 
+def test_a_number_that_is_rarely_there_does_not_decide_all() -> None:
+    rng = np.random.default_rng(2)
+    inputs, new = rng.normal(size=(300, 5)), rng.normal(size=(100, 5))
+    true, episodes = rng.normal(size=(5, 3)), np.repeat(np.arange(30), 10)
+    rare, there = np.zeros((300, 1)), np.zeros((100, 1))
+    rare[7], there[::4] = 1e-3, 1.0
+    targets = inputs @ true
+    targets[7] += 1.0
+    found = ridge(np.hstack([inputs, rare]), targets, episodes, np.hstack([new, there]))
+    assert np.abs(found - new @ true).max() < 1.5
+
+
 def test_what_lies_in_a_picture_follows_from_the_cameras_pose() -> None:
     # One metre above the table, looking straight down (OpenCV axes: z ahead), 90 degrees.
     down = Rotation.from_euler("x", 180, degrees=True).as_quat(scalar_first=True)

@@ -45,6 +45,8 @@ FIT, JUDGE = 1000, 5000
 """The first seeds of the episodes that maps are fitted to, and of those that judge them."""
 STILL = 2e-3
 """Metres: what varies less over all frames is left out, because there is nothing to tell."""
+FURTHEST = 5.0
+"""Spreads from its mean that a number counts at most."""
 PENALTIES = 10.0 ** np.arange(-4, 5)
 """Of ridge regression, times the mean of the eigenvalues; chosen on a third of the fitted
 episodes."""
@@ -205,7 +207,8 @@ def ridge(inputs: Array, targets: Array, episodes: Array, new: Array) -> Array:
     mean = inputs.mean(0, dtype=float)
     spread = inputs.std(0, dtype=float)
     scale = np.where(spread > 1e-6, spread, np.inf)  # What never changes says nothing.
-    inputs, new = (inputs - mean) / scale, (new - mean) / scale
+    # Most numbers of a feature are rarely above 0; one that is for once must not decide all.
+    inputs, new = (((each - mean) / scale).clip(-FURTHEST, FURTHEST) for each in (inputs, new))
     aside = episodes % 3 == 0
     tried = _solve(inputs[~aside], targets[~aside], inputs[aside], PENALTIES)
     errors = [((found - targets[aside]) ** 2).sum() for found in tried]
