@@ -170,7 +170,7 @@ def site_speed() -> str:
     ]
     for backend, rates in found["decisions_per_s"].items():
         lines.append(f"| {backend} | {rates['one']:.1f} | {rates['side_by_side']:.1f} |")
-    return "\n".join([*lines, f"\nOn {machine()}."]) + "\n"
+    return "\n".join([*lines, f"\nOn {found['machine']}."]) + "\n"
 
 
 def machine() -> str:
