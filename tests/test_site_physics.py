@@ -8,6 +8,7 @@ centimetres apart at the end.
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,9 @@ def packages() -> Path:
     try:
         return find_packages(ROOT / ".venv/node/node_modules")
     except UserError as error:
-        pytest.skip(str(error))
+        if os.environ.get("CI"):
+            raise
+        pytest.skip(f"`make test` installs what this needs: {error}")
 
 
 def expert_episode(env: MetaWorld, seed: int) -> dict[str, list[Any]]:
