@@ -93,7 +93,8 @@ class LightRun:
     def drivers(self, round_index: int) -> list[tuple[Driver, int]]:
         """Who drives which seed in a round: the trained subsets in turn, round 0 the expert.
 
-        A function of the configuration, the round, and the average at the time of the call.
+        A function of the configuration, the round, and of the average and the outcomes at the time
+        of the call. Who drives is kept in ``_turns`` until the round's episodes are added.
         """
         config = self.config
         if round_index == 0:
