@@ -173,7 +173,7 @@ def explore(config: ExploreConfig | None = None) -> None:
 def open_app(config: ExploreConfig) -> App:
     """The page as configured, running."""
     limit_heaps()
-    # Python threads take turns of 5 ms by default; a visitor's click crosses three of them.
+    # Python threads take turns of 5 ms by default; a click crosses three on its way back.
     sys.setswitchinterval(0.001)
     prepare("madviz.app.session_maker")
     allow_task(config.task)

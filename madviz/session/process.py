@@ -7,9 +7,9 @@ uses more than 1.4 cores, and a crash in native code (a renderer, a simulator) e
 The idea: a session knows nothing of pages, so it can live elsewhere. Commands and frames go through
 a pipe.
 
-    page's process                            simulation's process
-    send(command) ── writer ── pipe ───────►  reader ── Session.send
-    listeners ◄───── reader ◄─ pipe ◄──────── Session, in its own thread
+    page's process                  simulation's process
+    send(command) ─────── pipe ───► Session, in the only thread (``inbox.py``)
+    listeners ◄─ reader ◄ pipe ◄─── Session
 
 A page that is slow to read holds the simulation up, as it did when they shared a process; what it
 does not show in time it leaves out. A frame of hammer is 0.29 MB: 0.46 ms to write, 0.09 ms on the
@@ -29,11 +29,11 @@ import multiprocessing
 import os
 import queue
 import signal
-import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
@@ -50,6 +50,7 @@ from madviz.session.commands import (
     SetSpeed,
 )
 from madviz.session.frame import Frame, NoFrame
+from madviz.session.inbox import Outbox, PipeInbox
 from madviz.session.live_session import MOST_WAITING, TOO_MANY, FrameSource
 from madviz.session.session import Session
 from madviz.session.session_file import SavedSession
@@ -81,7 +82,7 @@ class SessionProcess(FrameSource):
     def __init__(self, make: MakeSession, noted: Noted = lambda name, spec: None) -> None:
         super().__init__()
         self._make, self._noted = make, noted
-        self._outbox: queue.SimpleQueue[Command | str | None] = queue.SimpleQueue()
+        self._outbox = Outbox()
         """For the process that is running; a command, or what else it shall do."""
         self._saved: queue.SimpleQueue[SavedSession | str] = queue.SimpleQueue()
         self._saving = threading.Lock()
@@ -93,7 +94,7 @@ class SessionProcess(FrameSource):
 
     def send(self, command: Command) -> None:
         """As ``Session.send``. Never waits for the process."""
-        if self._outbox.qsize() >= MOST_WAITING:
+        if len(self._outbox) >= MOST_WAITING:
             raise UserError(TOO_MANY)
         if isinstance(command, SetPolicy | SetSpeed | SetAutoNext | ReadSubsets):
             self._kept[type(command)] = command
@@ -164,7 +165,7 @@ class SessionProcess(FrameSource):
         )
         process.start()
         there.close()
-        writer = threading.Thread(target=_write, args=(self._outbox, here), daemon=True)
+        writer = threading.Thread(target=self._outbox.write, args=(here,), daemon=True)
         writer.start()
         self._read(here)
         process.join()
@@ -175,7 +176,7 @@ class SessionProcess(FrameSource):
 
     def _begin_anew(self) -> None:
         """What was meant for the last process is left there: it may be what ended it."""
-        before, outbox = self._outbox, queue.SimpleQueue()
+        before, outbox = self._outbox, Outbox()
         for command in self._to_begin_with():
             outbox.put(command)
         self._outbox = outbox
@@ -218,18 +219,6 @@ def prepare(*modules: str) -> None:
     ensure_running()
 
 
-def _write(outbox: queue.SimpleQueue[Command | str | None], pipe: Connection) -> None:
-    """Sends what is asked for, until None; for a process that has ended, nothing."""
-    while True:
-        command = outbox.get()
-        try:
-            pipe.send(command)
-        except OSError:
-            return
-        if command is None:
-            return
-
-
 def _how(code: int | None) -> str:
     """``SIGSEGV``, ``exit status 1``."""
     if code is not None and code < 0:
@@ -242,18 +231,12 @@ def _how(code: int | None) -> str:
 
 def _live(pipe: Connection, make: MakeSession) -> None:
     """Runs a session until the page's process says None, or is gone."""
-    set_up_worker()  # The simulating thread lowers its own priority.
+    set_up_worker()
     limit_heaps()
-    # A click crosses two threads here, each of which waits for the interpreter's lock.
-    sys.setswitchinterval(0.001)
-    sending = threading.Lock()
 
     def say(kind: str, what: object) -> None:
-        with sending:
-            try:
-                pipe.send((kind, what))
-            except OSError:  # The page's process is gone, and so is this one in a moment.
-                pass
+        with suppress(OSError):  # The page's process is gone, and so is this one in a moment.
+            pipe.send((kind, what))
 
     session = make(lambda name, spec: say("policy", (name, spec)))
     encoder, first = FrameEncoder(), iter([True])
@@ -263,19 +246,15 @@ def _live(pipe: Connection, make: MakeSession) -> None:
         if next(first, False):
             release_memory()  # What it took to get here: 30 MB of meshes and XML.
 
+    def other(asked: object) -> None:
+        if asked == "save":
+            say("saved", _saved(session))
+        else:
+            session.close()
+
     session.subscribe(send)
-    session.start()
-    try:
-        while (asked := pipe.recv()) is not None:
-            if asked == "save":
-                say("saved", _saved(session))
-            else:
-                while session.is_full:  # What comes next then waits in the page's process.
-                    time.sleep(0.01)
-                session.send(asked)
-    except (EOFError, OSError):
-        pass
-    session.close()
+    session.inbox = PipeInbox(session.inbox, pipe, other)
+    session.run()
     os._exit(0)  # Python's own end would wait for threads, and libraries tidy up for a second.
 
 

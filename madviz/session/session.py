@@ -13,7 +13,6 @@ that touch a camera are served between the camera renders of a step, too:
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 import traceback
@@ -42,6 +41,7 @@ from madviz.session.commands import (
     StepOnce,
 )
 from madviz.session.frame import NoFrame, Phase, SessionPace
+from madviz.session.inbox import Inbox
 from madviz.session.live_session import MOST_WAITING, TOO_MANY, FrameSource
 from madviz.session.pace import StepClock
 from madviz.session.session_file import SavedEpisode, SavedSession
@@ -72,7 +72,8 @@ class Session(FrameSource):
         ``script``: an episode to replay, once played; it begins with ``policy``."""
         super().__init__()
         self._stage = Stage(make_env, policy, load_policy, seed, script)
-        self._inbox: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
+        self.inbox = Inbox()
+        """Another one must be put here before the session runs."""
         self._backlog: deque[Command] = deque()
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
@@ -82,14 +83,9 @@ class Session(FrameSource):
         self._number, self._error = 0, ""
 
     def send(self, command: Command) -> None:
-        if self.is_full:
+        if len(self.inbox) + len(self._backlog) >= MOST_WAITING:
             raise UserError(TOO_MANY)
-        self._inbox.put(command)
-
-    @property
-    def is_full(self) -> bool:
-        """Whether ``MOST_WAITING`` commands wait, so that ``send`` takes no more."""
-        return self._inbox.qsize() + len(self._backlog) >= MOST_WAITING
+        self.inbox.put(command)
 
     def save(self) -> SavedSession:
         return self._stage.journal.saved()
@@ -103,7 +99,7 @@ class Session(FrameSource):
     def close(self, timeout: float = 10.0) -> None:
         """Ends the thread, which closes the environment."""
         self._closing.set()
-        self._inbox.put(None)
+        self.inbox.put(None)
         if self._thread is not None:
             self._thread.join(timeout)
 
@@ -117,11 +113,7 @@ class Session(FrameSource):
                 if self._closing.is_set():
                     break  # What would end the wait below may have come during the tick.
                 wait = None if due is None else max(0.0, due - time.monotonic())
-                try:
-                    command = self._inbox.get(block=wait != 0.0, timeout=wait)
-                except queue.Empty:
-                    continue
-                if command is not None:
+                if (command := self.inbox.take(wait)) is not None:
                     self._backlog.append(command)
         finally:
             self._stage.shut()
@@ -208,11 +200,9 @@ class Session(FrameSource):
     # Commands.
 
     def _collect(self) -> None:
-        """Moves what came to the backlog, in order."""
-        while not self._inbox.empty():
-            command = self._inbox.get()
-            if command is not None:
-                self._backlog.append(command)
+        """Moves what came to the backlog, in order, as far as there is room."""
+        while len(self._backlog) < MOST_WAITING and (command := self.inbox.take()) is not None:
+            self._backlog.append(command)
 
     def _serve_cameras(self) -> None:
         """In the middle of a step: previews camera commands, leaves the others for later."""
@@ -261,7 +251,7 @@ class Session(FrameSource):
                 self._auto_next = on
                 self._emit()
             case SetSaliency(target):
-                self._stage.saliency.ask(target, lambda: self._inbox.put(command))
+                self._stage.saliency.ask(target, lambda: self.inbox.put(command))
                 self._emit()
             case ReadSubsets(on):
                 self._read_all = on
