@@ -1,0 +1,228 @@
+"""The commands of ``madviz``: a line for each, in the order of ``madviz --help``.
+
+A command is a frozen dataclass, which its options fill, and a function that takes it; both are the
+Python API too. Names are written ``module:name`` and are only imported when the command is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import itemgetter
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Command:
+    """A line of the table."""
+
+    summary: str
+    example: str
+    """Words after ``madviz`` that do something useful."""
+    config: str
+    """The frozen dataclass that the options fill."""
+    work: str
+    """The function that takes it."""
+    words: str = ""
+    """The function that puts the result into words; '' prints nothing."""
+    ok: Callable[[Any], bool] = lambda result: True
+    """Whether the result is a success: exit code 0, or 1."""
+    positional: bool = False
+    """Whether what has no default is given without its name: ``madviz sweep FILE``."""
+
+
+PRETTY = "madviz.system.files:pretty"
+COMMANDS: dict[str, Command] = {
+    "explore": Command(
+        "Serves the page: a policy at work, and cameras to take away from it.",
+        "explore --policy metaworld-hammer-mad-light --port 8080",
+        config="madviz.app.server:ExploreConfig",
+        work="madviz.app.server:explore",
+    ),
+    "train": Command(
+        "Trains a policy by a recipe and prints its folder; can be stopped and resumed.",
+        "train --task metaworld/hammer --method mad --recipe light --out runs/hammer",
+        config="madviz.training.config:TrainConfig",
+        work="madviz.training.train:train",
+        words="builtins:str",
+    ),
+    "eval": Command(
+        "Counts a policy's successes under camera subsets, on seeded episodes.",
+        "eval --policy metaworld-hammer-mad-light --subsets all first --episodes 20",
+        config="madviz.evaluation.evaluate:EvalConfig",
+        work="madviz.evaluation.evaluate:run_eval",
+        words="madviz.evaluation.evaluate:success_table",
+    ),
+    "audit": Command(
+        "Does a policy use its cameras? Each one removed and alone, as a page with a verdict.",
+        "audit --policy metaworld-hammer-mad-light --episodes 40 --out audit-hammer",
+        config="madviz.auditing.audit:AuditConfig",
+        work="madviz.auditing.audit:run_audit",
+        words="madviz.auditing.audit:audit_words",
+    ),
+    "list": Command(
+        "Lists tasks, settings, methods and policies.",
+        "list --json list.json",
+        config="madviz.policies.listing:ListConfig",
+        work="madviz.policies.listing:run_list",
+        words="madviz.policies.listing:catalogue",
+    ),
+    "doctor": Command(
+        "Says what is missing on this machine and the command that fixes it; times a frame.",
+        "doctor --task maniskill/push-cube",
+        config="madviz.doctor:DoctorConfig",
+        work="madviz.doctor:examine",
+        words="madviz.doctor:in_words",
+        ok=itemgetter("ok"),
+    ),
+    "sweep": Command(
+        "Trains and evaluates every combination in a small file; resumes after a kill.",
+        "sweep results/sweeps/merging.toml --out runs/merging --dry-run",
+        config="madviz.sweep.sweep:SweepConfig",
+        work="madviz.sweep.sweep:run_sweep",
+        words="madviz.sweep.sweep:sweep_table",
+        ok=lambda result: not result["failed"],
+        positional=True,
+    ),
+    "compare": Command(
+        "Compares policies on the seeds they share: difference, interval, exact p.",
+        "compare metaworld-hammer-mad-light metaworld-hammer-merged-only-light",
+        config="madviz.evaluation.compare:CompareConfig",
+        work="madviz.evaluation.compare:run_compare",
+        words="madviz.evaluation.compare:comparison_table",
+        ok=lambda result: not result["broken"],
+        positional=True,
+    ),
+    "report": Command(
+        "Writes RESULTS.md: tables and figures of all evaluated policies, beside the paper's.",
+        "report --folder runs --out runs/RESULTS.md",
+        config="madviz.report.results:ReportConfig",
+        work="madviz.report.results:run_report",
+        words="madviz.report.results:report_words",
+    ),
+    "record": Command(
+        "Records an episode without a page: a rerun file, a video or an HTML report.",
+        "record --policy metaworld-hammer-mad-light --drop first@20-40 --out hammer.mp4",
+        config="madviz.recording.record:RecordConfig",
+        work="madviz.recording.record:run_record",
+        words="madviz.recording.record:record_words",
+    ),
+    "replay": Command(
+        "Replays saved sessions; says whether they come out the same, to the bit.",
+        "replay hammer-seed2003.json",
+        config="madviz.session.replay:ReplayConfig",
+        work="madviz.session.replay:run_replay",
+        words="madviz.session.replay:replay_words",
+        ok=itemgetter("same"),
+        positional=True,
+    ),
+    "serve": Command(
+        "Serves a policy to other programs: the protocols of vla-eval and openpi.",
+        "serve --policy metaworld-hammer-mad-light --port 8000",
+        config="madviz.serving.serve:ServeConfig",
+        work="madviz.serving.serve:run_serve",
+    ),
+    "site": Command(
+        "Writes the explorer as static files: simulator and policy in the visitor's browser.",
+        "site --out build/site --policies metaworld-hammer-mad-light",
+        config="madviz.site.site:SiteConfig",
+        work="madviz.site.site:run_site",
+        words="madviz.site.site:site_words",
+    ),
+    "grade": Command(
+        "Grades a folder of returned notebooks: each exercise a row, whatever a copy does.",
+        "grade returned --lessons build/class/student --out grades.csv",
+        config="madviz.grading.grade:GradeConfig",
+        work="madviz.grading.grade:grade",
+        words="madviz.grading.grade:grade_words",
+        positional=True,
+    ),
+    "displace": Command(
+        "Moves a camera away from where a policy was trained: success against distance.",
+        "displace --policy metaworld-hammer-mad-light --camera third_a --svg moved.svg",
+        config="madviz.evaluation.displace:DisplaceConfig",
+        work="madviz.evaluation.displace:run_displace",
+        words="madviz.evaluation.displace:displacement_table",
+    ),
+    "soak": Command(
+        "Lets visitors come and go for an hour; says whether the server has grown.",
+        "soak --minutes 3 --visitors 2",
+        config="madviz.bench.soak:SoakConfig",
+        work="madviz.bench.soak:soak",
+        words="madviz.bench.soak:soak_words",
+        ok=itemgetter("ok"),
+    ),
+    "bench render": Command(
+        "A three-view frame against the simulator's stock settings.",
+        "bench render --suite metaworld",
+        config="madviz.bench.render:RenderConfig",
+        work="madviz.bench.render:bench_render",
+        words=PRETTY,
+    ),
+    "bench live": Command(
+        "The page in a real browser: updates a second, and how long a toggle takes.",
+        "bench live --seconds 10 --toggles 30",
+        config="madviz.bench.live:LiveConfig",
+        work="madviz.bench.live:bench_live",
+        words=PRETTY,
+    ),
+    "bench crowd": Command(
+        "Visitors with a simulation each: decisions a second, cores, memory.",
+        "bench crowd --visitors 1 4 8",
+        config="madviz.bench.crowd:CrowdConfig",
+        work="madviz.bench.crowd:bench_crowd",
+        words=PRETTY,
+    ),
+    "bench imagine": Command(
+        "What a masked autoencoder draws of a camera that is missing, against two controls.",
+        "bench imagine --task toy/reach --training.updates 2000",
+        config="madviz.bench.imagine:ImagineConfig",
+        work="madviz.bench.imagine:bench_imagine",
+        words="madviz.bench.imagine:imagine_words",
+    ),
+    "bench places": Command(
+        "Where the task's objects are, read from each camera's feature, against two controls.",
+        "bench places --policy metaworld-hammer-mad-light",
+        config="madviz.bench.places:PlacesConfig",
+        work="madviz.bench.places:bench_places",
+        words="madviz.bench.places:places_words",
+    ),
+    "bench update": Command(
+        "One training update against a straightforward implementation.",
+        "bench update --batch-size 64 --hidden-dim 512",
+        config="madviz.bench.update:BenchUpdateConfig",
+        work="madviz.bench.update:bench_update",
+        words=PRETTY,
+    ),
+    "bench buffer": Command(
+        "The replay buffer packed against plain: bytes per transition, time for a batch.",
+        "bench buffer --decisions 400 --rounds 5",
+        config="madviz.bench.buffer:BenchBufferConfig",
+        work="madviz.bench.buffer:bench_buffer",
+        words=PRETTY,
+    ),
+    "bench evaluate": Command(
+        "Episodes a minute of an evaluation, against a plain loop and a stock one.",
+        "bench evaluate --episodes 8 --workers 2",
+        config="madviz.bench.evaluate:BenchEvaluateConfig",
+        work="madviz.bench.evaluate:bench_evaluate",
+        words=PRETTY,
+    ),
+    "bench site": Command(
+        "A site in a real browser: megabytes, decisions a second, success by subset.",
+        "bench site --site build/site --episodes 20",
+        config="madviz.bench.site:BenchSiteConfig",
+        work="madviz.bench.site:bench_site",
+        words=PRETTY,
+    ),
+}
+"""A name of two words is a command of a group."""
+OTHERS = (
+    "  --version   prints the version",
+    "  --completion bash|fish|zsh   prints a script that completes commands, options and names:",
+    "      madviz --completion bash > ~/.local/share/bash-completion/completions/madviz",
+)
+"""The options of ``madviz`` itself."""
+GROUPS = {
+    "bench": "Measures: bench render, live, crowd, imagine, places, update, buffer, evaluate, site."
+}
