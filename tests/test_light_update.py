@@ -49,7 +49,7 @@ def recorded(
     """A run with two episodes, in which what was done is not what the expert would have done, and
     plain gradient steps in place of Adam's: those show the gradient."""
     run = LightRun(toy_plan(method), config, folder)
-    run.add([record_episode(ToyReach(), THREE, Driver(1.0, 0.6), seed) for seed in (1, 2)], 0)
+    run.add([record_episode(ToyReach(), THREE, Driver(1.0, 0.6), seed) for seed in (1, 2)], 0, [])
     learned = [p for g in run.optimisers["optimiser"].param_groups for p in g["params"]]
     run.optimisers["optimiser"] = torch.optim.SGD(learned)  # type: ignore[assignment]
     return run
@@ -169,7 +169,7 @@ def test_mean_and_spread_are_those_of_the_demonstrations_and_go_with_the_policy(
     assert networks.state_changes == ((4, 2), (5, 3))
     assert config.networks(ToyReach().spec, (4, 5)).state_changes == (), "the paper's state alone"
     run = LightRun(replace(plan, networks=networks), config, tmp_path)
-    run.add([record_episode(ToyReach(), THREE, Driver(1.0, 0.6), seed) for seed in (1, 2)], 0)
+    run.add([record_episode(ToyReach(), THREE, Driver(1.0, 0.6), seed) for seed in (1, 2)], 0, [])
     states = run.data.column("states", np.arange(50)).numpy()
     read = np.concatenate([states, states[:, 4:] - states[:, 2:4]], 1)
     for agent in (run.agent, run.average):

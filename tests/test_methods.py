@@ -234,7 +234,7 @@ SEED = 1
 def light_run(method: str, folder: Path) -> LightRun:
     plan = toy_plan(method, horizon=HORIZON, hidden_dim=8)
     run = LightRun(plan, replace(LIGHT, shift=0), folder)
-    run.add([record_episode(short_toy(), STREAMS, Driver(), seed) for seed in range(2)], 0)
+    run.add([record_episode(short_toy(), STREAMS, Driver(), seed) for seed in range(2)], 0, [])
     return run
 
 

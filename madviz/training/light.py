@@ -69,8 +69,6 @@ class LightRun:
         self._even = plan.method.row_weights(streams, config.alpha)
         self.weights = torch.from_numpy(self._even)
         self.outcomes: Outcomes = []
-        self._turns: list[int] = []
-        """Who drives the episodes that are being recorded, as places in ``driven``."""
         self.average = copy.deepcopy(agent).eval().requires_grad_(False)
         learned = [*agent.encoder.parameters(), *agent.actor.parameters()]
         self.optimisers = {
@@ -94,7 +92,7 @@ class LightRun:
         """Who drives which seed in a round: the trained subsets in turn, round 0 the expert.
 
         A function of the configuration, the round, and of the average and the outcomes at the time
-        of the call. Who drives is kept in ``_turns`` until the round's episodes are added.
+        of the call.
         """
         config = self.config
         if round_index == 0:
@@ -105,9 +103,10 @@ class LightRun:
         student = TorchPolicy(self.plan.spec, copy.deepcopy(self.average))
         first = config.demonstrations + (round_index - 1) * config.episodes_per_round
         noise, spread = config.noise_share * fade, config.noise_spread * fade
-        self._turns = in_turn(self.shares(), config.episodes_per_round, first)
         planned = []
-        for number, chosen in enumerate(self._turns, first):
+        for number, chosen in enumerate(
+            in_turn(self.shares(), config.episodes_per_round, first), first
+        ):
             driver = Driver(share, noise, student, self.driven[chosen], spread)
             planned.append((driver, self._train_seed(number)))
         return planned
@@ -116,16 +115,24 @@ class LightRun:
         """(K,) of the subsets that drive, by where the student has failed."""
         return shares(failures(self.outcomes, len(self.driven)), self.config.focus)
 
-    def add(self, episodes: list[Episode], round_index: int) -> None:
-        """Adds a round's episodes to the data and to the run folder."""
+    def add(
+        self, episodes: list[Episode], round_index: int, planned: list[tuple[Driver, int]]
+    ) -> None:
+        """Adds a round's episodes, which went as ``planned``, to the data and to the run folder."""
         for number, episode in enumerate(episodes):
             episode.save(self._episodes / f"{round_index:03d}-{number:02d}.npz")
             self.data.add(episode)
         if round_index == 0:
             self._look_at_demonstrations()
         elif episodes:
+            drove = [self._place(driver) for driver, _ in planned]
             found = [episode.success for episode in episodes]
-            self.outcomes.append(list(zip(self._turns, found, strict=True)))
+            self.outcomes.append(list(zip(drove, found, strict=True)))
+
+    def _place(self, driver: Driver) -> int:
+        """Of a student's mask in ``driven``."""
+        assert driver.mask is not None
+        return [tuple(mask) for mask in self.driven].index(tuple(driver.mask))
 
     def _look_at_demonstrations(self) -> None:
         """What depends on how pictures, states and places vary in the first episodes."""
@@ -272,14 +279,16 @@ def run_rounds(run: LightRun, folder: RunFolder, recorder: Recorder) -> None:
     config = run.config
     began = time.monotonic() - run.seconds
     if len(run.data) == 0:
-        run.add(Recorder.finish(recorder.start(run.drivers(0))), 0)
+        planned = run.drivers(0)
+        run.add(Recorder.finish(recorder.start(planned)), 0, planned)
     with interruptible(folder) as stop:
         while run.round < config.all_rounds and not stop.is_set():
             ahead = run.round + 1
-            recording = recorder.start(run.drivers(ahead)) if ahead < config.rounds else []
+            planned = run.drivers(ahead) if ahead < config.rounds else []
+            recording = recorder.start(planned)
             loss = run.learn()
             episodes = Recorder.finish(recording)
-            run.add(episodes, ahead)
+            run.add(episodes, ahead, planned)
             run.seconds = time.monotonic() - began
             folder.save_state(run.state())
             _report(run, folder, loss, episodes)
