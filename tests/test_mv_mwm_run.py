@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import os
 import signal
-from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,7 @@ from madviz.agent.agent import Agent
 from madviz.agent.merges.mv_mwm import FUNCTIONS
 from madviz.agent.methods import METHODS
 from madviz.envs.toy import CAMERAS, ToyReach
-from madviz.errors import Interrupted, UserError
+from madviz.errors import UserError
 from madviz.policies.card import card_text
 from madviz.policies.checkpoint import load_policy
 from madviz.subsets import every_mask
@@ -34,9 +32,9 @@ from madviz.training.drawn_task import newest_frames
 from madviz.training.mv_mwm import MvMwmRun, beside, demonstrated, unlabelled_before
 from madviz.training.mv_mwm_learner import Labels, WorldLearner
 from madviz.training.mv_mwm_options import MvMwmConfig
-from madviz.training.run_folder import Event, RunFolder
-from madviz.training.train import train
+from madviz.training.run_folder import Event
 from madviz.types import Array
+from tests.recipe_runs import last_state
 
 STREAMS = tuple(camera.name for camera in CAMERAS)
 TINY = MvMwmConfig(
@@ -47,13 +45,6 @@ TINY = MvMwmConfig(
 """Two lanes: episodes of 25 decisions are 50 in all; the run ends in the middle of the second."""
 
 
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 def asked(folder: Path | None = None, config: MvMwmConfig = TINY, **changes: Any) -> TrainConfig:
     whole = TrainConfig("toy/reach", "mv-mwm", "mv-mwm", out=folder, seed=3, threads=1)
     return replace(whole, mv_mwm=config, **changes)
@@ -62,12 +53,7 @@ def asked(folder: Path | None = None, config: MvMwmConfig = TINY, **changes: Any
 def run(
     folder: Path, config: MvMwmConfig = TINY, resume: bool = False, listener: Any = None
 ) -> dict[str, Any]:
-    """As ``madviz train`` does it; the last state, which stays to be compared."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RunFolder, "finish", lambda self: None)
-        with suppress(Interrupted):
-            train(asked(folder, config, resume=resume), listener or (lambda event: None))
-    return torch.load(folder / "resume" / "state.pt", weights_only=True)
+    return last_state(asked(folder, config, resume=resume), listener)
 
 
 def curve(folder: Path) -> list[dict[str, str]]:

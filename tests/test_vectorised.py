@@ -6,8 +6,6 @@ import csv
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,15 +15,15 @@ import pytest
 import torch
 
 from madviz.envs.toy import CAMERAS, ToyReach
-from madviz.errors import Interrupted, UserError
+from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
 from madviz.training import loop
 from madviz.training.config import TrainConfig, resolve
 from madviz.training.drawn_task import DrawnTask
-from madviz.training.run_folder import Event, RunFolder
-from madviz.training.train import train
+from madviz.training.run_folder import Event
 from madviz.training.vector_envs import Board, VectorEnvs
 from madviz.training.vectorised import VectorisedConfig
+from tests.recipe_runs import last_state
 
 STREAMS = ("first.rgb", "first.depth", "third_b.rgb")
 TASK = DrawnTask("toy/reach", "fast", CAMERAS, STREAMS)
@@ -36,26 +34,14 @@ TINY = VectorisedConfig(
 """Two lanes: episodes of 25 decisions are 50 in all; the run ends in the middle of the second."""
 
 
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 def run(
     folder: Path, config: VectorisedConfig = TINY, resume: bool = False, listener: Any = None
 ) -> dict[str, Any]:
-    """As ``madviz train`` does it; the last state, which stays to be compared."""
     whole = TrainConfig(
         "toy/reach", "mad", "paper-vectorised", out=folder, seed=3, resume=resume, threads=1,
         vectorised=config,
     )  # fmt: skip
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RunFolder, "finish", lambda self: None)
-        with suppress(Interrupted):
-            train(whole, listener or (lambda event: None))
-    return torch.load(folder / "resume" / "state.pt", weights_only=True)
+    return last_state(whole, listener)
 
 
 def curve(folder: Path) -> list[dict[str, str]]:

@@ -46,15 +46,12 @@ class BeliefActor(ActorHead):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        sizes = config.world_model
-        inputs = sizes.feature + config.state_inputs
-        self.mlp = mlp(inputs, config.hidden_dim, sizes.head_layers, 2 * config.action_dim)
+        self.mlp = _head(config, 2 * config.action_dim)
 
     def forward(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """(..., Z), (..., S) -> (..., A) each: the middle before tanh, and the log of the spread,
         from ``LEAST_SPREAD`` to 2.1."""
-        inputs = torch.cat([feature, read_state(self.config, state)], -1)
-        middle, raw = self.mlp(inputs).chunk(2, -1)
+        middle, raw = self.mlp(_inputs(self.config, feature, state)).chunk(2, -1)
         return middle, (2 * torch.sigmoid(raw / 2) + LEAST_SPREAD).log()
 
 
@@ -64,19 +61,27 @@ class BeliefCritic(CriticHead):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        sizes = config.world_model
-        inputs = sizes.feature + config.state_inputs
-        self.mlp = mlp(inputs, config.hidden_dim, sizes.head_layers, 1)
+        self.mlp = _head(config, 1)
         nn.init.zeros_(self.mlp[-1].weight)  # type: ignore[arg-type]
 
     def value(self, feature: Tensor, state: Tensor) -> Tensor:
         """(..., Z), (..., S) -> (...,): the discounted rewards that are expected."""
-        inputs = torch.cat([feature, read_state(self.config, state)], -1)
-        return self.mlp(inputs).squeeze(-1)
+        return self.mlp(_inputs(self.config, feature, state)).squeeze(-1)
 
     def forward(self, feature: Tensor, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         value = self.value(feature, state)
         return value, value
+
+
+def _head(config: NetworkConfig, outputs: int) -> nn.Sequential:
+    """From belief and state, side by side, to ``outputs`` numbers."""
+    sizes = config.world_model
+    inputs = sizes.feature + config.state_inputs
+    return mlp(inputs, config.hidden_dim, sizes.head_layers, outputs)
+
+
+def _inputs(config: NetworkConfig, feature: Tensor, state: Tensor) -> Tensor:
+    return torch.cat([feature, read_state(config, state)], -1)
 
 
 # --- Actions ------------------------------------------------------------------------------------
