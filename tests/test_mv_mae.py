@@ -59,7 +59,7 @@ def run_of(folder: Path, end_to_end: bool = False) -> LightRun:
     plan = toy_plan("mv-mae")
     networks = replace(plan.networks, autoencoder=SMALL, end_to_end=end_to_end)
     run = LightRun(replace(plan, networks=networks), LIGHT, folder)
-    run.add([record_episode(ToyReach(), STREAMS, Driver(), seed) for seed in range(2)], 0)
+    run.add([record_episode(ToyReach(), STREAMS, Driver(), seed) for seed in range(2)], 0, [])
     return run
 
 
