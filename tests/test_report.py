@@ -144,7 +144,7 @@ def test_tables_without_files_are_left_out(tmp_path: Path) -> None:
     assert "modality-metaworld.svg" in text
 
 
-def test_trainings_of_several_seeds_pool_and_tasks_average(tmp_path: Path) -> None:
+def test_trainings_of_several_seeds_pool_and_tasks_weigh_alike(tmp_path: Path) -> None:
     for seed, rate in ((1, 1.0), (2, 0.5)):
         write_policy(tmp_path, {"all": rate}, seed=seed, folder=f"hammer{seed}")
     write_policy(tmp_path, {"all": 0.3}, task="metaworld/push")
@@ -158,9 +158,9 @@ def test_trainings_of_several_seeds_pool_and_tasks_average(tmp_path: Path) -> No
     assert found.interval[0] < 0.5 and found.interval[1] == 1.0
     whole = overall.averages[0]
     assert whole.tasks == ("metaworld/hammer", "metaworld/push")
-    # (2 x 0.5 + 0.3) / 3 = 0.43 and (2 x 1.0 + 0.3) / 3 = 0.77, and episodes scatter, too.
+    # One training of each task: (1.0 + 0.3) / 2.
     assert (
-        "| average of 2 in metaworld | mad | 2 | 0.60 [0.40, 0.79] n=300 |" in report(tmp_path)[1]
+        "| average of 2 in metaworld | mad | 1 | 0.65 [0.58, 0.71] n=200 |" in report(tmp_path)[1]
     )
 
 
@@ -168,6 +168,15 @@ def test_an_average_takes_the_episodes_that_a_tasks_rows_share(tmp_path: Path) -
     write_policy(tmp_path, rates(1, 1, 1, 1), episodes=200)
     write_policy(tmp_path, rates(1, 1, 1, 1), method="naive-both", episodes=50)
     for method in ("mad", "naive-both"):
+        write_policy(tmp_path, rates(0, 0, 0, 0), task="metaworld/push", method=method, episodes=50)
+    for row in table(tmp_path, "overall").averages:
+        found = row.rate("all")
+        assert found is not None and (found.value, found.n) == (0.5, 100)
+
+
+def test_a_task_with_more_episodes_weighs_no_more_in_an_average(tmp_path: Path) -> None:
+    for method in ("mad", "naive-both"):
+        write_policy(tmp_path, rates(1, 1, 1, 1), method=method, episodes=200)
         write_policy(tmp_path, rates(0, 0, 0, 0), task="metaworld/push", method=method, episodes=50)
     for row in table(tmp_path, "overall").averages:
         found = row.rate("all")

@@ -115,7 +115,7 @@ def tried() -> str:
     """What results/tried.json holds, a section for each task."""
     parts = [
         "# What was tried",
-        "Changes to the light recipe that were measured and not taken, by task, as they were "
+        "Changes to the light recipe that were measured, taken or not, by task, as they were "
         "written down then. Success rates are on development seeds.",
     ]
     for task, entries in json.loads((RESULTS / "tried.json").read_text()).items():

@@ -52,8 +52,8 @@ class CompareConfig:
     wire: Path | None = None
     """With ``--conditions`` and ws://HOST:PORT: how its names and shapes map to ours."""
     conditions: tuple[str, ...] = ()
-    """Compare conditions of one policy, for example ``all black:third_a late:first``: subsets of
-    cameras, and failures of whole episodes. They are played now, with the three options below."""
+    """Compare conditions of one policy, for example ``all third_a=black first=delay``: subsets
+    of cameras, and failures of whole episodes. They are played now, with the options below."""
     episodes: Count = 50
     """Episodes of each condition."""
     seed: Seed = FIRST_SEED

@@ -1,4 +1,4 @@
-"""``madviz compare P --conditions all black:third_a late:first``: conditions of one policy.
+"""``madviz compare P --conditions all third_a=black first=delay``: conditions of one policy.
 
 Every condition is played on the same seeds and compared with the first one, pair by pair, as
 ``compare.py`` does with policies.

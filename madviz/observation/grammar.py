@@ -15,9 +15,9 @@ page.
 An older spelling, ``first=noise,strength=0.5``, is still read, with a line that names the new one.
 
 A *condition*, for a comparison, is a subset of cameras or a failure for the whole episode, or
-several of those with commas: ``all``, ``first+third_b``, ``black:third_a``, ``late:first``,
-``noise:all:0.5``, ``off:first,black:third_a``. What comes before the colon are the words of the
-page, too: lossy, late, frozen.
+several of those with commas: ``all``, ``first+third_b``, ``third_a=black``, ``all=noise:0.5``,
+``first=off,third_a=black``. The words of page and audit are read, too (lossy, late, frozen), and so
+is an order with the failure first: ``late:first``, ``noise:all:0.5``.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ class CameraCondition:
 
 
 def parse_condition(word: str, cameras: Sequence[str]) -> CameraCondition:
-    """``all``, ``first+third_b``, ``black:third_a`` and the other forms of the module. Raises
+    """``all``, ``first+third_b``, ``third_a=black`` and the other forms of the module. Raises
     UserError, also for a subset beside a dropped camera."""
     subsets, dropped, occlusions = [], [], {}
     for part in word.split(","):

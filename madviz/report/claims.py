@@ -132,7 +132,8 @@ def _recipes(table: ResultTable) -> list[str]:
 def _overall(table: ResultTable) -> list[str]:
     lead, count = LEAD[table.suite], TASKS[table.suite]
     over = f"{100 * lead:+.0f} points over its baselines, on {count} tasks"
-    parts = f"{100 * COMPONENT_LEAD:+.0f} points over these three, on five Meta-World tasks"
+    names = ", ".join(COMPONENTS)
+    parts = f"{100 * COMPONENT_LEAD:+.0f} points over {names}, on five Meta-World tasks"
     return [
         *_lead(table, BASELINES, over, _size(lead)),
         *_lead(table, COMPONENTS, parts, _size(COMPONENT_LEAD)),

@@ -64,6 +64,21 @@ class Row:
         }
         return Row(self.label, cells, [each for each in self.evidence if each.config.task in tasks])
 
+    def equal_trainings(self) -> Row:
+        """The same row with equally many trainings of every task, those of the lowest seeds. So a
+        task that was trained more often does not pull an average towards itself."""
+        seeds: dict[str, set[int]] = {}
+        for task, seed, _ in (unit for cell in self.cells.values() for unit in cell):
+            seeds.setdefault(task, set()).add(seed)
+        least = min(map(len, seeds.values()), default=0)
+        kept = {(task, seed) for task, each in seeds.items() for seed in sorted(each)[:least]}
+        cells = {
+            column: {unit: success for unit, success in cell.items() if unit[:2] in kept}
+            for column, cell in self.cells.items()
+        }
+        evidence = [each for each in self.evidence if (each.config.task, each.seed) in kept]
+        return Row(self.label, cells, evidence)
+
     def rate(self, column: str) -> SuccessRate | None:
         """None where nothing was measured."""
         cell = self.cells.get(column)

@@ -4,8 +4,8 @@ The paper's Single Camera baseline is three trainings, each with one camera; its
 camera's cell from the policy that has this camera, and has no cell for all cameras.
 
 Only equal budgets are compared: a task's rows are those of one budget of updates, the one that
-most of them have. An average takes of every task the episodes that all its rows have, so that
-a policy that was evaluated for longer does not pull the average towards its task.
+most of them have. An average takes equally many trainings and episodes of every task, the first
+ones that all of its rows have, so that a task with more of them does not pull it towards itself.
 
 Imitation and reinforcement learning never share a table, and neither do reporting seeds and
 development seeds: where one policy has development seeds only, all others are taken on theirs.
@@ -37,7 +37,7 @@ class ResultTable:
     rows: tuple[tuple[str, Row], ...]
     """Task and row, tasks in order."""
     averages: tuple[Row, ...]
-    """A row for every label over all its tasks, of the episodes that a task's rows share."""
+    """A row for every label over all its tasks, with equally many episodes of each."""
     imitation: bool = True
     """Whether its policies imitate an expert; otherwise they learn by reinforcement."""
 
@@ -103,7 +103,7 @@ def _table(
                 rows.append((task, row))
     shared = _shared_seeds(rows)
     averages = [
-        _row(label, columns, [each for name, each in mine if name == label], shared)
+        _row(label, columns, [e for name, e in mine if name == label], shared).equal_trainings()
         for label in labels
     ]
     return ResultTable(layout, suite, columns, mean_of, tuple(rows), tuple(averages), imitation)
@@ -134,13 +134,15 @@ def _columns(layout: Layout, mine: Sequence[Evidence]) -> tuple[tuple[str, ...],
 
 
 def _shared_seeds(rows: Sequence[tuple[str, Row]]) -> dict[str, set[int]]:
-    """By task, the seeds of the episodes that all of its rows and their columns have."""
+    """By task, seeds that all of its rows have in every column: the first ones, equally many for
+    each task."""
     shared: dict[str, set[int]] = {}
     for task, row in rows:
         for cell in row.cells.values():
             seeds = {unit[2] for unit in cell}
             shared[task] = shared.get(task, seeds) & seeds
-    return shared
+    least = min((len(seeds) for seeds in shared.values() if seeds), default=0)
+    return {task: set(sorted(seeds)[:least]) for task, seeds in shared.items()}
 
 
 def _row(

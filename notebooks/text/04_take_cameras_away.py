@@ -148,7 +148,7 @@ teaching.success_table(shipped)
 
 # %% tags=["prediction"]
 guess_pair = Predict(
-    "Without Third A, merged-only has 0.79 and mad 1.00. Could that be chance?",
+    "Above, merged-only is behind mad on first+third_b. Could that be chance?",
     ["Yes, 100 episodes are too few", "Hardly"],
 )
 guess_pair

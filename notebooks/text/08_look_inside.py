@@ -238,7 +238,7 @@ spared = max(streams, key=lambda camera: rate([other for other in streams if oth
 teaching.check("08.spared", spared)
 
 # %% [markdown] tags=["solution"]
-# Third B can be spared (without it success is 1.00), and Third A costs a fifth. So "success
-# without it" alone would say that Third B adds nothing; but once Third A is missing, Third B is
-# what is left. And alone, Third A and Third B seem equally useless (0.00 each), though the
-# Shapley value of Third A is twice as large.
+# Third B can be spared (without it success is as high as with all cameras), and without Third A
+# some success is lost. So "success without it" alone would say that Third B adds nothing; but once
+# Third A is missing, Third B is what is left. And alone, Third A and Third B seem equally useless
+# (neither ever succeeds), though the Shapley value of Third A is larger.
