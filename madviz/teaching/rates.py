@@ -34,9 +34,12 @@ def shipped(policy: str) -> dict[str, tuple[int, int]]:
     return counts(found["subsets"])
 
 
-def shipped_outcomes(policy: str, subset: str) -> dict[int, bool]:
-    """Seed -> success of a policy's evaluation.json, for ``statistics.pair``."""
-    found = checkpoint.shipped_evaluation(checkpoint.find_policy(policy)) or {"episodes": []}
+def shipped_outcomes(policy: str, subset: str, development: bool = False) -> dict[int, bool]:
+    """Seed -> success of a policy's evaluation.json, for ``statistics.pair``; with ``development``
+    of its episodes on development seeds, which ``madviz.evaluate`` takes by default."""
+    path = checkpoint.find_policy(policy)
+    found = checkpoint.shipped_evaluation(path, checkpoint.DEVELOPMENT) if development else None
+    found = found or checkpoint.shipped_evaluation(path) or {"episodes": []}
     return {e["seed"]: e["success"] for e in found["episodes"] if e["subset"] == subset}
 
 

@@ -229,7 +229,7 @@ teaching.paired_table(
     {
         camera: (
             tried.outcomes(camera) if own else teaching.shipped_outcomes(SHIPPED_MAD, camera),
-            teaching.shipped_outcomes(SHIPPED_MERGED, camera),
+            teaching.shipped_outcomes(SHIPPED_MERGED, camera, development=bool(own)),
         )
         for camera in streams
     },
