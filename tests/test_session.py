@@ -22,6 +22,7 @@ from madviz.session.commands import (
 from madviz.session.frame import Frame, words
 from madviz.session.pace import HOLD
 from madviz.session.session import FIRST_SEED
+from tests.fakes import AllOrNothing
 from tests.sessions import BLACK, OFF, Recorder
 
 
@@ -258,3 +259,44 @@ def test_camera_commands_are_served_while_the_next_episode_begins(compared: bool
     session.steps(2)
     saved = session.save().episodes[-1]
     assert saved.commands == () and saved.start == (SetCamera("first", OFF),)
+
+
+def test_a_camera_touched_before_the_first_decision_leaves_one_condition(session: Recorder):
+    session.ask(SetCamera("first", OFF))
+    outcome = session.steps(25).world.outcomes[0]
+    assert outcome.condition is not None and outcome.condition.subset == "third_a+third_b"
+    assert outcome.cameras == {"first": "off", "third_a": "", "third_b": ""}
+
+
+def test_what_no_decision_sees_counts_nowhere():
+    """A camera that is back before the next decision, and one that goes after the last."""
+
+    class Slow(ToyReach):
+        def view(self, camera, size=None):
+            if waiting and camera == "third_a":
+                session.send(waiting.pop())
+            return super().view(camera, size)
+
+    waiting: list[SetCamera] = []
+    session = Recorder(env_factory=lambda *_: Slow())
+    session.at(0.0)
+    session.steps(3)
+    session.ask(SetCamera("first", OFF), SetCamera("first", CameraState("rgb")))
+    session.steps(21)
+    waiting.append(SetCamera("first", OFF))
+    frame = session.steps(1)
+    assert frame.ended and frame.condition.subset == "third_a+third_b"
+    (outcome,) = frame.world.outcomes
+    assert outcome.condition is not None and outcome.condition.subset == "all"
+    assert set(outcome.cameras.values()) == {""}
+
+
+def test_a_decision_that_is_refused_leaves_no_condition():
+    session = Recorder(AllOrNothing("toy-stack"))
+    session.at(0.0)
+    session.steps(3)
+    session.ask(SetCamera("first", OFF))
+    assert "cannot act" in session.steps(1).pace.error
+    session.ask(SetCamera("first", CameraState("rgb")), Play())
+    (outcome,) = session.steps(22).world.outcomes
+    assert outcome.condition is not None and outcome.condition.subset == "all"

@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from madviz.app.panels.comparison import comparison_html
+from madviz.envs.toy import ToyReach
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.observation.schedule import Event
-from madviz.session.commands import Compare, Link, Scrub, SetCamera, SetPolicy, SetSchedule
+from madviz.session.commands import Compare, Link, Play, Scrub, SetCamera, SetPolicy, SetSchedule
 from madviz.session.comparison import tally
 from madviz.session.frame import Condition, Outcome, Pair
-from tests.fakes import FakePolicy
+from tests.fakes import FakePolicy, policies
 from tests.test_timeline import Played
 
 OFF = CameraState("off")
@@ -137,3 +139,62 @@ def test_the_panel_says_what_the_pairs_say() -> None:
     frame = Played()(Compare("toy-mad"), 25)
     html = comparison_html(frame)
     assert "n = 1 pairs" in html and "Every pair came out alike." in html
+
+
+def test_cameras_set_before_the_first_decision_make_a_pair() -> None:
+    play = Played()
+    frame = play(Compare("toy-mad"), SetCamera("first", OFF), 25)
+    (pair,) = frame.pairs
+    assert [str(one.condition) for one in (pair.first, pair.second)] == ["third_a+third_b"] * 2
+
+
+@pytest.mark.parametrize("name", ["nonsense", "stranger", "toy-rgbd"])
+def test_a_refused_comparison_leaves_the_one_that_runs(name: str) -> None:
+    """Refused: a name that nobody knows, another task, an environment that cannot begin."""
+    worlds: list[World] = []
+
+    class World(ToyReach):
+        closed = False
+
+        def reset(self, seed: int):
+            if self in worlds[2:]:
+                raise RuntimeError("no third world")
+            return super().reset(seed)
+
+        def close(self) -> None:
+            self.closed = True
+
+    def built(*_):
+        worlds.append(World())
+        return worlds[-1]
+
+    stranger = FakePolicy("stranger", task="metaworld/hammer")
+    play = Played(
+        factory=built, load=lambda name: stranger if name == "stranger" else policies(name)
+    )
+    before = play(Compare("toy-other"), 25)
+    frame = play(Compare(name))
+    assert frame.pace.error and frame.second is not None
+    assert frame.second.world.policy.name == "toy-other" and frame.second.world.step == 25
+    assert len(frame.pairs) == 1 and frame.pairs == before.pairs
+    assert [world.closed for world in worlds] == [False, False, True][: len(worlds)]
+    after = play(Play(), 25)
+    assert not after.pace.error and len(after.pairs) == 2
+    assert play(Compare(None)).second is None
+    assert worlds[1].closed and not worlds[0].closed
+
+
+def test_a_camera_touched_while_a_step_is_drawn_is_touched_on_both_sides() -> None:
+    class Slow(ToyReach):
+        def view(self, camera: str, size: int | None = None):
+            if waiting and camera == "third_a":
+                play.session.send(waiting.pop())
+            return super().view(camera, size)
+
+    waiting: list[SetCamera] = []
+    play = Played(factory=lambda *_: Slow())
+    play(Compare("toy-mad"), 2)
+    waiting.append(SetCamera("first", OFF))
+    frame = play(1)
+    assert frame.second is not None and frame.world.step == frame.second.world.step == 3
+    assert frame.condition.subset == frame.second.condition.subset == "third_a+third_b"

@@ -4,8 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from madviz.observation.ablation import CameraState, Occlusion
-from madviz.session.commands import Fork, Play, Scrub, SetCamera
+from madviz.envs.toy import ToyReach
+from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.observation.schedule import Event
+from madviz.session.commands import (
+    Compare,
+    Fork,
+    Link,
+    Play,
+    Scrub,
+    SetCamera,
+    SetSchedule,
+    StepOnce,
+)
+from tests.fakes import AllOrNothing
 from tests.sessions import OFF, Recorder
 
 
@@ -93,3 +105,45 @@ def test_forking_needs_a_past(session: Recorder):
     session.steps(2)
     frame = session.ask(Fork())
     assert frame.pace.error.startswith("expected an earlier step") and frame.pace.phase == "paused"
+
+
+def test_a_preview_leaves_the_history_of_the_step_it_shows():
+    class Slow(ToyReach):
+        drawn = 0
+
+        def view(self, camera, size=None):
+            Slow.drawn += 1
+            if Slow.drawn == 5:  # The second camera of the first step.
+                session.send(SetCamera("first", OFF))
+            return super().view(camera, size)
+
+    session = Recorder(env_factory=lambda *_: Slow())
+    session.at(0.0)
+    session.at(0.1)
+    preview, arrived = session.frames[-2:]
+    assert [one.condition.subset for one in preview.history] == ["third_a+third_b"]
+    assert [one.condition.subset for one in arrived.history] == ["all", "third_a+third_b"]
+    then = session.ask(Scrub(0))
+    assert then.condition == then.history[0].condition
+
+
+def test_what_is_no_part_of_a_step_is_as_it_is_now_while_looking_back(session: Recorder):
+    session.ask(Compare("toy-mad"))
+    assert len(session.steps(25).pairs) == 1
+    then = session.ask(Scrub(3))
+    assert then.past and then.second is None
+    assert len(then.pairs) == len(then.world.outcomes) == 1
+    later = (Event(20, "first", dropped=True),)
+    then = session.ask(Link(False), SetSchedule(later))
+    assert (then.world.step, then.schedule, then.linked) == (3, later, False)
+
+
+def test_a_step_whose_second_side_fails_is_still_in_the_past():
+    session = Recorder(load=AllOrNothing)
+    session.at(0.0)
+    session.ask(Compare("toy-stack", Ablation({"first": OFF})))
+    for step in (1, 2, 3):
+        frame = session.ask(StepOnce())
+        assert "cannot act" in frame.pace.error
+        assert (frame.world.step, len(frame.history)) == (step, step + 1)
+    assert [session.ask(Scrub(step)).world.step for step in (1, 2, None)] == [1, 2, 3]

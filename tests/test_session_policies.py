@@ -16,6 +16,7 @@ from madviz.session.commands import (
     Compare,
     Pause,
     Play,
+    Reset,
     SetAutoNext,
     SetCamera,
     SetPolicy,
@@ -23,9 +24,10 @@ from madviz.session.commands import (
     StepOnce,
 )
 from madviz.session.frame import NoFrame
+from madviz.session.replay import replay_episode
 from madviz.session.session import Session
 from madviz.session.simulation import Simulation, open_simulation
-from tests.fakes import AllOrNothing, FakePolicy, policies
+from tests.fakes import AllOrNothing, Chunked, FakePolicy, policies
 from tests.sessions import OFF, Recorder
 
 
@@ -212,5 +214,80 @@ def test_a_policy_that_cannot_live_in_its_environment_leaves_none_open(monkeypat
 
     monkeypatch.setattr(Simulation, "_adopt", broken)
     with pytest.raises(RuntimeError, match="no place for it"):
-        open_simulation(Closing(), FakePolicy(), Ablation())
+        open_simulation(Closing(), FakePolicy(), Ablation(), seed=0)
     assert closed == [True]
+
+
+def refuse(*_, **__):
+    raise RuntimeError("no picture yet")
+
+
+class Closed(ToyReach):
+    """Counts how often it is closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.closed = 0
+
+    def close(self):
+        self.closed += 1
+
+
+@pytest.mark.parametrize("broken", ["reset", "view", "pose"])
+@pytest.mark.parametrize("command", [Play(), StepOnce(), SetPolicy("toy-other"), Reset()])
+def test_a_first_episode_that_cannot_begin_leaves_nothing_open_and_can_be_retried(
+    monkeypatch, broken, command
+):
+    worlds: list[Closed] = []
+
+    def built(*_):
+        worlds.append(Closed())
+        if len(worlds) == 1:
+            monkeypatch.setattr(worlds[0], broken, refuse)
+        return worlds[-1]
+
+    session = Recorder(env_factory=built)
+    session.at(0.0)
+    assert isinstance(session.latest, NoFrame) and "no picture yet" in session.latest.error
+    assert [world.closed for world in worlds] == [1]
+    frame = session.ask(command)
+    assert (frame.pace.error, frame.world.step) == ("", 0)
+    assert [world.closed for world in worlds] == [1, 0]
+    assert session.ask(StepOnce()).world.step == 1
+
+
+@pytest.mark.parametrize("broken", ["reset", "view", "pose"])
+@pytest.mark.parametrize("command", [Play(), StepOnce(), SetPolicy("toy-other"), Reset()])
+def test_a_later_episode_that_cannot_begin_leaves_a_session_that_goes_on(
+    monkeypatch, broken, command
+):
+    world = ToyReach()
+    session = Recorder(env_factory=lambda *_: world)
+    session.at(0.0)
+    session.steps(3)
+    with monkeypatch.context() as patch:
+        patch.setattr(world, broken, refuse)
+        frame = session.ask(Reset())
+        assert "no picture yet" in frame.pace.error and frame.world.step == 3
+    assert session.ask(command).pace.error == ""
+
+
+def test_a_replay_closes_the_player_and_the_environment_once():
+    policy, worlds = Chunked(), list[Closed]()
+
+    def built(*_):
+        worlds.append(Closed())
+        return worlds[-1]
+
+    session = Recorder(policy)
+    session.at(0.0)
+    session.steps(6)
+    (episode,) = session.save().episodes
+    again = replay_episode(episode, lambda _: policy, built)
+    assert again.sha256 == episode.sha256
+    assert policy.players[-1].closed and not policy.players[0].closed
+    with pytest.raises(UserError, match="found ended after 6"):
+        replay_episode(replace(episode, ended=True), lambda _: policy, built)
+    with pytest.raises(UserError, match="expected policies for toy/reach"):
+        replay_episode(episode, lambda _: FakePolicy(task="metaworld/hammer"), built)
+    assert [world.closed for world in worlds] == [1, 1, 1]

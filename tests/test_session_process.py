@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import Pipe
 
 import numpy as np
 import pytest
@@ -212,3 +213,19 @@ def test_nothing_to_save_is_an_error_here_too():
 
 def test_a_session_that_was_never_started_can_be_closed():
     SessionProcess(Make()).close()
+
+
+def test_a_second_end_before_the_first_frame_still_knows_seed_and_cameras():
+    session = SessionProcess(Make())
+    here = Recorder(seed=41)
+    here.ask(SetCamera("third_a", OFF), Pause())
+    ours, theirs = Pipe()
+    theirs.send(("frame", FrameEncoder().encode(here.frames[-1])))
+    theirs.close()
+    session._read(ours)
+    for end in ("first", "second"):
+        session._publish(NoFrame("", f"the {end} end"))
+        assert session._to_begin_with() == [SetCamera("third_a", OFF), SetSeed(41), Pause()]
+        ours, theirs = Pipe()
+        theirs.close()
+        session._read(ours)  # Nothing came.

@@ -7,7 +7,7 @@ differently count (McNemar):
     A   reset(2007)  step  step  ...  last step, SUCCESS  ┐
     B   reset(2007)  step  step  ...  last step, FAIL     ┘  one pair, for A
 
-A pair counts if no camera of either side was touched from its first step to its last.
+A pair counts if each side took all of its decisions under one condition.
 """
 
 from __future__ import annotations
@@ -41,11 +41,13 @@ class SecondSimulation:
         make_env: Callable[[str, str, tuple[CameraSpec, ...]], Environment],
         policy: Policy,
         ablation: Ablation,
+        seed: int,
     ) -> None:
+        """At the first step of ``seed``. Raises as ``open_simulation`` does."""
         spec = policy.spec
         env = make_env(spec.task, spec.render_profile, spec.cameras)
-        self.simulation = open_simulation(env, policy, ablation)
-        self._whole = False
+        self.simulation = open_simulation(env, policy, ablation, seed)
+        self._whole = True
 
     def begin(self, seed: int, between: Callable[[], None]) -> None:
         """Both start at ``seed``; ``between`` as in ``Simulation.begin``, for A."""
@@ -62,7 +64,7 @@ class SecondSimulation:
         self._whole = False
 
     def concluded(self, first: Outcome) -> Pair | None:
-        """The pair of A's ended episode and this one, if nobody touched either."""
+        """The pair of A's ended episode and this one, if each had one condition."""
         if not (self._whole and self.simulation.ended and self.simulation.outcomes):
             return None
         second = self.simulation.outcomes[-1]

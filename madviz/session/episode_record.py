@@ -1,7 +1,9 @@
 """What counts of an episode while it is played: reward, success, and what was wrong with cameras.
 
-An outcome is put beside others of the same condition, so an episode in which a camera was touched
-between its first decision and its last has none: ``Outcome.condition`` is None.
+An outcome is put beside others of the same condition, so an episode whose decisions were taken
+under several has none: ``Outcome.condition`` is None. What is done to a camera before the first
+decision, or after the last, or is undone before the next, is seen by no decision and counts
+nowhere.
 """
 
 from __future__ import annotations
@@ -21,17 +23,17 @@ class EpisodeRecord:
     total_reward: float = 0.0
     success_any: bool = False
     conditions: set[tuple[str, Condition]] = field(default_factory=set)
-    """All that it was played under, with the name of the policy."""
+    """All that a decision was taken under, with the name of the policy."""
     worst: dict[str, str] = field(default_factory=dict)
-    """By camera: off, occluded or moved, the first of these that it ever was."""
+    """By camera: off, occluded or moved, the first of these that it was at any decision."""
 
-    def arrived(self, moment: TimeStep) -> None:
+    def arrived(self, time_step: TimeStep) -> None:
         """Counts a decision's reward and success."""
-        self.total_reward += moment.reward
-        self.success_any |= moment.success
+        self.total_reward += time_step.reward
+        self.success_any |= time_step.success
 
     def note(self, policy: str, condition: Condition, ablation: Ablation) -> None:
-        """What the next decision is taken under."""
+        """What a decision was taken under."""
         self.conditions.add((policy, condition))
         for camera in (*ablation.cameras, *ablation.moves):
             state = ablation.camera(camera)
@@ -46,8 +48,6 @@ class EpisodeRecord:
         self, spec: PolicySpec, seed: int, success: bool, cameras: Iterable[str]
     ) -> Outcome:
         """The result of the episode, which has ended."""
-        # What was touched at the very last step never reached a decision, but it is part of how
-        # the episode is shown on the page, so it counts as touched.
         only = next(iter(self.conditions))[1] if len(self.conditions) == 1 else None
         return Outcome(
             policy=spec,

@@ -72,14 +72,15 @@ class Outcome:
     success_any: bool
     total_reward: float
     cameras: dict[str, str]
-    """By camera: ``''`` if all was well, else the worst of ``off``, ``occluded``, ``moved``."""
+    """By camera: ``''`` if all was well at every decision, else the worst of ``off``, ``occluded``,
+    ``moved``."""
     condition: Condition | None
-    """The condition, if it and the policy were the same from the first step to the last."""
+    """The condition, if it and the policy were the same for all decisions."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """How one seed ended on both sides of a comparison that nobody touched meanwhile."""
+    """How one seed ended on both sides of a comparison, each under one condition."""
 
     first: Outcome
     second: Outcome

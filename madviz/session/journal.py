@@ -125,7 +125,7 @@ class Journal:
             if self._present is not None:
                 self._add(self._present, SavedCommand(step, SavedPolicy.of(spec)))
 
-    def decided(self, step: int, action: Array, moment: TimeStep) -> None:
+    def decided(self, step: int, action: Array, time_step: TimeStep) -> None:
         """The decision taken at ``step``, and what the environment made of it."""
         with self._lock:
             present = self._present
@@ -134,8 +134,8 @@ class Journal:
             # After a picture that could not be drawn, the simulator is a step ahead of the page.
             present.broken |= step != present.steps
             present.streams["actions"].append(np.asarray(action, "<f4").tobytes())
-            present.streams["rewards"].append(np.asarray(moment.reward, "<f8").tobytes())
-            present.streams["success"].append(bytes([bool(moment.success)]))
+            present.streams["rewards"].append(np.asarray(time_step.reward, "<f8").tobytes())
+            present.streams["success"].append(bytes([bool(time_step.success)]))
 
     def spoil(self) -> None:
         """Something broke in mid-episode."""

@@ -89,6 +89,8 @@ class SessionProcess(FrameSource):
         self._closing, self._wanted = threading.Event(), threading.Event()
         self._kept: dict[type, Command] = {}
         """The last command of each kind that a process which is started again must hear."""
+        self._shown: Frame | None = None
+        """The newest frame of all processes so far: where the next one goes on."""
         self._process: ForkServerProcess | None = None
         self._thread = threading.Thread(target=self._run, name="madviz-session", daemon=True)
 
@@ -186,13 +188,13 @@ class SessionProcess(FrameSource):
 
     def _to_begin_with(self) -> list[Command]:
         """What brings a new process to where the last one was."""
-        latest, commands = self.latest, list(self._kept.values())
-        if isinstance(latest, Frame):
-            world = latest.world
+        shown, commands = self._shown, list(self._kept.values())
+        if shown is not None:
+            world = shown.world
             commands += [SetCamera(name, state) for name, state in world.ablation.cameras.items()]
             commands += [MoveCamera(name, move) for name, move in world.ablation.moves.items()]
             commands.append(SetSeed(world.seed))
-            commands += [Pause()] if latest.pace.phase == "paused" else []
+            commands += [Pause()] if shown.pace.phase == "paused" else []
         return commands
 
     def _read(self, pipe: Connection) -> None:
@@ -204,7 +206,9 @@ class SessionProcess(FrameSource):
             except (EOFError, OSError):
                 return
             if kind == "frame":
-                self._publish(decoder.decode(what))
+                news = decoder.decode(what)
+                self._shown = news if isinstance(news, Frame) else self._shown
+                self._publish(news)
             elif kind == "policy":
                 self._noted(*what)
             elif kind == "saved":

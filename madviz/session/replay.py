@@ -131,12 +131,7 @@ def replay_episode(
 ) -> SavedEpisode:
     """The episode as it comes out here. Raises UserError where it cannot: another horizon, a task,
     camera or policy that is not here, a policy that cannot act on what is left."""
-    first = find(episode.policy)
-    env = env_factory(episode.task, episode.render_profile, episode.cameras)
-    with closing(env), one_thread():
-        check_horizon(episode, env)
-        check_policies(episode, find, env)
-        simulation = Simulation(env, first, episode.ablation)
+    with closing(_simulation_for(episode, find, env_factory)) as simulation, one_thread():
         simulation.begin(episode.seed)
         commands = list(episode.commands)
         for step in range(episode.steps + 1):
@@ -151,6 +146,20 @@ def replay_episode(
             if step < episode.steps:
                 simulation.step(lambda: None)
     return simulation.journal.saved().episodes[-1]
+
+
+def _simulation_for(episode: SavedEpisode, find: Finder, env_factory: EnvFactory) -> Simulation:
+    """What the episode is replayed in, not begun. Raises UserError, with the environment closed,
+    where the episode cannot be replayed here."""
+    first = find(episode.policy)
+    env = env_factory(episode.task, episode.render_profile, episode.cameras)
+    try:
+        check_horizon(episode, env)
+        check_policies(episode, find, env)
+        return Simulation(env, first, episode.ablation)
+    except BaseException:
+        env.close()
+        raise
 
 
 def check_horizon(episode: SavedEpisode, env: Environment) -> None:

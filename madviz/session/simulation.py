@@ -124,15 +124,15 @@ class Simulation:
         the first pictures are drawn it meets the last step of the episode before."""
         env, between = self.env, between if self._recent else lambda: None
         in_pieces = isinstance(env, ResetsInPieces)
-        moment = env.reset_in_pieces(seed, between) if in_pieces else env.reset(seed)
-        views = self._draw(between)
+        time_step = env.reset_in_pieces(seed, between) if in_pieces else env.reset(seed)
+        first = self._seen(time_step, 0, between)
         self.episode, self.seed = self.episode + 1, seed
         self._playing.begin(self.policy, seed)
-        self.record, self.change = EpisodeRecord(success_any=moment.success), None
+        self.record, self.change = EpisodeRecord(success_any=time_step.success), None
         self._recent.clear()
         self._actions = []
         self.journal.begin(self.policy.spec, self.env.spec, seed, self.ablation)
-        self._arrive(moment, views)
+        self._arrive(first)
 
     def step(self, between: Callable[[], None]) -> None:
         """Takes one decision. ``between`` is called after every camera that is drawn, and may call
@@ -145,15 +145,16 @@ class Simulation:
                 "switch another camera on"
             )
         action = self._playing.decide(self._encoded, mask, self._reading()[1])
-        moment = self.env.step(action)
+        time_step = self.env.step(action)
         self._actions.append(action)
-        self.journal.decided(self.now.step, action, moment)
-        self.record.arrived(moment)
-        self._arrive(moment, self._draw(between))
-        if moment.last:
+        self.journal.decided(self.now.step, action, time_step)
+        self.record.note(self.policy.spec.name, self.condition, self.ablation)
+        self.record.arrived(time_step)
+        self._arrive(self._seen(time_step, self.now.step + 1, between))
+        if time_step.last:
             names = [camera.name for camera in self.env.spec.cameras]
             spec = self.policy.spec
-            self.outcomes.append(self.record.outcome(spec, self.seed, moment.success, names))
+            self.outcomes.append(self.record.outcome(spec, self.seed, time_step.success, names))
 
     def close(self) -> None:
         """Frees the environment, and what the policy holds for this episode."""
@@ -191,7 +192,6 @@ class Simulation:
         )
         if not preview:
             self._settled = self.ablation
-            self._note_condition()
         self.journal.camera(self.now.step + preview, command)
 
     def move_camera(self, command: MoveCamera) -> None:
@@ -218,7 +218,6 @@ class Simulation:
             q_after=new[2],
             moved=f"moved: {to.words()}" if to else "is back in its place",
         )
-        self._note_condition()
         self.journal.camera(self.now.step, command)
 
     def follow(self, other: Simulation) -> None:
@@ -242,7 +241,6 @@ class Simulation:
             self._push(data)
         self._read()
         self.change = None
-        self._note_condition()
         self.journal.policy(self.now.step, policy.spec)
 
     def snapshot(self) -> Snapshot:
@@ -269,10 +267,10 @@ class Simulation:
         strayed, self.ablation = {*self.ablation.moves, *saved.ablation.moves}, saved.ablation
         for camera in strayed:
             self._place(camera)
-        moment = self.env.reset(self.seed)
+        time_step = self.env.reset(self.seed)
         for action in saved.actions:
-            moment = self.env.step(action)
-        if not np.array_equal(moment.state, saved.recent[-1].time.state):
+            time_step = self.env.step(action)
+        if not np.array_equal(time_step.state, saved.recent[-1].time.state):
             self.journal.spoil()
             raise UserError(
                 f"expected {self.env.spec.task} to repeat seed {self.seed} to the bit, found "
@@ -319,21 +317,19 @@ class Simulation:
         self._stack.replace_last(self.ablation)
         self._read()
 
-    def _draw(self, between: Callable[[], None]) -> dict[str, View]:
-        """Every camera, always: one that comes back needs its past frames."""
-        views = {}
-        for camera in self.env.spec.cameras:
-            views[camera.name] = self.env.view(camera.name)
+    def _seen(self, time_step: TimeStep, step: int, between: Callable[[], None]) -> StepData:
+        """All that ``env`` has to show of a step, with every camera, always: one that comes back
+        needs its past frames."""
+        env, views = self.env, dict[str, View]()
+        for camera in env.spec.cameras:
+            views[camera.name] = env.view(camera.name)
             between()
-        return views
+        poses = {camera.name: env.pose(camera.name) for camera in env.spec.cameras}
+        return StepData(time_step, step, views, poses, env.bodies(), env.body_poses(), env.hand())
 
-    def _arrive(self, moment: TimeStep, views: dict[str, View]) -> None:
-        step = self.now.step + 1 if self._recent else 0
-        poses = {camera.name: self.env.pose(camera.name) for camera in self.env.spec.cameras}
-        env = self.env
-        self._push(StepData(moment, step, views, poses, env.bodies(), env.body_poses(), env.hand()))
+    def _arrive(self, data: StepData) -> None:
+        self._push(data)
         self._read()
-        self._note_condition()
 
     def _push(self, data: StepData) -> None:
         self._stack.push(data.views, self.ablation, self.seed, data.step)
@@ -356,18 +352,22 @@ class Simulation:
         self.probe = read_row(self.probe, self.policy, self._encoded, row)
         return self.condition, self.probe.readout.action[row], float(self.probe.readout.q[row])
 
-    def _note_condition(self) -> None:
-        self.record.note(self.policy.spec.name, self.condition, self.ablation)
-
 
 def open_simulation(
-    env: Environment, policy: Policy, ablation: Ablation, journal: Journal | None = None
+    env: Environment,
+    policy: Policy,
+    ablation: Ablation,
+    seed: int,
+    journal: Journal | None = None,
 ) -> Simulation:
-    """The simulation of ``policy`` in an ``env`` made for it. Where they do not fit, the error is
-    raised and the environment closed."""
+    """The simulation of ``policy`` in an ``env`` made for it, at the first step of ``seed``. Where
+    they do not fit or it cannot begin, the error is raised and all is closed."""
+    opened: Simulation | Environment = env
     try:
         check_environment(policy.spec, env.spec)
-        return Simulation(env, policy, ablation, journal)
+        opened = simulation = Simulation(env, policy, ablation, journal)
+        simulation.begin(seed)
+        return simulation
     except BaseException:
-        env.close()
+        opened.close()
         raise

@@ -52,6 +52,7 @@ class Stage:
         self._policy, self.seed = policy, seed
         self.journal, self._timeline, self._plan = Journal(), Timeline(), SessionPlan(script)
         self.simulation: Simulation | None = None
+        """Always at a step; None where there is none, or none could begin."""
         self.saliency = LiveSaliency()
         self._second: SecondSimulation | None = None
         self._linked = True
@@ -73,7 +74,7 @@ class Stage:
         return self.simulation
 
     def open(self) -> None:
-        """Builds the policy's environment, and begins."""
+        """Builds the policy's environment, and begins. Where that fails, nothing is open."""
         self.shut()
         if isinstance(self._policy, str):
             self._policy = self._loaded(self._policy)
@@ -81,8 +82,9 @@ class Stage:
         world = script or self._policy.spec
         env = self._make_env(world.task, world.render_profile, world.cameras)
         ablation = script.ablation if script else Ablation()
-        self.simulation = open_simulation(env, self._policy, ablation, self.journal)
-        self.begin(script.seed if script else self.seed)
+        seed = script.seed if script else self.seed
+        self.simulation = open_simulation(env, self._policy, ablation, seed, self.journal)
+        self._begun(seed)
 
     def shut(self) -> None:
         """Closes the environment, and B's."""
@@ -99,10 +101,14 @@ class Stage:
         if self._second is not None:  # Before A, whose last step is there to be touched meanwhile.
             self._second.begin(seed, between)
         live.begin(seed, between)
+        self._begun(seed)
+
+    def _begun(self, seed: int) -> None:
+        """A stands at the first step of ``seed``, and so does B if there is one."""
         self.seed, self._timeline = seed, Timeline()
         self.saliency.forget()
         self._plan.begin()
-        self._follow()
+        self._run_plan()
 
     def step(self, between: Callable[[], None]) -> None:
         """One decision, on both sides if there are two; ``between`` as in ``Simulation.step``."""
@@ -110,8 +116,7 @@ class Stage:
         live.step(between)
         if self._second is not None:
             self._second.step()
-            self._follow_a()
-        self._follow()
+        self._run_plan()
         if live.ended and self._second is not None:
             paired = self._second.concluded(live.outcomes[-1])
             self._pairs.extend([paired] if paired else [])
@@ -122,14 +127,14 @@ class Stage:
             self.fork()
         self._live.set_camera(command, preview)
         if not preview:  # In the middle of a step B waits for its end, which is where A's begins.
-            self._follow_a()
+            self._sync_b()
 
     def move_camera(self, command: MoveCamera) -> None:
         """A camera elsewhere; in the past, another future begins with it."""
         if self._timeline.shown is not None:
             self.fork()
         self._live.move_camera(command)
-        self._follow_a()
+        self._sync_b()
 
     def swap(self, name: str) -> None:
         """Another policy; in the same episode where it belongs to the same task and render profile,
@@ -162,7 +167,7 @@ class Stage:
     def explain(self, now: float, moving: bool, hurried: bool) -> bool:
         """Finds the pixels that matter if somebody asked and it is time; whether it did."""
         live = self.simulation
-        if live is None or not hasattr(live, "probe") or self._timeline.shown is not None:
+        if live is None or self._timeline.shown is not None:
             return False
         return live.explain(self.saliency, now, moving, hurried)
 
@@ -170,7 +175,7 @@ class Stage:
         """Reads one more subset of the newest step, if that is the one that is shown and has one to
         read; and ``then`` does what comes of it."""
         live = self.simulation
-        if live is None or not hasattr(live, "probe") or self._timeline.shown is not None:
+        if live is None or self._timeline.shown is not None:
             return
         if live.read_more():
             then()
@@ -194,30 +199,34 @@ class Stage:
     def compare(self, name: str | None, ablation: Ablation | None = None) -> None:
         """Starts B, and the episode again for both; None ends B. They are linked if their cameras
         begin alike. Raises UserError if B's policy belongs to another task: there would be nothing
-        to compare."""
+        to compare. Where the new B cannot begin, the old one and its pairs stay."""
+        second = None if name is None else self._open_second(name, ablation or Ablation())
         if self._second is not None:
             self._second.close()
-            self._second = None
+        self._second = second
         self._pairs.clear()
-        if name is None:
-            return
+        if second is not None:
+            live = self._live
+            self._linked = second.simulation.ablation == live.ablation
+            live.begin(self.seed)
+            self._begun(self.seed)
+
+    def _open_second(self, name: str, ablation: Ablation) -> SecondSimulation:
+        """Another B, at the first step of A's seed. Raises UserError as ``compare`` does."""
         policy, live = self._loaded(name), self._live
         if policy.spec.task != live.env.spec.task:
             raise UserError(
                 f"expected a policy for {live.env.spec.task} on B's side, found {name!r} for "
                 f"{policy.spec.task}; choose one of the same task"
             )
-        cameras = ablation or Ablation()
-        self._second = SecondSimulation(self._make_env, policy, cameras)
-        self._linked = cameras == live.ablation
-        self.begin(self.seed)
+        return SecondSimulation(self._make_env, policy, ablation, self.seed)
 
     def link(self, on: bool) -> None:
         """Whether what is done to A's cameras is done to B's, too."""
         self._linked = on
-        self._follow_a()
+        self._sync_b()
 
-    def _follow_a(self) -> None:
+    def _sync_b(self) -> None:
         """Does to B's cameras what was done to A's, if they are linked."""
         if self._second is not None and self._linked:
             self._second.simulation.follow(self._live)
@@ -226,13 +235,13 @@ class Stage:
         """Another schedule of failures; an empty one ends them."""
         for command in self._plan.reschedule(events, self.simulation):
             self._live.set_camera(command)
-        self._follow_a()
+        self._sync_b()
 
     def frame(self, keep: bool, pace: SessionPace) -> Frame | None:
         """All of it at this time step, with what the session says of its pace; None where nothing
-        is to be seen. ``keep``: not for a preview, which is no step one could go back to."""
+        is to be seen. ``keep``: not for a preview, which leaves the step it shows as it was."""
         live = self.simulation
-        if live is None or not hasattr(live, "probe"):
+        if live is None:
             return None
         frame = Frame(
             live.world(),
@@ -243,9 +252,7 @@ class Stage:
             schedule=self._plan.schedule,
             saliency=self.saliency.maps,
         )
-        frame = self._timeline.live(frame)
-        if keep:
-            self._timeline.keep(frame, live.snapshot())
+        frame = self._timeline.live(frame, live.snapshot(), keep)
         return frame if self._timeline.shown is None else self._timeline.again(frame)
 
     def _loaded(self, name: str) -> Policy:
@@ -253,7 +260,7 @@ class Stage:
             raise UserError("this session has no other policies to load")
         return self._load(name)
 
-    def _follow(self) -> None:
+    def _run_plan(self) -> None:
         """Carries out what comes by itself at the step that has arrived."""
         for command in self._plan.due(self._live):
             if isinstance(command, SetPolicy):
@@ -262,4 +269,4 @@ class Stage:
                 self._live.move_camera(command)
             else:
                 self._live.set_camera(command)
-        self._follow_a()
+        self._sync_b()

@@ -36,20 +36,20 @@ class Timeline:
         self.shown: int | None = None
         """The earlier step that is shown; None: the newest one."""
 
-    def keep(self, frame: Frame, saved: Snapshot) -> None:
-        """Takes in the newest step; a step that comes again replaces itself and all after it."""
-        world = replace(frame.world, probe=_thin(frame.world.probe))
-        past = replace(frame, world=world, second=None, saliency=None)
-        self._past[world.step :] = [(past, saved)]
-
-    def live(self, frame: Frame) -> Frame:
-        """``frame``, the newest one, with the history up to it."""
+    def live(self, frame: Frame, saved: Snapshot, keep: bool) -> Frame:
+        """``frame``, the newest one, with the history up to it. ``keep``: it replaces its step and
+        all after it. A step that is not there yet is taken in either way."""
         world = frame.world
         now = TimelinePoint(
             frame.q, world.reward, world.success, frame.condition, world.policy.name
         )
-        self._history[world.step :] = [now]
-        return self._with_past(frame)
+        history = [*self._history[: world.step], now]
+        if keep or world.step >= len(self._history):
+            thin = replace(world, probe=_thin(world.probe))
+            past = replace(frame, world=thin, second=None, saliency=None)
+            self._past[world.step :] = [(past, saved)]
+            self._history = history
+        return self._with_past(frame, history)
 
     def show(self, step: int | None) -> None:
         """Chooses what ``again`` shows, at most the last step there is."""
@@ -57,11 +57,13 @@ class Timeline:
         self.shown = None if step is None or step >= newest else step
 
     def again(self, like: Frame) -> Frame:
-        """The step that is shown, with the number, pace and outcomes of the live frame."""
+        """The step that is shown. Outcomes, and all that is no part of a step, are those of the
+        live frame ``like``; B and the saliency of that step are not kept."""
         assert self.shown is not None
-        past = self._past[self.shown][0]
-        world = replace(past.world, outcomes=like.world.outcomes)
-        return self._with_past(replace(past, world=world, pace=like.pace))
+        world = replace(self._past[self.shown][0].world, outcomes=like.world.outcomes)
+        return self._with_past(
+            replace(like, world=world, second=None, saliency=None), self._history
+        )
 
     def fork(self) -> Snapshot:
         """Makes the step that is shown the newest one; what came after becomes the branch."""
@@ -73,12 +75,12 @@ class Timeline:
         del self._past[at + 1 :], self._history[at + 1 :]
         return saved
 
-    def _with_past(self, frame: Frame) -> Frame:
+    def _with_past(self, frame: Frame, history: list[TimelinePoint]) -> Frame:
         branch = None
         if self._branch is not None:
-            at, frames, history = self._branch
-            branch = Branch(at, history, frames[min(frame.world.step, len(frames) - 1)])
-        return replace(frame, history=tuple(self._history), branch=branch)
+            at, frames, first = self._branch
+            branch = Branch(at, first, frames[min(frame.world.step, len(frames) - 1)])
+        return replace(frame, history=tuple(history), branch=branch)
 
 
 def _thin(probe: Probe) -> Probe:
