@@ -108,10 +108,26 @@ def test_a_full_ring_forgets_the_oldest_and_keeps_its_capacity(spec: BufferSpec)
     recorded.check(np.array(kept))
 
 
+def test_a_draw_looks_at_what_it_draws_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the paper's capacity a look at all of them would take 10 ms of each update."""
+    recorded = Recorded(ReplayBuffer(SPEC))
+    recorded.play(17)
+    looked_at: list[int] = []
+    usable = ReplayBuffer._usable
+
+    def look(buffer: ReplayBuffer, index: Array) -> Array:
+        looked_at.append(len(index))
+        return usable(buffer, index)
+
+    monkeypatch.setattr(ReplayBuffer, "_usable", look)
+    recorded.buffer.draw(5, np.random.default_rng(0))
+    assert set(looked_at) == {5}
+
+
 def test_a_running_episode_is_sampled_too() -> None:
     recorded = Recorded(ReplayBuffer(SPEC))
     recorded.play(1)
-    with pytest.raises(ValueError, match="at least one transition"):
+    with pytest.raises(ValueError, match="expected 1 transitions in a row"):
         ReplayBuffer(SPEC).sample(1, np.random.default_rng(0))
     buffer, frame = recorded.buffer, [np.zeros((84, 84, c), np.uint8) for c in SPEC.channels]
     buffer.begin(np.full(6, 7.0), frame)

@@ -45,6 +45,10 @@ TINY = MvMwmConfig(
 """Two lanes: episodes of 25 decisions are 50 in all; the run ends in the middle of the second."""
 
 
+SHORT = replace(TINY, steps=12, exploration_steps=1, eval_every=1000)
+"""Explores for less than a lane needs to have two decisions in a row."""
+
+
 def asked(folder: Path | None = None, config: MvMwmConfig = TINY, **changes: Any) -> TrainConfig:
     whole = TrainConfig("toy/reach", "mv-mwm", "mv-mwm", out=folder, seed=3, threads=1)
     return replace(whole, mv_mwm=config, **changes)
@@ -69,6 +73,11 @@ def assert_same_run(one: dict[str, Any], other: dict[str, Any]) -> None:
         assert torch.equal(weight, other["learner"]["agent"][name]), name
     for key in ("step", "updates", "drawn", "episodes", "rng", "episode_seeds", "losses"):
         assert one[key] == other[key], key
+
+
+def test_a_stretch_is_drawn_only_when_there_is_one(tmp_path: Path) -> None:
+    state = run(tmp_path, SHORT)
+    assert state["drawn"] >= SHORT.pretraining and state["updates"] >= SHORT.world_pretraining
 
 
 @pytest.fixture(scope="module")

@@ -270,8 +270,8 @@ def test_bootstrapping_at_the_time_limit_is_a_switch(tmp_path: Path) -> None:
 def test_shifting_when_acting_is_a_switch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[bool] = []
 
-    def shift(views: torch.Tensor, *args: Any, **kwargs: Any) -> torch.Tensor:
-        seen.append(True)
+    def shift(views: torch.Tensor, rng: np.random.Generator, same_for_views: bool) -> torch.Tensor:
+        seen.append(same_for_views)
         return views
 
     monkeypatch.setattr(reinforcement, "random_shift", shift)
@@ -281,7 +281,15 @@ def test_shifting_when_acting_is_a_switch(tmp_path: Path, monkeypatch: pytest.Mo
     assert not seen
     run(tmp_path / "on", replace(short, shift_when_acting=True))
     # 2 decisions of the policy, and 2 evaluations of 4 subsets and 6 decisions.
-    assert len(seen) == 2 + 2 * 4 * HORIZON
+    assert seen == [True] * (2 + 2 * 4 * HORIZON)
+    seen.clear()
+    run(tmp_path / "apart", replace(short, shift_when_acting=True, same_shift_for_views=False))
+    assert seen == [False] * (2 + 2 * 4 * HORIZON)
+
+
+def test_one_decision_of_exploring_is_enough(tmp_path: Path) -> None:
+    run(tmp_path, replace(TINY, steps=8, exploration_steps=1))
+    assert final(tmp_path)[0]["updates"] == 3  # Before decisions 2, 4 and 6.
 
 
 def test_a_buffer_that_will_not_fit_is_refused_at_the_start(tmp_path: Path) -> None:

@@ -287,14 +287,13 @@ class ReplayBuffer:
         """(size,) numbers of time steps at which a transition begins, for ``batch``, or ``ahead``
         of them in one episode, for ``stretch``. Raises ValueError where there are none."""
         found: list[int] = []
-        if not len(self):
-            raise ValueError("expected at least one transition in the buffer, found none")
+        every = range(self._oldest, self._count)
         while len(found) < size:
-            index = rng.integers(self._oldest, self._count, size)
+            index = rng.integers(every.start, every.stop, size) if every else np.arange(0)
             found += index[self._goes_far(index, ahead)].tolist()
-            every = np.arange(self._oldest, self._count)
-            if not found and not self._goes_far(every, ahead).any():
-                raise ValueError(f"expected {ahead} transitions in a row, found fewer")
+            # All are looked at only where none of those drawn will do: 500,000 take 10 ms.
+            if not found and not self._goes_far(np.arange(every.start, every.stop), ahead).any():
+                raise ValueError(f"expected {ahead} transitions in a row in the buffer, found none")
         return np.array(found[:size])
 
     def _goes_far(self, index: Array, ahead: int) -> Array:

@@ -103,13 +103,14 @@ class MvMwmRun(LanesRun):
     def learn(self) -> None:
         """The updates that are due: those of a pretraining while exploring, and of all four
         networks from then on."""
-        config, whole = self.config, self.plan.env.horizon * self.envs.lanes
-        if self.step < min(whole, config.exploration_steps):
+        config, lanes = self.config, self.envs.lanes
+        needed = config.ahead * lanes  # Before that no lane has a stretch to draw.
+        if self.step < max(needed, min(self.plan.env.horizon * lanes, config.exploration_steps)):
             return
         if not self.drawn:
             self.learner.look_at(self._mean_pictures)
         self.learner.slow_down(self.step / config.steps)
-        explored = min(1.0, self.step / max(config.exploration_steps, 1))
+        explored = min(1.0, self.step / config.exploration_steps)
         while self.drawn < int(config.pretraining * explored):
             self._learn_pictures()
         before = int(config.world_pretraining * max(0.0, 2 * explored - 1))

@@ -12,7 +12,7 @@ from typing import Literal
 
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.sizes import AutoencoderConfig, WorldModelConfig
-from madviz.system.numbers import Count, CountOrNone, Rate, Share, Steps, StepsOrNone, Weight, Width
+from madviz.system.numbers import Count, CountOrNone, Rate, Share, Steps, Weight, Width
 from madviz.training.lanes_run import LanesConfig
 from madviz.types import EnvSpec
 
@@ -50,7 +50,7 @@ class MvMwmConfig(LanesConfig):
 
     steps: Steps = 20_000
     """Decisions in the whole run."""
-    exploration_steps: StepsOrNone = 4_000
+    exploration_steps: Steps = 4_000
     """Decisions drawn uniformly before the policy acts; meanwhile autoencoder and world model are
     pretrained."""
     batch_size: Width = 16

@@ -12,14 +12,14 @@ import msgspec
 import numpy as np
 import torch
 
-from madviz.agent.agent import TorchPolicy
+from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.augment import random_shift
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.agent.update import Learner, LearningConfig, Precision
 from madviz.policies.config import TrainingRecord
 from madviz.system.numbers import Rate, Share, Weight, Width
 from madviz.training.reward_run import RewardRun, RunConfig
-from madviz.types import Array, Encoded, EnvSpec
+from madviz.types import Array, Encoded, EnvSpec, PolicySpec
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,10 @@ class ReinforcementRun(RewardRun):
         return msgspec.structs.replace(super().record(), alpha=self.config.alpha)
 
     def policy(self) -> TorchPolicy:
-        kind = _ShiftingPolicy if self.config.shift_when_acting else TorchPolicy
-        return kind(self.plan.spec, self.acting_agent())
+        spec, agent = self.plan.spec, self.acting_agent()
+        if self.config.shift_when_acting:
+            return _ShiftingPolicy(spec, agent, self.config.same_shift_for_views)
+        return TorchPolicy(spec, agent)
 
     def act(self) -> Array:
         views, state = self.buffer.newest()
@@ -96,10 +98,15 @@ class ReinforcementRun(RewardRun):
 
 
 class _ShiftingPolicy(TorchPolicy):
-    """The code's policy: every view it acts on is shifted, evaluation included."""
+    """The code's policy: every view it acts on is shifted, evaluation included. ``same``: all views
+    of a time step by the same pixels."""
+
+    def __init__(self, spec: PolicySpec, agent: Agent, same: bool) -> None:
+        super().__init__(spec, agent)
+        self._same = same
 
     def encode(self, views: Array, state: Array) -> Encoded:
         # Drawn from the picture itself, so that an episode stays a function of its seed.
         rng = np.random.default_rng(int(views.sum(dtype=np.int64)))
-        moved = random_shift(torch.from_numpy(views)[None], rng, same_for_views=False)
+        moved = random_shift(torch.from_numpy(views)[None], rng, self._same)
         return super().encode(moved[0].numpy(), state)

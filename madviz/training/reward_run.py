@@ -32,7 +32,7 @@ from madviz.observation.ablation import Ablation
 from madviz.policies.config import TrainingRecord
 from madviz.policies.seeds import FIRST_LEARNING
 from madviz.subsets import mask_of, single_streams
-from madviz.system.numbers import CountOrNone, Share, Steps, StepsOrNone, Width
+from madviz.system.numbers import CountOrNone, Share, Steps, Width
 from madviz.training.buffer import BufferSpec, ReplayBuffer
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder
@@ -62,7 +62,7 @@ class RunConfig:
 
     steps: Steps = 500_000
     """Decisions in the whole run."""
-    exploration_steps: StepsOrNone = 2_000
+    exploration_steps: Steps = 2_000
     """Decisions drawn uniformly before the policy acts; no update of it before that."""
     batch_size: Width = 256
     """Transitions in an update."""
