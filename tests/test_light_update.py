@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,10 +20,12 @@ from madviz.agent.networks import Actor, ActorHead, NetworkConfig, read_state
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.training import light
+from madviz.training.config import TrainConfig
 from madviz.training.demonstrations import Driver, record_episode
-from madviz.training.light import LightConfig, LightRun, PlacesHead
-from madviz.training.light_losses import choice_errors, mean_and_spread
-from madviz.types import TimeStep
+from madviz.training.light import LightConfig, LightRun
+from madviz.training.light_losses import check_places, choice_errors, mean_and_spread
+from madviz.training.train import train
+from madviz.types import Environment, TimeStep
 from tests.plans import THREE, toy_plan
 
 BASE = LightConfig(
@@ -218,11 +220,22 @@ def test_places_are_learned_by_trunk_and_encoder_beside_the_action(tmp_path: Pat
 
 
 def test_places_need_an_environment_that_knows_them_and_one_feature() -> None:
+    class Silent:
+        """An environment without places()."""
+
     actor = Actor(NetworkConfig(6, 2, hidden_dim=8))
     with pytest.raises(UserError, match="give it a method places()"):
-        PlacesHead(actor, np.zeros((4, 0), np.float32))
+        check_places(actor, cast(Environment, Silent()))
     with pytest.raises(UserError, match="found q-mean"):
-        PlacesHead(ActorHead(), np.zeros((4, 3), np.float32))
+        check_places(ActorHead(), ToyReach())
+    check_places(actor, ToyReach())
+
+
+def test_places_that_cannot_be_told_are_refused_before_anything_is_recorded(tmp_path: Path) -> None:
+    config = TrainConfig("toy/reach", "q-mean", "light", out=tmp_path)
+    with pytest.raises(UserError, match="found q-mean"):
+        train(replace(config, light=LightConfig(position_weight=0.1)), lambda event: None)
+    assert not list((tmp_path / "resume").glob("*.json")), "the corrected command can begin"
 
 
 def test_a_choice_costs_its_divergence() -> None:

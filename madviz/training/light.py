@@ -48,8 +48,8 @@ from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder
 from madviz.training.light_critic import REWARD_SCALE, fit_critic
 from madviz.training.light_focus import Outcomes, failures, focused, in_turn, shares
 from madviz.training.light_losses import PlacesHead as PlacesHead
+from madviz.training.light_losses import check_places, mean_and_spread
 from madviz.training.light_losses import imitation_loss as imitation_loss
-from madviz.training.light_losses import mean_and_spread
 from madviz.training.light_losses import row_errors as row_errors
 from madviz.training.light_options import LightConfig as LightConfig
 from madviz.training.plan import TrainingPlan
@@ -86,7 +86,6 @@ class LightRun:
         self.round = self.updates = 0
         self.seconds = 0.0
         self._episodes = folder / "episodes"
-        self._episodes.mkdir(exist_ok=True)
 
     def drivers(self, round_index: int) -> list[tuple[Driver, int]]:
         """Who drives which seed in a round: the trained subsets in turn, round 0 the expert.
@@ -119,6 +118,7 @@ class LightRun:
         self, episodes: list[Episode], round_index: int, planned: list[tuple[Driver, int]]
     ) -> None:
         """Adds a round's episodes, which went as ``planned``, to the data and to the run folder."""
+        self._episodes.mkdir(exist_ok=True)
         for number, episode in enumerate(episodes):
             episode.save(self._episodes / f"{round_index:03d}-{number:02d}.npz")
             self.data.add(episode)
@@ -263,8 +263,12 @@ class LightRun:
 
 def train_light(plan: TrainingPlan, config: LightConfig, folder: RunFolder) -> None:
     """Trains by the light recipe, from the folder's last state on if it has one; Ctrl-C saves after
-    the round at hand. Raises UserError if a recording process is killed."""
+    the round at hand. Raises UserError for options that do not fit, before anything is recorded,
+    and if a recording process is killed."""
     run = LightRun(plan, config, folder.resume)
+    if config.position_weight:
+        with closing(plan.drawn_task.build()) as env:
+            check_places(run.agent.actor, env)
     state = folder.load_state()
     if state:
         run.restore(state)

@@ -17,7 +17,7 @@ from torch.nn import functional as F
 from madviz.agent.agent import Agent
 from madviz.agent.networks import Actor, ActorHead
 from madviz.errors import UserError
-from madviz.types import Array
+from madviz.types import Array, Environment, KnowsPlaces
 
 SMALLEST_SPREAD = 1e-3
 """Metres, radians and so on: what varies less is noise, and is not magnified further."""
@@ -75,20 +75,9 @@ class PlacesHead(nn.Module):
     spread: Tensor
 
     def __init__(self, actor: ActorHead, places: Array) -> None:
-        """``places`` (T, 3 P): those of the demonstrations. Raises UserError where there are none,
-        and for an actor that reads every view for itself."""
+        """``places`` (T, 3 P): those of the demonstrations, see ``check_places``."""
         super().__init__()
-        if not places.shape[1]:
-            raise UserError(
-                "expected an environment that tells where objects and goal are for "
-                "--light.position-weight, found one that does not; give it a method places() "
-                "(madviz.types.KnowsPlaces), or leave the option out"
-            )
-        if not isinstance(actor, Actor):
-            raise UserError(
-                "expected a merge with one feature for --light.position-weight, found q-mean, "
-                "which has none; choose another merge, or leave the option out"
-            )
+        assert isinstance(actor, Actor)  # Any other was refused.
         first = actor.mlp[0]
         assert isinstance(first, nn.Linear)
         self.mlp = nn.Sequential(
@@ -104,6 +93,22 @@ class PlacesHead(nn.Module):
         rows = len(merged)
         found = self.mlp(actor.inputs(merged, state.expand(rows, *state.shape))).float()
         return (found - (places - self.mean) / self.spread).square().mean((1, 2))
+
+
+def check_places(actor: ActorHead, env: Environment) -> None:
+    """Raises UserError for an environment that does not tell places, and for an actor that reads
+    every view for itself: neither has what a ``PlacesHead`` needs."""
+    if not isinstance(env, KnowsPlaces):
+        raise UserError(
+            "expected an environment that tells where objects and goal are for "
+            "--light.position-weight, found one that does not; give it a method places() "
+            "(madviz.types.KnowsPlaces), or leave the option out"
+        )
+    if not isinstance(actor, Actor):
+        raise UserError(
+            "expected a merge with one feature for --light.position-weight, found q-mean, "
+            "which has none; choose another merge, or leave the option out"
+        )
 
 
 def mean_and_spread(numbers: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
