@@ -151,6 +151,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "grading": measurements.grading,
     "kernel-memory": measurements.kernel_memory,
     "imagine": measurements.imagine,
+    "places": measurements.places,
     "site-speed": measurements.site_speed,
     "site-success": measurements.site_success,
 }

@@ -8,7 +8,7 @@ import json
 import math
 import re
 
-from policy_files import LABELS, ROOT, evaluation
+from policy_files import LABELS, ROOT, SINGLES, evaluation
 
 CLASS_RUNS = ("lessons", "pages", "alone")
 """Of results/class: files of ``python -m tests.e2e.class_server``."""
@@ -171,6 +171,27 @@ def site_speed() -> str:
     for backend, rates in found["decisions_per_s"].items():
         lines.append(f"| {backend} | {rates['one']:.1f} | {rates['side_by_side']:.1f} |")
     return "\n".join([*lines, f"\nOn {found['machine']}."]) + "\n"
+
+
+def places() -> str:
+    """What `madviz bench places` read from features of policies with a weak camera, from
+    results/places, beside the success of each camera alone."""
+    lines = [
+        "| policy | camera | success alone | place | in its picture | from its feature | "
+        "from the state | mean place |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for file in sorted((ROOT / "results" / "places").glob("*.json")):
+        found = json.loads(file.read_text())
+        alone = evaluation(found["policy"])["subsets"]
+        for row in sorted(found["rows"], key=lambda row: SINGLES.index(row["stream"])):
+            rate, (low, high) = alone[row["stream"]]["success"], alone[row["stream"]]["ci95"]
+            read = " | ".join(f"{row[of + '_cm']:.1f} cm" for of in ("feature", "state", "mean"))
+            lines.append(
+                f"| {found['policy']} | {LABELS[row['stream']]} | {rate:.2f} [{low:.2f}, {high:.2f}] "
+                f"| {row['place']} | {row['in_picture']:.2f} | {read} |"
+            )
+    return "\n".join(lines) + "\n"
 
 
 def machine() -> str:
