@@ -185,12 +185,11 @@ def places() -> str:
         found = json.loads(file.read_text())
         alone = evaluation(found["policy"])["subsets"]
         for row in sorted(found["rows"], key=lambda row: SINGLES.index(row["stream"])):
-            rate, (low, high) = alone[row["stream"]]["success"], alone[row["stream"]]["ci95"]
+            success, (low, high) = alone[row["stream"]]["success"], alone[row["stream"]]["ci95"]
+            camera = f"{LABELS[row['stream']]} | {success:.2f} [{low:.2f}, {high:.2f}]"
             read = " | ".join(f"{row[of + '_cm']:.1f} cm" for of in ("feature", "state", "mean"))
-            lines.append(
-                f"| {found['policy']} | {LABELS[row['stream']]} | {rate:.2f} [{low:.2f}, {high:.2f}] "
-                f"| {row['place']} | {row['in_picture']:.2f} | {read} |"
-            )
+            place = f"{row['place']} | {row['in_picture']:.2f}"
+            lines.append(f"| {found['policy']} | {camera} | {place} | {read} |")
     return "\n".join(lines) + "\n"
 
 
