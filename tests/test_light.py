@@ -196,6 +196,13 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(
     assert bool(found.agent.config.state_mean) == config.standard_state
 
 
+def test_a_state_of_an_older_version_is_refused_in_words(tmp_path: Path) -> None:
+    run = run_in(RunFolder(tmp_path, TINY, resume=False, listener=None))
+    numbers = {"bit_generator": "PCG64", "has_uint32": "int:0"}
+    with pytest.raises(UserError, match="an older version saved.*another --out"):
+        run.restore({**run.state(), "rng": numbers})
+
+
 def test_students_see_their_methods_subsets_and_demonstrations_are_shared(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "a", TINY, resume=False, listener=None)
     mad = run_in(folder)

@@ -39,6 +39,7 @@ from madviz.training.light import LightConfig, LightRun
 from madviz.training.paper import PaperConfig
 from madviz.training.run_folder import RunFolder
 from madviz.training.train import train
+from madviz.training.vectorised import VectorisedConfig
 from madviz.types import Environment, PolicySpec
 from tests.plans import toy_plan
 
@@ -300,6 +301,30 @@ def test_drivers_are_the_trained_subsets(tmp_path: Path) -> None:
     assert masks["singular-only"] == singles
     assert masks["vib"] == {(True, True, True)}
     assert masks["mvd"] == {(True, True, True), *singles}
+
+
+def test_at_alpha_one_a_policy_claims_all_cameras_alone_but_every_subset_drives(
+    tmp_path: Path,
+) -> None:
+    merged_alone = replace(LIGHT, alpha=1.0)
+    whole = TrainConfig("toy/reach", "mad", "light", out=tmp_path, threads=1, light=merged_alone)
+    plan = resolve(whole)
+    assert plan.spec.trained_subsets == ("all",)
+    run = LightRun(plan, merged_alone, tmp_path)
+    masks = {tuple(driver.mask) for driver, _ in run.drivers(1) if driver.mask is not None}
+    assert masks == {(True, True, True), *(tuple(row) for row in np.eye(3, dtype=bool))}
+
+
+def test_what_is_claimed_follows_the_alpha_of_every_recipe() -> None:
+    def claimed(method: str, recipe: str, **options: Any) -> tuple[str, ...]:
+        return resolve(TrainConfig("toy/reach", method, recipe, **options)).spec.trained_subsets
+
+    assert claimed("mad", "paper") == ("all", *STREAMS)
+    assert claimed("mad", "paper", paper=PaperConfig(alpha=1.0)) == ("all",)
+    apart = VectorisedConfig(alpha=0.0)
+    assert claimed("mad", "paper-vectorised", vectorised=apart) == STREAMS
+    assert claimed("mad", "light", light=LightConfig(alpha=0.0)) == STREAMS
+    assert len(claimed("mv-mwm", "mv-mwm")) == 7, "this recipe has no alpha"
 
 
 def test_a_policy_says_what_it_cannot_do_without() -> None:

@@ -13,12 +13,12 @@ from torch import Tensor
 
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.autoencoder import symlog
-from madviz.agent.dreaming import (
+from madviz.agent.imagination import (
     BeliefActor,
     Noise,
-    dream,
-    dream_actor_loss,
-    dream_critic_loss,
+    imagine,
+    imagined_actor_loss,
+    imagined_critic_loss,
     lambda_returns,
     reached,
     truncated_normal,
@@ -432,17 +432,21 @@ def test_actions_at_the_edges_have_finite_gradients(noise: float) -> None:
 
 def believed(agent: Agent, batch: int = B) -> Belief:
     rssm = net_of(agent).world.rssm
-    return rssm.believe(normal(2, batch, 64), None).detach()
+    return rssm.observe(normal(2, batch, 64), None).detach()
 
 
-def test_a_dream_is_the_formula_and_weighs_by_what_follows() -> None:
+def test_an_imagination_is_the_formula_and_weighs_by_what_follows() -> None:
     agent = make().double()
     assert isinstance(agent.actor, BeliefActor)
     start, state = believed(agent), normal(B, 6)
     noise = Noise(uniform(2, B, 2), uniform(2, B, GROUPS, seed=8))
-    dreamt = dream(net_of(agent).world, agent.actor, start, state, noise, gamma=0.9)
+    imagined = imagine(net_of(agent).world, agent.actor, start, state, noise, gamma=0.9)
     w, actor = weights(agent.encoder), weights(agent.actor)
-    memory, latent, known = start.memory[1].numpy(), start.latent[1].flatten().numpy(), state[1]
+    memory, latent, known = (
+        start.deterministic[1].numpy(),
+        start.latent[1].flatten().numpy(),
+        state[1],
+    )
     for step in range(2):
         belief = np.concatenate([memory, latent])
         middle, raw = np.split(mlp(actor, "mlp", np.concatenate([belief, known])), 2)
@@ -450,19 +454,19 @@ def test_a_dream_is_the_formula_and_weighs_by_what_follows() -> None:
         edges = (-1 - middle) / spread, (1 - middle) / spread
         choice = stats.truncnorm(*edges, middle, spread)
         action = choice.ppf(noise.action[step, 1].numpy())
-        assert dreamt.entropy[step, 1].item() == pytest.approx(choice.entropy().sum(), rel=1e-6)
+        assert imagined.entropy[step, 1].item() == pytest.approx(choice.entropy().sum(), rel=1e-6)
         memory = advanced(w, memory, latent, action)
         latent = drawn(mlp(w, "world.rssm.prior", memory), noise.latent[step, 1].numpy())
         belief = np.concatenate([memory, latent])
         reward, known = mlp(w, "world.reward", belief)[0], mlp(w, "world.state", belief)
         reward, known = (np.sign(x) * np.expm1(np.abs(x)) for x in (reward, known))
         follows = 0.9 * sigmoid(mlp(w, "world.follows", belief)[0])
-        assert dreamt.reward[step, 1].item() == pytest.approx(reward, rel=1e-4)
-        assert dreamt.discount[step, 1].item() == pytest.approx(follows, rel=1e-4)
-        found = dreamt.state[step + 1, 1].detach().numpy()
+        assert imagined.reward[step, 1].item() == pytest.approx(reward, rel=1e-4)
+        assert imagined.discount[step, 1].item() == pytest.approx(follows, rel=1e-4)
+        found = imagined.state[step + 1, 1].detach().numpy()
         np.testing.assert_allclose(found, known, rtol=1e-4)
-    expected = torch.stack([torch.ones(B), dreamt.discount[0].detach()])
-    torch.testing.assert_close(reached(dreamt.discount), expected, check_dtype=False)
+    expected = torch.stack([torch.ones(B), imagined.discount[0].detach()])
+    torch.testing.assert_close(reached(imagined.discount), expected, check_dtype=False)
 
 
 def test_the_losses_of_actor_and_critic() -> None:
@@ -470,9 +474,9 @@ def test_the_losses_of_actor_and_critic() -> None:
     value = normal(2, B, seed=4)
     numbers = [x.numpy() for x in (returns, entropy, weight, value)]
     g, h, w, v = numbers
-    found = dream_actor_loss(returns, entropy, weight, 0.01).item()
+    found = imagined_actor_loss(returns, entropy, weight, 0.01).item()
     assert found == pytest.approx(-(w * (g + 0.01 * h)).mean())
-    critic = dream_critic_loss(value, returns.requires_grad_(), weight)
+    critic = imagined_critic_loss(value, returns.requires_grad_(), weight)
     assert critic.item() == pytest.approx(0.5 * (w * (v - g) ** 2).mean())
     assert not critic.requires_grad, "returns are data to the critic"
 
@@ -481,8 +485,8 @@ def test_rewards_reach_actions_through_the_world_model() -> None:
     agent = make().double()
     assert isinstance(agent.actor, BeliefActor)
     noise = Noise(uniform(3, B, 2), uniform(3, B, GROUPS, seed=8))
-    dreamt = dream(net_of(agent).world, agent.actor, believed(agent), normal(B, 6), noise, 0.9)
-    dreamt.reward[-1].sum().backward()
+    imagined = imagine(net_of(agent).world, agent.actor, believed(agent), normal(B, 6), noise, 0.9)
+    imagined.reward[-1].sum().backward()
     slopes = [p.grad for p in agent.actor.parameters()]
     assert all(slope is not None and slope.any() for slope in slopes)
 

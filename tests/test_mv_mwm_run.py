@@ -39,7 +39,7 @@ from tests.recipe_runs import last_state
 STREAMS = tuple(camera.name for camera in CAMERAS)
 TINY = MvMwmConfig(
     steps=80, exploration_steps=40, batch_size=8, size="tiny", pretraining=4, world_pretraining=2,
-    pictures=3, ahead=2, horizon=3, dream_starts=5, target_every=2, eval_every=50,
+    pictures=3, ahead=2, horizon=3, imagined_starts=5, target_every=2, eval_every=50,
     eval_episodes=1, save_every=30, environments=2, workers=0, update_ratio=0.1,
 )  # fmt: skip
 """Two lanes: episodes of 25 decisions are 50 in all; the run ends in the middle of the second."""
@@ -247,7 +247,7 @@ def test_each_loss_moves_what_is_its_own() -> None:
 def test_rates_fall_in_a_line_to_their_floor() -> None:
     learner, _, _ = learner_and_stretch(replace(TINY, world_rate=0.4, rate_floor=0.25))
     for progress, expected in ((0.0, 0.4), (0.5, 0.25), (1.0, 0.1)):
-        learner.slow_down(progress)
+        learner.set_learning_rates(progress)
         assert learner.optimisers["world"].param_groups[0]["lr"] == pytest.approx(expected)
     pictures = learner.optimisers["pictures"].param_groups[0]
     assert pictures["lr"] == pytest.approx(0.25 * TINY.autoencoder_rate)

@@ -10,7 +10,7 @@ import torch
 from torch.nn import functional as F
 
 from madviz.agent.agent import random_policy
-from madviz.agent.augment import _shift_by_index, random_shift, shift
+from madviz.agent.augment import _shift_by_index, draw_shifts, random_shift, shift
 from madviz.agent.merges.sum import merge_sum
 from madviz.agent.networks import Actor, Critic, Encoder, NetworkConfig, squash
 from madviz.envs.registry import SETTINGS
@@ -122,3 +122,5 @@ def test_views_share_a_shift_or_do_not(same: bool) -> None:
     moved = random_shift(pictures, np.random.default_rng(0), same_for_views=same)
     alike = torch.equal(moved[:, 0], moved[:, 1]) and torch.equal(moved[:, 0], moved[:, 2])
     assert alike == same
+    shifts = draw_shifts(np.random.default_rng(0), (4, 3), same)
+    assert torch.equal(moved, shift(pictures, shifts)) and np.abs(shifts).max() <= 4

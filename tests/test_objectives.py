@@ -232,11 +232,11 @@ def test_without_the_rule_every_row_is_its_own_teacher(name: str, shares: list[f
     assert_as_in_paper(agent, expected)
 
 
-def test_singular_only_explores_on_one_stream_and_mad_on_all() -> None:
+def test_a_method_without_a_merged_term_explores_on_one_stream_and_mad_on_all() -> None:
     batch, seen = make_batch(3), {}
-    for name in ("mad", "singular-only"):
+    for name, alpha in (("mad", 0.8), ("singular-only", 0.8), ("mad", 0.0)):
         agent = make_agent().float()
-        learner = make_learner(agent, name, STREAMS["three"])
+        learner = make_learner(agent, name, STREAMS["three"], alpha=alpha)
         read: list[Tensor] = []
         agent.actor.register_forward_hook(lambda _, inputs, __, read=read: read.append(inputs[0]))
         for _ in range(12):
@@ -244,10 +244,10 @@ def test_singular_only_explores_on_one_stream_and_mad_on_all() -> None:
         features = agent.encode(batch.views[:1])[0]
         rows = [features.sum(0), *features]
         near = [[torch.allclose(x[0], row, rtol=1e-4, atol=1e-5) for row in rows] for x in read]
-        seen[name] = np.array(near).sum(0)
-    assert list(seen["mad"]) == [12, 0, 0, 0]
-    assert seen["singular-only"][0] == 0 and (seen["singular-only"][1:] > 0).all()
-    assert seen["singular-only"].sum() == 12
+        seen[name, alpha] = np.array(near).sum(0)
+    assert list(seen.pop(("mad", 0.8))) == [12, 0, 0, 0]
+    for name, counts in seen.items():
+        assert counts[0] == 0 and (counts[1:] > 0).all() and counts.sum() == 12, name
 
 
 def test_the_naive_learner_passes_the_same_test() -> None:

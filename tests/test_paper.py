@@ -21,10 +21,11 @@ from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
 from madviz.policies.seeds import use_of
 from madviz.training import loop, reinforcement
-from madviz.training.config import TrainConfig, resolve
+from madviz.training.config import RECIPES, TrainConfig, resolve
 from madviz.training.paper import PaperConfig, PaperRun, train_paper
 from madviz.training.reward_run import SuiteNumbers
 from madviz.training.run_folder import Event, RunFolder
+from madviz.training.train import train
 from madviz.training.vectorised import VectorisedConfig
 from madviz.types import Array, Environment
 from tests.plans import toy_plan
@@ -285,6 +286,17 @@ def test_shifting_when_acting_is_a_switch(tmp_path: Path, monkeypatch: pytest.Mo
     seen.clear()
     run(tmp_path / "apart", replace(short, shift_when_acting=True, same_shift_for_views=False))
     assert seen == [False] * (2 + 2 * 4 * HORIZON)
+
+
+@pytest.mark.parametrize("recipe", ["paper", "paper-vectorised", "mv-mwm"])
+def test_a_run_without_exploring_is_refused(recipe: str, tmp_path: Path) -> None:
+    method = "mv-mwm" if recipe == "mv-mwm" else "mad"
+    whole = TrainConfig("toy/reach", method, recipe, out=tmp_path / "run")
+    section = RECIPES[recipe].options
+    options = replace(getattr(whole, section), exploration_steps=0, steps=1, eval_episodes=0)
+    with pytest.raises(UserError, match="exploration-steps: expected a whole number from 1 to"):
+        train(replace(whole, **{section: options}), lambda event: None)
+    assert not list(tmp_path.iterdir())
 
 
 def test_one_decision_of_exploring_is_enough(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from madviz.evaluation.evaluate import EvalConfig, run_eval
 from madviz.evaluation.evidence import find_evidence, read_evidence
 from madviz.policies import checkpoint
 from madviz.policies.config import TrainingRecord, policy_config
-from madviz.policies.seeds import use_of
+from madviz.policies.seeds import training_seed, use_of
 from madviz.report.results import ReportConfig, run_report
 from madviz.report.threshold import judge
 from madviz.types import PolicySpec
@@ -69,6 +69,13 @@ def test_every_seed_has_one_use() -> None:
         "reinforcement learning",
     ]
     assert use_of([10_000, 5000]) == "development and reporting" and use_of([]) == ""
+
+
+def test_episodes_of_an_expert_have_training_seeds() -> None:
+    assert [training_seed(3, number) for number in (0, 5, 588, 589)] == [411, 416, 999, 0]
+    for seed in (0, 1, 2**31 - 1):
+        seeds = [training_seed(seed, number) for number in range(1000)]
+        assert len(set(seeds)) == 1000 and use_of(seeds) == "training"
 
 
 @pytest.mark.parametrize("first", [900, 4999, 9990])

@@ -12,6 +12,7 @@ import torch
 
 from madviz.agent import update
 from madviz.agent.agent import Agent
+from madviz.agent.augment import draw_shifts
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.update import Learner, LearningConfig
@@ -54,6 +55,22 @@ def test_a_restored_learner_goes_on_exactly() -> None:
     np.testing.assert_array_equal(two.act(BATCH.views[0], BATCH.state[0]), acted)
     assert torch.equal(one.draw(4).actor_noise, two.draw(4).actor_noise)
     np.testing.assert_array_equal(one.draw(4).shifts, two.draw(4).shifts)
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_a_learner_draws_its_shifts_as_everybody_does(same: bool) -> None:
+    found = make(seed=5, same_shift_for_views=same).draw(4).shifts
+    expected = draw_shifts(np.random.default_rng(5), (2, 4, len(STREAMS)), same)
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_a_restored_generator_draws_what_the_saved_one_draws() -> None:
+    rng, again, file = np.random.default_rng(5), np.random.default_rng(6), io.BytesIO()
+    rng.integers(0, 2, 3, np.uint8)  # Leaves half a draw over.
+    torch.save({"rng": update.generator_state(rng)}, file)
+    file.seek(0)
+    update.restore_generator(again, torch.load(file, weights_only=True)["rng"])
+    assert again.integers(0, 2**31, 20).tolist() == rng.integers(0, 2**31, 20).tolist()
 
 
 def test_the_memory_layout_of_a_batch_changes_nothing() -> None:

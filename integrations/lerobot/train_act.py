@@ -17,8 +17,8 @@ to what makes every layer's output vary by 1.
 
 A training that was stopped goes on when the same command is given again.
 
-An update of 16 decisions takes 2.2 s of one core of an AMD EPYC without AVX-512. Only its first
-updates, saving and serving were tried: how often a policy of this size succeeds is not known yet.
+An update of 32 decisions takes 0.4 s on two cores of an AMD EPYC with bfloat16 instructions (0.7 s
+in float32), so that 4,000 take half an hour.
 """
 
 from __future__ import annotations
@@ -43,11 +43,12 @@ from torch import Tensor
 from torch.nn import functional as F
 from torchvision.ops import FrozenBatchNorm2d
 
+from madviz.agent.agent import fast_bfloat16
 from madviz.agent.augment import random_shift
 
 CHUNK = 10
 WARM_UP = 50
-SAVE_EVERY = 100
+SAVE_EVERY = 200
 
 
 def arguments() -> argparse.Namespace:
@@ -55,8 +56,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--data", type=Path, required=True, help="of madviz record")
     parser.add_argument("--out", type=Path, required=True, help="a folder for the policy")
     parser.add_argument("--view-dropout", action="store_true", help="mask cameras at random")
-    parser.add_argument("--updates", type=int, default=800, help="gradient steps")
-    parser.add_argument("--batch", type=int, default=16, help="decisions in one")
+    parser.add_argument("--updates", type=int, default=4000, help="gradient steps")
+    parser.add_argument("--batch", type=int, default=32, help="decisions in one")
     parser.add_argument("--learning-rate", type=float, default=4e-4, help="at the start")
     parser.add_argument("--action-steps", type=int, default=5, help="actions taken from one look")
     parser.add_argument("--seed", type=int, default=0)
@@ -170,6 +171,7 @@ def main() -> None:
     optimiser = torch.optim.AdamW(
         policy.get_optim_params(), lr=asked.learning_rate, weight_decay=1e-4, fused=True
     )
+    low_precision = fast_bfloat16()
     done, seconds, curve = 0, 0.0, []
     state_file = asked.out / "resume.pt"
     if state_file.exists():
@@ -191,14 +193,15 @@ def main() -> None:
         rate = min((done + 1) / WARM_UP, 1) * (1 - done / asked.updates)
         for group in optimiser.param_groups:
             group["lr"] = asked.learning_rate * rate
-        loss = loss_of(policy, batch, [data.keys[at] for at in cameras])
+        with torch.autocast("cpu", torch.bfloat16, enabled=low_precision):
+            loss = loss_of(policy, batch, [data.keys[at] for at in cameras])
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(policy.parameters(), 10.0)
         optimiser.step()
         done += 1
         recent.append(loss.item())
-        if done % 20 == 0:
+        if done % 50 == 0:
             now = seconds + time.monotonic() - began
             curve.append([done, float(np.mean(recent)), round(now)])
             print(f"{done}/{asked.updates} loss {curve[-1][1]:.4f} after {now:.0f} s", flush=True)

@@ -22,9 +22,17 @@ def random_shift(
     views: Tensor, rng: np.random.Generator, same_for_views: bool = True, pad: int = PAD
 ) -> Tensor:
     """(B, V, C, H, W) uint8 -> the same, each image moved by up to ``pad`` pixels both ways."""
-    batch, count = views.shape[:2]
-    shifts = rng.integers(-pad, pad + 1, (batch, 1 if same_for_views else count, 2))
-    return shift(views, np.broadcast_to(shifts, (batch, count, 2)))
+    return shift(views, draw_shifts(rng, tuple(views.shape[:2]), same_for_views, pad))
+
+
+def draw_shifts(
+    rng: np.random.Generator, shape: tuple[int, ...], same_for_views: bool, pad: int = PAD
+) -> Array:
+    """For images of ``shape`` (..., V), the pixels (..., V, 2) that each is moved by: whole numbers
+    from -``pad`` to ``pad``, of rows and of columns."""
+    *samples, count = shape
+    shifts = rng.integers(-pad, pad + 1, (*samples, 1 if same_for_views else count, 2))
+    return np.repeat(shifts, count // shifts.shape[-2], axis=-2)
 
 
 def shift(views: Tensor, shifts: Array) -> Tensor:

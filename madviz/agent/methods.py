@@ -78,15 +78,16 @@ class Method:
         merged = weights.get("merged", 0.0) + every
         return np.array([merged, *[singular] * (len(rows) - 1)], np.float32)
 
-    def trained_rows(self, streams: Streams) -> Array:
-        """(N,) bool: which rows weigh anything."""
-        return self.row_weights(streams, 0.5) > 0
+    def trained_rows(self, streams: Streams, alpha: float = 0.5) -> Array:
+        """(N,) bool: which rows weigh anything; by default at an ``alpha`` between 0 and 1."""
+        return self.row_weights(streams, alpha) > 0
 
-    def trained_subsets(self, streams: Streams) -> Streams:
-        """The subsets a policy learns to work from; on the rest it is not trained."""
+    def trained_subsets(self, streams: Streams, alpha: float = 0.5) -> Streams:
+        """The subsets a policy learns to work from; on the rest it is not trained. ``alpha`` is
+        that of its training; every one between 0 and 1 gives the same."""
         if MERGES[self.merge].trains_each_alone:
             return ("all", *(name for name in single_streams(streams) if name != "all"))
-        trained = self.masks(streams)[self.trained_rows(streams)]
+        trained = self.masks(streams)[self.trained_rows(streams, alpha)]
         return tuple(name_of(mask, streams) for mask in trained)
 
     def merge_for(self, streams: Streams, asked: str = "") -> str:

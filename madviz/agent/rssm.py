@@ -2,12 +2,12 @@
 
 The problem: to imagine what actions lead to, one needs a state that can be advanced without
 pictures, and that says how sure it is. The idea (Hafner et al., 2019 and 2021): a belief has a part
-that is computed and a part that is drawn, and the drawn part is guessed before the picture comes
-(*prior*) and corrected by it (*posterior*):
+that is computed (*deterministic*) and a part that is drawn (*latent*), and the latent is predicted
+before the picture comes (*prior*) and corrected by it (*posterior*):
 
-    memory'  =  GRU(memory, latent, action)
-    prior     p(latent' | memory')                  without the picture: this is what imagines
-    posterior q(latent' | memory', embedding')      with it: this is what believes
+    deterministic' = GRU(deterministic, latent, action)
+    prior     p(latent' | deterministic')                without the picture: imagines
+    posterior q(latent' | deterministic', embedding')    with it: observes
 
 A latent is G choices with K values each, one-hot: with 16 x 16 it holds at most 16 log2 16 = 64
 bits. A draw has no gradient, so the gradient of the probabilities is put in its place (straight
@@ -38,7 +38,7 @@ from madviz.agent.sizes import WorldModelConfig
 class Belief:
     """What is believed at one time step, for B samples."""
 
-    memory: Float[Tensor, "B M"]
+    deterministic: Float[Tensor, "B M"]
     """The computed part."""
     latent: Float[Tensor, "B G K"]
     """The drawn part, one-hot; its gradient is that of the probabilities."""
@@ -48,16 +48,16 @@ class Belief:
     @property
     def feature(self) -> Float[Tensor, "B Z"]:
         """Both parts, as other networks read them."""
-        return torch.cat([self.memory, self.latent.flatten(1)], 1)
+        return torch.cat([self.deterministic, self.latent.flatten(1)], 1)
 
     def detach(self) -> Belief:
         """The same numbers, as data."""
-        return Belief(self.memory.detach(), self.latent.detach(), self.logits.detach())
+        return Belief(self.deterministic.detach(), self.latent.detach(), self.logits.detach())
 
 
 def joined(beliefs: list[Belief]) -> Belief:
     """T beliefs of B samples each as one of T x B, time first."""
-    parts = ("memory", "latent", "logits")
+    parts = ("deterministic", "latent", "logits")
     return Belief(*(torch.cat([getattr(one, part) for one in beliefs]) for part in parts))
 
 
@@ -76,48 +76,52 @@ class Rssm(nn.Module):
         self.prior = mlp(config.memory, hidden, 1, latent)
         self.posterior = mlp(config.memory + embedding, hidden, 1, latent)
 
-    def nothing(self, batch: int) -> Belief:
+    def initial(self, batch: int) -> Belief:
         """Before the first picture: zeros."""
         like, config = self.cell.weight_hh, self.config
         latent = like.new_zeros(batch, config.groups, config.classes)
         return Belief(like.new_zeros(batch, config.memory), latent, latent)
 
     def advance(self, before: Belief, action: Float[Tensor, "B A"] | None) -> Float[Tensor, "B M"]:
-        """The memory one decision later; None: nobody knows what was done."""
-        batch = len(before.memory)
+        """The deterministic part one decision later; None: nobody knows what was done."""
+        batch = len(before.deterministic)
         if action is None:
-            done = before.memory.new_zeros(batch, self.actions + 1)
+            done = before.deterministic.new_zeros(batch, self.actions + 1)
         else:
             done = torch.cat([action, action.new_ones(batch, 1)], 1)
         inputs = self.inputs(torch.cat([before.latent.flatten(1), done], 1))
-        return self.cell(inputs, before.memory)
+        return self.cell(inputs, before.deterministic)
 
-    def guess(self, memory: Float[Tensor, "B M"], noise: Float[Tensor, "B G"] | None) -> Belief:
-        """The prior: a belief without the picture."""
-        return self._drawn(memory, self.prior(memory), noise)
+    def prior_belief(
+        self, deterministic: Float[Tensor, "B M"], noise: Float[Tensor, "B G"] | None
+    ) -> Belief:
+        """A belief without the picture."""
+        return self._drawn(deterministic, self.prior(deterministic), noise)
 
-    def correct(
+    def posterior_belief(
         self,
-        memory: Float[Tensor, "B M"],
+        deterministic: Float[Tensor, "B M"],
         embedding: Float[Tensor, "B E"],
         noise: Float[Tensor, "B G"] | None,
     ) -> Belief:
-        """The posterior: a belief with the picture."""
-        return self._drawn(memory, self.posterior(torch.cat([memory, embedding], 1)), noise)
+        """A belief with the picture."""
+        logits = self.posterior(torch.cat([deterministic, embedding], 1))
+        return self._drawn(deterministic, logits, noise)
 
-    def believe(
+    def observe(
         self, embeddings: Float[Tensor, "T B E"], noise: Float[Tensor, "T B G"] | None
     ) -> Belief:
-        """Rebuilt from nothing over T pictures, without knowing what was done between them."""
-        belief = self.nothing(embeddings.shape[1])
+        """The belief after T pictures, rebuilt from the initial one without knowing what was done
+        between them."""
+        belief = self.initial(embeddings.shape[1])
         for t, embedding in enumerate(embeddings):
-            memory = self.advance(belief, None)
-            belief = self.correct(memory, embedding, None if noise is None else noise[t])
+            deterministic, drawn = self.advance(belief, None), None if noise is None else noise[t]
+            belief = self.posterior_belief(deterministic, embedding, drawn)
         return belief
 
-    def _drawn(self, memory: Tensor, logits: Tensor, noise: Tensor | None) -> Belief:
+    def _drawn(self, deterministic: Tensor, logits: Tensor, noise: Tensor | None) -> Belief:
         logits = logits.unflatten(1, (self.config.groups, self.config.classes))
-        return Belief(memory, straight_through(logits, noise), logits)
+        return Belief(deterministic, straight_through(logits, noise), logits)
 
 
 def mlp(inputs: int, hidden: int, layers: int, outputs: int) -> nn.Sequential:

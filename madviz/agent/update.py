@@ -30,7 +30,7 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from madviz.agent.agent import Agent, fast_bfloat16, optimisers
-from madviz.agent.augment import PAD, shift
+from madviz.agent.augment import draw_shifts, shift
 from madviz.agent.merges.base import Noise
 from madviz.agent.methods import Method
 from madviz.agent.networks import squash
@@ -42,6 +42,7 @@ from madviz.agent.objectives import (
     temperature_losses,
     weighted,
 )
+from madviz.errors import UserError
 from madviz.types import Array
 
 Precision = Literal["auto", "float32", "bfloat16"]
@@ -104,7 +105,7 @@ class Learner:
         self.weights = method.weights(self.config.alpha)
         self._device = next(agent.parameters()).device
         self._masks = torch.from_numpy(method.masks(streams)).to(self._device)
-        self._trained = np.flatnonzero(method.trained_rows(streams))
+        self._trained = np.flatnonzero(method.trained_rows(streams, self.config.alpha))
         self._reads = 1 if method.targets == "merged" else len(self._masks)
         self._rng = np.random.default_rng(seed)
         self._noise = torch.Generator().manual_seed(seed)
@@ -118,20 +119,15 @@ class Learner:
     def draw(self, batch: int) -> Draw:
         """The next update's randomness, for ``batch`` samples."""
         (rows, count), actions = self._masks.shape, self.agent.config.action_dim
-        shifts = self._draw_shifts(batch)
+        shape, same = (2, batch, count), self.config.same_shift_for_views
+        shifts = draw_shifts(self._rng, shape, same)
         target_noise = torch.randn(self._reads, batch, actions, generator=self._noise)
         actor_noise = torch.randn(rows, batch, actions, generator=self._noise)
         noise = (self.agent.noise(batch, self._noise), self.agent.noise(batch, self._noise))
         own_loss = None
         if self.agent.merge.own_optimiser:
-            own_loss = (self._draw_shifts(batch), int(self._rng.integers(count)))
+            own_loss = (draw_shifts(self._rng, shape, same), int(self._rng.integers(count)))
         return Draw(shifts, target_noise, actor_noise, noise, own_loss)
-
-    def _draw_shifts(self, batch: int) -> Array:
-        count = self._masks.shape[1]
-        views = 1 if self.config.same_shift_for_views else count
-        shifts = self._rng.integers(-PAD, PAD + 1, (2, batch, views, 2))
-        return np.repeat(shifts, count // views, axis=2)
 
     def update(self, batch: Batch, draw: Draw | None = None) -> dict[str, float]:
         """One step of all four optimisers and of the target; returns named losses."""
@@ -191,7 +187,7 @@ class Learner:
         return {
             "agent": self.agent.state_dict(),
             "optimisers": {name: o.state_dict() for name, o in self.optimisers.items()},
-            "rng": json.dumps(self._rng.bit_generator.state),
+            "rng": generator_state(self._rng),
             "noise": self._noise.get_state(),
         }
 
@@ -199,7 +195,7 @@ class Learner:
         self.agent.load_state_dict(state["agent"])
         for name, optimiser in self.optimisers.items():
             optimiser.load_state_dict(state["optimisers"][name])
-        self._rng.bit_generator.state = json.loads(state["rng"])
+        restore_generator(self._rng, state["rng"])
         self._noise.set_state(state["noise"])
 
     def _shifted(self, batch: Batch, both: Array) -> Batch:
@@ -244,6 +240,22 @@ class Learner:
         loss.backward(inputs=parameters)
         for optimiser in chosen:
             optimiser.step()
+
+
+def generator_state(rng: np.random.Generator) -> str:
+    """What ``restore_generator`` needs. Text, because it holds integers of 128 bits."""
+    return json.dumps(rng.bit_generator.state)
+
+
+def restore_generator(rng: np.random.Generator, state: Any) -> None:
+    """From now on ``rng`` draws what the generator of ``state`` would have drawn. Raises UserError
+    for a state that is no text, as older versions saved it in runs of the recipe ``light``."""
+    if not isinstance(state, str):
+        raise UserError(
+            "expected a run that this version of madviz saved, found one that an older version "
+            "saved, which cannot go on; begin it again with another --out"
+        )
+    rng.bit_generator.state = json.loads(state)
 
 
 def _fast_bfloat16(device: torch.device) -> bool:

@@ -107,13 +107,13 @@ class WorldModel(nn.Module):
     ) -> tuple[list[Belief], list[Belief]]:
         """L + 1 posteriors, the first of them rebuilt over the stack, and L priors."""
         stack = len(window.present) - len(window.action)
-        posteriors = [self.rssm.believe(window.present[:stack], noise[:stack])]
+        posteriors = [self.rssm.observe(window.present[:stack], noise[:stack])]
         priors = []
         for step, action in enumerate(window.action):
-            memory = self.rssm.advance(posteriors[-1], action)
-            priors.append(self.rssm.guess(memory, None))
-            embedding = window.present[stack + step]
-            posteriors.append(self.rssm.correct(memory, embedding, noise[stack + step]))
+            deterministic = self.rssm.advance(posteriors[-1], action)
+            priors.append(self.rssm.prior_belief(deterministic, None))
+            embedding, drawn = window.present[stack + step], noise[stack + step]
+            posteriors.append(self.rssm.posterior_belief(deterministic, embedding, drawn))
         return posteriors, priors
 
     def go_on(
@@ -122,7 +122,7 @@ class WorldModel(nn.Module):
         """L priors in a row: what is guessed of the decisions ``action`` without a picture."""
         guessed = []
         for done, drawn in zip(action, noise, strict=True):
-            belief = self.rssm.guess(self.rssm.advance(belief, done), drawn)
+            belief = self.rssm.prior_belief(self.rssm.advance(belief, done), drawn)
             guessed.append(belief)
         return guessed
 

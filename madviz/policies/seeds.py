@@ -2,7 +2,7 @@
 
 A seed fixes an episode's scene. The uses are apart:
 
-    0 to 999             training of the recipe ``light``
+    0 to 999             training with a scripted expert
     1000 to 1999         selection: evaluations while a policy trains; mean pictures
     2000 to 4999         the live page and the lessons
     5000 to 9999         development: recipes, experts and choices were improved on these
@@ -15,9 +15,11 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable
 
+FIRST_SELECTION = 1_000
+"""Training with a scripted expert has all seeds below."""
 USES = {
     0: "training",
-    1_000: "selection",
+    FIRST_SELECTION: "selection",
     2_000: "live page",
     5_000: "development",
     10_000: "reporting",
@@ -27,6 +29,12 @@ USES = {
 DEVELOPMENT, REPORTING = "development", "reporting"
 FIRST_REPORTING = 10_000
 FIRST_LEARNING = 1_000_000
+
+
+def training_seed(seed: int, number: int) -> int:
+    """Of episode ``number``, from 0 on, in a training with a scripted expert whose own seed is
+    ``seed``: below ``FIRST_SELECTION``, so a training with more episodes meets scenes again."""
+    return (seed * 137 + number) % FIRST_SELECTION
 
 
 def use_of(seeds: Iterable[int]) -> str:

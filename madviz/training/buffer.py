@@ -81,7 +81,7 @@ class BufferSpec:
 
     @property
     def rows(self) -> int:
-        """Instants in the ring; a stack reaches ``frame_stack`` - 1 rows back."""
+        """Time steps in the ring; a stack reaches ``frame_stack`` - 1 rows back."""
         each = -(-self.capacity // self.lanes)
         return self.lanes * (each + -(-each // self.horizon) + self.frame_stack)
 
@@ -126,7 +126,7 @@ class ReplayBuffer:
             "goes_on": np.zeros(rows, bool),
         }
         self._count = 0
-        """Instants ever written; number i is in row i modulo the rows."""
+        """Time steps ever written; number i is in row i modulo the rows."""
         self._saved = 0
         self._parts: list[str] = []
 

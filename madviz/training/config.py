@@ -125,7 +125,7 @@ def resolve(config: TrainConfig) -> TrainingPlan:
             config.setting,
             config.recipe,
             streams=streams,
-            trained_subsets=chosen.trained_subsets(streams),
+            trained_subsets=chosen.trained_subsets(streams, options.alpha),
             render_profile=config.render_profile,
         ),
         drawn_task,

@@ -41,7 +41,9 @@ from torch import Tensor
 from madviz.agent.agent import TorchPolicy, autocast
 from madviz.agent.augment import random_shift
 from madviz.agent.networks import read_state
+from madviz.agent.update import generator_state, restore_generator
 from madviz.policies.config import TrainingRecord
+from madviz.policies.seeds import training_seed
 from madviz.subsets import mask_of
 from madviz.training.autoencoder import mean_pictures
 from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder
@@ -65,7 +67,10 @@ class LightRun:
         self.plan, self.config, self.agent = plan, config, plan.new_agent()
         agent, streams = self.agent, plan.spec.streams
         self.masks = torch.from_numpy(plan.method.masks(streams))
-        self.driven = [mask_of(name, streams) for name in plan.spec.trained_subsets]
+        # The drivers at alpha 0 and 1, too, where some of these subsets are not trained: runs with
+        # published rates were driven so.
+        subsets = plan.method.trained_subsets(streams)
+        self.driven = [mask_of(name, streams) for name in subsets]
         self._even = plan.method.row_weights(streams, config.alpha)
         self.weights = torch.from_numpy(self._even)
         self.outcomes: Outcomes = []
@@ -96,7 +101,8 @@ class LightRun:
         config = self.config
         if round_index == 0:
             demonstration = Driver(1.0, config.noise_share, noise_spread=config.noise_spread)
-            return [(demonstration, self._train_seed(i)) for i in range(config.demonstrations)]
+            seeds = [training_seed(self.plan.seed, i) for i in range(config.demonstrations)]
+            return [(demonstration, seed) for seed in seeds]
         share = config.expert_share * config.share_decay ** (round_index - 1)
         fade = config.noise_decay ** (round_index - 1)
         student = TorchPolicy(self.plan.spec, copy.deepcopy(self.average))
@@ -107,7 +113,7 @@ class LightRun:
             in_turn(self.shares(), config.episodes_per_round, first), first
         ):
             driver = Driver(share, noise, student, self.driven[chosen], spread)
-            planned.append((driver, self._train_seed(number)))
+            planned.append((driver, training_seed(self.plan.seed, number)))
         return planned
 
     def shares(self) -> Array:
@@ -226,10 +232,6 @@ class LightRun:
         loss.backward()
         optimiser.step()
 
-    def _train_seed(self, number: int) -> int:
-        # Training seeds stay below 1000; a run with more episodes meets scenes again.
-        return (self.plan.seed * 137 + number) % 1000
-
     def state(self) -> dict[str, Any]:
         """Everything ``restore`` needs to go on exactly."""
         return {
@@ -238,14 +240,15 @@ class LightRun:
             "places": self.places.state_dict() if self.places else {},
             **{name: optimiser.state_dict() for name, optimiser in self.optimisers.items()},
             "outcomes": self.outcomes,
-            "rng": _plain(self.rng.bit_generator.state),
+            "rng": generator_state(self.rng),
             "round": self.round,
             "updates": self.updates,
             "seconds": self.seconds,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continues from ``state``; episodes come back from the run folder."""
+        """Continues from ``state``; episodes come back from the run folder. Raises UserError for a
+        state that an older version saved."""
         self.round, self.updates, self.seconds = (state[k] for k in ("round", "updates", "seconds"))
         self.outcomes = state["outcomes"]
         for file in sorted(self._episodes.glob("*.npz")):
@@ -258,7 +261,7 @@ class LightRun:
             self.places.load_state_dict(state["places"])
         for name, optimiser in self.optimisers.items():
             optimiser.load_state_dict(state[name])
-        self.rng.bit_generator.state = _unplain(state["rng"])
+        restore_generator(self.rng, state["rng"])
 
 
 def train_light(plan: TrainingPlan, config: LightConfig, folder: RunFolder) -> None:
@@ -340,16 +343,3 @@ def _report(run: LightRun, folder: RunFolder, loss: float, episodes: list[Episod
         loss=round(loss, 5),
         student_success=round(rate, 3),
     )
-
-
-def _plain(state: Any) -> Any:
-    """NumPy's generator state holds 128-bit integers, which only text carries safely."""
-    if isinstance(state, dict):
-        return {key: _plain(value) for key, value in state.items()}
-    return f"int:{state}" if isinstance(state, int) else state
-
-
-def _unplain(state: Any) -> Any:
-    if isinstance(state, dict):
-        return {key: _unplain(value) for key, value in state.items()}
-    return int(state[4:]) if isinstance(state, str) and state.startswith("int:") else state

@@ -32,6 +32,7 @@ from torch import Tensor
 from madviz.agent.autoencoder import newest
 from madviz.errors import UserError
 from madviz.policies.config import TrainingRecord
+from madviz.policies.seeds import training_seed
 from madviz.training.autoencoder import MEAN_OF
 from madviz.training.buffer import Stretch
 from madviz.training.demonstrations import Dataset, Driver, record_episode
@@ -97,7 +98,7 @@ class MvMwmRun(LanesRun):
             return
         self.demonstrations = Dataset(streams, count, self.plan.env.horizon)
         for number in range(count):
-            seed = (self.plan.seed * 137 + number) % 1000  # Training seeds of expert episodes.
+            seed = training_seed(self.plan.seed, number)
             self.demonstrations.add(record_episode(self.env, streams, Driver(), seed))
 
     def learn(self) -> None:
@@ -109,7 +110,7 @@ class MvMwmRun(LanesRun):
             return
         if not self.drawn:
             self.learner.look_at(self._mean_pictures)
-        self.learner.slow_down(self.step / config.steps)
+        self.learner.set_learning_rates(self.step / config.steps)
         explored = min(1.0, self.step / config.exploration_steps)
         while self.drawn < int(config.pretraining * explored):
             self._learn_pictures()

@@ -23,14 +23,14 @@ from torch import Tensor, nn
 
 from madviz.agent.agent import Agent, autocast
 from madviz.agent.autoencoder import autoencoder_loss, symlog
-from madviz.agent.dreaming import (
+from madviz.agent.imagination import (
     BeliefActor,
     BeliefCritic,
     Noise,
     act,
-    dream,
-    dream_actor_loss,
-    dream_critic_loss,
+    imagine,
+    imagined_actor_loss,
+    imagined_critic_loss,
     lambda_returns,
     reached,
 )
@@ -81,14 +81,14 @@ class WorldLearner:
             name: kinds.get(name, torch.optim.Adam)(part.parameters(), fused=True)
             for name, part in self.parts.items()
         }
-        self.slow_down(0.0)
+        self.set_learning_rates(0.0)
         self.updates = 0
         self._device = next(agent.parameters()).device
         self._generator = torch.Generator().manual_seed(seed)
 
     # --- Learning -------------------------------------------------------------------------------
 
-    def slow_down(self, progress: float) -> None:
+    def set_learning_rates(self, progress: float) -> None:
         """Sets all rates to what is due at ``progress`` from 0 to 1."""
         share = 1 - progress * (1 - self.config.rate_floor)
         for name, optimiser in self.optimisers.items():
@@ -144,24 +144,24 @@ class WorldLearner:
         cloning = torch.zeros((), device=self._device)
         if labels is not None:
             cloning = self._cloning_loss(belief, state, _moved(labels, self._device))
-        belief, state = self._some(belief, state)
-        with _data(self.net.world, self.target):
+        belief, state = self.subsample(belief, state)
+        with frozen(self.net.world, self.target):
             drawn = self._noise(len(state))
-            dreamt = dream(self.net.world, self.actor, belief, state, drawn, self.gamma)
-            value = self.target.value(dreamt.feature[1:], dreamt.state[1:])
-            returns = lambda_returns(dreamt.reward, dreamt.discount, value, config.mixture)
-            weight = reached(dreamt.discount)
-            loss = dream_actor_loss(returns, dreamt.entropy, weight, config.entropy_weight)
+            imagined = imagine(self.net.world, self.actor, belief, state, drawn, self.gamma)
+            value = self.target.value(imagined.feature[1:], imagined.state[1:])
+            returns = lambda_returns(imagined.reward, imagined.discount, value, config.mixture)
+            weight = reached(imagined.discount)
+            loss = imagined_actor_loss(returns, imagined.entropy, weight, config.entropy_weight)
             self._step("actor", loss + config.cloning_weight * cloning)
-        expected = self.critic.value(dreamt.feature[:-1].detach(), dreamt.state[:-1].detach())
-        critic = dream_critic_loss(expected, returns, weight)
+        expected = self.critic.value(imagined.feature[:-1].detach(), imagined.state[:-1].detach())
+        critic = imagined_critic_loss(expected, returns, weight)
         self._step("critic", critic)
         return {
             "actor_loss": loss.item(),
             "critic_loss": critic.item(),
             "imagined_return": returns[0].mean().item(),
-            "imagined_reward": dreamt.reward.mean().item(),
-            "entropy": dreamt.entropy.mean().item(),
+            "imagined_reward": imagined.reward.mean().item(),
+            "entropy": imagined.entropy.mean().item(),
             "cloning_loss": cloning.item(),
         }
 
@@ -179,15 +179,15 @@ class WorldLearner:
         stack = len(window.present) - count + 1
         frames = torch.stack([window.present[t : t + count].flatten(0, 1) for t in range(stack)])
         noise = self._uniform(*frames.shape[:2], self.agent.config.world_model.groups)
-        return self.net.world.rssm.believe(frames, noise), window.state.flatten(0, 1)
+        return self.net.world.rssm.observe(frames, noise), window.state.flatten(0, 1)
 
-    def _some(self, belief: Belief, state: Tensor) -> tuple[Belief, Tensor]:
+    def subsample(self, belief: Belief, state: Tensor) -> tuple[Belief, Tensor]:
         """Those that are imagined from."""
-        many = self.config.dream_starts
+        many = self.config.imagined_starts
         if not many or many >= len(state):
             return belief, state
         which = torch.randperm(len(state), generator=self._generator)[:many].to(self._device)
-        chosen = Belief(belief.memory[which], belief.latent[which], belief.logits[which])
+        chosen = Belief(belief.deterministic[which], belief.latent[which], belief.logits[which])
         return chosen, state[which]
 
     # --- Tokens ---------------------------------------------------------------------------------
@@ -292,7 +292,7 @@ def _moved(of_tensors: Any, device: torch.device) -> Any:
 
 
 @contextmanager
-def _data(*modules: nn.Module) -> Iterator[None]:
+def frozen(*modules: nn.Module) -> Iterator[None]:
     """Weights of ``modules`` are data meanwhile: gradients pass through, and are kept of none."""
     weights = [p for module in modules for p in module.parameters() if p.requires_grad]
     for weight in weights:

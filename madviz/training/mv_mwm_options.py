@@ -77,7 +77,7 @@ class MvMwmConfig(LanesConfig):
     """Time steps in an update of the autoencoder, each with all its views (32 x 32)."""
     ahead: Count = 4
     """Decisions in a stretch that the world model learns from, after the frame stack (50)."""
-    dream_starts: CountOrNone = 64
+    imagined_starts: CountOrNone = 64
     """Beliefs that an update imagines from, of batch_size x (ahead + 1); 0: all of them."""
     horizon: Count = 15
     """Decisions that are imagined."""
@@ -86,7 +86,7 @@ class MvMwmConfig(LanesConfig):
     entropy_weight: Weight = 1e-4
     """Of the entropy of actions, beside the returns."""
     kl_weight: Weight = 1.0
-    """Of the KL between belief and guess, beside the world model's other losses."""
+    """Of the KL between posterior and prior, beside the world model's other losses."""
     target_every: Count = 100
     """Updates between copies of the critic to its target."""
     autoencoder_rate: Rate = 1e-3
@@ -98,6 +98,11 @@ class MvMwmConfig(LanesConfig):
     rate_floor: Share = 0.1
     """Share of all rates that is left at the end; they fall in a line from the first decision on
     (1: they stay)."""
+
+    @property
+    def alpha(self) -> float:
+        """Without effect: every row of the recipe's method weighs alike."""
+        return 0.5
 
     def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
         """Of an agent that reads ``state_columns`` of the state, or all of it if empty."""

@@ -16,7 +16,6 @@ episode's seed and repeating its actions, and ends with the weights of a run tha
 from __future__ import annotations
 
 import copy
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
@@ -26,6 +25,7 @@ import torch
 from torch import Tensor
 
 from madviz.agent.agent import Agent, TorchPolicy
+from madviz.agent.update import generator_state, restore_generator
 from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread, run_episode
 from madviz.observation.ablation import Ablation
@@ -240,7 +240,7 @@ class RewardRun:
         return {
             "learner": self.learner.state_dict(),
             "buffer": self.buffer.save(self.folder.resume / "buffer"),
-            "rng": json.dumps(self.rng.bit_generator.state),
+            "rng": generator_state(self.rng),
             **{key: getattr(self, key) for key in _COUNTS},
         }
 
@@ -248,7 +248,7 @@ class RewardRun:
         """Continues from ``state``, in mid-episode if need be."""
         self.learner.load_state_dict(state["learner"])
         self.buffer.restore(self.folder.resume / "buffer", state["buffer"])
-        self.rng.bit_generator.state = json.loads(state["rng"])
+        restore_generator(self.rng, state["rng"])
         for key in _COUNTS:
             setattr(self, key, state[key])
         if not self.between_episodes:

@@ -101,12 +101,7 @@ class VectorEnvs:
     """``lanes`` environments in ``workers`` processes; see the module."""
 
     def __init__(self, drawn_task: DrawnTask, board: Board, lanes: int, workers: int) -> None:
-        """Raises UserError for numbers that make no sense, and what building one raises."""
-        if lanes < 1 or workers < 0:
-            raise UserError(
-                f"expected 1 or more environments and 0 or more workers, found {lanes} and "
-                f"{workers}; see --vectorised.environments and --vectorised.workers"
-            )
+        """``lanes`` from 1 on, ``workers`` from 0 on. Raises what building an environment does."""
         self.board, self.lanes = board, lanes
         self._streams = drawn_task.streams
         self._here = None if workers else Lanes(drawn_task, board, range(lanes))

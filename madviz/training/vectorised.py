@@ -33,7 +33,6 @@ import torch
 
 from madviz.agent.agent import Agent
 from madviz.envs.maniskill.batch import claim_gpu
-from madviz.errors import UserError
 from madviz.training.lanes_run import LanesConfig, LanesRun
 from madviz.training.loop import train_on
 from madviz.training.plan import TrainingPlan
@@ -99,10 +98,6 @@ class VectorisedRun(LanesRun, ReinforcementRun):
 def train_vectorised(plan: TrainingPlan, config: VectorisedConfig, folder: RunFolder) -> None:
     """Trains from the folder's last state on, if it has one; Ctrl-C saves after the decision at
     hand. Raises UserError for what the machine cannot do."""
-    if config.update_ratio < 0:
-        raise UserError(
-            f"expected an --vectorised.update-ratio of 0 or more, found {config.update_ratio}"
-        )
     drawn_task, facts, lanes = plan.drawn_task, plan.env, config.environments
     with ExitStack() as resources:
         env = resources.enter_context(closing(drawn_task.build()))

@@ -9,7 +9,7 @@ from nothing, once for each subset:
 
 So a policy keeps nothing between decisions, and absent pixels reach nothing. The belief is the
 likeliest one, nothing is drawn. What is known of the world's course in training
-(``agent/world_model.py``, ``agent/dreaming.py``) is not used when acting.
+(``agent/world_model.py``, ``agent/imagination.py``) is not used when acting.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from madviz.agent.autoencoder import MultiViewAutoencoder, autoencoder_loss, whole_views
-from madviz.agent.dreaming import BeliefActor, BeliefCritic
+from madviz.agent.imagination import BeliefActor, BeliefCritic
 from madviz.agent.merges.base import Heads, MergeFunctions, Noise, Streams
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.sizes import PICTURE
@@ -69,7 +69,7 @@ class MvMwm(MergeFunctions):
             tokens = torch.stack([_present(features, masks[n]) for n in which])  # (N, F, B, K, W)
             seen = net.world.embed(net.autoencoder.features(tokens.flatten(0, 2)))
             frames = seen.unflatten(0, tokens.shape[:3]).transpose(0, 1)
-            belief = net.world.rssm.believe(frames.flatten(1, 2), None)
+            belief = net.world.rssm.observe(frames.flatten(1, 2), None)
             rows.update(zip(which, belief.feature.unflatten(0, (len(which), -1)), strict=True))
         return torch.stack([rows[n] for n in range(len(masks))])
 

@@ -132,7 +132,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Dream:
+class Imagination:
     """H imagined decisions from each of B beliefs."""
 
     feature: Float[Tensor, "H+1 B Z"]
@@ -144,20 +144,20 @@ class Dream:
     """Gamma times how likely it is that anything follows."""
 
 
-def dream(
+def imagine(
     world: WorldModel,
     actor: ActorHead,
     belief: Belief,
     state: Float[Tensor, "B S"],
     noise: Noise,
     gamma: float,
-) -> Dream:
+) -> Imagination:
     """What the actor would do from ``belief`` and ``state`` on, and what would come of it. It takes
     what it reads as data; gradients go from rewards through beliefs into actions."""
     features, states, entropies = [belief.feature], [state], []
     for drawn, latent in zip(noise.action, noise.latent, strict=True):
         action, entropy = act(actor, features[-1].detach(), states[-1].detach(), drawn)
-        belief = world.rssm.guess(world.rssm.advance(belief, action), latent)
+        belief = world.rssm.prior_belief(world.rssm.advance(belief, action), latent)
         features.append(belief.feature)
         states.append(world.predicted_state(belief.feature))
         entropies.append(entropy)
@@ -165,7 +165,7 @@ def dream(
     shape = noise.action.shape[:2]
     reward = world.predicted_reward(later).view(shape)
     discount = gamma * world.predicted_follows(later).view(shape)
-    return Dream(
+    return Imagination(
         torch.stack(features), torch.stack(states), torch.stack(entropies), reward, discount
     )
 
@@ -190,7 +190,7 @@ def reached(discount: Float[Tensor, "H B"]) -> Float[Tensor, "H B"]:
     return torch.cat([ones, discount[:-1]]).cumprod(0).detach()
 
 
-def dream_actor_loss(
+def imagined_actor_loss(
     returns: Float[Tensor, "H B"],
     entropy: Float[Tensor, "H B"],
     weight: Float[Tensor, "H B"],
@@ -200,7 +200,7 @@ def dream_actor_loss(
     return -(weight * (returns + entropy_weight * entropy)).mean()
 
 
-def dream_critic_loss(
+def imagined_critic_loss(
     value: Float[Tensor, "H B"], returns: Float[Tensor, "H B"], weight: Float[Tensor, "H B"]
 ) -> Float[Tensor, ""]:
     """Half the squared error of what was expected before every decision."""
