@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from queue import Queue
+
 import gymnasium
 import numpy as np
 import pytest
 
+from madviz.app.session_maker import SessionMaker
 from madviz.cli import main
 from madviz.envs.gymnasium_env import MadvizEnv
 from madviz.errors import UserError
@@ -13,6 +16,8 @@ from madviz.evaluation.evaluate import evaluate
 from madviz.observation.ablation import Occlusion
 from madviz.policies.checkpoint import load_policy
 from madviz.policies.sb3 import VARIABLE, trust
+from madviz.session.frame import Frame, NoFrame
+from madviz.session.process import SessionProcess, prepare
 from tests.sessions import Recorder
 
 sb3 = pytest.importorskip("stable_baselines3")
@@ -77,6 +82,23 @@ def test_it_is_watched_and_measured_as_any_other(model, capsys):
         load_policy(name), ["all"], episodes=1, occlusions={"first": Occlusion("black")}
     )
     assert black.rows["all"]["n"] == 1
+
+
+@pytest.mark.parametrize("trusted", [True, False])
+def test_a_visitors_simulation_knows_whether_it_is_trusted(model, trusted):
+    """The process that it is forked from was there before anybody said so."""
+    prepare("madviz.app.session_maker")
+    name, news = f"sb3:{model[1]}@toy/reach", Queue()
+    made = SessionMaker(name, typed=name, trusted=trusted)
+    session = SessionProcess(made, lambda name, spec: None)
+    session.subscribe(news.put)
+    session.start()
+    try:
+        found = news.get(timeout=60)
+    finally:
+        session.close()
+    assert isinstance(found, Frame if trusted else NoFrame)
+    assert trusted or "add --trust" in found.error
 
 
 def test_what_is_no_such_policy_is_said(model, tmp_path):

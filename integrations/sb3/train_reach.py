@@ -2,10 +2,11 @@
 
     python train_reach.py --out ppo-reach.zip
     madviz explore --policy sb3:ppo-reach.zip@toy/reach --trust
-    madviz audit --policy sb3:ppo-reach.zip@toy/reach --trust --episodes 30 --out audit-ppo
+    madviz audit --policy sb3:ppo-reach.zip@toy/reach --trust --how black --out audit-ppo
 
-In madviz's own environment, with ``pip install "madviz[sb3]"``. After 6,000 decisions, the policy
-of seed 0 succeeded in 0.33 [0.19, 0.51] of 30 episodes (seeds 5000 on): too seldom for an audit.
+In madviz's own environment, with ``pip install "madviz[sb3]"``. 40,000 decisions take two minutes
+on two cores. The policy of seed 0 then succeeds in 1.00 [0.96, 1.00] of 100 episodes (seeds 10000
+to 10099); docs/audit.md has its audit.
 """
 
 from __future__ import annotations

@@ -188,7 +188,9 @@ def open_app(config: ExploreConfig) -> App:
         references.note(reference, spec)
     if name not in [choice.name for choice in choices]:
         choices = [PolicyChoice(name, given[name].name, given[name].task), *choices]
-    make = SessionMaker(name, named or None, config.task, config.speed, script)
+    make = SessionMaker(
+        name, named or None, config.task, config.speed, script, trusted=config.trust
+    )
 
     def new_session() -> SessionProcess:
         return SessionProcess(make, references.note)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import make_env
 from madviz.policies import checkpoint
+from madviz.policies.sb3 import trust
 from madviz.session.process import Noted
 from madviz.session.replay import finder
 from madviz.session.session import Session
@@ -29,10 +30,13 @@ class SessionMaker:
     """A task of the user's own that may be imported."""
     speed: float | None = 10.0
     script: SavedEpisode | None = None
+    trusted: bool = False
+    """Whether the file that was typed may be loaded, which runs what is in it; see ``sb3.py``."""
 
     def __call__(self, noted: Noted = lambda name, spec: None) -> Session:
         """A session that is not started yet. Raises UserError where a script's policy is gone."""
         allow_task(self.task)
+        trust(self.typed, self.trusted)
         policies = LoadedPolicies(self._of_script(), noted)
         return Session(
             env_in_one_thread, self.policy, policies.load, speed=self.speed, script=self.script
