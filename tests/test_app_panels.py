@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import re
+import traceback
 from base64 import b64decode
 from collections.abc import Hashable, Iterator
 from dataclasses import replace
+from html import escape
 
 import cv2
 import numpy as np
@@ -14,6 +16,7 @@ import pytest
 import viser
 
 from madviz.app.connection import _forgive, is_too_late
+from madviz.app.markup import error_html
 from madviz.app.panel import CROSSED, Assign, apply
 from madviz.app.panels.cameras import CamerasPanel
 from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
@@ -317,7 +320,20 @@ def test_verdicts_have_words_and_colours():
     assert [verdict(frame)[0] for frame in (running, paused)] == ["RUNNING", "PAUSED"]
     broken = frame_with(SetPolicy("nonsense"))
     assert verdict(broken)[0] == "STOPPED"
-    assert "unknown policy" in status_html(broken) and "Traceback" in status_html(broken)
+    assert "<b>Paused: unknown policy" in status_html(broken)
+    assert "<details>" in status_html(broken) and "Traceback" in status_html(broken)
+
+
+@pytest.mark.parametrize("words", ["", "a user's mistake\n\n"])
+def test_an_error_says_what_is_wrong_and_keeps_where_closed(words):
+    try:
+        raise ValueError("3 < 4")
+    except ValueError:
+        shown = error_html("Paused: ", words + traceback.format_exc())
+    said = words.strip() or "ValueError: 3 < 4"
+    assert shown.startswith(f"<b>Paused: {escape(said)}</b>")
+    assert "test_app_panels.py" in shown.partition("<details>")[2]
+    assert "<details>" not in error_html("", "only words")
 
 
 def test_policy_panel_shows_without_sending(server):

@@ -11,9 +11,10 @@ doing things. No pretrained weights are downloaded.
 without it; each other one sees a set of cameras that is drawn anew, and the tokens of the others
 are left out. Data, network, updates and learning rate are the same.
 
-ACT's norms are frozen, which a backbone without pretrained weights was not made for: each block
-would double the variance of what passes. So they are set once, from pictures of the demonstrations,
-to what makes every layer's output vary by 1.
+ACT's norms are frozen, which a backbone without pretrained weights was not made for: activations
+double from block to block, and grow with the weights. So the norms are measured: they follow what
+passes them for the first half of the training, and stay in the second (``MovingNorms``). With norms
+that were measured once, a training without view dropout ended in a constant action.
 
 A training that was stopped goes on when the same command is given again.
 
@@ -47,7 +48,11 @@ from madviz.agent.agent import fast_bfloat16
 from madviz.agent.augment import random_shift
 
 CHUNK = 10
-WARM_UP = 50
+AFTER = 5
+SUCCESS = "next.success"
+WARM_UP = 100
+BACKBONE = 0.5
+"""The backbone's learning rate, as a share of the rest's."""
 SAVE_EVERY = 200
 
 
@@ -56,9 +61,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--data", type=Path, required=True, help="of madviz record")
     parser.add_argument("--out", type=Path, required=True, help="a folder for the policy")
     parser.add_argument("--view-dropout", action="store_true", help="mask cameras at random")
-    parser.add_argument("--updates", type=int, default=4000, help="gradient steps")
+    parser.add_argument("--updates", type=int, default=3000, help="gradient steps")
     parser.add_argument("--batch", type=int, default=32, help="decisions in one")
-    parser.add_argument("--learning-rate", type=float, default=4e-4, help="at the start")
+    parser.add_argument("--learning-rate", type=float, default=3e-4, help="at the start")
     parser.add_argument("--action-steps", type=int, default=5, help="actions taken from one look")
     parser.add_argument("--seed", type=int, default=0)
     return parser.parse_args()
@@ -71,10 +76,11 @@ class Demonstrations:
         self.loaded = LeRobotDataset(folder.name, root=folder)
         self.keys = list(self.loaded.meta.camera_keys)
         rows = self.loaded.hf_dataset
-        columns = [OBS_STATE, ACTION, "episode_index"]
+        columns = [OBS_STATE, ACTION, "episode_index", SUCCESS]
         numbers = rows.with_format("numpy", columns=columns)[:]
         self.states, self.actions = (torch.from_numpy(numbers[k]) for k in columns[:2])
         episode = numbers["episode_index"]
+        self.useful = useful_decisions(episode, numbers[SUCCESS].ravel())
         self.ends = np.searchsorted(episode, episode, side="right")
         coded = rows.with_format("arrow", columns=self.keys)
         height, width = self.loaded.meta.features[self.keys[0]]["shape"][:2]
@@ -101,6 +107,23 @@ class Demonstrations:
         }
 
 
+def useful_decisions(episode: np.ndarray, succeeded: np.ndarray) -> np.ndarray:
+    """Indices of what leads to a success: of each episode all decisions up to the first success and
+    ``AFTER`` more, and nothing of an episode without one. What an expert does when it is done, or
+    lost, would be most of what the policy learns."""
+    kept = []
+    for number in np.unique(episode):
+        rows = np.flatnonzero(episode == number)
+        good = np.flatnonzero(succeeded[rows])
+        if len(good):
+            kept.append(rows[: good[0] + AFTER + 1])
+    if not kept:
+        raise SystemExit(
+            "expected demonstrations that succeed, found none; record with less --noise"
+        )
+    return np.concatenate(kept)
+
+
 def new_policy(data: Demonstrations, learning_rate: float, action_steps: int) -> ACTPolicy:
     features = dataset_to_policy_features(data.loaded.meta.features)
     is_action = {k: f.type is FeatureType.ACTION for k, f in features.items()}
@@ -115,28 +138,42 @@ def new_policy(data: Demonstrations, learning_rate: float, action_steps: int) ->
         use_vae=False,
         pretrained_backbone_weights=None,
         optimizer_lr=learning_rate,
-        optimizer_lr_backbone=learning_rate,
+        optimizer_lr_backbone=learning_rate * BACKBONE,
         device="cpu",
     )
     return ACTPolicy(config)
 
 
-def set_norms(backbone: torch.nn.Module, pictures: Tensor) -> None:
-    """Frozen norms from what passes them: (N, 3, H, W), normalised."""
+class MovingNorms:
+    """The frozen norms of a backbone, from what passes them: (N, C, H, W) before each.
 
-    def measure(norm: FrozenBatchNorm2d, inputs: tuple[Tensor, ...]) -> None:
-        norm.running_mean.copy_(inputs[0].mean((0, 2, 3)))
-        norm.running_var.copy_(inputs[0].var((0, 2, 3)))
+    ``set`` takes mean and variance of some pictures. While ``moving``, those of every fourth
+    picture are mixed in, ``SHARE`` of them, without a gradient. So the activations keep their size
+    while the weights change, and the norms are the same in training and in use."""
 
-    hooks = [
-        module.register_forward_pre_hook(measure)
-        for module in backbone.modules()
-        if isinstance(module, FrozenBatchNorm2d)
-    ]
-    with torch.no_grad():
-        backbone(pictures)
-    for hook in hooks:
-        hook.remove()
+    SHARE = 0.02
+
+    def __init__(self, backbone: torch.nn.Module) -> None:
+        self.moving, self._share, self._every = False, 1.0, 1
+        self._backbone = backbone
+        for module in backbone.modules():
+            if isinstance(module, FrozenBatchNorm2d):
+                module.register_forward_pre_hook(self._measure)
+
+    def set(self, pictures: Tensor) -> None:
+        """From ``pictures`` (N, 3, H, W), normalised."""
+        self.moving, self._share = True, 1.0
+        with torch.no_grad():
+            self._backbone(pictures)
+        self._share, self._every = self.SHARE, 4
+
+    def _measure(self, norm: FrozenBatchNorm2d, inputs: tuple[Tensor, ...]) -> None:
+        if self.moving:
+            with torch.no_grad():
+                seen = inputs[0][:: self._every].float()
+                variance, mean = torch.var_mean(seen, (0, 2, 3))
+                norm.running_mean.lerp_(mean, self._share)
+                norm.running_var.lerp_(variance, self._share)
 
 
 def drawn_cameras(count: int, rng: np.random.Generator) -> np.ndarray:
@@ -167,10 +204,12 @@ def main() -> None:
     first = before(
         data.batch(np.arange(0, len(data.states), len(data.states) // 32), np.random.default_rng(0))
     )
-    set_norms(policy.model.backbone, torch.cat([first[key] for key in data.keys]))
+    norms = MovingNorms(policy.model.backbone)
+    norms.set(torch.cat([first[key] for key in data.keys]))
     optimiser = torch.optim.AdamW(
         policy.get_optim_params(), lr=asked.learning_rate, weight_decay=1e-4, fused=True
     )
+    rates = [group["lr"] for group in optimiser.param_groups]  # Of the rest, and of the backbone.
     low_precision = fast_bfloat16()
     done, seconds, curve = 0, 0.0, []
     state_file = asked.out / "resume.pt"
@@ -185,14 +224,15 @@ def main() -> None:
     while done < asked.updates:
         rng = np.random.default_rng([asked.seed, done])  # Of this update alone, for a resumed run.
         torch.manual_seed(asked.seed * 1_000_003 + done)
-        index = rng.integers(0, len(data.states), asked.batch)
+        index = data.useful[rng.integers(0, len(data.useful), asked.batch)]
         batch = before(data.batch(index, rng))
         cameras = np.arange(len(data.keys))
         if asked.view_dropout:
             cameras = drawn_cameras(len(cameras), rng)
         rate = min((done + 1) / WARM_UP, 1) * (1 - done / asked.updates)
-        for group in optimiser.param_groups:
-            group["lr"] = asked.learning_rate * rate
+        for group, start in zip(optimiser.param_groups, rates, strict=True):
+            group["lr"] = start * rate
+        norms.moving = done < asked.updates // 2
         with torch.autocast("cpu", torch.bfloat16, enabled=low_precision):
             loss = loss_of(policy, batch, [data.keys[at] for at in cameras])
         optimiser.zero_grad(set_to_none=True)

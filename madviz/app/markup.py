@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from html import escape
+
+TRACEBACK = "Traceback (most recent call last):"
+
 
 def dot(colour: str, style: str = "") -> str:
     """A small square in a camera's colour."""
@@ -25,3 +29,15 @@ def band(left: float, width: float, colour: str, style: str = "") -> str:
     """A part of a track: where it begins and how wide it is, in percent."""
     place = f"left:{left:.1f}%;width:{width:.1f}%;background:{colour};{style}"
     return f'<div class="band" style="{place}"></div>'
+
+
+def error_html(before: str, error: str, after: str = "") -> str:
+    """What an error says, for a visitor; under it, closed, where in the code it was raised, for
+    whoever wrote the policy. ``error`` is a message, a traceback, or both in this order."""
+    said, _, trace = error.partition(TRACEBACK)
+    said = said.strip() or trace.strip().rpartition("\n")[2]
+    html = f"<b>{escape(before)}{escape(said)}</b><div>{escape(after)}</div>"
+    if trace:
+        shown = escape(f"{TRACEBACK}{trace.rstrip()}")
+        html += f"<details><summary>Where in the code</summary><pre>{shown}</pre></details>"
+    return html

@@ -19,6 +19,7 @@ from html import escape
 import viser
 
 from madviz.app.layout import Panels, Shared
+from madviz.app.markup import error_html
 from madviz.app.panel import apply
 from madviz.app.toolkit import window_is_upright, window_is_wide
 from madviz.session.frame import Change, Frame, NoFrame
@@ -200,6 +201,5 @@ class Page:
 
 
 def waiting_html(text: str, error: str = "") -> str:
-    """A line at the top of the main panel, with a traceback under it if there is one."""
-    trace = f"<pre>{escape(error)}</pre>" if error else ""
-    return f'<div class="mv mv-notice">{escape(text)}{trace}</div>'
+    """A line at the top of the main panel, and what went wrong under it."""
+    return f'<div class="mv mv-notice">{escape(text)}{error_html("", error) if error else ""}</div>'

@@ -10,7 +10,7 @@ import numpy as np
 import viser
 
 from madviz.agent.methods import METHODS
-from madviz.app.markup import progress_bar
+from madviz.app.markup import error_html, progress_bar
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import action_bars
 from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
@@ -276,9 +276,5 @@ def _pace(frame: Frame) -> str:
 def _error(frame: Frame) -> str:
     if not frame.pace.error:
         return ""
-    first, _, rest = frame.pace.error.partition("\n")
-    return (
-        f'<div class="mv-error boxed">'
-        f"<b>Paused: {escape(first)}</b><pre>{escape(rest.strip())}</pre>"
-        "Press again to restart the episode, or play to try once more.</div>"
-    )
+    again = "Press again to restart the episode, or play to try once more."
+    return f'<div class="mv-error boxed">{error_html("Paused: ", frame.pace.error, again)}</div>'
