@@ -188,6 +188,9 @@ def test_a_process_that_dies_is_started_again_with_the_same_seed_and_cameras():
         )
         assert isinstance(again, Frame) and again.camera("third_a") == OFF
         one.until(lambda n: isinstance(n, Frame) and n.pace.phase == "paused", before)
+        shown = [n for n in one.news[before:] if isinstance(n, Frame)]
+        assert {n.world.seed for n in shown} == {7}, "or a second end would lose the seed"
+        assert all(n.camera("third_a") == OFF for n in shown)
         one.session.send(StepOnce())
         one.step(1)
 

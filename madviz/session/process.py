@@ -91,6 +91,8 @@ class SessionProcess(FrameSource):
         """The last command of each kind that a process which is started again must hear."""
         self._shown: Frame | None = None
         """The newest frame of all processes so far: where the next one goes on."""
+        self._beginning: list[Command] = []
+        """What the next process carries out before anything of it is shown."""
         self._process: ForkServerProcess | None = None
         self._thread = threading.Thread(target=self._run, name="madviz-session", daemon=True)
 
@@ -163,7 +165,10 @@ class SessionProcess(FrameSource):
         """Runs a process until it ends. Returns how it ended, in words."""
         here, there = _CONTEXT.Pipe()
         self._process = process = _CONTEXT.Process(
-            target=_live, args=(there, self._make), name="madviz-simulation", daemon=True
+            target=_live,
+            args=(there, self._make, self._beginning),
+            name="madviz-simulation",
+            daemon=True,
         )
         process.start()
         there.close()
@@ -178,13 +183,11 @@ class SessionProcess(FrameSource):
 
     def _begin_anew(self) -> None:
         """What was meant for the last process is left there: it may be what ended it."""
-        before, outbox = self._outbox, Outbox()
-        for command in self._to_begin_with():
-            outbox.put(command)
-        self._outbox = outbox
+        self._beginning = self._to_begin_with()
+        before, self._outbox = self._outbox, Outbox()
         before.put(None)
         if self._closing.is_set():
-            outbox.put(None)
+            self._outbox.put(None)
 
     def _to_begin_with(self) -> list[Command]:
         """What brings a new process to where the last one was."""
@@ -233,8 +236,9 @@ def _how(code: int | None) -> str:
 # --- In the process ---------------------------------------------------------------------------
 
 
-def _live(pipe: Connection, make: MakeSession) -> None:
-    """Runs a session until the page's process says None, or is gone."""
+def _live(pipe: Connection, make: MakeSession, beginning: list[Command]) -> None:
+    """Runs a session until the page's process says None, or is gone. Nothing of it is shown before
+    ``beginning`` has been carried out: if it ends there, the next one still begins with that."""
     set_up_worker()
     limit_heaps()
 
@@ -256,6 +260,10 @@ def _live(pipe: Connection, make: MakeSession) -> None:
         else:
             session.close()
 
+    if beginning:
+        for command in beginning:
+            session.send(command)
+        session.tick(time.monotonic())
     session.subscribe(send)
     session.inbox = PipeInbox(session.inbox, pipe, other)
     session.run()
