@@ -23,7 +23,7 @@ from madviz.training import light
 from madviz.training.config import TrainConfig
 from madviz.training.demonstrations import Driver, record_episode
 from madviz.training.light import LightConfig, LightRun
-from madviz.training.light_losses import check_places, choice_errors, mean_and_spread
+from madviz.training.light_losses import check_places, choice_errors, mean_and_std
 from madviz.training.train import train
 from madviz.types import Environment, TimeStep
 from tests.plans import THREE, toy_plan
@@ -162,7 +162,7 @@ def test_a_reading_that_cannot_be_carried_out_is_refused(wrong: Any, words: str)
         NetworkConfig(6, 2, **wrong)
 
 
-def test_mean_and_spread_are_those_of_the_demonstrations_and_go_with_the_policy(
+def test_mean_and_std_are_those_of_the_demonstrations_and_go_with_the_policy(
     tmp_path: Path,
 ) -> None:
     config = replace(BASE, standard_state=True)
@@ -182,7 +182,7 @@ def test_mean_and_spread_are_those_of_the_demonstrations_and_go_with_the_policy(
 
 
 def test_what_hardly_varies_is_not_magnified() -> None:
-    mean, spread = mean_and_spread(np.array([[1.0, 5.0], [3.0, 5.0]], np.float32))
+    mean, spread = mean_and_std(np.array([[1.0, 5.0], [3.0, 5.0]], np.float32))
     assert mean == (2.0, 5.0) and spread == (1.0, 1e-3)
 
 

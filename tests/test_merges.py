@@ -203,7 +203,7 @@ def test_every_row_of_the_table_has_a_file_of_its_name() -> None:
     assert len({type(merge_functions(name)) for name in MERGES}) == len(MERGES)
     folder = Path(table.__file__).parent
     files = {file.stem.replace("_", "-") for file in folder.glob("[a-z]*.py")}
-    assert files == {*MERGES, "base", "table"}
+    assert files == {*MERGES, "base", "drawing", "table"}
 
 
 def test_the_table_says_which_merges_bring_a_loss() -> None:

@@ -191,7 +191,7 @@ def test_rows_that_are_kept_fit_the_same_critic(
 def test_a_policy_imagines_what_is_missing() -> None:
     agent = Agent(NETWORKS, merge="mv-mae", streams=STREAMS)
     mean = torch.rand(3, 3, 84, 84)
-    FUNCTIONS.look_at(net_of(agent), lambda: mean)
+    FUNCTIONS.set_mean(net_of(agent), mean)
     policy = policy_of(agent)
     encoded = policy.encode(pictures()[0].numpy(), np.zeros(6, np.float32))
     assert encoded.features.shape == (3, 36 * 16)

@@ -214,7 +214,7 @@ def test_a_policy_keeps_nothing_between_decisions() -> None:
 def test_a_policy_imagines_what_is_missing() -> None:
     agent = Agent(NETWORKS, merge="mv-mwm", streams=STREAMS)
     mean = torch.rand(3, 3, 84, 84)
-    FUNCTIONS.look_at(net_of(agent), lambda: mean)
+    FUNCTIONS.set_mean(net_of(agent), mean)
     policy = policy_of(agent)
     found = policy.imagine(
         policy.encode(pictures()[0].numpy(), np.zeros(6, np.float32)), np.array([True, False, True])

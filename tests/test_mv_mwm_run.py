@@ -379,9 +379,16 @@ def test_a_run_with_demonstrations_goes_on_with_the_same_ones(
     assert "expert demonstrations: 2" in card
 
 
-def test_stretches_that_no_episode_has_are_refused(tmp_path: Path) -> None:
+def test_the_smallest_buffer_has_enough_decisions_in_a_row_at_any_time(tmp_path: Path) -> None:
+    config = replace(TINY, buffer_capacity=14, update_ratio=1.0)
+    assert run(tmp_path / "run", config)["step"] == config.steps
+
+
+def test_stretches_that_are_never_there_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="--mv-mwm.ahead below the 25 decisions"):
         run(tmp_path / "a", replace(TINY, ahead=25))
+    with pytest.raises(UserError, match="--mv-mwm.buffer-capacity of 14 or more.*found 13"):
+        run(tmp_path / "a", replace(TINY, buffer_capacity=13))
     assert not list(tmp_path.iterdir()), "a run that never began is in nobody's way"
 
 
@@ -389,15 +396,3 @@ def test_the_mean_picture_is_of_what_was_seen(undisturbed: tuple[Path, dict[str,
     mean: Tensor = undisturbed[1]["learner"]["agent"]["encoder.autoencoder.mean"]
     assert mean.shape == (3, 3, 84, 84) and 0.1 < mean.mean() < 0.6
     assert (mean[2].std((1, 2)) > 0.01).all()
-
-
-@pytest.mark.slow
-def test_mv_mwm_learns_toy_reach(tmp_path: Path) -> None:
-    """Nearly an hour on two cores."""
-    config = MvMwmConfig(
-        steps=13_000, discount=0.9, update_ratio=0.5, entropy_weight=3e-3, eval_every=13_000,
-        eval_episodes=20,
-    )  # fmt: skip
-    run(tmp_path / "run", config)
-    row = {k: float(v) for k, v in curve(tmp_path / "run")[-1].items()}
-    assert row["success_all"] >= 0.7, row

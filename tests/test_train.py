@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import shlex
 import signal
 import subprocess
@@ -205,6 +206,15 @@ def test_options_of_other_recipes_and_the_number_of_processes_may_change() -> No
     assert changes(identity(config, ()), identity(slower, ())) == [
         "vectorised.update_ratio 0.5 -> 0.25"
     ]
+
+
+def test_the_learner_takes_the_cores_that_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 8)
+    config = TrainConfig()
+    assert config.light.threads() == 1  # The recorder has another core.
+    assert config.paper.threads() == 8
+    assert replace(config.vectorised, workers=3).threads() == 5
+    assert replace(config.mv_mwm, workers=9).threads() == 1
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Shaped, UInt8
 from torch import Tensor, nn
 
 from madviz.agent.merges.base import MergeFunctions, Noise
+from madviz.agent.merges.drawing import DrawingMerge
 from madviz.agent.merges.table import MERGES, merge_functions
 from madviz.agent.networks import Actor, Critic, NetworkConfig
 from madviz.errors import UserError
@@ -123,7 +124,7 @@ class TorchPolicy:
     @property
     def imagines(self) -> bool:
         """Whether it can draw what a missing camera would see."""
-        return self.agent.merge.reconstructs
+        return isinstance(self.agent.merge, DrawingMerge)
 
     @torch.inference_mode()
     def imagine(self, encoded: Encoded, mask: Bool[Array, " V"]) -> UInt8[Array, "V H W 3"]:
@@ -139,13 +140,14 @@ class TorchPolicy:
         """Of every stream in training. Raises UserError for a policy that does not draw."""
         return _bytes(self._drawing().mean_pictures(self.agent.encoder))
 
-    def _drawing(self) -> MergeFunctions:
-        if not self.imagines:
-            raise UserError(
-                f"expected a policy that draws pictures, found {self.spec.name}, whose merge "
-                f"{self.agent.merge_name!r} does not; pick one of the method mv-mae"
-            )
-        return self.agent.merge
+    def _drawing(self) -> DrawingMerge:
+        merge = self.agent.merge
+        if isinstance(merge, DrawingMerge):
+            return merge
+        raise UserError(
+            f"expected a policy that draws pictures, found {self.spec.name}, whose merge "
+            f"{self.agent.merge_name!r} does not; pick one of the method mv-mae"
+        )
 
     def supports(self, mask: Array) -> bool:
         """Whether there is a place for every stream, and the merge can do without the absent."""

@@ -65,7 +65,7 @@ class MultiViewAutoencoder(nn.Module):
         views, _, size, _ = mean.shape
         if size % config.patch or config.patch % 2:
             raise ValueError(f"a picture of {size} pixels has no even patches of {config.patch}")
-        self.config, self.side = config, size // config.patch
+        self.config, self.channels, self.side = config, channels, size // config.patch
         width = config.width
         places = (config.patch // 2) ** 2
         self.stem = nn.Sequential(
@@ -102,6 +102,13 @@ class MultiViewAutoencoder(nn.Module):
         squares = _taken(squares_of(views, self.config.patch).flatten(2), keep)
         squares = squares.unflatten(2, (-1, 4 * views.shape[2]))
         return self.stem(squares.to(self.marks.dtype) / 255 - 0.5) + self.marks[keep]
+
+    def all_tokens(self, views: UInt8[Tensor, "B V C H W"]) -> Float[Tensor, "B V T W"]:
+        """Nothing hidden: the tokens of every view."""
+        batch, count = views.shape[:2]
+        every = torch.ones(count, dtype=torch.bool, device=views.device)
+        keep = whole_views(every, self.tokens_of_a_view, batch)
+        return self.tokens(views, keep).unflatten(1, (count, -1))
 
     def features(self, tokens: Float[Tensor, "B K W"]) -> Float[Tensor, "B K W"]:
         """Of tokens, each having seen all the others."""

@@ -34,7 +34,7 @@ from madviz.agent.networks import ActorHead, CriticHead, NetworkConfig, read_sta
 from madviz.agent.rssm import Belief, mlp
 from madviz.agent.world_model import WorldModel
 
-LEAST_SPREAD = 0.1
+LEAST_STD = 0.1
 """Of an action's distribution, before it is cut off."""
 _EDGE = 1e-6
 """How near to 0 and 1 a probability may come whose quantile is taken."""
@@ -49,10 +49,10 @@ class BeliefActor(ActorHead):
         self.mlp = _head(config, 2 * config.action_dim)
 
     def forward(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """(..., Z), (..., S) -> (..., A) each: the middle before tanh, and the log of the spread,
-        from ``LEAST_SPREAD`` to 2.1."""
+        """(..., Z), (..., S) -> (..., A) each: the middle before tanh, and the log of the standard
+        deviation, which is from ``LEAST_STD`` to 2.1."""
         middle, raw = self.mlp(_inputs(self.config, feature, state)).chunk(2, -1)
-        return middle, (2 * torch.sigmoid(raw / 2) + LEAST_SPREAD).log()
+        return middle, (2 * torch.sigmoid(raw / 2) + LEAST_STD).log()
 
 
 class BeliefCritic(CriticHead):
@@ -88,21 +88,21 @@ def _inputs(config: NetworkConfig, feature: Tensor, state: Tensor) -> Tensor:
 
 
 def truncated_normal(
-    middle: Float[Tensor, "... A"], spread: Float[Tensor, "... A"], noise: Float[Tensor, "... A"]
+    middle: Float[Tensor, "... A"], std: Float[Tensor, "... A"], noise: Float[Tensor, "... A"]
 ) -> tuple[Float[Tensor, "... A"], Tensor]:
     """Actions drawn by ``noise``, uniform in [0, 1), from normal distributions cut off at -1 and 1,
     and (...,) the distributions' entropy in nats, summed over A. Gradients go through both.
 
-    With a = (-1 - middle) / spread, b = (1 - middle) / spread and Z = Phi(b) - Phi(a), an action is
-    middle + spread Phi^-1(Phi(a) + noise Z), and its entropy
-    log(sqrt(2 pi e) spread Z) + (a phi(a) - b phi(b)) / (2 Z).
+    With a = (-1 - middle) / std, b = (1 - middle) / std and Z = Phi(b) - Phi(a), an action is
+    middle + std Phi^-1(Phi(a) + noise Z), and its entropy
+    log(sqrt(2 pi e) std Z) + (a phi(a) - b phi(b)) / (2 Z).
     """
-    low, high = (-1 - middle) / spread, (1 - middle) / spread
+    low, high = (-1 - middle) / std, (1 - middle) / std
     below, inside = _phi(low), _phi(high) - _phi(low)
     quantile = (below + noise * inside).clamp(_EDGE, 1 - _EDGE)
-    drawn = middle + spread * math.sqrt(2) * torch.erfinv(2 * quantile - 1)
+    drawn = middle + std * math.sqrt(2) * torch.erfinv(2 * quantile - 1)
     edges = (low * _density(low) - high * _density(high)) / (2 * inside)
-    entropy = 0.5 * math.log(2 * math.pi * math.e) + spread.log() + inside.log() + edges
+    entropy = 0.5 * math.log(2 * math.pi * math.e) + std.log() + inside.log() + edges
     return drawn.clamp(-1, 1), entropy.sum(-1)
 
 
@@ -116,8 +116,8 @@ def _density(x: Tensor) -> Tensor:
 
 def act(actor: ActorHead, feature: Tensor, state: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
     """(..., Z), (..., S), (..., A) uniform -> drawn actions (..., A), and entropies (...,)."""
-    middle, log_spread = actor(feature, state)
-    return truncated_normal(torch.tanh(middle), log_spread.exp(), noise)
+    middle, log_std = actor(feature, state)
+    return truncated_normal(torch.tanh(middle), log_std.exp(), noise)
 
 
 # --- Imagination --------------------------------------------------------------------------------

@@ -205,8 +205,8 @@ def ridge(inputs: Array, targets: Array, episodes: Array, new: Array) -> Array:
     """(M, 3) what a linear map, fitted to ``inputs`` (N, Z) and ``targets`` (N, 3), makes of
     ``new`` (M, Z). Its penalty is the best on a third of the ``episodes`` (N,)."""
     mean = inputs.mean(0, dtype=float)
-    spread = inputs.std(0, dtype=float)
-    scale = np.where(spread > 1e-6, spread, np.inf)  # What never changes says nothing.
+    std = inputs.std(0, dtype=float)
+    scale = np.where(std > 1e-6, std, np.inf)  # What never changes says nothing.
     # Most numbers of a feature are rarely above 0; one that is for once must not decide all.
     inputs, new = (((each - mean) / scale).clip(-FURTHEST, FURTHEST) for each in (inputs, new))
     aside = episodes % 3 == 0

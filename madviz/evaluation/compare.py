@@ -241,8 +241,8 @@ def over_trainings(rates: Sequence[float]) -> Interval:
     from scipy.stats import t
 
     n, mean = len(rates), sum(rates) / len(rates)
-    spread = sqrt(sum((rate - mean) ** 2 for rate in rates) / (n - 1))
-    half = float(t.ppf(0.975, n - 1)) * spread / sqrt(n)
+    std = sqrt(sum((rate - mean) ** 2 for rate in rates) / (n - 1))
+    half = float(t.ppf(0.975, n - 1)) * std / sqrt(n)
     return max(mean - half, 0.0), min(mean + half, 1.0)
 
 

@@ -3,7 +3,7 @@
 LeRobot cannot be installed beside madviz (it wants older versions of torch and NumPy), so its
 format is written here; a slow test reads it with LeRobot's own loader, in its own environment.
 
-    meta/info.json, stats.json       what a row holds; least, largest, mean, spread of columns
+    meta/info.json, stats.json       what a row holds; least, largest, mean, std of columns
     meta/tasks.parquet               the task in words
     meta/episodes/…/file-000.parquet where each episode stands, and its own statistics
     data/chunk-000/file-000.parquet  a row for each decision; pictures as PNG
@@ -71,7 +71,7 @@ def expert_decisions(
     env: Environment, streams: tuple[str, ...], noise: float, seed: int
 ) -> Iterator[Decision]:
     """The expert's episode of ``seed``. A noise that changes slowly is added to what is done, not
-    to what is kept; its spread is another one in each episode, from 0 to ``noise``."""
+    to what is kept; its standard deviation is another one in each episode, from 0 to ``noise``."""
     rng = np.random.default_rng([seed, 11])
     pushed = slow_noise(rng, noise * rng.random(), env.spec.action_dim)
     stack, intact = StreamStack(env.spec, streams, length=1), Ablation()

@@ -102,8 +102,8 @@ class RecordConfig:
     episodes: Count = 1
     """With --format: how many."""
     noise: Share = 0.0
-    """With --expert: the largest spread of a noise that is added to what the expert does, not to
-    what is kept as its action. Each episode draws its own."""
+    """With --expert: the largest standard deviation of a noise that is added to what the expert
+    does, not to what is kept as its action. Each episode draws its own."""
 
 
 class Writer(Protocol):

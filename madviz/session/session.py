@@ -146,7 +146,7 @@ class Session(FrameSource):
     def _explain(self, now: float) -> None:
         """After everything else, because it takes as long as a step."""
         moving = self._phase == "playing"
-        if self._stage.explain(now, moving, hurried=self._pace.speed is None):
+        if self._stage.explain(now, moving, full_speed=self._pace.speed is None):
             self._emit()
 
     def _moving(self) -> bool:

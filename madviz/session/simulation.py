@@ -111,10 +111,10 @@ class Simulation:
             imagined=imagined(self.policy, self._encoded, self.ablation, now.views, self.env.spec),
         )
 
-    def explain(self, live: LiveSaliency, now: float, moving: bool, hurried: bool) -> bool:
+    def explain(self, live: LiveSaliency, now: float, moving: bool, full_speed: bool) -> bool:
         """Finds the pixels that matter if a new map is due; whether it was."""
         mask = self.ablation.mask(self.policy.spec.streams)
-        if not live.due(self.probe, mask, now, moving, hurried):
+        if not live.due(self.probe, mask, now, moving, full_speed):
             return False
         live.update(self.policy, self._stack.views, self.now.time.state, mask, self.probe, now)
         return True

@@ -164,12 +164,12 @@ class Stage:
         same = (policy.task, policy.render_profile) == (env.task, env.render_profile)
         return same and sees(env, policy.cameras)
 
-    def explain(self, now: float, moving: bool, hurried: bool) -> bool:
+    def explain(self, now: float, moving: bool, full_speed: bool) -> bool:
         """Finds the pixels that matter if somebody asked and it is time; whether it did."""
         live = self.simulation
         if live is None or self._timeline.shown is not None:
             return False
-        return live.explain(self.saliency, now, moving, hurried)
+        return live.explain(self.saliency, now, moving, full_speed)
 
     def read_more(self, then: Callable[[], None]) -> None:
         """Reads one more subset of the newest step, if that is the one that is shown and has one to

@@ -2,7 +2,8 @@
 
     TrainConfig -- resolve --> TrainingPlan --> a recipe
 
-A new recipe is a file, an option field of ``TrainConfig`` and a row of ``RECIPES``.
+A new recipe is a file, its options (``options.RecipeOptions``) as a field of ``TrainConfig``, and
+a row of ``RECIPES``.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ from madviz.subsets import camera_of
 from madviz.system.numbers import Seed, Threads
 from madviz.system.options import OneOf, Only
 from madviz.training.drawn_task import DrawnTask
-from madviz.training.lanes_run import LanesConfig
 from madviz.training.light import LightConfig, train_light
 from madviz.training.mv_mwm import MvMwmConfig, train_mv_mwm
+from madviz.training.options import RecipeOptions
 from madviz.training.paper import PaperConfig, train_paper
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder
@@ -114,9 +115,10 @@ def resolve(config: TrainConfig) -> TrainingPlan:
     streams = tuple(s for s in setting.streams if not camera or camera_of(s) == camera)
     merge = chosen.merge_for(streams, config.merge)
     drawn_task = DrawnTask(config.task, config.render_profile, cameras, streams)
+    options = options_of(config)
+    options.prepare(config.task)
     with closing(drawn_task.build()) as env:
         facts = env.spec
-    options = options_of(config)
     return TrainingPlan(
         PolicySpec(
             _name(config, chosen, camera),
@@ -138,7 +140,7 @@ def resolve(config: TrainConfig) -> TrainingPlan:
     )
 
 
-def options_of(config: TrainConfig) -> Any:
+def options_of(config: TrainConfig) -> RecipeOptions:
     """Those of the recipe that is asked for."""
     return getattr(config, RECIPES[config.recipe].options)
 
@@ -168,15 +170,15 @@ def _name(config: TrainConfig, chosen: Method, camera: str) -> str:
 
 
 def identity(config: TrainConfig, drawn: tuple[CameraSpec, ...]) -> dict[str, Any]:
-    """What must be the same when a run is resumed: all but where it is, how many processes step its
-    environments, and other recipes' options. Of the user's cameras, ``drawn``, it is what the file
-    says that counts, not where the file is."""
+    """What must be the same when a run is resumed: all but where it is, options that only change
+    its time, and other recipes' options. Of the user's cameras, ``drawn``, it is what the file says
+    that counts, not where the file is."""
     facts = asdict(replace(config, out=None, resume=False, cameras=None))
     for recipe in RECIPES.values():
         if recipe != RECIPES[config.recipe]:
             del facts[recipe.options]
-    if isinstance(options_of(config), LanesConfig):
-        del facts[RECIPES[config.recipe].options]["workers"]
+    for option in options_of(config).ONLY_TIME:
+        del facts[RECIPES[config.recipe].options][option]
     facts["cameras"] = [asdict(camera) for camera in drawn] if config.cameras else None
     return facts
 

@@ -129,11 +129,11 @@ def record_episode(
     return Episode({s: np.stack(f) for s, f in frames.items()}, **arrays, success=now.success)
 
 
-def slow_noise(rng: np.random.Generator, spread: float, size: int) -> Iterator[Array]:
-    """Normal numbers (size,) of the given spread, each set like the one before it."""
+def slow_noise(rng: np.random.Generator, std: float, size: int) -> Iterator[Array]:
+    """Normal numbers (size,) of the given standard deviation, each set like the one before it."""
     now = rng.normal(size=size)
     while True:
-        yield spread * now
+        yield std * now
         now = LASTING * now + np.sqrt(1 - LASTING**2) * rng.normal(size=size)
 
 

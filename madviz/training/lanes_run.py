@@ -33,11 +33,17 @@ class LanesConfig(RunConfig):
     update_ratio: Weight = 0.5
     """Updates per decision; the paper makes one for every second decision."""
 
+    ONLY_TIME = ("workers",)
+
     def processes(self) -> int:
         """Worker processes to start."""
         if self.workers is not None:
             return self.workers
         return min(self.environments, max(1, (os.cpu_count() or 1) // 2))
+
+    def threads(self) -> int:
+        """One for each core that no worker has."""
+        return max(1, (os.cpu_count() or 1) - self.processes())
 
 
 class LanesRun(RewardRun):

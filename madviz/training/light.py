@@ -40,6 +40,7 @@ from torch import Tensor
 
 from madviz.agent.agent import TorchPolicy, autocast
 from madviz.agent.augment import random_shift
+from madviz.agent.merges.drawing import DrawingMerge
 from madviz.agent.networks import read_state
 from madviz.agent.update import generator_state, restore_generator
 from madviz.policies.config import TrainingRecord
@@ -50,7 +51,7 @@ from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder
 from madviz.training.light_critic import REWARD_SCALE, fit_critic
 from madviz.training.light_focus import Outcomes, failures, focused, in_turn, shares
 from madviz.training.light_losses import PlacesHead as PlacesHead
-from madviz.training.light_losses import check_places, mean_and_spread
+from madviz.training.light_losses import check_places, mean_and_std
 from madviz.training.light_losses import imitation_loss as imitation_loss
 from madviz.training.light_losses import row_errors as row_errors
 from madviz.training.light_options import LightConfig as LightConfig
@@ -144,11 +145,12 @@ class LightRun:
         """What depends on how pictures, states and places vary in the first episodes."""
         config, index = self.config, np.arange(self.config.demonstrations * self.data.horizon)
         for agent in (self.agent, self.average):
-            agent.merge.look_at(agent.encoder, lambda: mean_pictures(self.data, index))
+            if isinstance(agent.merge, DrawingMerge):
+                agent.merge.set_mean(agent.encoder, mean_pictures(self.data, index))
         if config.standard_state:
             read = read_state(self.plan.networks, self.data.column("states", index))
             for agent in (self.agent, self.average):
-                agent.scale_state(*mean_and_spread(read.numpy()))
+                agent.scale_state(*mean_and_std(read.numpy()))
         if config.position_weight:
             places = self.data.column("places", index).numpy()
             self.places = PlacesHead(self.agent.actor, places)
@@ -208,7 +210,7 @@ class LightRun:
         """The merge's: on pictures as they were recorded, if it draws them; else on freshly shifted
         ones, where the last decision of an episode has no next one and is its own."""
         merge, encoder = self.agent.merge, self.agent.encoder
-        if merge.reconstructs:
+        if isinstance(merge, DrawingMerge):
             index = index[: self.config.reconstructed]
             views, reward = self.data.views(index), self.data.column("rewards", index)
             with autocast():

@@ -83,7 +83,7 @@ class PlacesHead(nn.Module):
         self.mlp = nn.Sequential(
             nn.Linear(first.in_features, _HIDDEN), nn.ReLU(), nn.Linear(_HIDDEN, places.shape[1])
         )
-        mean, spread = mean_and_spread(places)
+        mean, spread = mean_and_std(places)
         self.register_buffer("mean", torch.tensor(mean))
         self.register_buffer("spread", torch.tensor(spread))
 
@@ -111,7 +111,7 @@ def check_places(actor: ActorHead, env: Environment) -> None:
         )
 
 
-def mean_and_spread(numbers: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def mean_and_std(numbers: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Of every column of (T, K): its mean, and its standard deviation where that is more than
     ``SMALLEST_SPREAD``."""
     mean = numbers.mean(0, dtype=float)

@@ -21,11 +21,12 @@ from madviz.system.numbers import (
     Weight,
     Width,
 )
+from madviz.training.options import RecipeOptions
 from madviz.types import EnvSpec
 
 
 @dataclass(frozen=True)
-class LightConfig:
+class LightConfig(RecipeOptions):
     """The options of the light recipe; defaults were chosen by measurement on hammer."""
 
     rounds: Count = 12
@@ -100,8 +101,11 @@ class LightConfig:
         """Rounds of updates."""
         return self.rounds + self.final_rounds
 
+    def threads(self) -> int:
+        """One: the recorder has the other core."""
+        return 1
+
     def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
-        """Of an agent that reads ``state_columns`` of the state, or all of it if empty."""
         return NetworkConfig(
             env.state_dim,
             env.action_dim,

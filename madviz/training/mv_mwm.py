@@ -109,7 +109,7 @@ class MvMwmRun(LanesRun):
         if self.step < max(needed, min(self.plan.env.horizon * lanes, config.exploration_steps)):
             return
         if not self.drawn:
-            self.learner.look_at(self._mean_pictures)
+            self.learner.net.autoencoder.mean.copy_(self._mean_pictures())
         self.learner.set_learning_rates(self.step / config.steps)
         explored = min(1.0, self.step / config.exploration_steps)
         while self.drawn < int(config.pretraining * explored):
@@ -206,12 +206,21 @@ def unlabelled_before(labels: Labels, count: int) -> Labels:
 
 def train_mv_mwm(plan: TrainingPlan, config: MvMwmConfig, folder: RunFolder) -> None:
     """Trains from the folder's last state on, if it has one; Ctrl-C saves after the decision at
-    hand. Raises UserError for what the machine cannot do and for stretches that no episode has."""
+    hand. Raises UserError for what the machine cannot do and for stretches that no episode has
+    or the buffer does not hold."""
     drawn_task, facts, lanes = plan.drawn_task, plan.env, config.environments
     if config.ahead >= facts.horizon:
         raise UserError(
             f"expected an --mv-mwm.ahead below the {facts.horizon} decisions of an episode, found "
             f"{config.ahead}"
+        )
+    # Of each lane, the stretch that is drawn, a stack before it, and an episode that just began.
+    least = lanes * (2 * config.ahead + plan.networks.frame_stack)
+    if config.buffer_capacity < least:
+        raise UserError(
+            f"expected an --mv-mwm.buffer-capacity of {least} or more, so that {lanes} "
+            f"environments have {config.ahead} decisions in a row there, found "
+            f"{config.buffer_capacity}"
         )
     with ExitStack() as resources:
         env = resources.enter_context(closing(drawn_task.build()))

@@ -11,7 +11,7 @@ are present in a stretch: which ones is drawn uniformly.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -94,10 +94,6 @@ class WorldLearner:
         for name, optimiser in self.optimisers.items():
             for group in optimiser.param_groups:
                 group["lr"] = share * self.rates[name]
-
-    def look_at(self, mean: Callable[[], Float[Tensor, "V 3 H W"]]) -> None:
-        """Before the first update: the mean picture of every view."""
-        self.agent.merge.look_at(self.net, mean)
 
     def learn_pictures(
         self, views: UInt8[Tensor, "B V 3 H W"], reward: Float[Tensor, " B"]
@@ -196,7 +192,9 @@ class WorldLearner:
         """Tokens of all views, and what is read of those that are present."""
         frames = stretch.frames
         with torch.no_grad(), autocast():
-            tokens = self.net.tokens(frames.flatten(0, 1)).unflatten(0, frames.shape[:2])
+            tokens = self.net.autoencoder.all_tokens(frames.flatten(0, 1)).unflatten(
+                0, frames.shape[:2]
+            )
             count = len(stretch.state)
             features = self._features(tokens[-count:])
         present = drawn_views(self._generator, *frames.shape[1:3]).to(self._device)

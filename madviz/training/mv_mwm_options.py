@@ -105,7 +105,6 @@ class MvMwmConfig(LanesConfig):
         return 0.5
 
     def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
-        """Of an agent that reads ``state_columns`` of the state, or all of it if empty."""
         sizes = SIZES[self.size]
         return NetworkConfig(
             env.state_dim,

@@ -48,7 +48,6 @@ class ReinforcementConfig(RunConfig):
     """Of matrix products in updates; the paper has float32."""
 
     def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
-        """Of an agent that reads ``state_columns`` of the state, or all of it if empty."""
         return NetworkConfig(
             env.state_dim,
             env.action_dim,

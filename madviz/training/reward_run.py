@@ -34,6 +34,7 @@ from madviz.policies.seeds import FIRST_LEARNING
 from madviz.subsets import mask_of, single_streams
 from madviz.system.numbers import CountOrNone, Share, Steps, Width
 from madviz.training.buffer import BufferSpec, ReplayBuffer
+from madviz.training.options import RecipeOptions
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder
 from madviz.types import Array, Environment
@@ -57,7 +58,7 @@ METAWORLD, MANISKILL = SuiteNumbers(0.99, 25_000, True), SuiteNumbers(0.8, 20_00
 
 
 @dataclass(frozen=True)
-class RunConfig:
+class RunConfig(RecipeOptions):
     """What every recipe that learns from rewards has, whatever it learns."""
 
     steps: Steps = 500_000

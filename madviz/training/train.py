@@ -1,7 +1,7 @@
 """``train``: one way in for every recipe; a plan, a run folder, and the recipe's own loop.
 
     light              minutes on two cores, by imitating an expert   training/light.py
-    paper              the paper's reinforcement learning, exactly    training/paper.py
+    paper              the paper's losses, one environment            training/paper.py
     paper-vectorised   the same losses over many environments         training/vectorised.py
     mv-mwm             an actor-critic in a world model's imagination training/mv_mwm.py
 
@@ -10,7 +10,6 @@ it, copy it to checkpoints/. Ctrl-C finishes the round, saves, and says how to g
 
 from __future__ import annotations
 
-import os
 import shlex
 import time
 from collections.abc import Callable
@@ -23,7 +22,6 @@ from madviz.system.numbers import check_numbers
 from madviz.system.processes import reuse_large_blocks
 from madviz.system.streams import say
 from madviz.training.config import RECIPES, TrainConfig, identity, options_of, resolve
-from madviz.training.lanes_run import LanesConfig
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import Event, RunFolder, alone_in, not_written
 
@@ -43,11 +41,9 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
 
 def _train(config: TrainConfig, listener: Callable[[Event], None] | None) -> Path:
     check_numbers(config)
-    if config.recipe == "paper-vectorised":
-        config.vectorised.prepare(config.task)
     plan = resolve(config)
     reuse_large_blocks()
-    torch.set_num_threads(config.threads or _usual_threads(config))
+    torch.set_num_threads(config.threads or options_of(config).threads())
     out = config.out or Path("runs") / plan.spec.name
     facts = identity(config, plan.drawn_task.cameras)
     try:
@@ -79,14 +75,6 @@ def _work(config: TrainConfig, plan: TrainingPlan, folder: RunFolder) -> None:
     if folder.stopped_by and not folder.finished:
         raise Interrupted(goes_on, folder.stopped_by)
     folder.report("done", seconds=round(time.monotonic() - began, 1), path=str(folder.path))
-
-
-def _usual_threads(config: TrainConfig) -> int:
-    """Of the learner: one beside a recorder, or all cores that no worker has."""
-    cores = os.cpu_count() or 1
-    options = options_of(config)
-    busy = options.processes() if isinstance(options, LanesConfig) else 0
-    return 1 if config.recipe == "light" else max(1, cores - busy)
 
 
 def print_event(event: Event) -> None:

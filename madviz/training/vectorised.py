@@ -54,8 +54,6 @@ class VectorisedConfig(LanesConfig, ReinforcementConfig):
     """Compile the encoder with torch.compile; on CUDA into CUDA graphs. Needs a C++ compiler."""
 
     def prepare(self, task: str) -> None:
-        """What must happen before this process simulates anything. Raises UserError where ``task``
-        cannot be simulated as asked."""
         if self.simulation == "gpu":
             check_batched(task)
             claim_gpu()

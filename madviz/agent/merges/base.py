@@ -37,10 +37,8 @@ class MergeFunctions:
     """
 
     own_optimiser = ""
-    """Name of the optimiser that steps the encoder on ``own_loss`` or ``reconstruction_loss``;
-    empty: there is no such loss."""
-    reconstructs = False
-    """Whether its own loss is ``reconstruction_loss``: it learns to draw pictures, and can."""
+    """Name of the optimiser that steps the encoder on a loss of the merge's own: ``own_loss``, or
+    that of a ``DrawingMerge``; empty: there is none."""
 
     def networks(self, config: NetworkConfig, streams: Streams) -> nn.Module:
         """What the critic's loss trains besides the heads."""
@@ -80,26 +78,6 @@ class MergeFunctions:
     ) -> Tensor:
         """A scalar for ``own_optimiser`` from (B, V, C, H, W) pictures of two time steps that
         follow each other; ``positive`` is a view drawn at random."""
-        raise NotImplementedError
-
-    def look_at(self, net: Any, mean: Callable[[], Tensor]) -> None:
-        """Before the first update: ``mean`` makes the mean picture of every view, (V, 3, H, W) from
-        0 to 1."""
-
-    def reconstruction_loss(
-        self, net: Any, views: Tensor, reward: Tensor, generator: torch.Generator
-    ) -> Tensor:
-        """A scalar for ``own_optimiser`` from (B, V, C, H, W) pictures as they were recorded and
-        the rewards (B,) of these decisions."""
-        raise NotImplementedError
-
-    def imagined(self, net: Any, features: Tensor, mask: Tensor) -> Tensor:
-        """Features, mask (V,) -> (B, V, 3, H, W) from 0 to 1: every view's newest frame, drawn from
-        the streams in ``mask`` alone."""
-        raise NotImplementedError
-
-    def mean_pictures(self, net: Any) -> Tensor:
-        """(V, 3, H, W) from 0 to 1: what ``look_at`` was given."""
         raise NotImplementedError
 
     def encode_to_act(self, net: Any, views: Tensor) -> Tensor:

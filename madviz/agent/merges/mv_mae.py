@@ -16,13 +16,12 @@ The autoencoder learns from pictures alone and the questions from the actor's lo
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor, nn
 
-from madviz.agent.autoencoder import MultiViewAutoencoder, autoencoder_loss, whole_views
-from madviz.agent.merges.base import Heads, MergeFunctions, Noise, Streams, wide_heads
+from madviz.agent.autoencoder import MultiViewAutoencoder
+from madviz.agent.merges.base import Heads, Streams, wide_heads
+from madviz.agent.merges.drawing import DrawingMerge
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.sizes import PICTURE
 from madviz.agent.token_reader import QUESTIONS as QUESTIONS
@@ -45,11 +44,8 @@ class TokenNetworks(nn.Module):
 
     def tokens(self, views: Tensor) -> Tensor:
         """(B, V, C, H, W) uint8 -> (B, V, T, W): of every stream, each from its own patch."""
-        batch, count = views.shape[:2]
-        every = torch.ones(count, dtype=torch.bool, device=views.device)
-        keep = whole_views(every, self.autoencoder.tokens_of_a_view, batch)
         with torch.set_grad_enabled(self._has_gradients()):
-            return self.autoencoder.tokens(views, keep).unflatten(1, (count, -1))
+            return self.autoencoder.all_tokens(views)
 
     def features(self, tokens: Tensor) -> Tensor:
         """(B, K, W) -> (B, K, W): the tokens of a subset, having seen each other."""
@@ -57,15 +53,7 @@ class TokenNetworks(nn.Module):
             return self.autoencoder.features(tokens)
 
 
-def _present(tokens: Tensor, mask: Tensor) -> Tensor:
-    """(B, V, T, W), (V,) -> (B, K, W): the tokens of the streams in a subset."""
-    return tokens[:, mask.bool()].flatten(1, 2)
-
-
-class MvMae(MergeFunctions):
-    own_optimiser = "reconstruction"
-    reconstructs = True
-
+class MvMae(DrawingMerge):
     def networks(self, config: NetworkConfig, streams: Streams) -> TokenNetworks:
         return TokenNetworks(config, streams)
 
@@ -75,31 +63,15 @@ class MvMae(MergeFunctions):
     def encode(self, net: TokenNetworks, views: Tensor) -> Tensor:
         return net.tokens(views)
 
-    def rows(self, net: TokenNetworks, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
-        """Subsets of as many streams go through the networks together."""
-        rows: dict[int, Tensor] = {}
-        for size in masks.sum(1).unique():
-            which = (masks.sum(1) == size).nonzero().flatten().tolist()
-            tokens = torch.stack([_present(features, masks[n]) for n in which])
-            read = net.reader(net.features(tokens.flatten(0, 1)))
-            rows.update(zip(which, read.unflatten(0, tokens.shape[:2]), strict=True))
-        return torch.stack([rows[n] for n in range(len(masks))])
+    def present(self, features: Tensor, mask: Tensor) -> Tensor:
+        return features[:, mask].flatten(1, 2)
 
-    def look_at(self, net: TokenNetworks, mean: Callable[[], Tensor]) -> None:
-        net.autoencoder.mean.copy_(mean())
+    def read(self, net: TokenNetworks, tokens: Tensor) -> Tensor:
+        rows = net.reader(net.features(tokens.flatten(0, 1)))
+        return rows.unflatten(0, tokens.shape[:2])
 
-    def reconstruction_loss(
-        self, net: TokenNetworks, views: Tensor, reward: Tensor, generator: torch.Generator
-    ) -> Tensor:
-        return autoencoder_loss(net.autoencoder, views, reward, generator)
-
-    def imagined(self, net: TokenNetworks, features: Tensor, mask: Tensor) -> Tensor:
-        model = net.autoencoder
-        keep = whole_views(mask.bool(), model.tokens_of_a_view, len(features))
-        return model.draw(net.features(_present(features, mask)), keep).pictures.clamp(0, 1)
-
-    def mean_pictures(self, net: TokenNetworks) -> Tensor:
-        return net.autoencoder.mean
+    def seen(self, net: TokenNetworks, features: Tensor, mask: Tensor) -> Tensor:
+        return net.features(self.present(features, mask))
 
     def feature_of_each(self, net: TokenNetworks, features: Tensor, streams: Streams) -> Tensor:
         """Every stream's own tokens, before they have seen others: (B, V, 36 x 128)."""

@@ -70,21 +70,21 @@ class ScenePanel:
         self._view = FittedView(client.camera, *first_view(frame))
 
     def update(self, frame: Frame) -> list[Assign]:
-        now, hurried = self._clock(), frame.pace.speed is None and frame.pace.phase == "playing"
+        now, full_speed = self._clock(), frame.pace.speed is None and frame.pace.phase == "playing"
         if frame.world.change is not self._change:
             self._change, self._touched = frame.world.change, now
-        if hurried and now - self._touched < AFTER_TOUCH:
+        if full_speed and now - self._touched < AFTER_TOUCH:
             return []
         changes = self._view.update()
         for name, handle in self._frusta.items():
             off = frame.camera(name).input == "off"
             changes.append(Assign(handle, "color", OFF if off else rgb(self._colours[name])))
         if frame.pace.phase != "playing" or now - self._moved >= (
-            MOVE_AT_FULL_SPEED if hurried else MOVE
+            MOVE_AT_FULL_SPEED if full_speed else MOVE
         ):
             self._moved = now
             changes += self._bodies.update(frame) + self._move_frusta(frame)
-        for name in self._turn(frame, now, hurried):
+        for name in self._turn(frame, now, full_speed):
             changes.append(Assign(self._frusta[name], "image", picture(frame, name)))
         return changes
 
@@ -111,16 +111,16 @@ class ScenePanel:
                 ]
         return changes
 
-    def _turn(self, frame: Frame, now: float, hurried: bool) -> list[str]:
+    def _turn(self, frame: Frame, now: float, full_speed: bool) -> list[str]:
         """The cameras whose picture is brought up to date with this frame."""
         states = {name: frame.camera(name) for name in self._frusta if name in frame.world.poses}
         stale = [name for name in states if states[name] != self._states.get(name)]
         still = frame.pace.phase != "playing" and frame.pace.number != self._still
-        waited = now - self._drawn >= (PERIOD_AT_FULL_SPEED if hurried else PERIOD)
-        if not (waited or still or (stale and not hurried)):
+        waited = now - self._drawn >= (PERIOD_AT_FULL_SPEED if full_speed else PERIOD)
+        if not (waited or still or (stale and not full_speed)):
             return []
         self._drawn = now
-        if hurried:  # One only, and first those whose state has changed.
+        if full_speed:  # One only, and first those whose state has changed.
             self._next = (self._next + (not stale)) % len(states)
             stale = stale[:1] or [list(states)[self._next]]
         elif not stale or still:
