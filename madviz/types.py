@@ -313,6 +313,30 @@ class Imagines(Policy, Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Future:
+    """What a policy imagines of T decisions to come."""
+
+    pictures: Array
+    """(T, V, H, W, 3) uint8: what every stream would show after each decision."""
+    reward: Array
+    """(T,) float32, for each decision."""
+    action: Array
+    """(T, A) float32: what would be decided."""
+
+
+@runtime_checkable
+class Foresees(Policy, Protocol):
+    """A policy that can go on without pictures, in a world model of its own, if ``foresees``."""
+
+    @property
+    def foresees(self) -> bool: ...
+
+    def foresee(self, encoded: Encoded, mask: Array, decisions: int) -> Future:
+        """The likeliest course of the next ``decisions``, begun from the streams in ``mask``."""
+        ...
+
+
 @runtime_checkable
 class Player(Protocol):
     """Who acts in one episode. What a policy remembers of an episode is kept here, so that two

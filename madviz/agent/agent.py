@@ -16,12 +16,12 @@ from jaxtyping import Bool, Float, Shaped, UInt8
 from torch import Tensor, nn
 
 from madviz.agent.merges.base import MergeFunctions, Noise
-from madviz.agent.merges.drawing import DrawingMerge
+from madviz.agent.merges.drawing import DrawingMerge, ForeseeingMerge
 from madviz.agent.merges.table import MERGES, merge_functions
 from madviz.agent.networks import Actor, Critic, NetworkConfig
 from madviz.errors import UserError
 from madviz.subsets import name_of
-from madviz.types import Array, Encoded, PolicySpec, Readout
+from madviz.types import Array, Encoded, Future, PolicySpec, Readout
 
 
 class Agent(nn.Module):
@@ -140,6 +140,30 @@ class TorchPolicy:
         """Of every stream in training. Raises UserError for a policy that does not draw."""
         return _bytes(self._drawing().mean_pictures(self.agent.encoder))
 
+    @property
+    def foresees(self) -> bool:
+        """Whether it can go on without pictures, in a world model of its own."""
+        return isinstance(self.agent.merge, ForeseeingMerge)
+
+    @torch.inference_mode()
+    def foresee(self, encoded: Encoded, mask: Bool[Array, " V"], decisions: int) -> Future:
+        """The likeliest course of the next ``decisions``, begun from the streams in ``mask`` alone.
+        Raises UserError where the policy does not support ``mask`` or has no world model."""
+        merge = self.agent.merge
+        if not isinstance(merge, ForeseeingMerge):
+            raise UserError(
+                f"expected a policy with a world model, found {self.spec.name}, whose merge "
+                f"{self.agent.merge_name!r} has none; pick one of the method mv-mwm"
+            )
+        if not self.supports(mask):
+            raise self._cannot(mask)
+        features, _ = encoded.private
+        state = torch.from_numpy(encoded.state)[None]
+        net, actor = self.agent.encoder, self.agent.actor
+        found = merge.foreseen(net, actor, features, torch.from_numpy(mask), state, decisions)
+        reward, action = found.reward[:, 0].numpy(), found.action[:, 0].numpy()
+        return Future(_bytes(found.pictures[:, 0]), reward / self._reward_scale, action)
+
     def _drawing(self) -> DrawingMerge:
         merge = self.agent.merge
         if isinstance(merge, DrawingMerge):
@@ -163,9 +187,9 @@ class TorchPolicy:
         )
 
 
-def _bytes(pictures: Float[Tensor, "V 3 H W"]) -> UInt8[Array, "V H W 3"]:
+def _bytes(pictures: Float[Tensor, "*N 3 H W"]) -> UInt8[Array, "*N H W 3"]:
     """Pictures from 0 to 1 as they are shown."""
-    return (255 * pictures).round().byte().permute(0, 2, 3, 1).contiguous().numpy()
+    return (255 * pictures).round().byte().movedim(-3, -1).contiguous().numpy()
 
 
 def random_policy(spec: PolicySpec, config: NetworkConfig, seed: int = 0) -> TorchPolicy:

@@ -170,6 +170,31 @@ def imagine(
     )
 
 
+@dataclass(frozen=True)
+class Course:
+    """T decisions of B samples, and what is believed after each."""
+
+    feature: Float[Tensor, "T B Z"]
+    action: Float[Tensor, "T B A"]
+
+
+def likeliest(
+    world: WorldModel,
+    actor: ActorHead,
+    belief: Belief,
+    state: Float[Tensor, "B S"],
+    decisions: int,
+) -> Course:
+    """Nothing is drawn: the actor's likeliest action, the likeliest belief after it, and so on."""
+    features, actions = [], []
+    for _ in range(decisions):
+        actions.append(torch.tanh(actor(belief.feature, state)[0]))
+        belief = world.rssm.prior_belief(world.rssm.advance(belief, actions[-1]), None)
+        features.append(belief.feature)
+        state = world.predicted_state(belief.feature)
+    return Course(torch.stack(features), torch.stack(actions))
+
+
 def lambda_returns(
     reward: Float[Tensor, "H B"],
     discount: Float[Tensor, "H B"],

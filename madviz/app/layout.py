@@ -23,6 +23,7 @@ from madviz.app.panels.cameras import CamerasPanel
 from madviz.app.panels.comparison import ComparisonPanel
 from madviz.app.panels.failures import FailuresPanel
 from madviz.app.panels.features import FeaturesPanel
+from madviz.app.panels.foresight import ForesightPanel
 from madviz.app.panels.move import MovePanel
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel
 from madviz.app.panels.projection import ProjectionPanel
@@ -138,6 +139,7 @@ class Panels:
                 "Inside",
                 [
                     (lambda: SaliencyPanel(gui, explain, frame), 0.25),
+                    (lambda: ForesightPanel(gui, send, frame), 0.5),
                     (lambda: ProjectionPanel(gui, frame, 330 if wide else 170), 0.4),
                 ],
             ),

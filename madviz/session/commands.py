@@ -121,6 +121,14 @@ class ReadSubsets:
 
 
 @dataclass(frozen=True)
+class Foresee:
+    """Imagine the decisions after the newest step, under the present cameras; what then happens is
+    held against it. Without ``on``, what was imagined is forgotten."""
+
+    on: bool = True
+
+
+@dataclass(frozen=True)
 class SetSaliency:
     """Which pixels to find, those that Q or those that the action hangs on; None for none."""
 
@@ -154,4 +162,5 @@ Command = (
     | SetSchedule
     | SetSaliency
     | ReadSubsets
+    | Foresee
 )

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from madviz.analysis.foresight import Foresight
 from madviz.analysis.imagination import Imagined
 from madviz.analysis.probes import Probe
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
@@ -160,6 +161,8 @@ class World:
     """The last live episodes, oldest first."""
     imagined: dict[str, Imagined] = field(default_factory=dict)
     """By stream that is not present: what the policy draws in its place, if it can."""
+    foresees: bool = False
+    """Whether the policy can imagine the decisions to come."""
 
 
 @dataclass(frozen=True)
@@ -198,6 +201,9 @@ class Frame:
     saliency: dict[str, Array] | None = None
     """(H, W) in [0, 1] by stream: where the policy looks, half a second old at most while an
     episode runs; None where nobody asked or there is none."""
+
+    foresight: Foresight | None = None
+    """What the policy imagined of the decisions after an earlier step or this one."""
 
     @property
     def mask(self) -> Array:

@@ -24,6 +24,7 @@ from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import (
     Command,
     Compare,
+    Foresee,
     Fork,
     Link,
     Pause,
@@ -252,6 +253,9 @@ class Session(FrameSource):
                 self._emit()
             case SetSaliency(target):
                 self._stage.saliency.ask(target, lambda: self.inbox.put(command))
+                self._emit()
+            case Foresee(on):
+                self._stage.foresee(on)
                 self._emit()
             case ReadSubsets(on):
                 self._read_all = on

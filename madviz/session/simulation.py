@@ -19,6 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from madviz.analysis.foresight import Foresight, can_foresee, foresee
 from madviz.analysis.imagination import imagined
 from madviz.analysis.probes import Probe, probe, read_row
 from madviz.analysis.saliency import LiveSaliency
@@ -109,6 +110,7 @@ class Simulation:
             change=self.change,
             outcomes=tuple(self.outcomes),
             imagined=imagined(self.policy, self._encoded, self.ablation, now.views, self.env.spec),
+            foresees=can_foresee(self.policy),
         )
 
     def explain(self, live: LiveSaliency, now: float, moving: bool, full_speed: bool) -> bool:
@@ -118,6 +120,11 @@ class Simulation:
             return False
         live.update(self.policy, self._stack.views, self.now.time.state, mask, self.probe, now)
         return True
+
+    def foresee(self) -> Foresight:
+        """What the policy imagines of the next decisions. Raises UserError where it cannot."""
+        mask = self.ablation.mask(self.policy.spec.streams)
+        return foresee(self.policy, self._encoded, mask, self.now.step, str(self.condition))
 
     def begin(self, seed: int, between: Callable[[], None] = lambda: None) -> None:
         """Starts the episode of ``seed``; camera settings stay. ``between`` as in ``step``: until

@@ -14,7 +14,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
+from madviz.analysis.foresight import Foresight, then
 from madviz.analysis.saliency import LiveSaliency
 from madviz.envs.registry import sees
 from madviz.errors import UserError
@@ -54,6 +56,7 @@ class Stage:
         self.simulation: Simulation | None = None
         """Always at a step; None where there is none, or none could begin."""
         self.saliency = LiveSaliency()
+        self._foresight: Foresight | None = None
         self._second: SecondSimulation | None = None
         self._linked = True
         self._pairs: deque[Pair] = deque(maxlen=MOST_PAIRS)
@@ -89,6 +92,7 @@ class Stage:
     def shut(self) -> None:
         """Closes the environment, and B's."""
         self.compare(None)
+        self._foresight = None
         if self.simulation is not None:
             self.simulation.close()
             self.simulation = None
@@ -107,13 +111,21 @@ class Stage:
         """A stands at the first step of ``seed``, and so does B if there is one."""
         self.seed, self._timeline = seed, Timeline()
         self.saliency.forget()
+        if self._foresight is not None:  # It stays to be looked at.
+            self._foresight = replace(self._foresight, closed=True)
         self._plan.begin()
         self._run_plan()
 
     def step(self, between: Callable[[], None]) -> None:
         """One decision, on both sides if there are two; ``between`` as in ``Simulation.step``."""
         live = self._live
+        condition = str(live.condition)
         live.step(between)
+        if self._foresight is not None:
+            now = live.now
+            self._foresight = then(
+                self._foresight, live.policy, now.views, live.env.spec, now.time.reward, condition
+            )
         if self._second is not None:
             self._second.step()
         self._run_plan()
@@ -148,6 +160,7 @@ class Stage:
             self._policy = policy
             live.swap(policy)
             self.saliency.forget()
+            self._foresight = None
             return
         self._policy, before = policy, live.ablation if live else Ablation()
         self.open()
@@ -171,14 +184,20 @@ class Stage:
             return False
         return live.explain(self.saliency, now, moving, full_speed)
 
-    def read_more(self, then: Callable[[], None]) -> None:
+    def foresee(self, on: bool) -> None:
+        """Imagines what follows the newest step, which is shown again; or forgets what was
+        imagined. Raises UserError where the policy has no world model."""
+        self._timeline.show(None)
+        self._foresight = self._live.foresee() if on else None
+
+    def read_more(self, and_then: Callable[[], None]) -> None:
         """Reads one more subset of the newest step, if that is the one that is shown and has one to
-        read; and ``then`` does what comes of it."""
+        read; ``and_then`` does what comes of it."""
         live = self.simulation
         if live is None or self._timeline.shown is not None:
             return
         if live.read_more():
-            then()
+            and_then()
 
     def show_step(self, step: int | None) -> None:
         """Shows an earlier step from now on; None: the newest one."""
@@ -192,6 +211,7 @@ class Stage:
             raise UserError("expected an earlier step to fork from; drag the timeline back first")
         live = self._live
         live.return_to(self._timeline.fork())
+        self._foresight = None
         self._policy = live.policy
         if self._second is not None:
             self._second.part()
@@ -251,6 +271,7 @@ class Stage:
             pairs=tuple(self._pairs),
             schedule=self._plan.schedule,
             saliency=self.saliency.maps,
+            foresight=self._foresight,
         )
         frame = self._timeline.live(frame, live.snapshot(), keep)
         return frame if self._timeline.shown is None else self._timeline.again(frame)

@@ -9,6 +9,7 @@ would see. A merge says here only which of its tokens belong to a subset and how
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -17,6 +18,7 @@ from torch import Tensor
 
 from madviz.agent.autoencoder import autoencoder_loss, whole_views
 from madviz.agent.merges.base import MergeFunctions, Noise
+from madviz.agent.networks import ActorHead
 
 
 class DrawingMerge(MergeFunctions):
@@ -66,3 +68,29 @@ class DrawingMerge(MergeFunctions):
         model = net.autoencoder
         keep = whole_views(mask.bool(), model.tokens_of_a_view, len(features))
         return model.draw(self.seen(net, features, mask.bool()), keep).pictures.clamp(0, 1)
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """T imagined decisions of B samples."""
+
+    pictures: Float[Tensor, "T B V 3 H W"]
+    """After each decision, from 0 to 1."""
+    reward: Float[Tensor, "T B"]
+    action: Float[Tensor, "T B A"]
+
+
+class ForeseeingMerge(DrawingMerge):
+    """One that can also go on without pictures."""
+
+    def foreseen(
+        self,
+        net: Any,
+        actor: ActorHead,
+        features: Tensor,
+        mask: Tensor,
+        state: Float[Tensor, "B S"],
+        decisions: int,
+    ) -> Foreseen:
+        """The likeliest course, begun from the streams in ``mask`` (V,) alone."""
+        raise NotImplementedError

@@ -17,11 +17,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from madviz.agent.autoencoder import MultiViewAutoencoder
-from madviz.agent.imagination import BeliefActor, BeliefCritic
+from madviz.agent.autoencoder import MultiViewAutoencoder, whole_views
+from madviz.agent.imagination import BeliefActor, BeliefCritic, likeliest
 from madviz.agent.merges.base import Heads, Streams
-from madviz.agent.merges.drawing import DrawingMerge
-from madviz.agent.networks import NetworkConfig
+from madviz.agent.merges.drawing import ForeseeingMerge, Foreseen
+from madviz.agent.networks import ActorHead, NetworkConfig
+from madviz.agent.rssm import Belief
 from madviz.agent.sizes import PICTURE
 from madviz.agent.world_model import WorldModel
 
@@ -38,7 +39,7 @@ class WorldNetworks(nn.Module):
         self.world = WorldModel(config, tokens)
 
 
-class MvMwm(DrawingMerge):
+class MvMwm(ForeseeingMerge):
     def networks(self, config: NetworkConfig, streams: Streams) -> WorldNetworks:
         return WorldNetworks(config, streams)
 
@@ -56,14 +57,37 @@ class MvMwm(DrawingMerge):
         return features[:, mask].permute(2, 0, 1, 3, 4).flatten(2, 3)
 
     def read(self, net: WorldNetworks, tokens: Tensor) -> Tensor:
-        """The belief over the frames, from nothing."""
+        return self.belief(net, tokens).feature.unflatten(0, (len(tokens), -1))
+
+    def belief(self, net: WorldNetworks, tokens: Tensor) -> Belief:
+        """(N, F, B, K, W) -> of N x B samples, rebuilt over the frames from nothing."""
         embedded = net.world.embed(net.autoencoder.features(tokens.flatten(0, 2)))
         frames = embedded.unflatten(0, tokens.shape[:3]).transpose(0, 1)
-        belief = net.world.rssm.observe(frames.flatten(1, 2), None)
-        return belief.feature.unflatten(0, (len(tokens), -1))
+        return net.world.rssm.observe(frames.flatten(1, 2), None)
 
     def seen(self, net: WorldNetworks, features: Tensor, mask: Tensor) -> Tensor:
         return net.autoencoder.features(self.present(features, mask)[-1])
+
+    def foreseen(
+        self,
+        net: WorldNetworks,
+        actor: ActorHead,
+        features: Tensor,
+        mask: Tensor,
+        state: Tensor,
+        decisions: int,
+    ) -> Foreseen:
+        """Pictures are drawn from the tokens that the beliefs predict of all views."""
+        world, model = net.world, net.autoencoder
+        belief = self.belief(net, self.present(features, mask.bool())[None])
+        course = likeliest(world, actor, belief, state, decisions)
+        later = course.feature.flatten(0, 1)
+        every = whole_views(torch.ones_like(mask, dtype=torch.bool), model.tokens_of_a_view)
+        tokens = world.predicted_features(later)
+        drawn = model.draw(tokens, every.expand(len(tokens), -1)).pictures.clamp(0, 1)
+        reward = world.predicted_reward(later)
+        shape = course.feature.shape[:2]
+        return Foreseen(drawn.unflatten(0, shape), reward.view(shape), course.action)
 
     def feature_of_each(self, net: WorldNetworks, features: Tensor, streams: Streams) -> Tensor:
         """Every stream's own tokens of the newest frame, before they have seen others."""

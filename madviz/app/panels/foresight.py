@@ -1,0 +1,154 @@
+"""A button that lets a policy imagine its next decisions, and what then happens beside them.
+
+Two rows for each stream, one picture for each of some decisions: what was imagined, and under it,
+as the episode goes on, what the camera sees then. Below, the reward that was foreseen and the one
+that was got. Nothing of it is there with a policy that has no world model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+from typing import Any
+
+import cv2
+import numpy as np
+import viser
+
+from madviz.analysis.foresight import DECISIONS, Foresight, mean_psnr
+from madviz.app.panel import Assign
+from madviz.app.panels.features import stream_label
+from madviz.app.toolkit import WidgetPanel, on_press
+from madviz.drawing.colours import FAINT, INK, MUTED, NOTE
+from madviz.drawing.jpeg import jpeg_url
+from madviz.session.commands import Command, Foresee
+from madviz.session.frame import Frame
+from madviz.types import Array
+
+SHOWN = (1, 2, 3, 4, 5, 7, 9, 11, 13, 15)
+"""Decisions that have a picture, counted from 1."""
+TILE, GAP = 52, 2
+"""Pixels of a picture, and between two."""
+WIDTH, HEIGHT, LEFT = 600, 64, 44
+"""Units of the reward's drawing, and left of it."""
+HINT = "From this step on, with the cameras that are on now. The episode goes on meanwhile."
+_GROUND = 30
+
+
+class ForesightPanel(WidgetPanel):
+    """A button and what came of it. ``send`` None: read-only."""
+
+    def __init__(
+        self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
+    ) -> None:
+        self._of: Foresight | None = None
+        self._html = ""
+        self._button: Any = None
+        self.handles: list[Any] = []
+        if send is not None:
+            self._button = gui.add_button(f"imagine {DECISIONS} decisions", hint=HINT)
+            self._button.visible = frame.world.foresees
+            on_press(self._button, lambda: send(Foresee()))
+            self.handles.append(self._button)
+        self._drawing = gui.add_html(self._content(frame))
+        self.handles.append(self._drawing)
+
+    def update(self, frame: Frame) -> list[Assign]:
+        changes = [Assign(self._drawing, "content", self._content(frame))]
+        if self._button is not None:
+            changes.append(Assign(self._button, "visible", frame.world.foresees))
+        return changes
+
+    def _content(self, frame: Frame) -> str:
+        """Drawn anew where something has happened since."""
+        if frame.foresight is not self._of:
+            self._of = frame.foresight
+            self._html = foresight_html(self._of, frame) if self._of else ""
+        return self._html
+
+
+def foresight_html(foresight: Foresight, frame: Frame) -> str:
+    """The pictures, the reward and a sentence."""
+    rows = [_row("after decision", _numbers())]
+    for index, stream in enumerate(foresight.streams):
+        imagined = [foresight.future.pictures[n - 1, index] for n in SHOWN]
+        happened = [
+            foresight.happened[n - 1].pictures[index] if n <= len(foresight.happened) else None
+            for n in SHOWN
+        ]
+        label = stream_label(frame, stream)
+        rows.append(_row(f"{escape(label)}, imagined", _pictures(imagined, f"{label} imagined")))
+        rows.append(_row("what happened", _pictures(happened, f"{label} as it happened"), "dim"))
+    return (
+        f'<div class="mv mv-foresight"><div>{foresight_words(foresight)}</div>'
+        f"{''.join(rows)}{_reward_svg(foresight)}</div>"
+    )
+
+
+def foresight_words(foresight: Foresight) -> str:
+    """``Imagined at step 12 from all. Of 15 decisions 7 have happened: ...``"""
+    count, many = len(foresight.happened), len(foresight.future.reward)
+    said = f"Imagined at step {foresight.step} from <b>{escape(foresight.condition)}</b>, without "
+    said += f"another picture. Of {many} decisions {count} have been taken since"
+    said += ", then the episode was over" if foresight.closed and count < many else ""
+    psnr = mean_psnr(foresight)
+    said += f"; imagined pictures have {psnr:.1f} dB where something moves." if count else "."
+    if foresight.disturbed:
+        said += " Cameras were changed meanwhile, so what happened is no test of it."
+    return said
+
+
+def _row(label: str, content: str, style: str = "") -> str:
+    left = f'<div class="{style}" style="width:8.5em;flex:none;font-size:11px">{label}</div>'
+    return f'<div style="display:flex;align-items:center;gap:4px">{left}{content}</div>'
+
+
+def _numbers() -> str:
+    pitch = 100 / len(SHOWN)
+    cells = "".join(f'<span style="width:{pitch}%;text-align:center">{n}</span>' for n in SHOWN)
+    return f'<div style="display:flex;flex:1;font-size:11px;color:{MUTED}">{cells}</div>'
+
+
+def _pictures(pictures: Sequence[Array | None], words: str) -> str:
+    """All of a row in one image; what is not known yet is dark."""
+    strip = np.full((TILE, len(pictures) * (TILE + GAP), 3), _GROUND, np.uint8)
+    for column, picture in enumerate(pictures):
+        if picture is not None:
+            left = column * (TILE + GAP) + GAP // 2
+            small = cv2.resize(picture, (TILE, TILE), interpolation=cv2.INTER_AREA)
+            strip[:, left : left + TILE] = small if small.ndim == 3 else small[..., None]
+    return (
+        f'<img src="{jpeg_url(strip)}" alt="{escape(words)}" '
+        'style="flex:1;min-width:0;display:block;margin:1px 0">'
+    )
+
+
+def _reward_svg(foresight: Foresight) -> str:
+    """Foreseen as a dashed line, got as a solid one."""
+    foreseen = [float(r) for r in foresight.future.reward]
+    got = [one.reward for one in foresight.happened]
+    known = [r for r in (*foreseen, *got) if np.isfinite(r)] or [0.0]
+    low, high = min(*known, 0.0), max(*known, 1e-6)
+    right, base, top = WIDTH - 90, HEIGHT - 8, 8
+
+    def line(values: Sequence[float], colour: str, dashes: str = "") -> str:
+        places = " ".join(
+            f"{LEFT + (right - LEFT) * n / (len(foreseen) - 1):.0f},"
+            f"{base - (base - top) * (value - low) / (high - low):.0f}"
+            for n, value in enumerate(values)
+        )
+        return (
+            f'<polyline points="{places}" fill="none" stroke="{colour}" stroke-width="1.8" '
+            f'stroke-dasharray="{dashes}"/>'
+        )
+
+    return (
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" style="width:100%;display:block" font-size="11" '
+        f'font-family="inherit" fill="{MUTED}">'
+        f'<line x1="{LEFT}" x2="{right}" y1="{base}" y2="{base}" stroke="{FAINT}"/>'
+        f'<text x="{LEFT - 4}" y="{top + 8}" text-anchor="end">{high:.2f}</text>'
+        f'<text x="{LEFT - 4}" y="{base}" text-anchor="end">{low:.2f}</text>'
+        f"{line(foreseen, NOTE, '5 3')}{line(got, INK)}"
+        f'<text x="{right + 8}" y="{top + 10}" fill="{NOTE}">reward foreseen</text>'
+        f'<text x="{right + 8}" y="{top + 28}" fill="{INK}">reward got</text></svg>'
+    )
