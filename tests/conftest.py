@@ -16,6 +16,14 @@ install_import_hook(MODULES, "tests.shapes.checked")
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 
+@pytest.fixture(autouse=True)
+def _seeded() -> None:
+    """Networks that a test makes are the same whichever tests ran before it."""
+    import torch
+
+    torch.manual_seed(0)
+
+
 @pytest.fixture
 def session():
     """A session whose frames are kept, at its first step."""
