@@ -205,6 +205,34 @@ def test_alphas_are_compared_on_the_task_they_share(tmp_path: Path) -> None:
     assert push.endswith("The paper finds alpha 0.8 best.")
 
 
+def test_alphas_are_compared_on_the_trainings_they_share(tmp_path: Path) -> None:
+    """Alpha 0.8 is best where each was trained; two more trainings of it fail."""
+    for alpha, seed, rate in ((0.5, 1, 0.8), (0.8, 1, 0.9), (0.8, 2, 0.1), (0.8, 3, 0.1)):
+        write_policy(
+            tmp_path, rates(rate, rate, rate, rate), alpha=alpha, seed=seed,
+            folder=f"alpha{alpha}-{seed}",
+        )  # fmt: skip
+    (said,) = claims(table(tmp_path, "alpha"))
+    assert "alpha 0.8 minus alpha 0.5: +10 points" in said and "n = 100 on 1 task" in said
+
+
+def test_methods_that_were_trained_often_are_compared_task_by_task(tmp_path: Path) -> None:
+    """Push three times, hammer once: their average has one training of each."""
+    for task, seeds in (("metaworld/hammer", (1,)), ("metaworld/push", (1, 2, 3))):
+        for seed in seeds:
+            mad = rates(0.9, 0.9, 0.9, 0.9)
+            write_policy(tmp_path, mad, task=task, seed=seed, folder=f"{task}/mad-{seed}")
+            vib = rates(0.9, 0.9, 0.0, 0.2)
+            write_policy(
+                tmp_path, vib, task=task, seed=seed, method="vib", merge="vib",
+                folder=f"{task}/vib-{seed}",
+            )  # fmt: skip
+    often = [line for line in claims(table(tmp_path, "overall")) if "trainings of each" in line]
+    assert len(often) == 1
+    assert often[0].startswith("On metaworld/push, 3 trainings of each, MAD minus vib: +40 points")
+    assert often[0].endswith("n = 300 on 1 task.")
+
+
 @pytest.mark.parametrize(
     ("others", "end"),
     [

@@ -181,19 +181,28 @@ def test_a_later_look_at_development_seeds_leaves_the_reported_figures(toy: Path
     assert list(read_evidence(toy).development) == ["all", "first", "none"]
 
 
-def test_figures_in_readme_compare_alike_seeds(
+def test_figures_in_readme_pool_trainings_on_alike_seeds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The first training was counted on reporting seeds later; the others are figures only."""
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    tool = importlib.import_module("fill_figures")
-    monkeypatch.setattr(importlib.import_module("policy_files"), "ROOT", tmp_path)
+    tool, files = map(importlib.import_module, ("fill_figures", "policy_files"))
+    monkeypatch.setattr(files, "ROOT", tmp_path)
     shown = write_policy(tmp_path / "checkpoints", rates(0.5, 0.5, 0.5, 0.5), folder="shown")
-    write_policy(tmp_path / "results" / "tables", GOOD, folder="row")
     move_to_reporting(shown, rates(1, 1, 1, 1))
-    (alone,) = tool.measured("shown")
-    assert tool.count(alone) == "n = 100, reporting seeds" and tool.rate(alone)[:4] == "1.00"
-    one, other = tool.measured("shown", "row")
-    assert tool.rate(one)[:4] == "0.50" and tool.seeds(one) == tool.seeds(other)
+    for seed, rate in ((2, 0.6), (3, 0.7)):
+        tried = rates(rate, rate, rate, rate)
+        write_policy(tmp_path / "results/tables", tried, seed=seed, folder=f"row-{seed}")
+    write_policy(
+        tmp_path / "results/tables", GOOD, method="vib", merge="vib", folder="metaworld-hammer-vib"
+    )
+    files.methods.cache_clear()
+    rows = files.methods("metaworld/hammer")
+    files.methods.cache_clear()
+    assert rows["mad"].trainings == 3 and rows["mad"].seeds == "development"
+    assert tool.pooled(rows["mad"], "all").startswith("0.60 [")
+    assert tool.gap(rows["vib"], rows["mad"], ["all"]).startswith("+45 points"), "of one training"
+    assert tool.count(files.evaluation("shown")) == "n = 100, reporting seeds"
 
 
 def test_what_ships_keeps_the_rule() -> None:

@@ -1,4 +1,4 @@
-"""docs/hammer.svg and docs/push.svg, README's two plots, from the files of the policies.
+"""docs/push.svg and docs/push-cube.svg, README's two plots, from the files of the policies.
 
 python tools/figures.py
 """
@@ -7,52 +7,45 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from policy_files import LABELS, SINGLES, measured, seeds
+from policy_files import LABELS, SINGLES, methods
 
 from madviz.plots.figures import Bar, bars
+from madviz.report.rows import Row
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 GROUPS = ("all", *SINGLES)
-HAMMER = {
-    "MAD": "metaworld-hammer-mad-light",
-    "Merged Only": "metaworld-hammer-merged-only-light",
-    "Singular Only": "metaworld-hammer-singular-only-light",
-}
-PUSH = {
-    "MAD": "metaworld-push-mad-light-12x300",
-    "Single": "metaworld-push-single-{camera}-light",
-    "Singular Only": "metaworld-push-singular-only-light",
-    "MVD": "metaworld-push-mvd-light",
-    "Merged Only": "metaworld-push-merged-only-light",
-    "VIB": "metaworld-push-vib-light",
+SHOWN = {
+    "MAD": "mad",
+    "Single": "single",
+    "Singular Only": "singular-only",
+    "MVD": "mvd",
+    "Merged Only": "merged-only",
+    "VIB": "vib",
 }
 
 
-def figure(title: str, policies: dict[str, str]) -> str:
-    """SVG text: a group of bars for all cameras and for each one alone. ``Single`` is a policy for
-    each camera, and has no bar for all."""
-    folders = {
-        (name, group): policy.format(camera=group)
-        for name, policy in policies.items()
-        for group in GROUPS
-        if group != "all" or "{camera}" not in policy
-    }
-    found = dict(zip(folders, measured(*folders.values()), strict=True))
-    series: dict[str, list[Bar | None]] = {}
-    for name, policy in policies.items():
-        for group in GROUPS:
-            one = found.get((name, group), {"subsets": {}})
-            row = one["subsets"].get("all" if "{camera}" in policy else group)
-            bar = Bar(row["success"], *row["ci95"]) if row else None
-            series.setdefault(name, []).append(bar)
+def figure(title: str, task: str) -> str:
+    """SVG text: a group of bars for all cameras and for each one alone, a dot for each training.
+    Single is a policy for each camera, and has no bar for all."""
+    rows = methods(task)
+    series = {name: [_bar(rows[label], group) for group in GROUPS] for name, label in SHOWN.items()}
     names = ["all cameras", *(f"{LABELS[one]} alone" for one in SINGLES)]
-    use = seeds(next(iter(found.values())))
-    return bars(f"{title}: success at the last step, 95% intervals, {use}", names, series)
+    mad = rows["mad"]
+    words = f"success at the last step, {mad.trainings} trainings, {mad.seeds} seeds"
+    return bars(f"{title}: {words}", names, series)
+
+
+def _bar(row: Row, group: str) -> Bar | None:
+    rate = row.rate(group)
+    if rate is None:
+        return None
+    each = (row.seeded({seed}).rate(group) for seed in sorted(row.training_seeds))
+    return Bar(rate.value, *rate.interval, tuple(one.value for one in each if one))
 
 
 def main() -> None:
-    (DOCS / "hammer.svg").write_text(figure("Hammer", HAMMER))
-    (DOCS / "push.svg").write_text(figure("Push, small budget", PUSH))
+    (DOCS / "push.svg").write_text(figure("Push, small budget", "metaworld/push"))
+    (DOCS / "push-cube.svg").write_text(figure("PushCube, small budget", "maniskill/push-cube"))
 
 
 if __name__ == "__main__":

@@ -13,11 +13,14 @@ import ast
 import json
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import measurements
-from policy_files import LABELS, ROOT, SINGLES, Evaluation, measured, seeds
+from policy_files import LABELS, ROOT, SINGLES, Evaluation, methods, seeds
+
+from madviz.report.claims import signed
+from madviz.report.rows import Row, difference
 
 BLOCK = re.compile(r"(<!-- figures: ([a-z-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 WEAK = 0.70
@@ -29,10 +32,6 @@ def rate(found: Evaluation, subset: str = "all") -> str:
     row = found["subsets"][subset]
     low, high = row["ci95"]
     return f"{row['success']:.2f} [{low:.2f}, {high:.2f}]"
-
-
-def rates(found: Evaluation) -> str:
-    return ", ".join(rate(found, subset) for subset in SINGLES)
 
 
 def count(found: Evaluation) -> str:
@@ -65,27 +64,45 @@ def weak() -> str:
 
 
 def findings() -> str:
-    hammer, merged = measured("metaworld-hammer-mad-light", "metaworld-hammer-merged-only-light")
-    push, singular, *alone = measured(
-        "metaworld-push-mad-light-12x300",
-        "metaworld-push-singular-only-light",
-        *(f"metaworld-push-single-{one}-light" for one in SINGLES),
+    push, cube = methods("metaworld/push"), methods("maniskill/push-cube")
+    mad, merged, single, singular = (
+        push[name] for name in ("mad", "merged-only", "single", "singular-only")
     )
     names = "First person, Third A and Third B"
+    about = f"{mad.trainings} trainings, n = {len(mad.cells['all'])}, {mad.seeds} seeds"
     return (
-        f"1. **A policy trained on the sum alone fails on one camera.** Hammer, all cameras: MAD "
-        f"{rate(hammer)}, Merged Only {rate(merged)}. On {names} alone: MAD {rates(hammer)}; "
-        f"Merged Only {rates(merged)} ({count(hammer)}). *Limit:* Singular Only does as well "
-        f"there (on development seeds, as in the plot), so hammer shows what training on single "
-        f"cameras gives, and not what the sum adds.\n"
-        f"2. **One policy for all cameras can beat one policy for each.** Push at a small budget: "
-        f"on each camera alone MAD has {rates(push)}; three policies with one camera each have "
-        f"{', '.join(rate(one) for one in alone)} ({count(push)}). Singular Only reaches "
-        f"{rate(singular)} on all cameras, MAD {rate(push)}. *Limit:* one training each, and "
-        f"alpha was chosen on these seeds.\n"
+        f"1. **A policy trained on the sum alone fails on one camera.** Push ({about}), all "
+        f"cameras: MAD {pooled(mad, 'all')}, Merged Only {pooled(merged, 'all')}. On {names} "
+        f"alone: MAD {pooled(mad)}; Merged Only {pooled(merged)}. *Limit:* a small budget; "
+        f"PushCube's First person alone is enough for Merged Only too.\n"
+        f"2. **One policy for all cameras can beat one policy for each.** On push's single "
+        f"cameras, three policies with one camera each have {pooled(single)}. MAD minus these: "
+        f"{gap(mad, single, SINGLES)}; on PushCube {gap(cube['mad'], cube['single'], SINGLES)}. "
+        f"MAD minus Singular Only, all cameras: {gap(mad, singular, ['all'])}; on PushCube "
+        f"{gap(cube['mad'], cube['singular-only'], ['all'])}. *Limit:* two tasks; MAD's alpha was "
+        f"chosen with push's first training, on these episodes.\n"
         f"3. **Not every camera is enough.** {weak()}. *Limit:* a picture that does not show what "
         f"decides and a training that is too weak look the same in a rate.\n"
     )
+
+
+def pooled(row: Row, *subsets: str) -> str:
+    """Rates over all trainings; of every single camera if no subset is given."""
+    words = []
+    for subset in subsets or SINGLES:
+        found = row.rate(subset)
+        assert found, f"expected {row.label} to be measured on {subset}"
+        low, high = found.interval
+        words.append(f"{found.value:.2f} [{low:.2f}, {high:.2f}]")
+    return ", ".join(words)
+
+
+def gap(first: Row, second: Row, subsets: Sequence[str]) -> str:
+    """For example ``+15 points [+2, +28]``, paired."""
+    found = difference(first, second, subsets)
+    assert found, "both have these subsets"
+    low, high = found.interval
+    return f"{signed(found.value)} points [{signed(low)}, {signed(high)}]"
 
 
 def tree() -> str:

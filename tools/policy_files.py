@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any
+
+from madviz.evaluation.evidence import find_evidence
+from madviz.report.layouts import LAYOUTS
+from madviz.report.rows import Row
+from madviz.report.tables import build
 
 ROOT = Path(__file__).resolve().parent.parent
 SINGLES = ("first", "third_a", "third_b")
 LABELS = {"first": "First person", "third_a": "Third A", "third_b": "Third B"}
 Evaluation = dict[str, Any]
 """An evaluation.json."""
-
-
-def measured(*policies: str) -> list[Evaluation]:
-    """What was measured of each, all on reporting seeds or all on development seeds."""
-    found = [evaluation(policy) for policy in policies]
-    if len({seeds(one) for one in found}) == 1:
-        return found
-    return [evaluation(policy, development=True) for policy in policies]
 
 
 def evaluation(policy: str, development: bool = False) -> Evaluation:
@@ -30,6 +28,15 @@ def evaluation(policy: str, development: bool = False) -> Evaluation:
         if file.is_file():
             return json.loads((earlier if development and earlier.is_file() else file).read_text())
     raise FileNotFoundError(f"expected {policy}/evaluation.json in checkpoints/ or results/tables/")
+
+
+@cache
+def methods(task: str) -> dict[str, Row]:
+    """By method, the row of ``results/RESULTS.md`` on one task, with all its trainings."""
+    overall = next(layout for layout in LAYOUTS if layout.key == "overall")
+    evidence, _ = find_evidence(ROOT / "checkpoints", ROOT / "results")
+    tables = [one for one in build(overall, evidence) if one.imitation]
+    return {row.label: row for one in tables for at, row in one.rows if at == task}
 
 
 def seeds(found: Evaluation) -> str:

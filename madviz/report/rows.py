@@ -48,8 +48,12 @@ class Row:
     @property
     def trainings(self) -> int:
         """Training seeds, at most, on any of the tasks."""
-        seeds = {unit[:2] for cell in self.cells.values() for unit in cell}
-        return max(Counter(task for task, _ in seeds).values(), default=0)
+        return max(Counter(task for task, _ in self._trained).values(), default=0)
+
+    @property
+    def training_seeds(self) -> set[int]:
+        """Of its trainings, on whichever task."""
+        return {seed for _, seed in self._trained}
 
     @property
     def seeds(self) -> str:
@@ -58,25 +62,32 @@ class Row:
 
     def on(self, tasks: Collection[str]) -> Row:
         """The same row with the episodes of ``tasks`` only."""
-        cells = {
-            column: {unit: success for unit, success in cell.items() if unit[0] in tasks}
-            for column, cell in self.cells.items()
-        }
-        return Row(self.label, cells, [each for each in self.evidence if each.config.task in tasks])
+        return self._of({each for each in self._trained if each[0] in tasks})
+
+    def seeded(self, seeds: Collection[int]) -> Row:
+        """The same row with the trainings of ``seeds`` only."""
+        return self._of({each for each in self._trained if each[1] in seeds})
 
     def equal_trainings(self) -> Row:
         """The same row with equally many trainings of every task, those of the lowest seeds. So a
         task that was trained more often does not pull an average towards itself."""
-        seeds: dict[str, set[int]] = {}
-        for task, seed, _ in (unit for cell in self.cells.values() for unit in cell):
-            seeds.setdefault(task, set()).add(seed)
+        seeds: dict[str, list[int]] = {}
+        for task, seed in sorted(self._trained):
+            seeds.setdefault(task, []).append(seed)
         least = min(map(len, seeds.values()), default=0)
-        kept = {(task, seed) for task, each in seeds.items() for seed in sorted(each)[:least]}
+        return self._of({(task, seed) for task, each in seeds.items() for seed in each[:least]})
+
+    @property
+    def _trained(self) -> set[tuple[str, int]]:
+        """Task and training seed of every training with an episode in any cell."""
+        return {unit[:2] for cell in self.cells.values() for unit in cell}
+
+    def _of(self, trained: Collection[tuple[str, int]]) -> Row:
         cells = {
-            column: {unit: success for unit, success in cell.items() if unit[:2] in kept}
+            column: {unit: success for unit, success in cell.items() if unit[:2] in trained}
             for column, cell in self.cells.items()
         }
-        evidence = [each for each in self.evidence if (each.config.task, each.seed) in kept]
+        evidence = [each for each in self.evidence if (each.config.task, each.seed) in trained]
         return Row(self.label, cells, evidence)
 
     def rate(self, column: str) -> SuccessRate | None:
