@@ -8,6 +8,7 @@ docs/page.png is the whole page, docs/panels/NAME.png one part of it each. Colou
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 
@@ -95,19 +96,42 @@ def compare(page: Page) -> None:
     keep(page, "panels/comparison", picture, wait=0)
 
 
-def main() -> None:
-    app = open_app(ExploreConfig(port=8137, workers=1))
+def imagine(page: Page) -> None:
+    """What MV-MWM imagines of a camera that is dropped and of the next decisions."""
+    page.wait_for_selector(".mv-status", timeout=60_000)
+    page.keyboard.press("Escape")
+    page.get_by_role("tab", name="Inside").click()
+    page.get_by_role("button", name="off", exact=True).nth(2).click()
+    page.get_by_role("button", name="next", exact=True).click()
+    page.wait_for_timeout(300)
+    page.get_by_role("button", name="imagine 15 decisions").click()
+    page.get_by_text("Of 15 decisions 15 have been taken since").wait_for(timeout=60_000)
+    picture = part(page, ".mv-foresight", 0, LEFT)
+    height = page.locator(".mv-foresight").bounding_box()
+    assert height is not None
+    keep(page, "panels/foresight", {**picture, "height": height["height"]})
+
+
+def photograph(config: ExploreConfig, height: int, take: Callable[[Page], None]) -> None:
+    """Serves the page, opens it in a browser and calls ``take`` with it."""
+    app = open_app(config)
     try:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(
                 executable_path=str(find_browser()), args=list(CHROMIUM_FLAGS)
             )
-            page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+            page = browser.new_page(viewport={"width": WIDTH, "height": height})
             page.goto(app.url)
             take(page)
             browser.close()
     finally:
         app.stop()
+
+
+def main() -> None:
+    photograph(ExploreConfig(port=8137, workers=1), HEIGHT, take)
+    world_model = ExploreConfig(policy="toy-reach-mv-mwm-mv-mwm", port=8138, workers=0)
+    photograph(world_model, 2 * HEIGHT, imagine)
 
 
 if __name__ == "__main__":

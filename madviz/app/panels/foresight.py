@@ -129,7 +129,7 @@ def _reward_svg(foresight: Foresight) -> str:
     got = [one.reward for one in foresight.happened]
     known = [r for r in (*foreseen, *got) if np.isfinite(r)] or [0.0]
     low, high = min(*known, 0.0), max(*known, 1e-6)
-    right, base, top = WIDTH - 90, HEIGHT - 8, 8
+    right, base, top = WIDTH - 106, HEIGHT - 8, 8
 
     def line(values: Sequence[float], colour: str, dashes: str = "") -> str:
         places = " ".join(
