@@ -75,6 +75,7 @@ bench: setup-dev
 	$(BIN)/madviz bench render --suite maniskill --json results/bench/render-maniskill.json
 	$(BIN)/madviz bench live --json results/bench/live.json
 	$(BIN)/madviz bench live --training --json results/bench/live-training.json
+	$(BIN)/madviz bench live --policy toy-reach-mv-mwm-mv-mwm --workers 0 --json results/bench/live-imagined.json
 	$(BIN)/madviz bench crowd --json results/bench/crowd.json
 	$(BIN)/madviz bench update --json results/bench/update.json
 	$(BIN)/madviz bench buffer --json results/bench/buffer.json

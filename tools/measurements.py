@@ -26,6 +26,13 @@ BENCHMARKS = (
     ("live", "with_workers", "live", f"beside an evaluation: {PAGE}"),
     ("live-training", "with_training", "live --training", f"beside a training: {PAGE}"),
     (
+        "live-imagined",
+        "",
+        "live --policy toy-reach-mv-mwm-mv-mwm --workers 0",
+        "while a dropped camera is imagined: {updates_per_s_dropped:.0f} updates per second (with "
+        "all cameras {updates_per_s:.0f})",
+    ),
+    (
         "crowd",
         "",
         "crowd",

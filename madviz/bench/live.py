@@ -2,13 +2,14 @@
 
 Everything is timed inside the browser, by its own clock: an *update* is a simulator step that was
 not seen before and whose picture has been decoded, a *toggle* runs from the click on a button to
-the moment when the picture shows that camera dropped (its tile has lost all colour) and the text of
-the action has changed. The server is a process of its own, as a user would start it, at full speed.
+the moment when the picture shows that camera dropped (its tile has lost all colour, or has the
+frame around what is imagined) and the text of the action has changed. The server is a process of its own, as a user would start it, at full speed.
 
 What watchers get is timed by visitors without browsers (``bench/visitor.py``): real watchers use
 machines of their own, and four browsers on two cores would time each other.
 
     updates_per_s, toggle_ms_p50, toggle_ms_p95, toggle_ms   one browser, scene and curves on
+    updates_per_s_dropped                                    without the first camera
     readout_ms                                               action and Q of every subset
     watchers: {count, updates_per_s, least, owner}           of one simulation, without workers
     with_workers: {updates_per_s, ...}                       the browser again, beside evaluations
@@ -144,7 +145,8 @@ def await_that(happened: Callable[[], object], patience: float) -> bool:
 
 
 def measure(config: LiveConfig, workers: int) -> dict[str, Any]:
-    """One server, one browser: counts updates, then switches cameras off and on."""
+    """One server, one browser: counts updates, with all cameras and without the first (which some
+    policies imagine then), and switches cameras off and on."""
     address = "" if config.scene else "/?fixedDpr=0.05"
     with (
         serving(options(config, workers)) as (url, _),
@@ -153,10 +155,15 @@ def measure(config: LiveConfig, workers: int) -> dict[str, Any]:
         page.evaluate(STOPWATCH.read_text())
         page.wait_for_timeout(3000)
         updates = updates_per_s(page, config.seconds)
+        switch(page, camera=0, off=True)
+        dropped = updates_per_s(page, config.seconds)
+        switch(page, camera=0, off=False)
+        page.evaluate("madviz.toggles = []")
         raw = toggle_ms(page, config.toggles)
     ordered = sorted(raw)
     return {
         "updates_per_s": round(updates, 2),
+        "updates_per_s_dropped": round(dropped, 2),
         "toggle_ms_p50": round(statistics.median(ordered), 1),
         "toggle_ms_p95": round(ordered[min(len(ordered) - 1, int(0.95 * len(ordered)))], 1),
         "toggle_ms": [round(value, 1) for value in raw],
@@ -176,6 +183,12 @@ def updates_per_s(page: Page, seconds: float) -> float:
     return len({name for _, name in steps}) / (taken / 1000)
 
 
+def switch(page: Page, camera: int, off: bool) -> None:
+    """Clicks, and waits for the picture and the text that show it."""
+    page.evaluate(f"madviz.toggle({camera}, {'true' if off else 'false'})")
+    page.wait_for_function("madviz.pending === null", timeout=20_000, polling=20)
+
+
 def toggle_ms(page: Page, count: int) -> list[float]:
     """Milliseconds from click to picture and text, at moments unrelated to steps."""
     rng = random.Random(0)
@@ -183,8 +196,7 @@ def toggle_ms(page: Page, count: int) -> list[float]:
     for number in range(count):
         camera = number % 3
         off[camera] = not off[camera]
-        page.evaluate(f"madviz.toggle({camera}, {'true' if off[camera] else 'false'})")
-        page.wait_for_function("madviz.pending === null", timeout=20_000, polling=20)
+        switch(page, camera, off[camera])
         page.wait_for_timeout(rng.uniform(100, 300))
     return page.evaluate("madviz.toggles")
 
