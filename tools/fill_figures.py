@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import measurements
-from policy_files import LABELS, ROOT, SINGLES, Evaluation, methods, seeds
+from policy_files import LABELS, ROOT, SINGLES, Evaluation, evaluation, methods, seeds
 
 from madviz.report.claims import signed
 from madviz.report.rows import Row, difference
@@ -84,6 +84,16 @@ def findings() -> str:
         f"3. **Not every camera is enough.** {weak()}. *Limit:* a picture that does not show what "
         f"decides and a training that is too weak look the same in a rate.\n"
     )
+
+
+def mv_mwm() -> str:
+    """Success of the included policy with a world model."""
+    found = evaluation("toy-reach-mv-mwm-mv-mwm")
+    subsets = ("all", *SINGLES)
+    rows = "\n".join(
+        f"| {LABELS.get(one, 'all cameras')} | {rate(found, one)} |" for one in subsets
+    )
+    return f"| {found['policy']} | success ({count(found)}) |\n|---|---|\n{rows}\n"
 
 
 def pooled(row: Row, *subsets: str) -> str:
@@ -161,6 +171,7 @@ def summary(file: Path) -> str:
 
 BLOCKS: dict[str, Callable[[], str]] = {
     "findings": findings,
+    "mv-mwm": mv_mwm,
     "tree": tree,
     "files": files,
     "benchmarks": measurements.benchmarks,

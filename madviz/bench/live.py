@@ -3,7 +3,8 @@
 Everything is timed inside the browser, by its own clock: an *update* is a simulator step that was
 not seen before and whose picture has been decoded, a *toggle* runs from the click on a button to
 the moment when the picture shows that camera dropped (its tile has lost all colour, or has the
-frame around what is imagined) and the text of the action has changed. The server is a process of its own, as a user would start it, at full speed.
+frame around what is imagined) and the text of the action has changed. The server is a process of
+its own, as a user would start it, at full speed.
 
 What watchers get is timed by visitors without browsers (``bench/visitor.py``): real watchers use
 machines of their own, and four browsers on two cores would time each other.

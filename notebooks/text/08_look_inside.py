@@ -11,11 +11,12 @@
 #
 # **Question: success says whether a policy works. How do you find out what it works *with*?**
 #
-# Four ways to look into one episode: the features, the pixels an action depends on, the Shapley
-# value of each camera, and a recording that you can play forth and back. The policy is
-# merged-only on hammer, the one that fails when cameras are missing.
+# Five ways to look into one episode: the features, the pixels an action depends on, the Shapley
+# value of each camera, a recording that you can play forth and back, and what a policy imagines of
+# a camera that is missing. The policy is merged-only on hammer, the one that fails when cameras are
+# missing; only the last part has another one, because only a world model imagines.
 #
-# Time: 40 minutes. Lesson 4 comes before this one.
+# Time: 50 minutes. Lesson 4 comes before this one.
 
 # %%
 import tempfile
@@ -29,6 +30,7 @@ from madviz import teaching
 from madviz.analysis.saliency import saliency
 from madviz.analysis.shapley import action_shapley
 from madviz.subsets import mask_of, name_of
+from madviz.teaching.imagining import foreseen_sheet, imagined_psnr, imagined_sheet
 from madviz.teaching.inside import (
     norm_curves,
     record,
@@ -177,6 +179,53 @@ viewer = Viewer(file) if VIEWER else None
 viewer
 
 # %% [markdown]
+# ## 5. What does it imagine?
+#
+# The policies so far read pictures, and cannot say what a missing one would show. MV-MWM can: its
+# encoder has learned to draw all cameras from some of them (a *masked autoencoder*), and a world
+# model predicts what an action leads to. This one has learned the small task `toy/reach`: a blue
+# hand has to reach a red target on a board. First person rides on the hand; Third A and Third B
+# look down on the whole board.
+
+# %%
+world_model = madviz.load_policy("toy-reach-mv-mwm-mv-mwm")
+reach = list(teaching.moments(world_model, seed=2001))
+imagined_sheet(reach[5], "third_b")
+
+# %% [markdown]
+# Left of each pair is what the camera really shows, right what is imagined from Third B alone. Most
+# of a picture never changes, so a number for the whole picture would be high for anything. Only the
+# pixels that move are judged: dB are a peak signal-to-noise ratio over them, and more is better.
+
+# %% tags=["prediction"]
+guess_camera = Predict(
+    "From which camera alone is Third A imagined better?",
+    ["First person", "Third B", "equally well from both"],
+)
+guess_camera
+
+# %%
+others = ("first", "third_b", "first+third_b")
+guess_camera.compare(
+    "; ".join(f"from {names} {imagined_psnr(reach, 'third_a', names):.1f} dB" for names in others)
+)
+
+# %% [markdown]
+# In the saved run Third B is better, by a little. First person shows the hand in its middle always,
+# and the target only when it is near: where on the board they are, it does not show at the start.
+# (The policy is also given the position of the hand as numbers, which helps it here.)
+#
+# The world model can go on without any picture: from step 4 on, it decides, predicts what follows,
+# and decides again. Above is what Third A showed after so many decisions, below what was foreseen
+# from First person and Third B.
+
+# %%
+foreseen_sheet(reach, step=4, subset="first+third_b", stream="third_a")
+
+# %% [markdown]
+# On the live page, choose the task `toy/reach` and this policy: every camera that you switch off
+# shows what is imagined, and the tab *Inside* foresees 15 decisions.
+#
 # ## Play
 #
 # Find the time step at which losing First person stops turning success into failure: play the
