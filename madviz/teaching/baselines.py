@@ -52,18 +52,21 @@ def run_cases(
 
 def on_robot(task: str) -> dict[str, dict[str, str]]:
     """Method -> outcomes with all cameras and with each alone, of the trainings of ``task`` that
-    were measured before and are comparable: one recipe, one budget, the same seeds. Single Camera
-    is a training per camera and has none with all."""
+    were measured before and are comparable: one recipe, one budget, the same seeds, and where some
+    methods were trained more often, the trainings that all have. Single Camera is a training per
+    camera and has none with all."""
 
     layout = replace(BASELINES, needs=2)
     for root in checkpoint.policy_roots():
         evidence, _ = find_evidence(root, checkpoint.results_beside(root))
         for found in build(layout, [each for each in evidence if each.config.task == task]):
+            rows = [row for _, row in found.rows]
+            shared = set.intersection(*(row.training_seeds for row in rows))
             return {
                 row.label: {
                     column: "".join(str(int(success)) for _, success in sorted(cell.items()))
-                    for column, cell in row.cells.items()
+                    for column, cell in row.seeded(shared).cells.items()
                 }
-                for _, row in found.rows
+                for row in rows
             }
     return {}

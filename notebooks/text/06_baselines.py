@@ -178,8 +178,9 @@ explorer
 #
 # Now an arm that pushes a puck (`metaworld/push`). Every method had as many demonstrations and
 # 3,600 updates, and the same 50 episodes with all cameras and with each alone (measured before,
-# `results/RESULTS.md` has the commands). Single Camera is three policies here, one for each camera,
-# and none of them was trained on another.
+# `results/RESULTS.md` has the commands). This is one training of each; eight of the rows were
+# trained twice more, and other trainings have other rates. Single Camera is three policies here,
+# one for each camera, and none of them was trained on another.
 
 # %% tags=["prediction"]
 guess_robot = Predict(
