@@ -7,6 +7,7 @@ from queue import Queue
 import gymnasium
 import numpy as np
 import pytest
+import stable_baselines3 as sb3
 
 from madviz.app.session_maker import SessionMaker
 from madviz.cli import main
@@ -19,8 +20,6 @@ from madviz.policies.sb3 import VARIABLE, trust
 from madviz.session.frame import Frame, NoFrame
 from madviz.session.process import SessionProcess, prepare
 from tests.sessions import Recorder
-
-sb3 = pytest.importorskip("stable_baselines3")
 
 
 @pytest.fixture(scope="module")

@@ -71,5 +71,5 @@ def foreseen_sheet(
     for n in after:
         truth, drawn = episode[step + n].arrived[stream], future.pictures[n - 1, place]
         happened[f"after {n}"] = truth
-        foreseen[f"foreseen: {moving_psnr(drawn, truth, usual):.0f} dB{' ' * n}"] = drawn
+        foreseen[f"foreseen {n}: {moving_psnr(drawn, truth, usual):.0f} dB"] = drawn
     return sheet({**happened, **foreseen}, size, columns=len(after))

@@ -106,10 +106,9 @@ def imagine(page: Page) -> None:
     page.wait_for_timeout(300)
     page.get_by_role("button", name="imagine 15 decisions").click()
     page.get_by_text("Of 15 decisions 15 have been taken since").wait_for(timeout=60_000)
-    picture = part(page, ".mv-foresight", 0, LEFT)
-    height = page.locator(".mv-foresight").bounding_box()
-    assert height is not None
-    keep(page, "panels/foresight", {**picture, "height": height["height"]})
+    box = page.locator(".mv-foresight").bounding_box()
+    assert box is not None
+    keep(page, "panels/foresight", {**box, "x": 0, "width": LEFT})
 
 
 def photograph(config: ExploreConfig, height: int, take: Callable[[Page], None]) -> None:
