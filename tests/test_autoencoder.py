@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from madviz.agent.autoencoder import (
     LEAST_KEPT,
     AutoencoderConfig,
     MultiViewAutoencoder,
+    autoencoder_loss,
     drawn_tokens,
     moving,
     newest,
@@ -129,6 +131,33 @@ def test_kept_tokens_are_of_as_many_views_in_every_sample(views: int):
 def test_kept_tokens_are_a_function_of_the_generator():
     draws = [drawn_tokens(torch.Generator().manual_seed(seed), 4, 3, 36) for seed in (1, 1, 2)]
     assert torch.equal(draws[0], draws[1]) and not torch.equal(draws[0], draws[2])
+
+
+def test_without_view_masking_every_view_keeps_some_tokens():
+    generator, shares = torch.Generator().manual_seed(3), []
+    for _ in range(100):
+        keep = drawn_tokens(generator, 8, 3, 36, view_masking=False)
+        assert all(len((row // 36).unique()) == 3 for row in keep)
+        shares.append(keep.shape[1] / (3 * 36))
+    assert min(shares) == pytest.approx(LEAST_KEPT, abs=0.06) and max(shares) == 1
+
+
+def test_the_loss_hides_views_unless_told_otherwise():
+    data = seen_alike()
+    views, reward = data.views(np.arange(4)), torch.zeros(4)
+    for masking in (True, False):
+        model = new_autoencoder(data, replace(TINY, view_masking=masking), seed=1)
+        kept: list[set[int]] = []
+
+        def noted(views, keep, model=model, kept=kept):
+            kept.append({len((row // model.tokens_of_a_view).unique()) for row in keep})
+            return MultiViewAutoencoder.forward(model, views, keep)
+
+        model.forward = noted
+        generator = torch.Generator().manual_seed(0)
+        for _ in range(20):
+            autoencoder_loss(model, views, reward, generator)
+        assert set.union(*kept) == ({1, 2} if masking else {2})
 
 
 def test_all_views_are_hidden_alike_often():

@@ -159,13 +159,15 @@ def whole_views(mask: Bool[Tensor, " V"], tokens: int, batch: int = 1) -> Int[Te
 
 
 def drawn_tokens(
-    generator: torch.Generator, batch: int, views: int, tokens: int
+    generator: torch.Generator, batch: int, views: int, tokens: int, view_masking: bool = True
 ) -> Int[Tensor, "B K"]:
     """Tokens to keep in a training batch: of one to all views, the same number for every sample,
     other views for each; in a third of the batches all of their tokens, else a share of them that
-    is uniform between ``LEAST_KEPT`` and 1. A function of ``generator`` alone.
+    is uniform between ``LEAST_KEPT`` and 1. Of all views, if there is no ``view_masking``. A
+    function of ``generator`` alone.
     """
-    visible = int(torch.randint(1, views + 1, (), generator=generator))
+    least = 1 if view_masking else views
+    visible = int(torch.randint(least, views + 1, (), generator=generator))
     share = float(torch.rand((), generator=generator)) * 1.5
     share = 1.0 if share >= 1 else LEAST_KEPT + share * (1 - LEAST_KEPT)
     count = max(1, round(share * visible * tokens))
@@ -186,7 +188,8 @@ def autoencoder_loss(
 ) -> Float[Tensor, ""]:
     """What is learned from a batch of stacks, under tokens that ``generator`` draws."""
     batch, count = views.shape[:2]
-    keep = drawn_tokens(generator, batch, count, model.tokens_of_a_view).to(views.device)
+    masking = model.config.view_masking
+    keep = drawn_tokens(generator, batch, count, model.tokens_of_a_view, masking).to(views.device)
     drawn, pictures = model(views, keep), newest(views)
     moves = moving(pictures, model.mean)
     loss = reconstruction_loss(drawn.pictures, pictures, moves, model.config.moving_weight)

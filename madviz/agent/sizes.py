@@ -36,6 +36,8 @@ class AutoencoderConfig:
     """Attention heads of both (4)."""
     moving_weight: Weight = 20.0
     """How much more a pixel that moves counts (0)."""
+    view_masking: bool = True
+    """Whether views are hidden as a whole in training; if not, patches alone are, of all views."""
 
 
 @dataclass(frozen=True)
