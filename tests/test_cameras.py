@@ -61,6 +61,7 @@ def test_every_setting_has_its_cameras_on_meta_world() -> None:
     assert setting("one-rgbd").streams == ("third_a.rgb", "third_a.depth")
     assert setting("one-depth").streams == ("third_a.depth",)
     assert setting("one-rgb").streams == ("third_a",)
+    assert setting("two").streams == ("first", "third_a")
     assert setting_cameras(TASK, "three") == CAMERAS
 
 

@@ -260,6 +260,13 @@ def test_merges_and_modalities_are_compared_with_their_sentences(tmp_path: Path)
     said = claims(table(tmp_path, "merging"))
     assert said[0] == "concat minus sum: +0 points [-2, +2] on all; n = 100 on 1 task."
     assert said[1].startswith("q-mean minus sum: -40 points")
+    for method, merge in (("merged-only", "sum"), ("vit", "vit")):
+        write_policy(
+            tmp_path, {"all": 0.8}, method=method, merge=merge, setting="two", folder=f"two-{merge}"
+        )
+    assert claims(table(tmp_path, "merging")) == said
+    said = claims(table(tmp_path, "merging-two"))
+    assert said[0] == "vit minus sum: +0 points [-10, +10] on all; n = 100 on 1 task."
     streams = ("third_a.rgb", "third_a.depth")
     write_policy(
         tmp_path,

@@ -130,6 +130,7 @@ THREE = ("first", "third_a", "third_b")
 SETTINGS: dict[str, Setting] = {
     "three": Setting(THREE),
     "three-rgbd": Setting(THREE, ("rgb", "depth")),
+    "two": Setting(("first", "third_a")),
     "five": Setting((*THREE, "third_c", "top")),
     "mixed-resolution": Setting(THREE, sizes=(64, 96, 84)),
     "turned-away": Setting(THREE, elsewhere=True),

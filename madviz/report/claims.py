@@ -289,6 +289,7 @@ CLAIMS: dict[str, Callable[[ResultTable], list[str]]] = {
     "scratch": _overall,
     "alpha": _alpha,
     "merging": _merging,
+    "merging-two": _merging,
     "occlusion": _occlusion,
     "modality": _modality,
     "five": _five,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 from madviz.agent.merges import table as merges
@@ -85,8 +86,9 @@ def _alpha(evidence: Evidence) -> str | None:
     return f"alpha {evidence.config.training.alpha:g}{recipe}"
 
 
-def _merge(evidence: Evidence) -> str | None:
-    if evidence.config.setting != "three":
+def _merge(evidence: Evidence, setting: str = "three") -> str | None:
+    """The merge of a policy that is trained with all cameras of ``setting`` together."""
+    if evidence.config.setting != setting:
         return None
     name = evidence.config.method if evidence.config.method in MERGES else None
     if evidence.config.method == "merged-only":
@@ -151,6 +153,14 @@ LAYOUTS = (
         "Ways to merge, all cameras",
         "Does the way to merge matter, with all cameras?",
         _merge,
+        ("all",),
+        needs=2,
+    ),
+    Layout(
+        "merging-two",
+        "Ways to merge, two cameras",
+        "Does the way to merge matter, with two cameras?",
+        partial(_merge, setting="two"),
         ("all",),
         needs=2,
     ),
