@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import re
-import traceback
 from base64 import b64decode
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from html import escape
 
 import cv2
 import numpy as np
@@ -16,40 +14,30 @@ import pytest
 import viser
 
 from madviz.app.connection import _forgive, is_too_late
-from madviz.app.markup import error_html
 from madviz.app.panel import CROSSED, Assign, apply
 from madviz.app.panels.cameras import CamerasPanel
 from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
 from madviz.app.panels.policy import (
     PolicyChoice,
     PolicyPanel,
-    purpose,
-    status_html,
-    verdict,
 )
 from madviz.app.panels.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
 from madviz.app.panels.success import (
-    Curve,
     SuccessPanel,
-    bars_html,
-    strip_html,
 )
-from madviz.app.panels.words import WordsPanel, both_sides, sentence
-from madviz.app.rates import SuccessRates, side_b
+from madviz.app.panels.words import WordsPanel
+from madviz.app.rates import SuccessRates
 from madviz.app.scene.scene import ScenePanel
 from madviz.app.screen import Screen
 from madviz.drawing.viewpoint import focus
 from madviz.envs.registry import make_env
-from madviz.evaluation.live import Request, Tally
-from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
-from madviz.policies.checkpoint import load_policy
 from madviz.session.commands import Compare, Link, Pause, SetCamera, SetPolicy, StepOnce
 from madviz.session.frame import Condition, Frame
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import browser, recorded, use
-from tests.sessions import frame_with, with_pace, with_world
+from tests.sessions import frame_with, with_world
 
 OFF = CameraState("off")
 
@@ -232,147 +220,6 @@ def test_labels_and_squares():
     assert "linear-gradient(90deg,#E69F00 50%,transparent 50%)" in half
 
 
-def test_a_machine_that_cannot_keep_up_says_so():
-    playing = {"phase": "playing", "speed": 10.0}
-    kept = status_html(with_pace(frame_with(), rate=9.6, **playing))
-    behind = status_html(with_pace(frame_with(), rate=4.2, **playing))
-    assert ">9.6/s<" in kept and ">4.2 of 10/s<" in behind
-
-
-def test_a_policy_without_a_critic_has_no_value():
-    frame = frame_with(policy=load_policy("madviz.examples.own_policy:make"))  # type: ignore
-    assert "Q" not in status_html(frame)
-    assert "nan" not in status_html(frame) + subsets_html(frame)
-
-
-def test_success_bars_tell_shipped_from_measured(server):
-    rates = SuccessRates(lambda spec: {"all": {"success": 0.94, "n": 100}})
-    frame = frame_with(SetCamera("third_a", OFF))
-    assert rates.best(frame.world.policy, Condition("all")) == SuccessRate.of(94, 100)
-    rates.add(frame.world.policy, frame.condition, {2000: True, 2001: False})
-    rates.add(frame.world.policy, frame.condition, {2001: False})
-    html = bars_html(frame, rates)
-    assert "shipped 0.94 [0.88, 0.97], n=100; nothing measured here" in html
-    assert "nothing shipped; measured here 0.50 [0.09, 0.91], n=2" in html
-    assert "† first+third_b<" in html and 'title="First person + Third B:' in html
-    panel = SuccessPanel(server.gui, frame, rates, visitor=1)
-    apply(panel.update(frame))
-    panel.remove()
-
-
-def test_rates_tell_their_listeners_only_news():
-    told = []
-    rates = SuccessRates()
-    rates.subscribe(lambda: told.append(1))
-    spec = FakePolicy().spec
-    rates.add(spec, Condition("all"), {1: True})
-    rates.add(spec, Condition("all"), {1: True})
-    assert told == [1]
-
-
-def test_words_join_effect_and_success():
-    frame = frame_with(SetCamera("third_a", OFF))
-    rates = SuccessRates(lambda spec: {"all": {"success": 0.94, "n": 100}})
-    assert frame.world.change is not None
-    line = sentence(frame.world.change, frame, rates)
-    assert line.startswith("Third A dropped: action changed by ")
-    assert line.endswith("; success so far 0.94 → not measured yet")
-    outcomes = {seed: seed % 16 > 2 for seed in range(16)}
-    rates.add(frame.world.policy, frame.condition, outcomes)
-    assert sentence(frame.world.change, frame, rates).endswith("0.94 → 0.81 (n=16)")
-
-
-def test_words_stay_until_something_else_happens(server):
-    frame = frame_with(SetCamera("third_a", OFF))
-    gui = recorded(server.gui)
-    panel = WordsPanel(gui, frame_with(), SuccessRates())
-    assert "Take a camera away" in gui.html
-    apply(panel.update(frame))
-    apply(panel.update(frame_with()))
-    assert "Third A dropped" in gui.html
-    panel.remove()
-
-
-def test_curve_marks_changes():
-    curve, spec = Curve(), FakePolicy().spec
-    assert curve.add(spec, Condition("all"), SuccessRate.of(1, 1))
-    assert not curve.add(spec, Condition("all"), SuccessRate.of(1, 1))
-    assert curve.add(spec, Condition("first"), SuccessRate.of(0, 0))
-    assert curve.add(spec, Condition("first"), SuccessRate.of(0, 1))
-    x, low, _, success, change = curve.data()
-    assert list(x) == [1, 1.5, 1.5, 1.5, 2]
-    assert list(change) == [-1, -1, 1, -1, -1], "seen only while it rises to 1"
-    assert list(success) == [1, 1, 1, 1, 0] and low[2] == low[0]
-
-
-def test_the_strip_shows_how_episodes_ended():
-    session = Session(make_env, FakePolicy(), policies, speed=None)
-    session.tick(0.0)
-    session.send(SetCamera("first", OFF))
-    for _ in range(30):
-        session.tick(0.0)
-    assert isinstance(session.latest, Frame)
-    assert "first off" in strip_html(session.latest)
-
-
-def test_verdicts_have_words_and_colours():
-    running, paused = frame_with(), frame_with(Pause())
-    assert [verdict(frame)[0] for frame in (running, paused)] == ["RUNNING", "PAUSED"]
-    broken = frame_with(SetPolicy("nonsense"))
-    assert verdict(broken)[0] == "STOPPED"
-    assert "<b>Paused: unknown policy" in status_html(broken)
-    assert "<details>" in status_html(broken) and "Traceback" in status_html(broken)
-
-
-@pytest.mark.parametrize("words", ["", "a user's mistake\n\n"])
-def test_an_error_says_what_is_wrong_and_keeps_where_closed(words):
-    try:
-        raise ValueError("3 < 4")
-    except ValueError:
-        shown = error_html("Paused: ", words + traceback.format_exc())
-    said = words.strip() or "ValueError: 3 < 4"
-    assert shown.startswith(f"<b>Paused: {escape(said)}</b>")
-    assert "test_app_panels.py" in shown.partition("<details>")[2]
-    assert "<details>" not in error_html("", "only words")
-
-
-def test_policy_panel_shows_without_sending(server):
-    sent: list = []
-    choices = [PolicyChoice("toy-mad", "MAD"), PolicyChoice("toy-rgbd", "RGB-D")]
-    gui = recorded(server.gui)
-    panel = PolicyPanel(gui, sent.append, frame_with(), choices)
-    apply(panel.update(frame_with(SetPolicy("toy-rgbd"))))
-    assert gui.find("Policy").value == "RGB-D" and sent == []
-    panel.remove()
-
-
-def test_policies_are_offered_by_task(server):
-    sent: list = []
-    choices = [
-        PolicyChoice("pusher", "MAD: push", "metaworld/push"),
-        PolicyChoice("toy-mad", "MAD: reach", "toy/reach"),
-        PolicyChoice("mine", "broken"),
-    ]
-    gui = recorded(server.gui)
-    panel = PolicyPanel(gui, sent.append, frame_with(), choices)
-    assert gui.find("Policy").options == ("MAD: reach", "broken")
-    assert gui.find("Task").value == "toy/reach"
-    assert gui.find("Task").options == ("metaworld/push", "toy/reach")
-    use(gui.find("Task"), "metaworld/push")
-    assert sent == [SetPolicy("pusher")]
-    panel.remove()
-
-
-def test_what_a_policy_is_for_tells_those_of_one_task_apart():
-    words = [
-        purpose("mad", "three", "light"),
-        purpose("mad", "three-rgbd", "light"),
-        purpose("merged-only", "three", "paper"),
-    ]
-    assert words[0].startswith("MAD: ") and words[1] == f"{words[0]} (three-rgbd)"
-    assert words[2].startswith("Merged Only: ") and words[2].endswith("only (paper)")
-
-
 def test_both_sides_of_a_comparison_stand_side_by_side(server):
     sent: list = []
     gui = recorded(server.gui)
@@ -394,54 +241,6 @@ def test_both_sides_of_a_comparison_stand_side_by_side(server):
     apply(panel.update(alone))
     assert not unlink.visible and not end.visible
     panel.remove()
-
-
-def test_bars_and_outcomes_of_both_sides_stand_under_each_other(server):
-    shipped = {"toy-mad": {"all": {"success": 0.94, "n": 100}}, "toy-other": {}}
-    rates = SuccessRates(lambda spec: shipped[spec.name])
-    frame = frame_with(Compare("toy-other"))
-    html = bars_html(frame, rates)
-    rows = bars_html(frame_with(), rates).count('class="rate')
-    assert html.count("<b>A</b>") == html.count("<b>B</b>") == rows
-    assert "shipped 0.94" in html and html.count("first episode is still running") == 0
-    assert strip_html(frame).count("the first episode is still running") == 2
-
-
-def test_both_sides_are_measured_while_there_are_two(server):
-    asked = Asked()
-    rates = SuccessRates(make_evaluator=lambda listener: asked)  # type: ignore[arg-type]
-    panel = SuccessPanel(server.gui, frame_with(), rates, visitor=1)
-    apply(panel.update(frame_with(Compare("toy-other"))))
-    assert asked.by == {1: "toy-mad", side_b(1): "toy-other"}
-    apply(panel.update(frame_with()))
-    assert asked.by == {1: "toy-mad"}
-    panel.remove()
-    assert asked.by == {}
-
-
-class Asked:
-    """In place of an evaluator: who wants which policy measured."""
-
-    trouble = ""
-
-    def __init__(self) -> None:
-        self.by: dict[Hashable, str] = {}
-
-    def request(self, visitor: Hashable, policy: str, mask, occlusions, moves) -> Tally:
-        self.by[visitor] = policy
-        return Tally(Request(policy, "", "all"), ())
-
-    def forget(self, visitor: Hashable) -> None:
-        self.by.pop(visitor, None)
-
-
-def test_words_say_what_came_of_it_on_both_sides():
-    frame = frame_with(Compare("toy-other"), SetCamera("third_a", OFF))
-    rates = SuccessRates(lambda spec: {"all": {"success": 0.94, "n": 100}})
-    assert frame.world.change is not None and frame.second is not None
-    said = both_sides(frame.world.change, frame, rates)
-    assert said.startswith("Third A dropped: A's action changed by ")
-    assert "; B's action changed by " in said
 
 
 def test_frusta_stand_where_the_cameras_are_and_dim_when_dropped(server):

@@ -7,7 +7,7 @@ from madviz.errors import UserError
 from madviz.policies.card import card_text, train_again, write_card
 from madviz.policies.checkpoint import describe, save_policy
 from madviz.policies.config import TrainingRecord
-from tests.test_checkpoint import make_agent, make_config, measure
+from tests.checkpoints import make_agent, make_config, measure
 
 
 @pytest.fixture

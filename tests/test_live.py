@@ -25,9 +25,9 @@ from madviz.observation.ablation import Ablation, Occlusion
 from madviz.observation.displacement import Displacement
 from madviz.policies import checkpoint
 from madviz.session.frame import condition_of
+from tests.checkpoints import make_config
 from tests.fakes import FakePolicy
 from tests.sessions import frame_with
-from tests.test_checkpoint import make_config
 from tests.test_store import full_disk
 
 POLICY = "tests.fakes:FakePolicy"
