@@ -37,6 +37,7 @@ from madviz.bench.imagine import (
     imagined,
     judged_frames,
 )
+from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread
 from madviz.training.autoencoder import (
     AutoencoderTraining,
@@ -293,6 +294,19 @@ def test_the_benchmark_judges_every_subset_of_every_hidden_camera():
     words = imagine_words(found).splitlines()
     assert words[0].startswith("toy/reach: 2 updates in") and "NOT imagined" in words[-1]
     assert len(words) == 2 + 9 + 1
+
+
+def test_the_benchmark_judges_what_an_included_policy_draws():
+    with one_thread():
+        found = bench_imagine(ImagineConfig(policy="toy-reach-mv-mwm-mv-mwm", frames=30))
+    assert found["task"] == "toy/reach" and found["least_gain"] > 2
+    assert found["network"]["width"] == 64 and "training" not in found
+    assert imagine_words(found).startswith("toy/reach: toy-reach-mv-mwm-mv-mwm, 30 frames")
+
+
+def test_a_policy_that_draws_nothing_is_not_judged():
+    with pytest.raises(UserError, match="expected a policy that draws pictures, found metaworld-h"):
+        bench_imagine(ImagineConfig(policy="metaworld-hammer-mad-light"))
 
 
 def test_the_figures_in_the_text_of_the_benchmark_are_those_that_were_measured():

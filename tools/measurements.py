@@ -149,19 +149,24 @@ def imagine() -> str:
     """What `madviz bench imagine` measured, from results/imagine: one row for each camera that is
     hidden while all others are seen."""
     lines = [
-        "| task | hidden | imagined | worst frame | mean | another episode | gain | passes |",
-        "|---|---|---|---|---|---|---|---|",
+        "| task | network | hidden | imagined | worst frame | mean | another episode | gain | "
+        "passes |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for file in sorted((ROOT / "results" / "imagine").glob("*.json")):
         found = json.loads(file.read_text())
         most = max(row["from"].count("+") for row in found["rows"])
+        network = found.get("policy") or "trained for this"
+        if not found["network"].get("view_masking", True):
+            network += ", no view masking"
         for row in found["rows"]:
             if row["from"].count("+") == most:
                 words = ("imagined", "worst", "mean_picture", "other_episode", "gain")
                 numbers = " | ".join(f"{row[word]:.1f}" for word in words)
                 passes = "yes" if row["gain"] >= 3 else "no"
                 lines.append(
-                    f"| {found['task']} | {LABELS[row['hidden']]} | {numbers} | {passes} |"
+                    f"| {found['task']} | {network} | {LABELS[row['hidden']]} | {numbers} | "
+                    f"{passes} |"
                 )
     return "\n".join(lines) + "\n"
 

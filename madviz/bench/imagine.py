@@ -14,7 +14,8 @@ others' pictures *of another episode*, so that it knows how such pictures look a
 The figures are those of toy/reach (``results/imagine``). First person alone tells less: its picture
 often does not show the target.
 
-Imagined in earnest: at least ``ENOUGH`` dB above the better control, for every camera.
+Imagined in earnest: at least ``ENOUGH`` dB above the better control, for every camera. With
+``--policy``, nothing is trained: the autoencoder of that policy is judged.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from madviz.agent.agent import TorchPolicy
 from madviz.agent.autoencoder import (
     AutoencoderConfig,
     MultiViewAutoencoder,
@@ -39,9 +41,11 @@ from madviz.agent.autoencoder import (
     psnr,
     whole_views,
 )
+from madviz.agent.merges.drawing import DrawingMerge
 from madviz.agent.sizes import FEWEST_MOVING
-from madviz.envs.registry import TaskName
+from madviz.envs.registry import TaskName, make_env
 from madviz.errors import UserError
+from madviz.policies.checkpoint import PolicyName, load_policy
 from madviz.subsets import every_mask, name_of
 from madviz.system.numbers import Count, Seed
 from madviz.training.autoencoder import (
@@ -50,8 +54,7 @@ from madviz.training.autoencoder import (
     train_autoencoder,
 )
 from madviz.training.demonstrations import Dataset, Driver, record_episode
-from madviz.training.drawn_task import DrawnTask
-from madviz.types import Array
+from madviz.types import Array, Environment
 
 ENOUGH = 3.0
 """dB above both controls."""
@@ -65,6 +68,8 @@ class ImagineConfig:
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
+    policy: PolicyName | None = None
+    """Judge what this policy draws, in its own task, and train nothing."""
     task: TaskName = "toy/reach"
     """The task whose cameras are imagined."""
     episodes: Count = 60
@@ -81,29 +86,59 @@ class ImagineConfig:
 
 def bench_imagine(config: ImagineConfig) -> dict[str, Any]:
     """The result of the module's table, by hidden camera and by what is seen. Raises UserError for
-    a task with one camera."""
-    train, judged = recorded(config)
+    a task with one camera, and for a policy that draws nothing."""
+    if config.policy is not None:
+        return _of_a_policy(config, config.policy)
+    with closing(make_env(config.task)) as env:
+        streams = tuple(camera.name for camera in env.spec.cameras)
+        _check_streams(streams, config.task)
+        train = recorded(env, streams, range(config.episodes))
+        judged = recorded(env, streams, _judged_seeds(config, env))
     began = time.process_time()
     model = new_autoencoder(train, config.network, config.seed)
     train_autoencoder(model, train, config.training, config.seed, _progress(config))
-    return judgement(config, model, judged, time.process_time() - began)
+    trained = {
+        "task": config.task,
+        "episodes": config.episodes,
+        "training": asdict(config.training),
+        "network": asdict(config.network),
+        "cpu_seconds": round(time.process_time() - began),
+    }
+    return trained | judgement(config, model, judged)
+
+
+def _of_a_policy(config: ImagineConfig, name: str) -> dict[str, Any]:
+    policy = load_policy(name)
+    if not isinstance(policy, TorchPolicy) or not isinstance(policy.agent.merge, DrawingMerge):
+        raise UserError(
+            f"expected a policy that draws pictures, found {name}; pick one of the methods mv-mae "
+            "and mv-mwm (madviz list)"
+        )
+    spec = policy.spec
+    _check_streams(spec.streams, spec.task)
+    with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
+        judged = recorded(env, spec.streams, _judged_seeds(config, env))
+    model = policy.agent.encoder.autoencoder
+    assert isinstance(model, MultiViewAutoencoder)  # Of every merge that draws.
+    of = {"task": spec.task, "policy": spec.name, "digest": spec.digest}
+    return of | {"network": asdict(model.config)} | judgement(config, model, judged)
+
+
+def _check_streams(streams: tuple[str, ...], found: str) -> None:
+    if len(streams) < 2:
+        raise UserError(f"expected a task with two or more cameras, found {found}")
 
 
 def judgement(
-    config: ImagineConfig, model: MultiViewAutoencoder, judged: Dataset, seconds: float
+    config: ImagineConfig, model: MultiViewAutoencoder, judged: Dataset
 ) -> dict[str, Any]:
-    """The result of a ``model`` that took ``seconds`` of a processor to train."""
+    """What ``model`` draws of each hidden camera, and whether that is enough."""
     rows = imagined(model, judged, config.frames, config.seed)
     others = [row for row in rows if row["from"].count("+") == len(judged.streams) - 2]
     return {
         "schema": 1,
-        "task": config.task,
-        "episodes": config.episodes,
         "frames": config.frames,
-        "training": asdict(config.training),
-        "network": asdict(config.network),
         "seed": config.seed,
-        "cpu_seconds": round(seconds),
         "parameters": sum(p.numel() for p in model.parameters()),
         "rows": rows,
         "least_gain": min(row["gain"] for row in others),
@@ -111,22 +146,18 @@ def judgement(
     }
 
 
-def recorded(config: ImagineConfig) -> tuple[Dataset, Dataset]:
-    """Frames to train on and frames to judge, with the task's own cameras in colour."""
-    task = DrawnTask(config.task, "fast", (), ())
-    with closing(task.build()) as env:
-        streams = tuple(camera.name for camera in env.spec.cameras)
-        if len(streams) < 2:
-            raise UserError(f"expected a task with two or more cameras, found {config.task}")
-        horizon = env.spec.horizon
-        judged_episodes = max(2, math.ceil(config.frames / horizon) + 2)
-        sets = []
-        for first, count in ((0, config.episodes), (HELD_OUT, judged_episodes)):
-            data = Dataset(streams, count, horizon)
-            for seed in range(first, first + count):
-                data.add(record_episode(env, streams, Driver(1.0, 0.2), seed))
-            sets.append(data)
-    return sets[0], sets[1]
+def recorded(env: Environment, streams: tuple[str, ...], seeds: range) -> Dataset:
+    """Episodes of the expert, a fifth of whose actions is random."""
+    data = Dataset(streams, len(seeds), env.spec.horizon)
+    for seed in seeds:
+        data.add(record_episode(env, streams, Driver(1.0, 0.2), seed))
+    return data
+
+
+def _judged_seeds(config: ImagineConfig, env: Environment) -> range:
+    """Two more than have the frames, so that other frames are of other episodes."""
+    count = max(2, math.ceil(config.frames / env.spec.horizon) + 2)
+    return range(HELD_OUT, HELD_OUT + count)
 
 
 def imagined(
@@ -135,7 +166,7 @@ def imagined(
     """For every hidden camera and every subset of the others: dB over the pixels that move, as a
     mean over frames and in the worst one, with both controls and the gain over the better."""
     index, other = judged_frames(data, frames, seed)
-    views, elsewhere = data.views(index), data.views(other)
+    views, elsewhere = (data.views(each)[:, :, -model.channels :] for each in (index, other))
     truth = newest(views)
     moves = moving(truth, model.mean)
     mean = psnr(model.mean.expand_as(truth), truth, moves)
@@ -190,9 +221,13 @@ def drawn(model: MultiViewAutoencoder, views: Tensor, mask: Array) -> Tensor:
 
 def imagine_words(result: dict[str, Any]) -> str:
     """The module's table."""
+    if "policy" in result:
+        model = result["policy"]
+    else:
+        updates, seconds = result["training"]["updates"], result["cpu_seconds"]
+        model = f"{updates} updates in {seconds} s of a processor"
     lines = [
-        f"{result['task']}: {result['training']['updates']} updates in {result['cpu_seconds']} s "
-        f"of a processor, {result['frames']} frames; dB over the pixels that move",
+        f"{result['task']}: {model}, {result['frames']} frames; dB over the pixels that move",
         f"{'hidden':10}{'from':22}{'imagined':>9}{'worst':>8}{'mean':>8}{'other':>8}{'gain':>8}",
     ]
     for row in result["rows"]:
