@@ -21,11 +21,10 @@ from madviz.session.frame import Frame
 from madviz.session.transfer import FrameDecoder, FrameEncoder
 from madviz.types import Array, Encoded, Foresees, Future
 from tests.fakes import FakePolicy
-from tests.mv_mwm_formulas import GROUPS, advanced, drawn, mlp
+from tests.mv_mwm import GROUPS, advanced, believed, drawn, make, mlp, net_of, policy_of
 from tests.pages import recorded, use
 from tests.sessions import OFF, Recorder, frame_with
 from tests.test_merges import pictures, weights
-from tests.test_mv_mwm import believed, make, net_of, policy_of
 
 
 class Seer(FakePolicy):

@@ -1,15 +1,68 @@
-"""MV-MWM computed a second time: in float64, one sample and one gate at a time."""
+"""A tiny MV-MWM agent, and its formulas once more: in float64, a sample and a gate at a time."""
 
 from __future__ import annotations
 
 import numpy as np
+import torch
 from scipy import stats
+from torch import Tensor
 
-from madviz.types import Array
+from madviz.agent.agent import Agent, TorchPolicy
+from madviz.agent.merges.mv_mwm import WorldNetworks
+from madviz.agent.networks import NetworkConfig
+from madviz.agent.rssm import Belief
+from madviz.envs.registry import SETTINGS
+from madviz.training.mv_mwm_options import SIZES
+from madviz.types import Array, PolicySpec
 from tests.test_merges import Weights, layer_norm, linear, softmax
 
 GROUPS, CLASSES, MEMORY = 4, 4, 16
 """The sizes of a tiny world model."""
+
+
+STREAMS = SETTINGS["three"].streams
+TINY = SIZES["tiny"]
+NETWORKS = NetworkConfig(
+    6, 2, hidden_dim=8, autoencoder=TINY.autoencoder, world_model=TINY.world_model
+)
+T, L, B = 4, 2, 3
+"""Frames, decisions and samples of a window: the stack has two frames."""
+
+
+def make() -> Agent:
+    """With biases and norms that are not 0 and 1, which would hide mistakes."""
+    torch.manual_seed(0)
+    agent = Agent(NETWORKS, merge="mv-mwm", streams=STREAMS)
+    with torch.no_grad():
+        for parameter in agent.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    return agent
+
+
+def net_of(agent: Agent) -> WorldNetworks:
+    assert isinstance(agent.encoder, WorldNetworks)
+    return agent.encoder
+
+
+def policy_of(agent: Agent) -> TorchPolicy:
+    spec = PolicySpec("p", "toy/reach", "mv-mwm", "three", "mv-mwm", STREAMS, ("all",))
+    return TorchPolicy(spec, agent)
+
+
+def normal(*shape: int, seed: int = 1) -> Tensor:
+    return torch.from_numpy(np.random.default_rng(seed).standard_normal(shape))
+
+
+def uniform(*shape: int, seed: int = 2) -> Tensor:
+    return torch.from_numpy(np.random.default_rng(seed).random(shape))
+
+
+def believed(agent: Agent, batch: int = B) -> Belief:
+    rssm = net_of(agent).world.rssm
+    return rssm.observe(normal(2, batch, 64), None).detach()
+
+
+# --- The formulas ------------------------------------------------------------------------------
 
 
 def sigmoid(x: Array) -> Array:
