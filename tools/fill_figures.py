@@ -14,6 +14,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import measurements
@@ -86,14 +87,18 @@ def findings() -> str:
     )
 
 
-def mv_mwm() -> str:
-    """Success of the included policy with a world model."""
-    found = evaluation("toy-reach-mv-mwm-mv-mwm")
-    subsets = ("all", *SINGLES)
-    rows = "\n".join(
-        f"| {LABELS.get(one, 'all cameras')} | {rate(found, one)} |" for one in subsets
-    )
-    return f"| {found['policy']} | success ({count(found)}) |\n|---|---|\n{rows}\n"
+def included(method: str) -> str:
+    """Success of the included policies of one method with the paper's cameras."""
+    lines = [
+        "| policy | all cameras | First person | Third A | Third B | episodes |",
+        "|---" * 6 + "|",
+    ]
+    for file in sorted(ROOT.glob("checkpoints/*/config.json")):
+        if json.loads(file.read_text())["method"] == method:
+            found = evaluation(file.parent.name)
+            rates = " | ".join(rate(found, subset) for subset in ("all", *SINGLES))
+            lines.append(f"| {found['policy']} | {rates} | {count(found)} |")
+    return "\n".join(lines) + "\n"
 
 
 def pooled(row: Row, *subsets: str) -> str:
@@ -171,7 +176,8 @@ def summary(file: Path) -> str:
 
 BLOCKS: dict[str, Callable[[], str]] = {
     "findings": findings,
-    "mv-mwm": mv_mwm,
+    "mv-mae": partial(included, "mv-mae"),
+    "mv-mwm": partial(included, "mv-mwm"),
     "tree": tree,
     "files": files,
     "benchmarks": measurements.benchmarks,
