@@ -12,7 +12,7 @@ from madviz.bench import places
 from madviz.bench.places import PlacesConfig, bench_places, in_picture, places_words, ridge
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.types import Array, CameraPose, Encoded, KnowsPlaces
+from madviz.types import Array, CameraPose, Encoded, KnowsPlaces, Readout
 from tests.fakes import FakePolicy
 
 SHORT = PlacesConfig(policy="fake", episodes=30, judged=4, every=5)
@@ -70,8 +70,8 @@ class Knowing(FakePolicy):
         self.env = make_env("toy/reach")
 
     def encode(self, views: Array, state: Array) -> Encoded:
-        features = np.ones((len(views), 12), np.float32)
-        features[0] = views[0, -3:, ::28, ::28].reshape(-1)[:12]
+        features = np.ones((len(views), 64), np.float32)
+        features[0, :12] = views[0, -3:, ::28, ::28].reshape(-1)[:12]
         features[0, :2] = self.target
         return Encoded(features, state)
 
@@ -109,12 +109,30 @@ def test_a_stream_that_shows_the_target_is_told_from_those_that_do_not(
     assert "target" in places_words(found).splitlines()[2]
 
 
+def test_a_camera_alone_is_what_the_heads_read_of_it() -> None:
+    class Tokens(FakePolicy):
+        """Has no feature of a stream that is as its heads read it."""
+
+        def encode(self, views: Array, state: Array) -> Encoded:
+            return Encoded(np.arange(6, dtype=np.float32).reshape(3, 2), state)
+
+        def read(self, encoded: Encoded, masks: Array) -> Readout:
+            merged = 10 + masks @ encoded.features[:, :1]
+            return Readout(merged, np.zeros((len(masks), 2)), np.zeros(len(masks)))
+
+    policy = Tokens("fake")
+    encoded = policy.encode(np.zeros((3, 9, 84, 84), np.uint8), np.zeros(6, np.float32))
+    assert places.alone(policy, encoded).tolist() == [[10], [12], [14]]
+    policy.supports = lambda mask: bool(np.all(mask))
+    assert places.alone(policy, encoded).tolist() == encoded.features.tolist()
+
+
 def test_a_policy_without_features_and_a_task_without_places_are_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Blind(FakePolicy):
         def encode(self, views: Array, state: Array) -> Encoded:
-            return Encoded(np.zeros((len(views), 4), np.float32), state)
+            return Encoded(np.zeros((len(views), 64), np.float32), state)
 
     monkeypatch.setattr(places, "load_policy", lambda name: Blind("fake"))
     with pytest.raises(UserError, match="fake, which has none"):

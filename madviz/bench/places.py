@@ -3,12 +3,12 @@
 The problem: a policy that fails on one camera alone may have been trained too little, or what
 decides may not be in that camera's picture. A success rate does not tell the two apart.
 
-The idea: the expert plays episodes. From the feature of each camera alone, a linear map is fitted
-to where the task's objects and its goal are (ridge regression), and judged on episodes that it was
-not fitted to, by how far off it is. Beside it stand two controls: the mean place, which knows
-nothing of the episode, and the same map from the state alone. ``in_picture`` says, from the
-camera's pose, in how many of the frames the middle of the object lies within the picture; it may
-still be hidden behind something.
+The idea: the expert plays episodes. A camera's feature alone is what the policy's heads would read
+if there were no other camera. From it, a linear map is fitted to where the task's objects and its
+goal are (ridge regression), and judged on episodes that it was not fitted to, by how far off it is.
+Beside it stand two controls: the mean place, which knows nothing of the episode, and the same map
+from the state alone. ``in_picture`` says, from the camera's pose, in how many of the frames the
+middle of the object lies within the picture; it may still be hidden behind something.
 
     explained = 1 - (squared error) / (squared error of the mean place)
 
@@ -39,7 +39,7 @@ from madviz.policies.checkpoint import PolicyName, load_policy
 from madviz.policies.config import check_environment
 from madviz.subsets import camera_of
 from madviz.system.numbers import Count, Seed, Share
-from madviz.types import Array, CameraPose, Environment, KnowsPlaces, NamesPlaces, Policy
+from madviz.types import Array, CameraPose, Encoded, Environment, KnowsPlaces, NamesPlaces, Policy
 
 FIT, JUDGE = 1000, 5000
 """The first seeds of the episodes that maps are fitted to, and of those that judge them."""
@@ -143,18 +143,27 @@ def _episode(
             cameras = dict.fromkeys(map(camera_of, spec.streams))
             stack.push({camera: env.view(camera) for camera in cameras}, Ablation(), seed, step)
         if due == 0:
-            encoded = policy.encode(stack.views, now.state)
-            if not encoded.features.size or not encoded.features.any():
+            features = alone(policy, policy.encode(stack.views, now.state))
+            if not features.any():
                 raise UserError(
                     f"expected a policy with features, found {spec.name}, which has none"
                 )
             places = env.places().reshape(-1, 3)
             inside = [in_picture(env.pose(camera_of(s)), places) for s in spec.streams]
-            yield encoded.features, now.state, places, np.stack(inside)
+            yield features, now.state, places, np.stack(inside)
         action = env.expert()
         if rng.random() < config.noise:
             action = rng.uniform(-1, 1, len(action)).astype(np.float32)
         now = env.step(action)
+
+
+def alone(policy: Policy, encoded: Encoded) -> Array:
+    """(V, Z) what the heads would read of each stream alone; its own feature, where the policy
+    cannot act on one stream."""
+    each = np.eye(len(policy.spec.streams), dtype=bool)
+    if all(policy.supports(mask) for mask in each):
+        return policy.read(encoded, each).merged
+    return encoded.features
 
 
 def in_picture(pose: CameraPose, points: Array) -> Array:
