@@ -100,15 +100,20 @@ class MultiViewAutoencoder(nn.Module):
     ) -> Float[Tensor, "B K W"]:
         """The tokens that are kept, each from its own patch alone."""
         squares = _taken(squares_of(views, self.config.patch).flatten(2), keep)
-        squares = squares.unflatten(2, (-1, 4 * views.shape[2]))
-        return self.stem(squares.to(self.marks.dtype) / 255 - 0.5) + self.marks[keep]
+        return self._read(squares.unflatten(2, (-1, 4 * views.shape[2]))) + self.marks[keep]
 
     def all_tokens(self, views: UInt8[Tensor, "B V C H W"]) -> Float[Tensor, "B V T W"]:
         """Nothing hidden: the tokens of every view."""
-        batch, count = views.shape[:2]
-        every = torch.ones(count, dtype=torch.bool, device=views.device)
-        keep = whole_views(every, self.tokens_of_a_view, batch)
-        return self.tokens(views, keep).unflatten(1, (count, -1))
+        tokens = self._read(squares_of(views, self.config.patch)) + self.marks
+        return tokens.unflatten(1, (views.shape[1], -1))
+
+    def _read(self, squares: Shaped[Tensor, "B K P S"]) -> Float[Tensor, "B K W"]:
+        """Patches through the stem, which reads pixels from -0.5 to 0.5. Its first weights are
+        scaled instead of them: there are thousands of times more pixels."""
+        first = self.stem[0]
+        assert isinstance(first, nn.Linear)
+        bias = first.bias - first.weight.sum(1) / 2
+        return self.stem[1:](F.linear(squares.to(first.weight.dtype), first.weight / 255, bias))
 
     def features(self, tokens: Float[Tensor, "B K W"]) -> Float[Tensor, "B K W"]:
         """Of tokens, each having seen all the others."""
