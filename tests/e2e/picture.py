@@ -96,6 +96,18 @@ def compare(page: Page) -> None:
     keep(page, "panels/comparison", picture, wait=0)
 
 
+def draw(page: Page) -> None:
+    """What MV-MAE draws of a camera that is dropped."""
+    page.wait_for_selector(".mv-status", timeout=60_000)
+    page.keyboard.press("Escape")
+    page.wait_for_timeout(4_000)
+    page.get_by_role("button", name="off", exact=True).nth(1).click()
+    page.wait_for_timeout(2_500)
+    tabs = page.locator("[role=tablist]").last.bounding_box()
+    assert tabs is not None
+    keep(page, "panels/imagined", {"x": 0, "y": 58, "width": LEFT, "height": tabs["y"] - 58}, 0)
+
+
 def imagine(page: Page) -> None:
     """What MV-MWM imagines of a camera that is dropped and of the next decisions."""
     page.wait_for_selector(".mv-status", timeout=60_000)
@@ -129,6 +141,8 @@ def photograph(config: ExploreConfig, height: int, take: Callable[[Page], None])
 
 def main() -> None:
     photograph(ExploreConfig(port=8137, workers=1), HEIGHT, take)
+    drawing = ExploreConfig(policy="metaworld-hammer-mv-mae-light", port=8139, workers=0)
+    photograph(drawing, HEIGHT, draw)
     world_model = ExploreConfig(policy="toy-reach-mv-mwm-mv-mwm", port=8138, workers=0)
     photograph(world_model, 2 * HEIGHT, imagine)
 
