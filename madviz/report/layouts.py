@@ -19,8 +19,15 @@ THREE = ("all", "first", "third_a", "third_b")
 MERGES = tuple(name for name, merge in merges.MERGES.items() if not merge.own_loss)
 """The merges that the paper compares by themselves, in its order."""
 ORDER = (
-    *("mad", "single", "mvd", "vib", "mv-mae", "mv-mwm"),
-    *("naive-both", "merged-only", "singular-only"),
+    "mad",
+    "single",
+    "mvd",
+    "vib",
+    "mv-mae",
+    "mv-mwm",
+    "naive-both",
+    "merged-only",
+    "singular-only",
 )
 
 
