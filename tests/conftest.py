@@ -32,3 +32,13 @@ def session():
     recorder = Recorder()
     recorder.at(0.0)
     return recorder
+
+
+@pytest.fixture(scope="module")
+def server():
+    """A page's server without visitors, for panels that need no browser."""
+    import viser
+
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server
+    server.stop()

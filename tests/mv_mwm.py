@@ -14,7 +14,7 @@ from madviz.agent.rssm import Belief
 from madviz.envs.registry import SETTINGS
 from madviz.training.mv_mwm_options import SIZES
 from madviz.types import Array, PolicySpec
-from tests.test_merges import Weights, layer_norm, linear, softmax
+from tests.test_merges import Weights, layer_norm, linear, perturb, softmax
 
 GROUPS, CLASSES, MEMORY = 4, 4, 16
 """The sizes of a tiny world model."""
@@ -30,12 +30,9 @@ T, L, B = 4, 2, 3
 
 
 def make() -> Agent:
-    """With biases and norms that are not 0 and 1, which would hide mistakes."""
     torch.manual_seed(0)
     agent = Agent(NETWORKS, merge="mv-mwm", streams=STREAMS)
-    with torch.no_grad():
-        for parameter in agent.parameters():
-            parameter.add_(0.1 * torch.randn_like(parameter))
+    perturb(agent)
     return agent
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -40,13 +39,6 @@ from tests.sessions import frame_with, with_pace, with_world
 OFF = CameraState("off")
 STREAMS = FakePolicy().spec.streams
 MEASURED = {name: {"success": 0.25 * name.count("i"), "n": 100} for name in set_names(STREAMS)}
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[viser.ViserServer]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server
-    server.stop()
 
 
 def session_with(policy: FakePolicy | None = None, speed: float | None = 10.0) -> Session:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import asyncio
 import re
 from base64 import b64decode
-from collections.abc import Iterator
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-import viser
 
 from madviz.app.connection import _forgive, is_too_late
 from madviz.app.panel import CROSSED, Assign, apply
@@ -37,16 +35,7 @@ from madviz.session.frame import Condition, Frame
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import browser, recorded, use
-from tests.sessions import frame_with, with_world
-
-OFF = CameraState("off")
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[viser.ViserServer]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server
-    server.stop()
+from tests.sessions import OFF, frame_with, with_world
 
 
 def test_camera_switches_send_commands_and_never_echo(server):

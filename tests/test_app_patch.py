@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import viser
 
 from madviz.app.panel import apply
 from madviz.app.panels.cameras import CamerasPanel
@@ -82,13 +81,6 @@ def test_the_patch_lies_where_the_box_was_drawn(shown, y):
     assert (rows.min() + rows.max()) / 2 == pytest.approx(y * TILE, abs=4)
     assert np.ptp(columns) == pytest.approx(0.3 * TILE, abs=6)
     assert np.ptp(rows) == pytest.approx(0.15 * TILE, abs=6)
-
-
-@pytest.fixture(scope="module")
-def server():
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server
-    server.stop()
 
 
 def test_the_panel_sends_what_was_drawn_and_nothing_else(server):

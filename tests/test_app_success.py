@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable
 from html import escape
 
 import pytest
-import viser
 
 from madviz.app.markup import error_html
 from madviz.app.panel import apply
@@ -30,23 +29,13 @@ from madviz.app.rates import SuccessRates, side_b
 from madviz.envs.registry import make_env
 from madviz.evaluation.live import Request, Tally
 from madviz.evaluation.statistics import SuccessRate
-from madviz.observation.ablation import CameraState
 from madviz.policies.checkpoint import load_policy
 from madviz.session.commands import Compare, Pause, SetCamera, SetPolicy
 from madviz.session.frame import Condition, Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies
 from tests.pages import recorded, use
-from tests.sessions import frame_with, with_pace
-
-OFF = CameraState("off")
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[viser.ViserServer]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server
-    server.stop()
+from tests.sessions import OFF, frame_with, with_pace
 
 
 def test_a_machine_that_cannot_keep_up_says_so():
@@ -78,13 +67,13 @@ def test_success_bars_tell_shipped_from_measured(server):
 
 
 def test_rates_tell_their_listeners_only_news():
-    told = []
+    calls = []
     rates = SuccessRates()
-    rates.subscribe(lambda: told.append(1))
+    rates.subscribe(lambda: calls.append(1))
     spec = FakePolicy().spec
     rates.add(spec, Condition("all"), {1: True})
     rates.add(spec, Condition("all"), {1: True})
-    assert told == [1]
+    assert calls == [1]
 
 
 def test_words_join_effect_and_success():

@@ -28,7 +28,8 @@ CODES = {name: code for code, name in enumerate(VERDICTS)}
 
 def simulated(rng, audits, episodes, rates, hard=0.0):
     """Outcomes of ``audits`` at once; ``rates`` of (intact, removed (C,), alone (C,), none).
-    ``hard``: how much scenes differ in difficulty, from 0 to 1. Every condition has its luck."""
+    ``hard``: how much scenes differ in difficulty, from 0 to 1. Given a scene, the outcomes
+    of conditions are independent."""
     intact, removed, alone, none = rates
     scene = rng.beta(0.5, 0.5, (audits, episodes)) - 0.5
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import torch
@@ -219,13 +217,6 @@ def test_what_nobody_knows_is_not_averaged() -> None:
 
 
 # --- The page -----------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def server() -> Iterator[viser.ViserServer]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server
-    server.stop()
 
 
 def test_only_who_foresees_has_the_button(server: viser.ViserServer) -> None:

@@ -37,6 +37,13 @@ def make(merge: str, streams: tuple[str, ...] = STREAMS) -> Agent:
     return agent
 
 
+def perturb(network: nn.Module, by: float = 0.1) -> None:
+    """Moves every parameter, so that none is 0 or 1, which would hide mistakes."""
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(by * torch.randn_like(parameter))
+
+
 def numbers(*shape: int, seed: int = 1) -> Tensor:
     return torch.from_numpy(np.random.default_rng(seed).standard_normal(shape))
 

@@ -329,13 +329,6 @@ def test_where_a_camera_will_be_is_where_it_comes_to_be():
     assert abs(will.wxyz @ there.wxyz) == pytest.approx(1, abs=1e-9)
 
 
-@pytest.fixture(scope="module")
-def server():
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server
-    server.stop()
-
-
 def test_arrows_stand_where_the_camera_does_unless_they_are_dragged(server):
     live, moved = Live(), []
     frame = live.ask(Pause())

@@ -30,7 +30,7 @@ from madviz.training.light import LightConfig, LightRun
 from madviz.training.run_folder import RunFolder
 from madviz.types import PolicySpec
 from tests.plans import toy_plan
-from tests.test_merges import layer_norm, linear, pictures, softmax, weights
+from tests.test_merges import layer_norm, linear, perturb, pictures, softmax, weights
 
 STREAMS = SETTINGS["three"].streams
 SMALL = AutoencoderConfig(width=16, layers=1, decoder_layers=1, heads=2)
@@ -44,9 +44,7 @@ LIGHT = LightConfig(
 def make(end_to_end: bool = False) -> Agent:
     torch.manual_seed(0)
     agent = Agent(replace(NETWORKS, end_to_end=end_to_end), merge="mv-mae", streams=STREAMS)
-    with torch.no_grad():
-        for parameter in agent.parameters():
-            parameter.add_(0.05 * torch.randn_like(parameter))
+    perturb(agent, 0.05)
     return agent
 
 

@@ -35,6 +35,7 @@ from madviz.training.mv_mwm_options import MvMwmConfig
 from madviz.training.run_folder import Event
 from madviz.types import Array
 from tests.recipe_runs import last_state
+from tests.test_merges import perturb
 
 STREAMS = tuple(camera.name for camera in CAMERAS)
 TINY = MvMwmConfig(
@@ -258,9 +259,7 @@ def test_an_imagination_begins_where_the_acting_policy_stands() -> None:
     rng = np.random.default_rng(0)
     random = rng.integers(0, 256, tuple(stretch.frames.shape), np.uint8)
     stretch = replace(stretch, frames=torch.from_numpy(random))
-    with torch.no_grad():
-        for parameter in learner.net.parameters():  # So that pictures change a belief.
-            parameter.add_(0.5 * torch.randn_like(parameter))
+    perturb(learner.net, 0.5)  # So that pictures change a belief.
     with pytest.MonkeyPatch.context() as patch:
         present = torch.ones(6, 3, dtype=torch.bool)
         patch.setattr("madviz.training.mv_mwm_learner.drawn_views", lambda *_: present)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator
 from io import BytesIO
 from types import SimpleNamespace
 
@@ -29,13 +28,6 @@ from madviz.types import Body, CameraPose
 from tests.fakes import FakePolicy, policies
 from tests.pages import browser
 from tests.sessions import with_world
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[viser.ViserServer]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server
-    server.stop()
 
 
 class Stage:

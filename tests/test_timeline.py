@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
-import pytest
-import viser
 
 from madviz.app.panel import apply
 from madviz.app.panels.timeline import AFTER_DRAG, TimelinePanel, marks, timeline_html
@@ -42,13 +38,6 @@ class Played:
                 self.session.tick(self.now)
         assert isinstance(self.session.latest, Frame)
         return self.session.latest
-
-
-@pytest.fixture
-def server() -> Iterator[viser.ViserServer]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server
-    server.stop()
 
 
 def test_marks_are_where_cameras_or_the_policy_changed() -> None:

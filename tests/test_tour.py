@@ -54,13 +54,6 @@ def table() -> Iterator[Table]:
     table.session.start().close()
 
 
-@pytest.fixture(scope="module")
-def server() -> Iterator[viser.ViserServer]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server
-    server.stop()
-
-
 def test_steps_that_make_no_sense_here_are_left_out(table: Table):
     titles = [step.title for step in steps(table.frame, CHOICES)]
     assert len(titles) == 8 and "Another policy" in titles

@@ -94,7 +94,8 @@ def included(method: str) -> str:
         "|---" * 6 + "|",
     ]
     for file in sorted(ROOT.glob("checkpoints/*/config.json")):
-        if json.loads(file.read_text())["method"] == method:
+        config = json.loads(file.read_text())
+        if (config["method"], config["setting"]) == (method, "three"):
             found = evaluation(file.parent.name)
             rates = " | ".join(rate(found, subset) for subset in ("all", *SINGLES))
             lines.append(f"| {found['policy']} | {rates} | {count(found)} |")
@@ -185,6 +186,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "grading": measurements.grading,
     "kernel-memory": measurements.kernel_memory,
     "imagine": measurements.imagine,
+    "view-masking": measurements.view_masking,
     "places": measurements.places,
     "site-speed": measurements.site_speed,
     "site-success": measurements.site_success,

@@ -64,7 +64,8 @@ HELD_OUT = 1000
 
 @dataclass(frozen=True)
 class ImagineConfig:
-    """Trains a masked autoencoder, and measures what it draws of a camera that is missing."""
+    """Measures what a masked autoencoder draws of a camera that is missing: one that is trained for
+    it, or a policy's."""
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""

@@ -1,4 +1,4 @@
-"""For lesson 8: what a policy imagines of a camera that is missing, and of the next decisions.
+"""For lesson 8: what a policy imagines of a missing camera, and of the next decisions.
 
 Everything is held against what happened in an episode that was played with all cameras: dB over the
 pixels that move, see ``madviz.analysis.imagination``.
