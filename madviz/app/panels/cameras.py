@@ -44,7 +44,7 @@ SLIDERS = {
 }
 """Each fraction of an occlusion, and the kinds it matters to."""
 HINTS = {
-    "input": "What the policy gets of this camera. Off drops it: its feature leaves the sum.",
+    "input": "What the policy gets of this camera. Off drops it: the policy acts without it.",
     "occlusion": "A failing camera: it stays in the sum, but sends a broken picture.",
     "strength": "How strongly the picture is occluded.",
     "x": "Centre of the patch, from the left; 0.5 is the middle.",

@@ -19,7 +19,7 @@ class WordsPanel(WidgetPanel):
 
     HINT = (
         "Take a camera away: press <b>off</b> under its picture, its number key, or click it in "
-        "the scene. <b>Off</b> leaves it out of the sum; <b>black</b> sends a black picture."
+        "the scene. <b>Off</b> leaves it out; <b>black</b> sends a black picture."
     )
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, rates: SuccessRates) -> None:
