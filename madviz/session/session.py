@@ -47,7 +47,7 @@ from madviz.session.live_session import MOST_WAITING, TOO_MANY, FrameSource
 from madviz.session.pace import StepClock
 from madviz.session.session_file import SavedEpisode, SavedSession
 from madviz.session.stage import EnvFactory, Stage
-from madviz.system.processes import lower_thread_priority
+from madviz.system.priority import lower_thread_priority
 from madviz.types import Policy
 
 FIRST_SEED = 2000

@@ -1,4 +1,4 @@
-"""Worker processes, priorities, and how much memory the C library holds.
+"""Worker processes, and how much memory the C library holds.
 
 OpenGL and PyTorch do not survive a fork, so workers are spawned and load what they need themselves.
 Each is meant for one core: Mesa's software renderer would otherwise take them all.
@@ -19,6 +19,8 @@ import sys
 import threading
 from multiprocessing.connection import wait
 
+from madviz.system.priority import lower_own_priority
+
 HEAPS = 2
 """Heaps that all threads of the page's server share."""
 LARGEST_BLOCK = 32 << 20
@@ -28,29 +30,15 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 
 
 def set_up_worker(niceness: int = 0) -> None:
-    """The first call in a worker process: one core, ``niceness``, Ctrl-C left to the parent, and an
-    end with the parent. Never raises: an error belongs into a job, whose caller can see it."""
+    """The first call in a worker process: one core, Ctrl-C left to the parent, an end with the
+    parent and, if ``niceness`` is above 0, a low priority (``priority.py``). Never raises: an error
+    belongs into a job, whose caller can see it."""
     os.environ["LP_NUM_THREADS"] = "1"
     os.environ.setdefault("MUJOCO_GL", "egl")
-    os.nice(niceness)
+    if niceness > 0:
+        lower_own_priority(niceness)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def lower_thread_priority(niceness: int) -> None:
-    """Lets other threads run first when all cores are busy. Only Linux has a niceness for each
-    thread: elsewhere nothing happens."""
-    if sys.platform == "linux":
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), niceness)
-
-
-def lowest_priority(pid: int) -> None:
-    """Process ``pid``, and all that it starts from now on, runs when nothing else wants a core.
-    Niceness alone would leave it an eighth of a core that it shares with a thread of niceness 10;
-    Linux has a scheduling policy that leaves it next to nothing."""
-    os.setpriority(os.PRIO_PROCESS, pid, 19)
-    if sys.platform == "linux":
-        os.sched_setscheduler(pid, os.SCHED_IDLE, os.sched_param(0))
 
 
 def limit_heaps() -> None:

@@ -31,7 +31,7 @@ from madviz.agent.methods import method
 from madviz.envs.registry import check_task
 from madviz.errors import UserError, unknown
 from madviz.system.files import write_json
-from madviz.system.processes import lowest_priority
+from madviz.system.priority import lowest_priority
 
 State = Literal["idle", "running", "stopping", "stopped", "failed", "done"]
 
