@@ -60,7 +60,8 @@ def weak() -> str:
                 words = f"{found['task']} {LABELS[name]} {rate(found, name)}"
                 named.setdefault(count(found), []).append(words)
     return ". ".join(
-        f"Below {WEAK:.2f} alone ({each}): {'; '.join(words)}" for each, words in named.items()
+        f"Below {WEAK:.2f} alone (MAD, recipe `light`, {each}): {'; '.join(words)}"
+        for each, words in named.items()
     )
 
 

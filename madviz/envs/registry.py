@@ -235,7 +235,7 @@ def make_env(
 ) -> Environment:
     """Builds ``suite/task``, for example ``metaworld/hammer`` or ``toy/reach``.
 
-    ``render_profile`` is ``fast`` (no shadows, reflections or multisampling: 12 to 15 times faster
+    ``render_profile`` is ``fast`` (no shadows, reflections or multisampling: several times faster
     on a CPU) or ``full`` (the simulator's stock flags). A policy must see what it was trained on.
     ``cameras`` are the suite's own unless others are given: ``PolicySpec.cameras`` of a policy,
     ``setting_cameras`` of a setting, ``envs.cameras.read_cameras`` of a user's file.

@@ -13,7 +13,7 @@
 # camera fails. What do they do then, and why?**
 #
 # This lesson happens in a browser. The *site* is a folder of files: simulator, pictures, policies
-# run in the browser that opens it, on a laptop or a phone, and nothing is installed. Your teacher
+# run in the browser that opens it, on a laptop, and nothing is installed. Your teacher
 # has its address; `make site` builds one of your own and serves it at `http://127.0.0.1:8000`.
 #
 # The site has this lesson as a page, too: `lesson.html`, beside its first page. Who has a browser
@@ -113,8 +113,9 @@ teaching.check("00.link", link)
 # <details>
 # <summary>Open this once you have predicted and looked.</summary>
 #
-# Merged Only was trained on the sum of all three features and on nothing else. A sum of two is an
-# input that it never met. MAD was trained on the sum and also on every camera alone, so it has met
-# less than everything before. That is one sentence; how it is done is in lessons 1 to 3.
+# Merged Only was trained on the sum of all three features and on nothing else. Nothing made it use
+# every camera, and it came to depend on First person. MAD was also trained on each camera alone, so
+# each feature must be enough to act on. Neither was trained on two cameras. MAD works there; Merged
+# Only works while First person is in the sum. Lessons 1 to 3 show how this is done.
 #
 # </details>

@@ -16,7 +16,7 @@
 # three cameras show the scene. In this lesson you follow their pictures from the scene to the
 # network's first numbers.
 #
-# Time: 30 minutes. You need the bundled policy `metaworld-hammer-mad-light`, and nothing else.
+# Time: 30 minutes. You need the included policy `metaworld-hammer-mad-light`, and nothing else.
 
 # %%
 import numpy as np

@@ -13,8 +13,8 @@
 # a camera is missing?**
 #
 # In lesson 1 every camera was turned into a feature of 3136 numbers. The part of the network that
-# decides (the *actor*) wants one feature, not three. MAD, the method of this project, adds them
-# up:
+# decides (the *actor*) wants one feature, not three. MAD, the method that this project implements,
+# adds them up:
 #
 # $$ M = \sum_{i \text{ present}} V_i $$
 #

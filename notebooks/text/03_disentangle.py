@@ -188,8 +188,8 @@ explorer
 # %% [markdown]
 # ## Is it the same on a real robot task?
 #
-# The bundled hammer policies were trained by the same two lines, for longer; these are their
-# shipped results (100 episodes each, measured before):
+# The included hammer policies were trained by the same recipe, for longer and with larger networks;
+# these are their results (100 episodes each, measured before):
 
 # %%
 SHIPPED_MAD, SHIPPED_MERGED = "metaworld-hammer-mad-light", "metaworld-hammer-merged-only-light"

@@ -67,9 +67,9 @@ guess.compare("frame-stack and concat need all; VIB has no rule for two of three
 
 # %% [markdown]
 # That a method *can* answer does not mean that the answer is good. Merged Only (lesson 3) answers
-# to every set, and fails with most. And those that cannot answer are given a black picture for the
-# missing camera. Lesson 4 showed what that is: a picture that the policy was not trained on, with a
-# feature of its own.
+# to every set, and fails with every set that lacks First person. And those that cannot answer are
+# given a black picture for the missing camera. Lesson 4 showed what that is: a picture that the
+# policy was not trained on, with a feature of its own.
 #
 # ## The results
 #
@@ -178,7 +178,7 @@ explorer
 #
 # Now an arm that pushes a puck (`metaworld/push`). Every method had as many demonstrations and
 # 3,600 updates, and the same 50 episodes with all cameras and with each alone (measured before,
-# `results/RESULTS.md` has the commands). This is one training of each; eight of the rows were
+# `results/RESULTS.md` has the commands). This is one training of each; six of the methods were
 # trained twice more, and other trainings have other rates. Single Camera is three policies here,
 # one for each camera, and none of them was trained on another.
 
@@ -206,10 +206,10 @@ guess_robot.compare(f"{leader}, in {teaching.in_words(alone[leader], 50)}")
 # %% [markdown]
 # What the toy showed is here again: Merged Only, VIB and Q-mean depend on First person, Attention
 # has no success with one camera, Concat and Frame Stack refuse (a dash), and MVD, which was trained
-# on single cameras too, loses little (and has little to lose). Something is new, too. Three
-# networks for three cameras do not solve the problem: from Third A or Third B alone Single hardly
-# learns the task at this small budget, while the one network that had all three does. Nor does
-# Singular Only, which never learned to act on the sum.
+# on single cameras too, still succeeds with each of them, but is weak with all cameras. Something
+# is new, too. Three networks for three cameras do not solve the problem: from Third A or Third B
+# alone Single hardly learns the task at this small budget, while the one network that had all three
+# does. Singular Only learned to act on single cameras and never on the sum: with all cameras it is weak.
 #
 # `naive-both` weighs the sum and the single cameras alike. So does MAD here, and with the expert as
 # the only teacher the two are then one and the same training: the rows must be equal, and are.

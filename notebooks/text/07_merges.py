@@ -68,8 +68,8 @@ for name, policy, stack, mask in (
 
 # %% [markdown]
 # The numbers of untrained networks mean nothing by themselves. The point is the third line: it
-# exists for MAD alone. A sum without a term is still a sum; features side by side with one of them
-# missing are not what the network expects.
+# exists for MAD and not for concat. A sum without a term is still a sum; features side by side with
+# one of them missing are not what the network expects.
 #
 # ## Each view for itself: q-mean
 #

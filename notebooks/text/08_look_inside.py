@@ -184,7 +184,7 @@ viewer
 # The policies so far read pictures, and cannot say what a missing one would show. MV-MWM can: its
 # encoder has learned to draw all cameras from some of them (a *masked autoencoder*), and a world
 # model predicts what an action leads to. This one has learned the small task `toy/reach`: a blue
-# hand has to reach a red target on a board. First person rides on the hand; Third A and Third B
+# hand has to reach an orange target on a board. First person rides on the hand; Third A and Third B
 # look down on the whole board.
 
 # %%
@@ -228,8 +228,8 @@ foreseen_sheet(reach, step=4, subset="first+third_b", stream="third_a")
 #
 # ## Play
 #
-# Find the time step at which losing First person stops turning success into failure: play the
-# episode several times, and drop it earlier and later.
+# Find the first time step from which First person can be dropped and the episode still succeeds:
+# play the episode several times, and drop it earlier and later.
 
 # %%
 explorer = Explorer(merged_only, seed=2000)

@@ -98,7 +98,7 @@ guess.compare(f"without {worst}")
 # compare with. Every condition has the same `episodes` seeds, from `first_seed` on. For each one
 # say which success rates you expect, `(lowest, highest)`. And say which result would show that you
 # are wrong: if there is none, the experiment cannot tell you anything. An episode takes about two
-# seconds, so 24 of them in all are enough.
+# seconds, so 24 episodes in all take about a minute.
 
 # %% tags=["answer"]
 plan = {
