@@ -209,7 +209,8 @@ guess_robot.compare(f"{leader}, in {teaching.in_words(alone[leader], 50)}")
 # on single cameras too, still succeeds with each of them, but is weak with all cameras. Something
 # is new, too. Three networks for three cameras do not solve the problem: from Third A or Third B
 # alone Single hardly learns the task at this small budget, while the one network that had all three
-# does. Singular Only learned to act on single cameras and never on the sum: with all cameras it is weak.
+# does. Singular Only learned to act on single cameras and never on the sum: with all cameras it is
+# weak.
 #
 # `naive-both` weighs the sum and the single cameras alike. So does MAD here, and with the expert as
 # the only teacher the two are then one and the same training: the rows must be equal, and are.
