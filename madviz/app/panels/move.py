@@ -19,7 +19,7 @@ from madviz.app.scene.gizmo import Gizmo
 from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.drawing.viewpoint import extent
-from madviz.observation.displacement import Displacement, MoveCamera
+from madviz.observation.displacement import LARGEST, MOST_ZOOM, Displacement, MoveCamera
 from madviz.session.commands import Command
 from madviz.session.frame import Frame
 
@@ -35,12 +35,12 @@ HINTS = {
     "back": "Back to where the policy was trained with it.",
     "all": "All cameras back to where the policy was trained with them.",
 }
+STEPS = {**dict.fromkeys(("forward", "right", "up"), 0.01), **dict.fromkeys(("pan", "tilt"), 1.0)}
 RANGES = {
-    **dict.fromkeys(("forward", "right", "up"), (-0.5, 0.5, 0.01)),
-    **dict.fromkeys(("pan", "tilt"), (-45.0, 45.0, 1.0)),
-    "zoom": (0.5, 2.0, 0.05),
+    **{field: (-most, most, STEPS[field]) for field, most in LARGEST.items()},
+    "zoom": (1 / MOST_ZOOM, MOST_ZOOM, 0.05),
 }
-"""Of every slider: from, to, step. Commands may go further."""
+"""Of every slider: from, to, step. As far as any command goes, for a slider shows every move."""
 
 
 class MovePanel(WidgetPanel):
