@@ -255,7 +255,7 @@ class Session(FrameSource):
                 self._auto_next = on
                 self._emit()
             case SetSaliency(target):
-                self._stage.saliency.ask(target, lambda: self.inbox.put(command))
+                self._stage.saliency.ask(target, lambda: self.inbox.put(None))
                 self._emit()
             case Foresee(on):
                 self._stage.foresee(on)
