@@ -88,8 +88,8 @@ class Session(FrameSource):
             raise UserError(TOO_MANY)
         self.inbox.put(command)
 
-    def save(self) -> SavedSession:
-        return self._stage.journal.saved()
+    def save(self, present_only: bool = False) -> SavedSession:
+        return self._stage.journal.saved(present_only)
 
     def start(self) -> Session:
         """Runs ``run`` in a thread of its own."""
