@@ -204,6 +204,13 @@ def test_what_does_not_go_together_costs_nothing(
     assert "\n" not in str(error.value) and not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize("setting", [name for name in SETTINGS if SETTINGS[name].streams[1:]])
+@pytest.mark.parametrize("method", ["mad", "singular-only", "naive-both", "mv-mae", "mv-mwm"])
+def test_the_merge_is_one_row_in_every_setting(method: str, setting: str) -> None:
+    masks = METHODS[method].masks(SETTINGS[setting].streams)
+    assert masks.all(1).tolist() == [True, *[False] * (len(masks) - 1)]
+
+
 @pytest.mark.parametrize(
     ("method", "streams", "message"),
     [
