@@ -144,6 +144,8 @@ def test_light(method: str, tmp_path: Path) -> None:
     described = json.loads((folder / "config.json").read_text())
     assert described["method"] == method and described["merge"] == METHODS[method].merge
     assert described.get("camera") == ("first" if method == "single" else None)
+    told = LIGHT.alpha if method in ("mad", "mv-mae") else None
+    assert described["training"].get("alpha") == told, "no number that changes nothing"
     acts_where_it_says(folder, "bring the missing cameras back")
 
 

@@ -324,7 +324,7 @@ def _save(run: LightRun, folder: RunFolder, final: bool) -> None:
         updates=run.updates,
         critic_updates=updates,
         batch_size=config.batch_size,
-        alpha=config.alpha,
+        alpha=plan.method.alpha_of(config.alpha),
         seeds=f"network and data {plan.seed}, episodes below 1000",
         wall_time_s=round(run.seconds + time.monotonic() - began),
         finished=final,
