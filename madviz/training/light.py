@@ -253,8 +253,9 @@ class LightRun:
         state that an older version saved."""
         self.round, self.updates, self.seconds = (state[k] for k in ("round", "updates", "seconds"))
         self.outcomes = state["outcomes"]
-        for file in sorted(self._episodes.glob("*.npz")):
-            if int(file.name.split("-")[0]) <= self.round:
+        files = {tuple(map(int, f.stem.split("-"))): f for f in self._episodes.glob("*.npz")}
+        for (round_index, _), file in sorted(files.items()):
+            if round_index <= self.round:
                 self.data.add(Episode.load(file))
         self._look_at_demonstrations()
         self.agent.load_state_dict(state["agent"])
