@@ -102,8 +102,8 @@ def single_streams(streams: tuple[str, ...]) -> tuple[str, ...]:
 def mad_subsets(streams: tuple[str, ...]) -> tuple[str, ...]:
     """What MAD trains besides the merge: every single stream, as in the paper; where cameras have
     several modalities, every camera and every modality too, so that each can be switched off whole.
+
+    A word that means all streams, as the only camera does, is the merge itself and not listed.
     """
-    words = [word for word in groups(streams) if word not in ("all", "none")]
-    if len(set(map(modality_of, streams))) == 1:
-        words = list(streams)
-    return tuple(dict.fromkeys(name_of(mask_of(word, streams), streams) for word in words))
+    names = dict.fromkeys(name_of(mask, streams) for mask in groups(streams).values())
+    return tuple(name for name in names if name not in ("all", "none"))

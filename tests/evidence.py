@@ -24,7 +24,7 @@ def write_policy(
     setting: str = "three",
     recipe: str = "light",
     merge: str = "sum",
-    alpha: float = 0.5,
+    alpha: float | None = 0.5,
     updates: int = 6000,
     seed: int = 1,
     episodes: int = 100,

@@ -6,9 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 from madviz.envs.registry import make_env
+from madviz.envs.toy import ToyReach
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.frame import Frame
 from madviz.session.session import Session
+from madviz.types import CameraSpec
 from tests.fakes import FakePolicy, policies
 
 OFF = CameraState("off")
@@ -42,6 +44,18 @@ class Recorder(Session):
             self.send(command)
         self.tick(self.time)
         return self.frames[-1]
+
+
+def any_task(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> ToyReach:
+    """An ``env_factory``: the toy, under the name of any task."""
+    env = ToyReach("reach", render_profile, cameras)
+    env.spec = replace(env.spec, task=task)
+    return env
+
+
+def elsewhere(name: str) -> FakePolicy:
+    """A ``load``: as ``policies``, and ``elsewhere``, a policy of another task."""
+    return FakePolicy(name, task="toy/elsewhere") if name == "elsewhere" else policies(name)
 
 
 def frame_with(*commands, policy: FakePolicy | None = None) -> Frame:

@@ -101,7 +101,7 @@ def test_the_page_names_what_is_broken_and_shows_the_others(
     assert broken.name == "mvd" and broken.label.startswith(f"mvd · broken: {name}: expected")
     assert first_choice([broken, *sound], None) == "mad"
     assert [choice.name for choice in policy_choices("metaworld/hammer")] == ["mad", "merged-only"]
-    assert shipped_rates(spec) == {}
+    assert shipped_rates(str(three[2]), spec) == {}
 
 
 @pytest.mark.parametrize("content", ["null", "[" * 100_000, ODD_JSON["a giant number"]])

@@ -118,7 +118,7 @@ def test_the_figure_has_a_bar_for_a_method_and_a_dot_for_a_training(tmp_path: Pa
     assert len(result["comparisons"]) == 3
     drawn = figure.read_text()
     xml.fromstring(drawn)
-    assert drawn.count('class="dot"') == 3 and "merged-only (three, light, alpha 0.5)" in drawn
+    assert drawn.count('class="dot"') == 3 and "merged-only (three, light)" in drawn
     run_compare(CompareConfig(tuple(policies), figure=figure))
     assert figure.read_text() == drawn
 

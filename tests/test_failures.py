@@ -27,7 +27,7 @@ from madviz.session.journal import Journal
 from madviz.session.session import Session
 from madviz.session.session_reader import parse
 from tests.fakes import FakePolicy, policies
-from tests.pages import Wire, recorded
+from tests.pages import Wire, recorded, use
 
 CAMERAS = ("first", "third_a", "third_b")
 ENV = make_env("toy/reach").spec
@@ -256,20 +256,21 @@ def test_the_save_panel_hands_out_what_was_played() -> None:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
         assert isinstance(one.latest, Frame)
-        panel = SavePanel(server.gui, one.save, one.latest)
+        gui = recorded(server.gui)
+        panel = SavePanel(gui, one.save, one.latest)
         sent: list[tuple[str, bytes]] = []
         client = SimpleNamespace(
             send_file_download=lambda name, content, **_: sent.append((name, content)),
             add_notification=lambda *words, **_: sent.append((words[0], b"")),
             _websock_connection=Wire(),
         )
-        panel._download(client, last=True)  # type: ignore[arg-type]
+        use(gui.find("save this episode"), client=client)
         ((name, content),) = sent
         assert name == "reach-seed3.json"
         assert parse(content, name).episodes[-1].steps >= 5
         assert "madviz replay reach-seed3.json" in panel.update(one.latest)[0].value
-        empty = SavePanel(server.gui, Journal().saved, one.latest)
-        empty._download(client, last=False)  # type: ignore[arg-type]
+        empty = SavePanel(gui, Journal().saved, one.latest)
+        use(gui.find("save the last 20", 1), client=client)
         assert sent[-1] == ("That did not work", b"")
         panel.remove()
         empty.remove()

@@ -196,6 +196,17 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(
     assert bool(found.agent.config.state_mean) == config.standard_state
 
 
+def test_more_than_a_hundred_episodes_come_back_in_order(tmp_path: Path) -> None:
+    env, many = ToyReach(), replace(TINY, demonstrations=101)
+    env.spec = replace(env.spec, horizon=1)
+    episode = record_episode(env, THREE, Driver(), 1)
+    run, again = (LightRun(toy_plan(horizon=1), many, tmp_path) for _ in range(2))
+    numbers = np.arange(101, dtype=np.float32)
+    run.add([replace(episode, rewards=numbers[n : n + 1]) for n in range(101)], 0, [])
+    again.restore(run.state())
+    assert np.array_equal(again.data.column("rewards", np.arange(101)), numbers)
+
+
 def test_a_state_of_an_older_version_is_refused_in_words(tmp_path: Path) -> None:
     run = run_in(RunFolder(tmp_path, TINY, resume=False, listener=None))
     numbers = {"bit_generator": "PCG64", "has_uint32": "int:0"}

@@ -144,6 +144,8 @@ def test_light(method: str, tmp_path: Path) -> None:
     described = json.loads((folder / "config.json").read_text())
     assert described["method"] == method and described["merge"] == METHODS[method].merge
     assert described.get("camera") == ("first" if method == "single" else None)
+    told = LIGHT.alpha if method in ("mad", "mv-mae") else None
+    assert described["training"].get("alpha") == told, "no number that changes nothing"
     acts_where_it_says(folder, "bring the missing cameras back")
 
 
@@ -202,6 +204,13 @@ def test_what_does_not_go_together_costs_nothing(
     with pytest.raises(UserError, match=message) as error:
         trained(tmp_path / "run", config(method, **change))
     assert "\n" not in str(error.value) and not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("setting", [name for name in SETTINGS if SETTINGS[name].streams[1:]])
+@pytest.mark.parametrize("method", ["mad", "singular-only", "naive-both", "mv-mae", "mv-mwm"])
+def test_the_merge_is_one_row_in_every_setting(method: str, setting: str) -> None:
+    masks = METHODS[method].masks(SETTINGS[setting].streams)
+    assert masks.all(1).tolist() == [True, *[False] * (len(masks) - 1)]
 
 
 @pytest.mark.parametrize(

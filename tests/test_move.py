@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -17,6 +17,8 @@ from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.displacement import (
+    LARGEST,
+    MOST_ZOOM,
     Displacement,
     MoveCamera,
     along,
@@ -264,6 +266,16 @@ def test_the_panel_drags_is_not_pulled_back_and_puts_back():
     assert pan.value == 0
     panel.remove()
     server.stop()
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_panel_can_be_built_wherever_a_camera_has_been_moved(server, way: int):
+    """The arrows in the scene, and a saved session, go as far as a move can."""
+    far = Displacement(**{name: way * most for name, most in LARGEST.items()}, zoom=MOST_ZOOM**way)
+    gui = recorded(server.gui)
+    panel = MovePanel(gui, lambda _: None, Live().ask(MoveCamera("first", far)))
+    assert {name: gui.find(name).value for name in asdict(far)} == asdict(far)
+    panel.remove()
 
 
 def test_the_panel_says_where_cameras_are_and_what_counts():

@@ -155,6 +155,17 @@ def test_a_policy_draws_from_the_pictures_and_repeats_itself() -> None:
     assert draws == {0, 1, 2}
 
 
+def test_what_a_dropped_camera_would_show_changes_no_action() -> None:
+    spec = PolicySpec("p", "toy/reach", "mvd", "three", "light", STREAMS, ("all",))
+    policy, mask = TorchPolicy(spec, make("mvd").float()), np.array([True, False, True])
+    state = np.zeros(5, np.float32)
+    for seed in range(6):
+        views = make_batch(seed).views[0].numpy()
+        black = np.where(mask[:, None, None, None], views, np.uint8(0))
+        shown, hidden = (policy.read(policy.encode(v, state), mask) for v in (views, black))
+        np.testing.assert_array_equal(shown.action, hidden.action)
+
+
 # --- MVD: the update -------------------------------------------------------------------------
 
 

@@ -266,6 +266,13 @@ def test_an_alpha_ablation_stays_out_of_the_other_tables(tmp_path: Path) -> None
     assert found is not None and found.value == 0.95
 
 
+def test_an_older_alpha_without_effect_parts_no_trainings(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD, method="vib", merge="vib")
+    write_policy(tmp_path, GOOD, method="vib", merge="vib", alpha=None, seed=2, folder="later")
+    evidence, _ = find_evidence(tmp_path)
+    assert len(usual_alphas(evidence)) == 2
+
+
 def test_imitation_and_reinforcement_learning_never_share_a_table(tmp_path: Path) -> None:
     write_policy(tmp_path, GOOD)
     write_policy(tmp_path, rates(0.1, 0.1, 0.1, 0.1), recipe="paper", alpha=0.8)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,8 @@ from tests.visitors import find, played, put
 
 @cache
 def document() -> dict[str, Any]:
-    return json.loads(played(2, 20).last().to_json())
+    session = played(2, 20)
+    return json.loads(replace(session, episodes=session.episodes[-1:]).to_json())
 
 
 @pytest.mark.parametrize(

@@ -126,8 +126,14 @@ def test_the_journal_forgets_the_oldest_and_saves_no_broken_episode() -> None:
         session.send(SetSeed(tick))
         session.tick(float(tick))
     saved = session.save()
-    assert [episode.seed for episode in saved.episodes] == list(range(9, 30))
-    assert [episode.seed for episode in saved.last().episodes] == [29]
+    assert [episode.seed for episode in saved.episodes] == list(range(10, 30))
+    assert [episode.seed for episode in session.save(present_only=True).episodes] == [29]
+    for command in (Pause(), SetSeed(30)):
+        session.send(command)
+    session.tick(30.0)
+    assert [episode.seed for episode in session.save().episodes] == list(range(10, 30))
+    with pytest.raises(UserError, match="let it run first"):
+        session.save(present_only=True)  # Not the one before instead.
 
     broken = session_with(world := [], seed=0)
 
@@ -249,7 +255,7 @@ def test_a_session_of_a_site_is_compared_by_its_outcome_not_by_bits() -> None:
     for success in (episode.success, not episode.success):
         saved = kept_by_a_site(episode, success)
         read = parse(saved.to_json().encode(), "here")
-        assert read == saved and read.last().made_by == "site"
+        assert read == saved and read.made_by == "site"
         row = replay_row(read.episodes[0], read, find)
         assert row["compared"] == "outcome" and row["first_difference"] is None
         assert row["same"] == (success == episode.success)

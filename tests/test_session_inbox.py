@@ -96,3 +96,10 @@ def test_another_thread_wakes_whoever_waits():
     threading.Timer(0.05, inbox.put, [None]).start()
     began = time.monotonic()
     assert inbox.take(10.0) is None and time.monotonic() - began < 5.0
+
+
+def test_a_wake_hides_no_command_behind_it():
+    box = Inbox()
+    for what in (None, Pause(), None, None, SetSeed(3), None):
+        box.put(what)
+    assert [box.take(), box.take(), box.take(), box.take()] == [Pause(), SetSeed(3), None, None]

@@ -28,7 +28,7 @@ from madviz.session.replay import replay_episode
 from madviz.session.session import Session
 from madviz.session.simulation import Simulation, open_simulation
 from tests.fakes import AllOrNothing, Chunked, FakePolicy, policies
-from tests.sessions import OFF, Recorder
+from tests.sessions import OFF, Recorder, any_task, elsewhere
 
 
 def test_a_policy_that_needs_every_stream_says_so():
@@ -52,6 +52,20 @@ def test_policies_swap_in_mid_episode_and_camera_settings_stay(session: Recorder
     assert six.world.probe.masks.shape == (64, 6)
     assert six.condition.subset == "first+third_b"
     assert session.steps(2).world.step == before.world.step + 2
+
+
+@pytest.mark.parametrize("auto_next", [True, False])
+@pytest.mark.parametrize("command", [SetPolicy("elsewhere"), Compare("toy-other")])
+def test_what_begins_an_episode_ends_the_end_of_the_last_one(command, auto_next: bool):
+    session = Recorder(env_factory=any_task, load=elsewhere)
+    session.at(0.0)
+    session.ask(SetAutoNext(auto_next))
+    assert session.steps(25).pace.phase == "ended"
+    begun = session.ask(command)
+    assert (begun.world.step, begun.pace.phase) == (0, "playing")
+    assert session.at(session.time + 0.05) == pytest.approx(session.time + 0.05)
+    later = session.steps(2)
+    assert (later.world.step, later.pace.phase) == (2, "playing")
 
 
 def test_an_unknown_policy_leaves_the_old_one(session: Recorder):

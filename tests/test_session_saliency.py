@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from dataclasses import replace
 
@@ -79,6 +80,14 @@ def test_maps_come_when_asked_for_and_go_when_not(clocked: Clocked) -> None:
     saliency = clocked.look().saliency
     assert saliency is not None and list(saliency) == ["first", "third_a", "third_b"]
     assert clocked.tick(0.0, SetSaliency(None)).saliency is None
+
+
+def test_what_was_switched_off_while_it_loaded_stays_off(clocked: Clocked) -> None:
+    clocked.tick(0.0, SetSaliency("q"), SetSaliency(None))
+    for thread in threading.enumerate():
+        if thread.name == "madviz-captum":
+            thread.join(60)
+    assert [clocked.tick(1.0).saliency for _ in range(3)] == [None] * 3
 
 
 def test_twice_a_second_while_it_runs(clocked: Clocked) -> None:

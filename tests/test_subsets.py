@@ -48,6 +48,12 @@ def test_an_unknown_word_lists_the_known_ones() -> None:
 def test_what_mad_trains() -> None:
     assert mad_subsets(THREE) == single_streams(THREE) == THREE
     assert set(mad_subsets(RGBD)) == {"rgb", "depth", *THREE, *RGBD}
+    assert mad_subsets(SETTINGS["one-rgbd"].streams) == ("rgb", "depth")
+
+
+@pytest.mark.parametrize("streams", [setting.streams for setting in SETTINGS.values()])
+def test_the_merge_is_never_a_singular_subset(streams: tuple[str, ...]) -> None:
+    assert not any(mask_of(name, streams).all() for name in mad_subsets(streams))
 
 
 def test_names_are_the_shortest_honest_ones() -> None:

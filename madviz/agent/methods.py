@@ -78,6 +78,11 @@ class Method:
         merged = weights.get("merged", 0.0) + every
         return np.array([merged, *[singular] * (len(rows) - 1)], np.float32)
 
+    def alpha_of(self, alpha: float) -> float | None:
+        """``alpha``, of whoever trains by this method; None where it changes nothing, because the
+        weights are fixed."""
+        return alpha if self.weights(0.0) != self.weights(1.0) else None
+
     def trained_rows(self, streams: Streams, alpha: float = 0.5) -> Array:
         """(N,) bool: which rows weigh anything; by default at an ``alpha`` between 0 and 1."""
         return self.row_weights(streams, alpha) > 0

@@ -106,9 +106,10 @@ class LiveSaliency:
         self._ready = self._loading = False
         self.forget()
 
-    def ask(self, target: Target | None, again: Callable[[], None]) -> None:
+    def ask(self, target: Target | None, wake: Callable[[], None]) -> None:
         """What to explain from now on; None: nothing. The first time, captum is loaded in a thread
-        of its own, so that an episode does not stop, and then ``again`` is called from there."""
+        of its own, so that an episode does not stop, and then ``wake`` is called from there: what
+        is asked for by then may be due."""
         if target != self.target:
             self.target = target
             self.forget()
@@ -121,7 +122,7 @@ class LiveSaliency:
                     self._ready = True
                 finally:
                     self._loading = False
-                again()
+                wake()
 
             threading.Thread(target=load, name="madviz-captum", daemon=True).start()
 

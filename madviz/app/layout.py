@@ -39,6 +39,7 @@ from madviz.app.rates import SuccessRates
 from madviz.app.refresh import FASTEST, Refresh, TimedPanel
 from madviz.app.scene.arrows import ArrowsPanel
 from madviz.app.scene.scene import ScenePanel, extent
+from madviz.app.session_maker import References
 from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
 from madviz.app.tour import Tour
 from madviz.session.commands import SetSaliency
@@ -61,6 +62,8 @@ class Shared:
     """Trainings from the page get folders in its own."""
     greets: bool = True
     """Whether a new visitor is offered a comparison, where there is one to offer."""
+    references: References = field(default_factory=References)
+    """What commands call the policies that frames show."""
 
     @cached_property
     def audit(self) -> LiveAudit:
@@ -90,10 +93,11 @@ class Panels:
         self._send = None if readonly else session.send
         self._wide = wide
         gui, choices, rates = client.gui, shared.choices, shared.rates
+        named = shared.references.name_of
         visitor = None if readonly else client.client_id
         keys = Keys(self._send, newest, frame)
         tour = Tour(client, self._send, newest, choices, keys.help)
-        policy = PolicyPanel(gui, self._send, frame, choices)
+        policy = PolicyPanel(gui, self._send, frame, choices, named)
         success = SuccessPanel(gui, frame, rates, visitor)
         dockable = dock(client, wide)
         with dockable.add_tab("Cameras", viser.Icon.CAMERA):
@@ -131,6 +135,7 @@ class Panels:
         """What stands under the cameras, a tab each; names are short: eleven fit into one row."""
         gui, send, wide, shared = self._client.gui, self._send, self._wide, self._shared
         explain, audited = (self._explain, self._newest) if send else (None, None)
+        choices, named = shared.choices, shared.references.name_of
         table: list[tuple[str, list[tuple[Callable[[], Panel], float]]]] = [
             ("Features", [(lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25)]),
             ("Subsets", [(lambda: SubsetsPanel(gui, send, frame), 0.5)]),
@@ -144,9 +149,9 @@ class Panels:
                 ],
             ),
             ("Audit", [(lambda: AuditPanel(gui, audited, frame, shared.audit), 1.0)]),
-            ("Move", [(lambda: MovePanel(gui, send, frame, self._client.scene), 0.25)]),
+            ("Move", [(lambda: MovePanel(gui, send, frame, self._client.scene, named), 0.25)]),
             ("Timeline", [(lambda: TimelinePanel(gui, send, frame), 0.5)]),
-            ("A/B", [(lambda: ComparisonPanel(gui, send, frame, shared.choices), 0.5)]),
+            ("A/B", [(lambda: ComparisonPanel(gui, send, frame, choices, named), 0.5)]),
             ("Failures", [(lambda: FailuresPanel(gui, send, frame), 0.5)]),
             ("Train", [(lambda: TrainingPanel(gui, send, frame, shared.training), 1.0)]),
             ("Save", [(lambda: SavePanel(gui, self._session.save, frame), 1.0)]),

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
+from madviz.app.session_maker import Reference, own_name
 from madviz.evaluation.live import Evaluator, Tally
 from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.ablation import Ablation, CameraState
@@ -35,7 +36,7 @@ class SuccessRates:
         self,
         shipped: Shipped = lambda spec: {},
         make_evaluator: Callable[[Callable[[Tally], None]], Evaluator] | None = None,
-        reference: Callable[[PolicySpec], str] = lambda spec: spec.name,
+        reference: Reference = own_name,
     ) -> None:
         """``make_evaluator`` gets the listener for its tallies; without one nothing is measured
         but what runs on pages. ``reference`` is what ``load_policy`` knows a policy by."""

@@ -187,7 +187,7 @@ def open_app(config: ExploreConfig) -> App:
     for reference, spec in given.items():
         references.note(reference, spec)
     if name not in [choice.name for choice in choices]:
-        choices = [PolicyChoice(name, given[name].name, given[name].task), *choices]
+        choices = [PolicyChoice(name, name, given[name].task), *choices]
     make = SessionMaker(
         name, named or None, config.task, config.speed, script, trusted=config.trust
     )
@@ -198,10 +198,13 @@ def open_app(config: ExploreConfig) -> App:
     def evaluator(listener: Callable[[Tally], None]) -> Evaluator:
         return Evaluator(config.workers, Store(), listener)
 
-    rates = SuccessRates(shipped_rates, evaluator if config.workers else None, references.name_of)
+    def shipped(spec: PolicySpec) -> dict:
+        return shipped_rates(references.name_of(spec), spec)
+
+    rates = SuccessRates(shipped, evaluator if config.workers else None, references.name_of)
     return App(
         new_session,
-        Shared(choices, rates, greets=script is None),
+        Shared(choices, rates, greets=script is None, references=references),
         Address(config.host, config.port, gate_for(config)),
         Limits(config.visitors, config.watchers),
         light=config.light,
@@ -238,15 +241,15 @@ def saved_episode(config: ExploreConfig) -> tuple[SavedEpisode | None, dict[str,
     return script, {policy.name: find(policy).spec for policy in script.policies}
 
 
-def shipped_rates(spec: PolicySpec) -> dict:
-    """The subsets of a policy's evaluation.json; empty where it has none, or a broken one."""
-    folder = checkpoint.policy_folders().get(spec.name)
-    if folder is None:
-        return {}
+def shipped_rates(reference: str, spec: PolicySpec) -> dict:
+    """The subsets of the evaluation.json of the policy that ``load_policy`` knows by ``reference``;
+    empty where it is no folder, has other weights than ``spec`` or none, or a broken one."""
     try:
-        return (checkpoint.shipped_evaluation(folder) or {}).get("subsets", {})
+        folder = checkpoint.describe(reference)
+        same = folder.spec.digest == spec.digest
+        return dict(checkpoint.own_evaluation(folder)["subsets"]) if same else {}
     except UserError:
-        return {}  # ``policy_choices`` says so.
+        return {}  # ``policy_choices`` says what is broken.
 
 
 def policy_choices(task: str | None) -> list[PolicyChoice]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from madviz.envs.custom import allow_task
@@ -15,6 +16,15 @@ from madviz.session.replay import finder
 from madviz.session.session import Session
 from madviz.session.session_file import SavedEpisode
 from madviz.types import CameraSpec, Environment, Policy, PolicySpec
+
+Reference = Callable[[PolicySpec], str]
+"""Policy -> what ``load_policy`` knows it by. Its name does not say that: a training of one's own
+is called like the shipped policy with the same task, method and recipe."""
+
+
+def own_name(spec: PolicySpec) -> str:
+    """The reference of a policy that nobody named otherwise."""
+    return spec.name
 
 
 @dataclass(frozen=True)
@@ -80,7 +90,7 @@ class References:
 
     def name_of(self, spec: PolicySpec) -> str:
         """What ``load_policy`` knows a policy by: its own name unless noted otherwise."""
-        return self._names.get(spec, spec.name)
+        return self._names.get(spec, own_name(spec))
 
 
 def env_in_one_thread(

@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from madviz.app.panels.policy import PolicyChoice
+from madviz.app.session_maker import Reference, own_name
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.observation.schedule import Event
 from madviz.session.commands import (
@@ -53,12 +54,14 @@ class Step(NamedTuple):
     """Whether leading on from the last step leaves things as they are."""
 
 
-def steps(frame: Frame, choices: Sequence[PolicyChoice]) -> list[Step]:
+def steps(frame: Frame, choices: Sequence[PolicyChoice], named: Reference = own_name) -> list[Step]:
     """The tour of what ``frame`` shows, beginning with all cameras and the policy that acts now."""
-    return list(_steps(frame, choices))
+    return list(_steps(frame, choices, whole(frame, named)))
 
 
-def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
+def _steps(
+    frame: Frame, choices: Sequence[PolicyChoice], unbroken: tuple[Command, ...]
+) -> Iterator[Step]:
     cameras = frame.world.env.cameras
     label = [camera.label for camera in cameras]
     middle, last = len(cameras) // 2, len(cameras) - 1
@@ -67,7 +70,7 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
         f"A robot works at a task; it is done when: {frame.world.env.success}. The pictures on the "
         "left are all that the robot's policy gets. Nothing here is a recording: it decides anew "
         "at every step, now, on this machine.",
-        (*whole(frame), SetSpeed(10.0), Reset(), Play()),
+        (*unbroken, SetSpeed(10.0), Reset(), Play()),
     )
     yield Step(
         "A camera is dropped",
@@ -115,12 +118,13 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
         "Your turn",
         "Press off under any picture, or the keys 1, 2, 3; space stops and goes on. Which camera "
         "can this robot do without, and when? The button help, keys has the rest.",
-        (Play(), *whole(frame)),
+        (Play(), *unbroken),
     )
 
 
-def comparison_steps(frame: Frame, other: str) -> list[Step]:
+def comparison_steps(frame: Frame, other: str, named: Reference = own_name) -> list[Step]:
     """MAD, which acts in ``frame``, against the policy ``other``, trained on all cameras only."""
+    unbroken = whole(frame, named)
     camera = frame.world.env.cameras[0]
     dropped = (Event(GOES_AT, camera.name, dropped=True),)
     return [
@@ -138,7 +142,7 @@ def comparison_steps(frame: Frame, other: str) -> list[Step]:
             f"{camera.label} is dropped on both sides: its pictures turn dim. Which of the two "
             f"still does it? It is done when: {frame.world.env.success}.",
             (
-                *whole(frame),
+                *unbroken,
                 SetSpeed(10.0),
                 Compare(other),
                 Link(True),
@@ -158,7 +162,7 @@ def comparison_steps(frame: Frame, other: str) -> list[Step]:
             "Your turn",
             "Nothing fails by itself now. Press off or black under any picture: the switches act "
             "on both sides, and 'A only' unlinks them. Which cameras does each policy need?",
-            (SetSchedule(()), *whole(frame), Reset(), Play()),
+            (SetSchedule(()), *unbroken, Reset(), Play()),
             go="keep comparing",
             leave="explore one policy",
             keep=True,
@@ -166,10 +170,10 @@ def comparison_steps(frame: Frame, other: str) -> list[Step]:
     ]
 
 
-def whole(frame: Frame) -> tuple[Command, ...]:
+def whole(frame: Frame, named: Reference = own_name) -> tuple[Command, ...]:
     """Commands for all cameras as nobody has touched them, and the policy of ``frame``."""
     cameras = (_camera(frame, index) for index in range(len(frame.world.env.cameras)))
-    return (SetPolicy(frame.world.policy.name), *cameras)
+    return (SetPolicy(named(frame.world.policy)), *cameras)
 
 
 def never_alone(policy: PolicySpec, choices: Sequence[PolicyChoice]) -> str | None:
@@ -191,9 +195,11 @@ def compares(step: Step) -> bool:
     return any(isinstance(command, Compare) for command in step.commands)
 
 
-def restored(frame: Frame, compared: bool = False) -> tuple[Command, ...]:
+def restored(
+    frame: Frame, compared: bool = False, named: Reference = own_name
+) -> tuple[Command, ...]:
     """Commands for cameras, policy and speed as in ``frame``; if something was ``compared``, also
     for the failures that come by themselves, and without B."""
     cameras = (SetCamera(c.name, frame.camera(c.name)) for c in frame.world.env.cameras)
     alone = (Compare(None), SetSchedule(frame.schedule)) if compared else ()
-    return (*alone, SetPolicy(frame.world.policy.name), *cameras, SetSpeed(frame.pace.speed))
+    return (*alone, SetPolicy(named(frame.world.policy)), *cameras, SetSpeed(frame.pace.speed))

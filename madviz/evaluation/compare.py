@@ -220,11 +220,7 @@ def _stored(store: Store, evidence: Evidence, subset: str) -> Outcomes:
 
 
 def _label(evidence: Evidence) -> str:
-    alpha = (
-        ""
-        if evidence.config.training.alpha is None
-        else f", alpha {evidence.config.training.alpha:g}"
-    )
+    alpha = "" if evidence.alpha is None else f", alpha {evidence.alpha:g}"
     return f"{evidence.config.method} ({evidence.config.setting}, {evidence.config.recipe}{alpha})"
 
 

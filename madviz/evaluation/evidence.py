@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from madviz.agent.methods import METHODS
 from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.policies.config import PolicyConfig, read_config
@@ -43,6 +44,12 @@ class Evidence:
     def command(self) -> str:
         """That trains it again; '' where the config does not say."""
         return self.config.training.command or ""
+
+    @property
+    def alpha(self) -> float | None:
+        """Of the training; None where its method has fixed weights, whatever an older file says."""
+        known, said = METHODS.get(self.config.method), self.config.training.alpha
+        return known.alpha_of(said) if known and said is not None else said
 
     @property
     def seed(self) -> int:

@@ -67,7 +67,8 @@ class TrainingRecord(msgspec.Struct, kw_only=True, frozen=True, omit_defaults=Tr
     critic_updates: int | None = None
     batch_size: int | None = None
     alpha: float | None = None
-    """Weight of the merged feature in the loss."""
+    """Weight of the merged feature in the loss, where the method leaves it open. Older files have a
+    number in any case (``Evidence.alpha``)."""
     seeds: str | list[int] | None = None
     wall_time_s: int | float | None = None
     finished: bool | None = None

@@ -212,7 +212,7 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         steps = script.steps if script else config.steps
         last, size = write_all(config.out, facts, frames(session, steps))
     if config.keep is not None:
-        session.save().last().write(config.keep)
+        session.save(present_only=True).write(config.keep)
     end = last.world
     return {
         "schema": 1,

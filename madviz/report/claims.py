@@ -168,12 +168,12 @@ def _one_and_the_same(table: ResultTable) -> list[str]:
     tasks = {each.config.task for each in both.evidence}
     return [
         f"On {each.config.task} naive-both and MAD are one and the same training: with alpha "
-        f"{each.config.training.alpha:g} MAD weighs the sum and each of "
+        f"{each.alpha:g} MAD weighs the sum and each of "
         f"{len(each.config.streams)} streams alike, and under the light recipe the expert is the "
         "only teacher, so that nothing else tells them apart."
         for each in mad.evidence
         if each.config.task in tasks
-        and abs((each.config.training.alpha or 0) - 1 / (1 + len(each.config.streams))) < 1e-3
+        and abs((each.alpha or 0) - 1 / (1 + len(each.config.streams))) < 1e-3
     ]
 
 
@@ -260,7 +260,7 @@ def _blind(table: ResultTable) -> list[str]:
         alpha: (1 - alpha) * (1 - 1 / len(each.config.streams))
         for row in table.averages
         for each in row.evidence
-        if each.config.method == "mad" and (alpha := each.config.training.alpha) is not None
+        if each.config.method == "mad" and (alpha := each.alpha) is not None
     }
     if not blind:
         return []

@@ -90,10 +90,10 @@ def _three(evidence: Evidence) -> str | None:
 
 
 def _alpha(evidence: Evidence) -> str | None:
-    if _in("three", ("mad",))(evidence) is None or evidence.config.training.alpha is None:
+    if _in("three", ("mad",))(evidence) is None or evidence.alpha is None:
         return None
     recipe = "" if evidence.config.recipe == "light" else f", {evidence.config.recipe}"
-    return f"alpha {evidence.config.training.alpha:g}{recipe}"
+    return f"alpha {evidence.alpha:g}{recipe}"
 
 
 def _merge(evidence: Evidence, setting: str = "three") -> str | None:

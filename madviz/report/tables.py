@@ -65,9 +65,7 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[ResultTable]:
         others = [pair for pair in chosen if pair[1] not in usual]
         chosen = [pair for pair in chosen if pair[1] in usual]
         if layout.alphas == "named":
-            chosen += [
-                (f"{label}, alpha {each.config.training.alpha}", each) for label, each in others
-            ]
+            chosen += [(f"{label}, alpha {each.alpha}", each) for label, each in others]
     tasks = {each.config.task for _, each in chosen}
     chosen = [pair for task in sorted(tasks) for pair in _comparable(layout, task, chosen)]
     kinds: dict[tuple[str, bool], list[tuple[str, Evidence]]] = {}
@@ -181,11 +179,11 @@ def usual_alphas(evidence: Sequence[Evidence]) -> list[Evidence]:
         groups.setdefault(_kind(each), []).append(each)
     usual = {}
     for key, members in groups.items():
-        plain = [each.config.training.alpha for each in members if each.folder == each.config.name]
-        counted = Counter(each.config.training.alpha for each in members)
+        plain = [each.alpha for each in members if each.folder == each.config.name]
+        counted = Counter(each.alpha for each in members)
         commonest = min(counted, key=lambda a: (-counted[a], a or 0.0))
         usual[key] = plain[0] if plain else commonest
-    return [e for e in evidence if e.config.training.alpha == usual[_kind(e)]]
+    return [e for e in evidence if e.alpha == usual[_kind(e)]]
 
 
 def _kind(evidence: Evidence) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 from madviz.evaluation.statistics import Paired, pair
 from madviz.observation.ablation import Ablation
-from madviz.session.frame import Outcome, Pair
+from madviz.session.frame import Outcome, Pair, Side
 from madviz.session.simulation import open_simulation
 from madviz.types import CameraSpec, Environment, Policy
 
@@ -24,7 +24,7 @@ MOST_PAIRS = 1000
 """Pairs that stay."""
 
 
-def tally(pairs: tuple[Pair, ...], sides: tuple[tuple[str, str], tuple[str, str]]) -> Paired:
+def tally(pairs: tuple[Pair, ...], sides: tuple[Side, Side]) -> Paired:
     """The counts of all pairs between these two sides; a seed that came twice counts once."""
     ours = [one for one in pairs if one.sides == sides]
     return pair(

@@ -22,8 +22,8 @@ class EpisodeRecord:
 
     total_reward: float = 0.0
     success_any: bool = False
-    conditions: set[tuple[str, Condition]] = field(default_factory=set)
-    """All that a decision was taken under, with the name of the policy."""
+    conditions: set[tuple[PolicySpec, Condition]] = field(default_factory=set)
+    """All that a decision was taken under, with the policy."""
     worst: dict[str, str] = field(default_factory=dict)
     """By camera: off, occluded or moved, the first of these that it was at any decision."""
 
@@ -32,7 +32,7 @@ class EpisodeRecord:
         self.total_reward += time_step.reward
         self.success_any |= time_step.success
 
-    def note(self, policy: str, condition: Condition, ablation: Ablation) -> None:
+    def note(self, policy: PolicySpec, condition: Condition, ablation: Ablation) -> None:
         """What a decision was taken under."""
         self.conditions.add((policy, condition))
         for camera in (*ablation.cameras, *ablation.moves):

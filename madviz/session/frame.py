@@ -79,6 +79,10 @@ class Outcome:
     """The condition, if it and the policy were the same for all decisions."""
 
 
+Side = tuple[PolicySpec, Condition | None]
+"""One side of a comparison: who acted, and under which condition."""
+
+
 @dataclass(frozen=True)
 class Pair:
     """How one seed ended on both sides of a comparison, each under one condition."""
@@ -87,13 +91,10 @@ class Pair:
     second: Outcome
 
     @property
-    def sides(self) -> tuple[tuple[str, str], tuple[str, str]]:
-        """Who was compared: policy and condition, of A and of B."""
-        return _side(self.first), _side(self.second)
-
-
-def _side(outcome: Outcome) -> tuple[str, str]:
-    return outcome.policy.name, str(outcome.condition)
+    def sides(self) -> tuple[Side, Side]:
+        """What was compared: A and B."""
+        first, second = self.first, self.second
+        return (first.policy, first.condition), (second.policy, second.condition)
 
 
 class TimelinePoint(NamedTuple):

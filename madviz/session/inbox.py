@@ -40,9 +40,13 @@ class Inbox:
         self._queue.put(command)
 
     def take(self, timeout: float | None = 0.0) -> Command | None:
-        """The next command. Waits up to ``timeout`` seconds for it; None: for ever."""
+        """The next command. Waits up to ``timeout`` seconds for it; None: for ever. A None that a
+        command waits behind is passed over."""
         try:
-            return self._queue.get(block=timeout != 0.0, timeout=timeout)
+            command = self._queue.get(block=timeout != 0.0, timeout=timeout)
+            while command is None and len(self):
+                command = self._queue.get_nowait()
+            return command
         except queue.Empty:
             return None
 

@@ -37,7 +37,7 @@ from madviz.session.session_file import (
 from madviz.types import Array, EnvSpec, PolicySpec, TimeStep
 
 EPISODES = 20
-"""Episodes that stay besides the present one."""
+"""Episodes that can be saved at most, the present one among them."""
 MOST_COMMANDS = 5000
 """In one episode; somebody who swaps policies more often than that has no episode to save."""
 
@@ -95,13 +95,18 @@ class Journal:
         self._present: _Present | None = None
         self._lock = threading.Lock()
 
-    def saved(self) -> SavedSession:
-        """The last episodes and the present one so far. Raises UserError if there is no step."""
+    def saved(self, present_only: bool = False) -> SavedSession:
+        """The present episode so far, after the last ones unless ``present_only``. Raises UserError
+        if there is no step."""
         with self._lock:
             now = self._present.saved() if self._present else None
-            episodes = (*self._past, *((now,) if now else ()))
+            past = () if present_only else self._past
+            episodes = (*past, *((now,) if now else ()))[-EPISODES:]
         if not episodes:
-            raise UserError("expected an episode with a step to save, found none; let it run first")
+            which = "the episode that is running" if present_only else "an episode"
+            raise UserError(
+                f"expected {which} to have a step to save, found none; let it run first"
+            )
         return SavedSession(episodes, versions_here())
 
     def begin(self, policy: PolicySpec, env: EnvSpec, seed: int, ablation: Ablation) -> None:

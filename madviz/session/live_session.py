@@ -40,8 +40,9 @@ class LiveSession(Protocol):
         """Does nothing for a listener that is none."""
         ...
 
-    def save(self) -> SavedSession:
-        """The last episodes, to be replayed. Raises UserError if there is no step yet."""
+    def save(self, present_only: bool = False) -> SavedSession:
+        """The present episode, after the last ones unless ``present_only``, to be replayed. Raises
+        UserError if there is no step yet."""
         ...
 
     def start(self) -> LiveSession:

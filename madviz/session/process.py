@@ -35,7 +35,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
@@ -76,6 +76,12 @@ SAVING = 10.0
 _CONTEXT = multiprocessing.get_context("forkserver")
 
 
+class Save(NamedTuple):
+    """Asks a process for what ``Session.save`` returns."""
+
+    present_only: bool
+
+
 class SessionProcess(FrameSource):
     """See the module. What a ``Session`` offers to a page, and may be called from any thread."""
 
@@ -105,13 +111,12 @@ class SessionProcess(FrameSource):
         self._outbox.put(command)
         self._wanted.set()
 
-    def save(self) -> SavedSession:
-        """The last episodes, to be replayed. Raises UserError if there is no step yet, and where
-        the process gives no answer."""
+    def save(self, present_only: bool = False) -> SavedSession:
+        """As ``Session.save``. Raises UserError also where the process gives no answer."""
         with self._saving:
             while not self._saved.empty():  # An answer that came too late for whoever asked.
                 self._saved.get()
-            self._outbox.put("save")
+            self._outbox.put(Save(present_only))
             try:
                 answer = self._saved.get(timeout=SAVING)
             except queue.Empty:
@@ -255,8 +260,8 @@ def _live(pipe: Connection, make: MakeSession, beginning: list[Command]) -> None
             release_memory()  # What it took to get here: 30 MB of meshes and XML.
 
     def other(asked: object) -> None:
-        if asked == "save":
-            say("saved", _saved(session))
+        if isinstance(asked, Save):
+            say("saved", _saved(session, asked))
         else:
             session.close()
 
@@ -270,9 +275,9 @@ def _live(pipe: Connection, make: MakeSession, beginning: list[Command]) -> None
     os._exit(0)  # Python's own end would wait for threads, and libraries tidy up for a second.
 
 
-def _saved(session: Session) -> SavedSession | str:
+def _saved(session: Session, asked: Save) -> SavedSession | str:
     """Or why it cannot be had."""
     try:
-        return session.save()
+        return session.save(asked.present_only)
     except UserError as error:
         return str(error)

@@ -80,7 +80,7 @@ class Session(FrameSource):
         self._thread: threading.Thread | None = None
         self._pace, self._auto_next = StepClock(speed), True
         self._read_all, self._pass_takes = False, 0.0
-        self._phase: Phase = "paused" if script else "playing"
+        self._paused = script is not None
         self._number, self._error = 0, ""
 
     def send(self, command: Command) -> None:
@@ -88,8 +88,8 @@ class Session(FrameSource):
             raise UserError(TOO_MANY)
         self.inbox.put(command)
 
-    def save(self) -> SavedSession:
-        return self._stage.journal.saved()
+    def save(self, present_only: bool = False) -> SavedSession:
+        return self._stage.journal.saved(present_only)
 
     def start(self) -> Session:
         """Runs ``run`` in a thread of its own."""
@@ -150,6 +150,11 @@ class Session(FrameSource):
         if self._stage.explain(now, moving, full_speed=self._pace.speed is None):
             self._emit()
 
+    @property
+    def _phase(self) -> Phase:
+        """Found anew each time, so that whatever begins an episode ends the end of the last one."""
+        return "paused" if self._paused else "ended" if self._stage.ended else "playing"
+
     def _moving(self) -> bool:
         waiting = self._phase == "ended" and self._auto_next
         return self._stage.is_open and (self._phase == "playing" or waiting)
@@ -164,7 +169,7 @@ class Session(FrameSource):
             if not first:  # Nobody knows how far it came.
                 self._stage.journal.spoil()
             self._error = first + traceback.format_exc()
-            self._phase = "paused"
+            self._paused = True
             try:
                 self._emit(keep=False)
             except Exception:  # Not even a picture of it can be had, but the words can.
@@ -188,13 +193,11 @@ class Session(FrameSource):
     def _advance(self, now: float) -> None:
         """The next step, or the next episode after the end of one."""
         if self._stage.ended:
-            self._phase = "playing"
             self._begin(self._stage.seed + 1, now)
             return
         self._stage.step(self._serve_cameras)
         self._pace.step(now)
         if self._stage.ended:
-            self._phase = "ended"
             self._pace.hold(now)
         self._emit()
 
@@ -232,7 +235,7 @@ class Session(FrameSource):
             case MoveCamera():
                 self._move_camera(command)
             case SetPolicy(name):
-                self._swap(name)
+                self._swap(name, now)
             case SetSeed(seed):
                 self._restart(seed, now)
             case Reset(next_seed):
@@ -252,7 +255,7 @@ class Session(FrameSource):
                 self._auto_next = on
                 self._emit()
             case SetSaliency(target):
-                self._stage.saliency.ask(target, lambda: self.inbox.put(command))
+                self._stage.saliency.ask(target, lambda: self.inbox.put(None))
                 self._emit()
             case Foresee(on):
                 self._stage.foresee(on)
@@ -278,7 +281,7 @@ class Session(FrameSource):
 
     def _restart(self, seed: int, now: float) -> None:
         if self._error or not self._stage.is_open or self._stage.ended:
-            self._phase = "playing"
+            self._paused = False
         if not self._stage.is_open:
             self._stage.seed = seed
             self._open(now)
@@ -293,12 +296,12 @@ class Session(FrameSource):
             self._begin(self._stage.seed + 1, now)
         else:
             self._pace.due = now
-        self._phase, self._error = "playing", ""
+        self._paused, self._error = False, ""
         self._pace.forget()
         self._emit()
 
     def _halt(self) -> None:
-        self._phase = "paused"
+        self._paused = True
         self._pace.forget()
         self._emit()
 
@@ -311,9 +314,11 @@ class Session(FrameSource):
             self._advance(now)
         self._halt()
 
-    def _swap(self, name: str) -> None:
+    def _swap(self, name: str, now: float) -> None:
         """Another policy. After an error it may be the one that can go on."""
-        self._stage.swap(name)
+        if self._stage.swap(name):
+            self._began(now)
+            return
         self._error = ""
         self._pace.interrupt()
         self._emit()

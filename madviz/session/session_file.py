@@ -120,10 +120,6 @@ class SavedSession:
     """Of the packages that it was made with; with others, the last bits may differ."""
     made_by: Maker = "madviz"
 
-    def last(self) -> SavedSession:
-        """The last episode alone."""
-        return SavedSession(self.episodes[-1:], self.versions, self.made_by)
-
     def to_json(self) -> str:
         """As a file has it; ``session_reader.parse`` is the way back."""
         return pretty(

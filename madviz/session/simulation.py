@@ -155,7 +155,7 @@ class Simulation:
         time_step = self.env.step(action)
         self._actions.append(action)
         self.journal.decided(self.now.step, action, time_step)
-        self.record.note(self.policy.spec.name, self.condition, self.ablation)
+        self.record.note(self.policy.spec, self.condition, self.ablation)
         self.record.arrived(time_step)
         self._arrive(self._seen(time_step, self.now.step + 1, between))
         if time_step.last:

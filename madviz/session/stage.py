@@ -148,9 +148,10 @@ class Stage:
         self._live.move_camera(command)
         self._sync_b()
 
-    def swap(self, name: str) -> None:
+    def swap(self, name: str) -> bool:
         """Another policy; in the same episode where it belongs to the same task and render profile,
-        otherwise in a new environment. If it cannot be loaded, the old one stays."""
+        otherwise in a new environment. Returns whether that began the episode again. If it cannot
+        be loaded, the old one stays."""
         policy = self._loaded(name)
         if self._timeline.shown is not None:
             self.fork()
@@ -161,7 +162,7 @@ class Stage:
             live.swap(policy)
             self.saliency.forget()
             self._foresight = None
-            return
+            return False
         self._policy, before = policy, live.ablation if live else Ablation()
         self.open()
         here = {camera.name for camera in self._live.env.spec.cameras}
@@ -171,6 +172,7 @@ class Stage:
         for camera, move in before.moves.items():
             if camera in here:
                 self._live.move_camera(MoveCamera(camera, move))
+        return True
 
     @staticmethod
     def _lives_in(policy: PolicySpec, env: EnvSpec) -> bool:

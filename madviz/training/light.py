@@ -253,8 +253,9 @@ class LightRun:
         state that an older version saved."""
         self.round, self.updates, self.seconds = (state[k] for k in ("round", "updates", "seconds"))
         self.outcomes = state["outcomes"]
-        for file in sorted(self._episodes.glob("*.npz")):
-            if int(file.name.split("-")[0]) <= self.round:
+        files = {tuple(map(int, f.stem.split("-"))): f for f in self._episodes.glob("*.npz")}
+        for (round_index, _), file in sorted(files.items()):
+            if round_index <= self.round:
                 self.data.add(Episode.load(file))
         self._look_at_demonstrations()
         self.agent.load_state_dict(state["agent"])
@@ -324,7 +325,7 @@ def _save(run: LightRun, folder: RunFolder, final: bool) -> None:
         updates=run.updates,
         critic_updates=updates,
         batch_size=config.batch_size,
-        alpha=config.alpha,
+        alpha=plan.method.alpha_of(config.alpha),
         seeds=f"network and data {plan.seed}, episodes below 1000",
         wall_time_s=round(run.seconds + time.monotonic() - began),
         finished=final,

@@ -81,7 +81,8 @@ class ReinforcementRun(RewardRun):
         return Learner(agent, plan.method, plan.spec.streams, config.learning(), plan.seed)
 
     def record(self) -> TrainingRecord:
-        return msgspec.structs.replace(super().record(), alpha=self.config.alpha)
+        alpha = self.plan.method.alpha_of(self.config.alpha)
+        return msgspec.structs.replace(super().record(), alpha=alpha)
 
     def policy(self) -> TorchPolicy:
         spec, agent = self.plan.spec, self.acting_agent()

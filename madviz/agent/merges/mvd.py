@@ -169,9 +169,12 @@ class Mvd(MergeFunctions):
         return torch.rand(2, len(streams), generator=generator)
 
     def noise_to_act(self, views: Tensor) -> Tensor:
-        """An episode stays a function of its seed, and a draw still changes from step to step."""
-        rng = np.random.default_rng(int(views.sum(dtype=torch.int64)))
-        return torch.from_numpy(rng.random((2, views.shape[1]), np.float32))
+        """An episode stays a function of its seed, and a draw still changes from step to step. The
+        keys of a view come from its own pixels: what a dropped camera would show changes nothing.
+        """
+        sums = views.sum((0, 2, 3, 4), dtype=torch.int64).tolist()
+        keys = [np.random.default_rng(seed).random(2, np.float32) for seed in enumerate(sums)]
+        return torch.from_numpy(np.stack(keys, 1))
 
     def own_loss(
         self,

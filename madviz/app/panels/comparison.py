@@ -8,6 +8,7 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.panels.policy import PolicyChoice, offered
+from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import Cell, SyncedInput, WidgetPanel, on_press, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, NOTE
 from madviz.evaluation.statistics import Paired
@@ -36,8 +37,9 @@ class ComparisonPanel(WidgetPanel):
         send: Callable[[Command], None] | None,
         frame: Frame,
         choices: Sequence[PolicyChoice],
+        named: Reference = own_name,
     ) -> None:
-        self._frame = frame
+        self._frame, self._named = frame, named
         self.handles = []
         self._names = offered(choices, frame.world.env.task)
         self._labels = {name: label for label, name in self._names.items()}
@@ -51,7 +53,9 @@ class ComparisonPanel(WidgetPanel):
         picker = gui.add_dropdown(
             "B",
             list(self._names),
-            initial_value=self._labels.get(self._frame.world.policy.name, next(iter(self._names))),
+            initial_value=self._labels.get(
+                self._named(self._frame.world.policy), next(iter(self._names))
+            ),
             hint=HINTS["policy"],
         )
         start = gui.add_button("start B", hint=HINTS["start"])
@@ -70,7 +74,7 @@ class ComparisonPanel(WidgetPanel):
         self._frame = frame
         changes = [Assign(self._html, "content", comparison_html(frame))]
         if self._shown is not None and frame.second is not None:
-            acting = frame.second.world.policy.name
+            acting = self._named(frame.second.world.policy)
             changes += self._shown.show(self._labels.get(acting, acting))
         return changes
 
@@ -84,8 +88,8 @@ def comparison_html(frame: Frame) -> str:
 def _tally(frame: Frame) -> str:
     """Pairs of the two sides as they stand now, and what they say."""
     assert frame.second is not None
-    sides = tuple((side.world.policy.name, str(side.condition)) for side in (frame, frame.second))
-    counted = tally(frame.pairs, sides)  # type: ignore[arg-type]
+    first, second = ((side.world.policy, side.condition) for side in (frame, frame.second))
+    counted = tally(frame.pairs, (first, second))
     if counted.n == 0:
         return (
             '<span class="dim">A pair counts when an episode ends in which nobody touched either '

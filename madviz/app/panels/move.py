@@ -16,10 +16,11 @@ import viser
 from madviz.app.markup import dot
 from madviz.app.panel import Assign
 from madviz.app.scene.gizmo import Gizmo
+from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.drawing.viewpoint import extent
-from madviz.observation.displacement import Displacement, MoveCamera
+from madviz.observation.displacement import LARGEST, MOST_ZOOM, Displacement, MoveCamera
 from madviz.session.commands import Command
 from madviz.session.frame import Frame
 
@@ -35,12 +36,12 @@ HINTS = {
     "back": "Back to where the policy was trained with it.",
     "all": "All cameras back to where the policy was trained with them.",
 }
+STEPS = {**dict.fromkeys(("forward", "right", "up"), 0.01), **dict.fromkeys(("pan", "tilt"), 1.0)}
 RANGES = {
-    **dict.fromkeys(("forward", "right", "up"), (-0.5, 0.5, 0.01)),
-    **dict.fromkeys(("pan", "tilt"), (-45.0, 45.0, 1.0)),
-    "zoom": (0.5, 2.0, 0.05),
+    **{field: (-most, most, STEPS[field]) for field, most in LARGEST.items()},
+    "zoom": (1 / MOST_ZOOM, MOST_ZOOM, 0.05),
 }
-"""Of every slider: from, to, step. Commands may go further."""
+"""Of every slider: from, to, step. As far as any command goes, for a slider shows every move."""
 
 
 class MovePanel(WidgetPanel):
@@ -52,9 +53,10 @@ class MovePanel(WidgetPanel):
         send: Callable[[Command], None] | None,
         frame: Frame,
         scene: viser.SceneApi | None = None,
+        named: Reference = own_name,
     ) -> None:
         """``scene``: where arrows to drag can be shown."""
-        self._send, self._frame = send, frame
+        self._send, self._frame, self._named = send, frame, named
         self._gizmo: Gizmo | None = None
         if scene is not None and send is not None:
             self._gizmo = Gizmo(scene, frame, extent(frame), self._ask)
@@ -70,7 +72,7 @@ class MovePanel(WidgetPanel):
         self._style = gui.add_html("")
         if send is not None:
             self._add_controls(gui, frame)
-        self._words = gui.add_html(move_html(frame))
+        self._words = gui.add_html(move_html(frame, named))
         self.handles += [self._style, self._words]
 
     def _add_controls(self, gui: viser.GuiApi, frame: Frame) -> None:
@@ -134,7 +136,7 @@ class MovePanel(WidgetPanel):
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
-        changes = [Assign(self._words, "content", move_html(frame))]
+        changes = [Assign(self._words, "content", move_html(frame, self._named))]
         changes += self._gizmo.update(frame) if self._gizmo is not None else []
         if self._choice is None:
             return changes
@@ -162,7 +164,7 @@ class MovePanel(WidgetPanel):
             self._gizmo.remove()
 
 
-def move_html(frame: Frame) -> str:
+def move_html(frame: Frame, named: Reference = own_name) -> str:
     """Where cameras are, and what becomes of the success rates."""
     if not frame.world.ablation.moves:
         return (
@@ -180,17 +182,17 @@ def move_html(frame: Frame) -> str:
         f'<div class="mv mv-moved" style="border-left:3px solid {NOTE};margin:0 10px;'
         f'padding:2px 8px">{rows}<div class="dim">A condition of its own: its success is that of '
         "whole episodes with the cameras there. Success against distance: "
-        f"<code>{escape(sweep(frame))}</code></div></div>"
+        f"<code>{escape(sweep(frame, named(frame.world.policy)))}</code></div></div>"
     )
 
 
-def sweep(frame: Frame) -> str:
-    """The command that measures success on the way to where the first moved camera stands, along
-    the first of its axes that it went; the others it leaves as they were."""
+def sweep(frame: Frame, policy: str) -> str:
+    """The command that measures success of ``policy`` on the way to where the first moved camera
+    stands, along the first of its axes that it went; the others it leaves as they were."""
     camera = next(c.name for c in frame.world.env.cameras if c.name in frame.world.ablation.moves)
     moved, plain = frame.world.ablation.moves[camera], Displacement()
     way = next(name for name in RANGES if getattr(moved, name) != getattr(plain, name))
     return (
-        f"madviz displace --policy {frame.world.policy.name} --camera {camera} --along {way} "
+        f"madviz displace --policy {policy} --camera {camera} --along {way} "
         f"--most {getattr(moved, way):g}"
     )

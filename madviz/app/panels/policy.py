@@ -13,6 +13,7 @@ from madviz.agent.methods import METHODS
 from madviz.app.markup import error_html, progress_bar
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import action_bars
+from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.session.commands import (
@@ -38,6 +39,7 @@ class PolicyChoice:
     """A policy that can be picked."""
 
     name: str
+    """What ``load_policy`` knows it by."""
     label: str
     """What it is, among those of its task."""
     task: str = ""
@@ -61,8 +63,9 @@ class PolicyPanel(WidgetPanel):
         send: Callable[[Command], None] | None,
         frame: Frame,
         choices: Sequence[PolicyChoice],
+        named: Reference = own_name,
     ) -> None:
-        self._gui, self._send = gui, send
+        self._gui, self._send, self._named = gui, send, named
         task = frame.world.env.task
         self._names = offered(choices, task)
         self._labels = {name: label for label, name in self._names.items()}
@@ -83,13 +86,11 @@ class PolicyPanel(WidgetPanel):
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
     ) -> None:
         labels = list(self._names)
-        current = self._labels.get(frame.world.policy.name, frame.world.policy.name)
+        name = self._named(frame.world.policy)
+        current = self._labels.setdefault(name, name)
         if current not in labels:
             labels = [current, *labels]
-            self._names[current], self._labels[frame.world.policy.name] = (
-                frame.world.policy.name,
-                current,
-            )
+            self._names[current] = name
         tasks = list({frame.world.env.task: "", **self._tasks})
         self._task = gui.add_dropdown(
             "Task",
@@ -154,7 +155,8 @@ class PolicyPanel(WidgetPanel):
         marks += self._speed.style(speed)
         changes.append(Assign(self._style, "content", f"<style>{marks}</style>"))
         changes += self._shown_auto.show(frame.pace.auto_next)
-        label = self._labels.get(frame.world.policy.name, frame.world.policy.name)
+        name = self._named(frame.world.policy)
+        label = self._labels.get(name, name)
         # After an error the policy may be another than the one that was picked.
         failed = bool(frame.pace.error)
         changes += self._shown_task.show(frame.world.env.task, force=failed)

@@ -22,22 +22,25 @@ HINTS = {
 class SavePanel(WidgetPanel):
     """Two buttons, and what to do with what they save. Watchers may save, too: it only reads."""
 
-    def __init__(self, gui: viser.GuiApi, keep: Callable[[], SavedSession], frame: Frame) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, keep: Callable[[bool], SavedSession], frame: Frame
+    ) -> None:
+        """``keep(present_only)`` saves; see ``LiveSession.save``."""
         self._keep = keep
         one = gui.add_button("save this episode", icon=viser.Icon.DOWNLOAD, hint=HINTS["one"])
         several = gui.add_button("save the last 20", hint=HINTS["all"])
-        one.on_click(one_at_a_time(lambda event: self._download(event.client, last=True)))
-        several.on_click(one_at_a_time(lambda event: self._download(event.client, last=False)))
+        one.on_click(one_at_a_time(lambda event: self._download(event.client, True)))
+        several.on_click(one_at_a_time(lambda event: self._download(event.client, False)))
         cells = [Cell(one, 1), Cell(several, 2)]
         self._words = gui.add_html(save_html(frame))
         self.handles = [*place(gui, "save", 2, cells), self._words]
 
-    def _download(self, client: viser.ClientHandle | None, last: bool) -> None:
+    def _download(self, client: viser.ClientHandle | None, present_only: bool) -> None:
         if client is None:
             return
 
         def save() -> None:
-            saved = self._keep().last() if last else self._keep()
+            saved = self._keep(present_only)
             download(client, file_name(saved), saved.to_json().encode())
 
         guarded(client, save)
