@@ -22,6 +22,7 @@ from madviz.session.commands import (
     Command,
     Compare,
     Link,
+    Pause,
     Play,
     Reset,
     SetCamera,
@@ -192,8 +193,10 @@ def compares(step: Step) -> bool:
 
 
 def restored(frame: Frame, compared: bool = False) -> tuple[Command, ...]:
-    """Commands for cameras, policy and speed as in ``frame``; if something was ``compared``, also
-    for the failures that come by themselves, and without B."""
+    """Commands for cameras, policy, speed and pause as in ``frame``; if something was ``compared``,
+    also for the failures that come by themselves, and without B."""
     cameras = (SetCamera(c.name, frame.camera(c.name)) for c in frame.world.env.cameras)
     alone = (Compare(None), SetSchedule(frame.schedule)) if compared else ()
-    return (*alone, SetPolicy(frame.world.policy.name), *cameras, SetSpeed(frame.pace.speed))
+    paused = (Pause(),) if frame.pace.phase == "paused" else ()
+    policy, speed = SetPolicy(frame.world.policy.name), SetSpeed(frame.pace.speed)
+    return (*alone, policy, *cameras, speed, *paused)
