@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import inspect
 import threading
+import time
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -131,6 +133,14 @@ def _hear(callbacks: list[Any], event: Any) -> None:
         answer = callback(event)
         if inspect.iscoroutine(answer):
             asyncio.run(answer)
+
+
+def await_that(happened: Callable[[], object], patience: float = 20.0) -> None:
+    """Waits until ``happened`` is true; fails after ``patience`` seconds."""
+    deadline = time.monotonic() + patience
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def choices_of(*names: str) -> list[PolicyChoice]:

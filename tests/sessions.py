@@ -55,7 +55,7 @@ def any_task(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) ->
 
 def elsewhere(name: str) -> FakePolicy:
     """A ``load``: as ``policies``, and ``elsewhere``, a policy of another task."""
-    return FakePolicy(name, task="toy/elsewhere") if name == "elsewhere" else policies(name)
+    return FakePolicy(name, task="metaworld/push") if name == "elsewhere" else policies(name)
 
 
 def frame_with(*commands, policy: FakePolicy | None = None) -> Frame:

@@ -236,14 +236,18 @@ def test_the_switch_asks_and_the_line_says_what_comes(server: viser.ViserServer)
     panel = SaliencyPanel(gui, asked.append, frame)
     use(gui.find("Saliency"), "for its Q")
     assert asked == ["q"]
-    assert "depends on" in saliency_words(frame, "")
-    assert "never has one" in saliency_words(frame, "q")
-    assert "its Q would change" in saliency_words(looking(frame), "q")
-    assert "full speed" in saliency_words(with_pace(frame, speed=None), "q")
+    assert "depends on" in saliency_words(frame)
+    frame = replace(frame, explained="q")
+    assert "never has one" in saliency_words(frame)
+    assert "its Q would change" in saliency_words(looking(frame))
+    assert "full speed" in saliency_words(with_pace(frame, speed=None))
     stuck = frame_with(SetCamera("first", OFF), policy=AllOrNothing("toy-stack"))
-    assert "cannot act" in saliency_words(stuck, "action")
+    assert "cannot act" in saliency_words(replace(stuck, explained="action"))
     apply(panel.update(looking(frame)))
     assert "SmoothGrad" in gui.html
+    other = SaliencyPanel(recorded(server.gui), asked.append, frame)
+    assert "nth-child(2)" in other.handles[-1].content, "a page of another task shows the choice"
+    other.remove()
     panel.remove()
     SaliencyPanel(server.gui, None, frame).remove()
 

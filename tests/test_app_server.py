@@ -31,7 +31,7 @@ from madviz.session.commands import Pause, SetSpeed
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies
-from tests.pages import browser, choices_of, fake_app
+from tests.pages import await_that, browser, choices_of, fake_app
 from tests.sessions import frame_with
 
 
@@ -298,10 +298,3 @@ def newest(session: Session) -> Frame:
     await_that(lambda: isinstance(session.latest, Frame))
     assert isinstance(session.latest, Frame)
     return session.latest
-
-
-def await_that(happened, patience: float = 20.0) -> None:
-    deadline = time.monotonic() + patience
-    while not happened():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)

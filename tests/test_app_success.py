@@ -8,7 +8,9 @@ from html import escape
 
 import pytest
 
+from madviz.app.layout import Shared
 from madviz.app.markup import error_html
+from madviz.app.page import Page
 from madviz.app.panel import apply
 from madviz.app.panels.policy import (
     PolicyChoice,
@@ -30,12 +32,12 @@ from madviz.envs.registry import make_env
 from madviz.evaluation.live import Request, Tally
 from madviz.evaluation.statistics import SuccessRate
 from madviz.policies.checkpoint import load_policy
-from madviz.session.commands import Compare, Pause, SetCamera, SetPolicy
+from madviz.session.commands import Compare, Pause, ReadSubsets, SetCamera, SetPolicy, SetSaliency
 from madviz.session.frame import Condition, Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies
-from tests.pages import recorded, use
-from tests.sessions import OFF, frame_with, with_pace
+from tests.pages import await_that, browser, recorded, use
+from tests.sessions import OFF, Recorder, any_task, elsewhere, frame_with, with_pace
 
 
 def test_a_machine_that_cannot_keep_up_says_so():
@@ -202,6 +204,40 @@ def test_both_sides_are_measured_while_there_are_two(server):
     assert asked.by == {}
 
 
+def test_measuring_is_switched_on_again_while_an_episode_stands_still(server):
+    asked = Asked()
+    rates = SuccessRates(make_evaluator=lambda listener: asked)  # type: ignore[arg-type]
+    gui = recorded(server.gui)
+    panel = SuccessPanel(gui, frame_with(), rates, visitor=1)
+    apply(panel.update(frame_with(Pause())))
+    for on in (False, True):
+        use(gui.find("Measure"), on)
+        assert bool(asked.by) == panel.measures == on
+    panel.remove()
+
+
+def test_what_a_visitor_has_chosen_outlives_a_change_of_task(server):
+    asked = Asked()
+    rates = SuccessRates(make_evaluator=lambda listener: asked)  # type: ignore[arg-type]
+    client, session = browser(server), Recorder(env_factory=any_task, load=elsewhere)
+    gui = client.gui
+    page = Page(client, session, Shared([], rates))
+    page.start()
+    session.ask(Pause(), SetSaliency("action"), ReadSubsets(True))
+    await_that(lambda: asked.by)
+    use(gui.find("Measure"), False)
+    session.ask(SetPolicy("elsewhere"))
+    await_that(lambda: len([one for one in gui.added if one_is(one, "save the last 20")]) == 2)
+    page.close()
+    assert not gui.find("Measure", 1).value and asked.ever == {"toy-mad"}
+    assert gui.find("Read every set", 1).value
+    page.clear()
+
+
+def one_is(handle, label: str) -> bool:
+    return getattr(handle, "label", None) == label
+
+
 class Asked:
     """In place of an evaluator: who wants which policy measured."""
 
@@ -209,9 +245,11 @@ class Asked:
 
     def __init__(self) -> None:
         self.by: dict[Hashable, str] = {}
+        self.ever: set[str] = set()
 
     def request(self, visitor: Hashable, policy: str, mask, occlusions, moves) -> Tally:
         self.by[visitor] = policy
+        self.ever.add(policy)
         return Tally(Request(policy, "", "all"), ())
 
     def forget(self, visitor: Hashable) -> None:

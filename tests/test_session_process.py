@@ -16,13 +16,47 @@ import pytest
 
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.session.commands import Compare, Pause, Play, Reset, Scrub, SetCamera, SetSeed, StepOnce
+from madviz.observation.ablation import Ablation
+from madviz.observation.displacement import Displacement, MoveCamera
+from madviz.observation.schedule import Event
+from madviz.session.commands import (
+    Compare,
+    Link,
+    Pause,
+    Play,
+    ReadSubsets,
+    Reset,
+    Scrub,
+    SetAutoNext,
+    SetCamera,
+    SetPolicy,
+    SetSaliency,
+    SetSchedule,
+    SetSeed,
+    SetSpeed,
+    StepOnce,
+)
 from madviz.session.frame import Frame, NoFrame
-from madviz.session.process import Noted, SessionProcess
+from madviz.session.process import MakeSession, Noted, SessionProcess
 from madviz.session.session import Session
 from madviz.session.transfer import FrameDecoder, FrameEncoder
 from tests.fakes import FakePolicy, policies
 from tests.sessions import OFF, Recorder
+
+
+def deadly(name: str) -> FakePolicy:
+    """A ``load_policy`` of which one ends the process."""
+    if name == "deadly":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return policies(name)
+
+
+@dataclass(frozen=True)
+class MakeDeadly:
+    """A session whose first policy ends its process when it is loaded."""
+
+    def __call__(self, noted: Noted) -> Session:
+        return Session(make_env, "deadly", deadly)
 
 
 @dataclass(frozen=True)
@@ -36,7 +70,7 @@ class Make:
         if self.ends:
             os.kill(os.getpid(), signal.SIGSEGV)
         policy = FakePolicy()
-        noted("a reference", policy.spec)
+        noted("toy-mad", policy.spec)
         session = Session(make_env, policy, policies, seed=3)
         session.send(Pause())
         return session
@@ -45,7 +79,7 @@ class Make:
 class Watched:
     """A process's session, and what comes from it."""
 
-    def __init__(self, make: Make = Make()) -> None:
+    def __init__(self, make: MakeSession = Make()) -> None:
         self.noted: list[str] = []
         self.news: list[Frame | NoFrame] = []
         self._came = threading.Condition()
@@ -79,7 +113,7 @@ class Watched:
 
 
 @contextmanager
-def watched(make: Make = Make()) -> Iterator[Watched]:
+def watched(make: MakeSession = Make()) -> Iterator[Watched]:
     one = Watched(make)
     try:
         yield one
@@ -168,7 +202,7 @@ def test_a_session_in_a_process_obeys_and_saves_as_one_here():
         np.testing.assert_array_equal(there.action, last.action)
         assert one.session.save().episodes[-1].steps == here.save().episodes[-1].steps == 2
         assert one.session.save().episodes[-1].trace == here.save().episodes[-1].trace
-        assert one.noted == ["a reference"]
+        assert one.noted == ["toy-mad"]
         process = one.session._process
     assert process is not None and not process.is_alive()
 
@@ -193,6 +227,47 @@ def test_a_process_that_dies_is_started_again_with_the_same_seed_and_cameras():
         assert all(n.camera("third_a") == OFF for n in shown)
         one.session.send(StepOnce())
         one.step(1)
+
+
+def test_a_process_that_is_started_again_knows_all_that_was_shown():
+    """Failures, B, the link and the switches; of the cameras, what a failure did is not kept."""
+    fails = (Event(2, "first", dropped=True),)
+    aside = {"third_b": Displacement(right=0.1)}
+    with watched() as one:
+        for command in (
+            SetSpeed(50.0),
+            SetAutoNext(False),
+            ReadSubsets(True),
+            SetSaliency("action"),
+            MoveCamera("third_b", aside["third_b"]),
+            Compare("toy-other", Ablation({"third_a": OFF})),
+            Link(False),
+            SetSchedule(fails),
+            Play(),
+        ):
+            one.session.send(command)
+        one.until(lambda n: isinstance(n, Frame) and n.pace.phase == "ended")
+        before = one.kill()
+        again = one.until(lambda n: isinstance(n, Frame), before)
+        assert isinstance(again, Frame) and again.second is not None
+        pace, second = again.pace, again.second.world
+        assert (pace.phase, pace.speed, pace.auto_next, pace.reads_all) == (
+            "playing",
+            50.0,
+            False,
+            True,
+        )
+        assert (again.explained, again.schedule, again.linked) == ("action", fails, False)
+        assert again.world.step < 2 and again.mask.all() and again.world.ablation.moves == aside
+        assert second.policy.name == "toy-other" and second.ablation.camera("third_a") == OFF
+
+
+def test_another_policy_helps_where_the_first_one_ends_every_process():
+    with watched(MakeDeadly()) as one:
+        one.until(lambda n: isinstance(n, NoFrame) and "third time" in n.title)
+        one.session.send(SetPolicy("toy-other"))
+        found = one.until(lambda n: isinstance(n, Frame))
+        assert isinstance(found, Frame) and found.world.policy.name == "toy-other"
 
 
 def test_the_third_end_within_a_minute_waits_for_the_visitor():
@@ -228,7 +303,8 @@ def test_a_second_end_before_the_first_frame_still_knows_seed_and_cameras():
     session._read(ours)
     for end in ("first", "second"):
         session._publish(NoFrame("", f"the {end} end"))
-        assert session._to_begin_with() == [SetCamera("third_a", OFF), SetSeed(41), Pause()]
+        began = session._beginning().commands
+        assert all(one in began for one in (SetCamera("third_a", OFF), SetSeed(41), Pause()))
         ours, theirs = Pipe()
         theirs.close()
         session._read(ours)  # Nothing came.

@@ -12,7 +12,7 @@ from madviz.app.tour import HELP, Tour, keys_table
 from madviz.app.tour_steps import GOES_AT, comparison_steps, steps
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
-from madviz.session.commands import SetCamera, SetPolicy, SetSpeed, StepOnce
+from madviz.session.commands import Pause, SetCamera, SetPolicy, SetSpeed, StepOnce
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy
@@ -102,6 +102,21 @@ def test_whenever_it_is_left_all_is_as_before(table: Table, server: viser.ViserS
         assert frame.world.policy.name == "toy-mad-light" and frame.pace.speed == 20.0
         assert frame.pace.phase == "playing" and not frame.past
         tour.end()  # Twice does no harm.
+
+
+def test_what_a_visitor_does_meanwhile_does_not_stay_either(
+    table: Table, server: viser.ViserServer
+):
+    table.session.send(Pause())
+    table.tick()
+    tour = Tour(browser(server), table.session.send, lambda: table.frame, CHOICES, [])
+    tour.begin()
+    assert table.tick().pace.phase == "playing"
+    table.session.send(SetPolicy("toy-merged-only-light"))
+    assert table.tick().world.policy.method == "merged-only"
+    tour.end()
+    frame = table.tick()
+    assert (frame.world.policy.method, frame.pace.phase) == ("mad", "paused")
 
 
 def test_a_tour_clicked_through_fast_brings_the_policy_back(

@@ -85,9 +85,11 @@ class Panels:
         wide: bool,
         readonly: bool,
         greet: bool,
+        measures: bool,
     ) -> None:
         """``newest`` is what the page shows last; ``wide`` windows have more room; who is
-        ``readonly`` watches somebody else's session; ``greet`` offers a comparison."""
+        ``readonly`` watches somebody else's session; ``greet`` offers a comparison; ``measures``
+        is as in ``SuccessPanel``."""
         self._client, self._session, self._shared = client, session, shared
         self._newest = newest
         self._send = None if readonly else session.send
@@ -98,7 +100,7 @@ class Panels:
         keys = Keys(self._send, newest, frame)
         tour = Tour(client, self._send, newest, choices, keys.help)
         policy = PolicyPanel(gui, self._send, frame, choices, named)
-        success = SuccessPanel(gui, frame, rates, visitor)
+        self.success = SuccessPanel(gui, frame, rates, visitor, measures)
         dockable = dock(client, wide)
         with dockable.add_tab("Cameras", viser.Icon.CAMERA):
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
@@ -115,7 +117,7 @@ class Panels:
                 TimedPanel(policy, FASTEST),
                 TimedPanel(words, FASTEST),
                 *tabbed,
-                TimedPanel(success, 0.5),
+                TimedPanel(self.success, 0.5),
                 TimedPanel(scene, 0.05),
                 TimedPanel(arrows, 0.25),
             ]

@@ -47,6 +47,8 @@ class Page:
         self._wide = window_is_wide(client)
         self._greets = shared.greets and not window_is_upright(client)
         """Until it has: whoever comes is offered a comparison once."""
+        self._measures = True
+        """Whether success is measured for this page, as its visitor left the switch."""
         self._waiting: viser.GuiHtmlHandle | None = None
         self._panels: Panels | None = None
         self._wanted: object = None
@@ -113,6 +115,7 @@ class Page:
         """Takes panels and scene off the page."""
         panels, self._panels = self._panels, None
         if panels is not None:
+            self._measures = panels.success.measures
             panels.remove()
 
     # The page's own thread.
@@ -197,6 +200,7 @@ class Page:
                 wide=self._wide,
                 readonly=self._readonly,
                 greet=greet,
+                measures=self._measures,
             )
 
 

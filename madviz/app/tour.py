@@ -68,7 +68,9 @@ class Tour:
         self._start: Frame | None = None
         """What a step of the tour has changed, as it was before."""
         self._steps: list[Step] = []
-        self._at, self._acting = 0, ""
+        self._at = 0
+        self._acting = ""
+        """The policy that the tour has asked for last, or found."""
         gui = client.gui
         options = (HELP_BUTTON,) if send is None else (TOUR_BUTTON, HELP_BUTTON)
         if send is not None and self._other() is not None:
@@ -134,7 +136,7 @@ class Tour:
             self.end()
 
     def end(self) -> None:
-        """Closes the window; cameras, policy, speed and B are as they were."""
+        """Closes the window; cameras, policy, pace and B are as they were."""
         panel, self._panel = self._panel, None
         if panel is None:
             return
@@ -160,11 +162,18 @@ class Tour:
         send = self._send
         for command in commands:
             if isinstance(command, SetPolicy):
-                if command.name == self._acting:  # Loading it again would take a moment.
+                if self._acts(command.name):  # Loading it again would take a moment.
                     continue
                 self._acting = command.name
             if send is not None:
                 guarded(self._client, lambda command=command: send(command))
+
+    def _acts(self, policy: str) -> bool:
+        """Whether ``policy`` acts, and no other is on its way: what the tour asked for may not have
+        come yet, and a visitor may have chosen another."""
+        frame = self._newest()
+        shown = frame.world.policy.name if isinstance(frame, Frame) else ""
+        return policy == shown == self._acting
 
     def help(self) -> None:
         """What the words mean, what the keys do, and light or dark."""

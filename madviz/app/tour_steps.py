@@ -23,6 +23,7 @@ from madviz.session.commands import (
     Command,
     Compare,
     Link,
+    Pause,
     Play,
     Reset,
     SetCamera,
@@ -198,8 +199,10 @@ def compares(step: Step) -> bool:
 def restored(
     frame: Frame, compared: bool = False, named: Reference = own_name
 ) -> tuple[Command, ...]:
-    """Commands for cameras, policy and speed as in ``frame``; if something was ``compared``, also
-    for the failures that come by themselves, and without B."""
+    """Commands for cameras, policy, speed and pause as in ``frame``; if something was ``compared``,
+    also for the failures that come by themselves, and without B."""
     cameras = (SetCamera(c.name, frame.camera(c.name)) for c in frame.world.env.cameras)
     alone = (Compare(None), SetSchedule(frame.schedule)) if compared else ()
-    return (*alone, SetPolicy(named(frame.world.policy)), *cameras, SetSpeed(frame.pace.speed))
+    paused = (Pause(),) if frame.pace.phase == "paused" else ()
+    policy, speed = SetPolicy(named(frame.world.policy)), SetSpeed(frame.pace.speed)
+    return (*alone, policy, *cameras, speed, *paused)

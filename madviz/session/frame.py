@@ -14,6 +14,7 @@ import numpy as np
 from madviz.analysis.foresight import Foresight
 from madviz.analysis.imagination import Imagined
 from madviz.analysis.probes import Probe
+from madviz.analysis.saliency import Target
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.schedule import Schedule
 from madviz.subsets import camera_of, modality_of, name_of
@@ -178,6 +179,8 @@ class SessionPace:
     rate: float
     """Decisions per second achieved; NaN until there are enough to tell."""
     auto_next: bool
+    reads_all: bool = False
+    """Whether every subset is read where each costs a pass."""
     error: str = ""
     """Traceback or one line; the session has paused because of it."""
 
@@ -202,7 +205,8 @@ class Frame:
     saliency: dict[str, Array] | None = None
     """(H, W) in [0, 1] by stream: where the policy looks, half a second old at most while an
     episode runs; None where nobody asked or there is none."""
-
+    explained: Target | None = None
+    """What somebody asked to see the pixels of; there may be no ``saliency`` of it yet."""
     foresight: Foresight | None = None
     """What the policy imagined of the decisions after an earlier step or this one."""
 

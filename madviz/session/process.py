@@ -18,8 +18,9 @@ that could be left behind.
 
 Processes are forked from a *fork server* (``fork_server.py``), which has imported torch and done
 nothing else, so a simulation starts in a moment and shares that memory. A process that ends by
-itself is started again, on the same seed with the same cameras, and the page says so. The third
-time within a minute it stays as it is until the visitor does something.
+itself is started again with all that the last frame shows, on the same seed, and the page says so.
+What no frame shows may be what ended it. The third time within a minute it stays as it is until the
+visitor does something.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -41,11 +43,16 @@ from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import (
     Command,
+    Compare,
+    Link,
     Pause,
+    Play,
     ReadSubsets,
     SetAutoNext,
     SetCamera,
     SetPolicy,
+    SetSaliency,
+    SetSchedule,
     SetSeed,
     SetSpeed,
 )
@@ -82,6 +89,14 @@ class Save(NamedTuple):
     present_only: bool
 
 
+class Beginning(NamedTuple):
+    """How a process begins, before anything of it is shown."""
+
+    policy: str | None = None
+    """The one to open; None: the one that the session was made with."""
+    commands: tuple[Command, ...] = ()
+
+
 class SessionProcess(FrameSource):
     """See the module. What a ``Session`` offers to a page, and may be called from any thread."""
 
@@ -93,12 +108,12 @@ class SessionProcess(FrameSource):
         self._saved: queue.SimpleQueue[SavedSession | str] = queue.SimpleQueue()
         self._saving = threading.Lock()
         self._closing, self._wanted = threading.Event(), threading.Event()
-        self._kept: dict[type, Command] = {}
-        """The last command of each kind that a process which is started again must hear."""
+        self._names: dict[PolicySpec, str] = {}
+        """What policies are loaded by, of all that any process has loaded."""
+        self._chosen: str | None = None
+        """The policy that the visitor has chosen since the last process ended."""
         self._shown: Frame | None = None
-        """The newest frame of all processes so far: where the next one goes on."""
-        self._beginning: list[Command] = []
-        """What the next process carries out before anything of it is shown."""
+        """The newest step that was shown, of all processes: where the next one goes on."""
         self._process: ForkServerProcess | None = None
         self._thread = threading.Thread(target=self._run, name="madviz-session", daemon=True)
 
@@ -106,8 +121,8 @@ class SessionProcess(FrameSource):
         """As ``Session.send``. Never waits for the process."""
         if len(self._outbox) >= MOST_WAITING:
             raise UserError(TOO_MANY)
-        if isinstance(command, SetPolicy | SetSpeed | SetAutoNext | ReadSubsets):
-            self._kept[type(command)] = command
+        if isinstance(command, SetPolicy):
+            self._chosen = command.name
         self._outbox.put(command)
         self._wanted.set()
 
@@ -171,7 +186,7 @@ class SessionProcess(FrameSource):
         here, there = _CONTEXT.Pipe()
         self._process = process = _CONTEXT.Process(
             target=_live,
-            args=(there, self._make, self._beginning),
+            args=(there, self._make, self._beginning()),
             name="madviz-simulation",
             daemon=True,
         )
@@ -188,22 +203,43 @@ class SessionProcess(FrameSource):
 
     def _begin_anew(self) -> None:
         """What was meant for the last process is left there: it may be what ended it."""
-        self._beginning = self._to_begin_with()
+        self._chosen = None
         before, self._outbox = self._outbox, Outbox()
         before.put(None)
         if self._closing.is_set():
             self._outbox.put(None)
 
-    def _to_begin_with(self) -> list[Command]:
+    def _beginning(self) -> Beginning:
         """What brings a new process to where the last one was."""
-        shown, commands = self._shown, list(self._kept.values())
-        if shown is not None:
-            world = shown.world
-            commands += [SetCamera(name, state) for name, state in world.ablation.cameras.items()]
-            commands += [MoveCamera(name, move) for name, move in world.ablation.moves.items()]
-            commands.append(SetSeed(world.seed))
-            commands += [Pause()] if shown.pace.phase == "paused" else []
-        return commands
+        shown = self._shown
+        if shown is None:
+            return Beginning(self._chosen)
+        policy = self._chosen or self._names.get(shown.world.policy)
+        return Beginning(policy, tuple(self._as_in(shown)))
+
+    def _as_in(self, shown: Frame) -> Iterator[Command]:
+        """Commands for all that is as in ``shown``, but the policy and the step."""
+        world, pace = shown.world, shown.pace
+        yield from (SetSpeed(pace.speed), SetAutoNext(pace.auto_next))
+        yield from (ReadSubsets(pace.reads_all), SetSaliency(shown.explained))
+        for name, state in world.ablation.cameras.items():
+            yield SetCamera(name, state)
+        for name, move in world.ablation.moves.items():
+            yield MoveCamera(name, move)
+        if shown.second is not None:
+            b = shown.second.world
+            yield Compare(self._names.get(b.policy, b.policy.name), b.ablation)
+            yield Link(shown.linked)
+        # The seed after the failures, which begin with it: none of them has come at its first step.
+        yield from (SetSchedule(shown.schedule), SetSeed(world.seed))
+        yield Pause() if pace.phase == "paused" else Play()
+
+    def _note(self, frame: Frame) -> None:
+        """An earlier step that is shown again is not where the simulation stands."""
+        stands = self._shown if frame.past else None
+        self._shown = frame
+        if stands is not None:
+            self._shown = replace(frame, world=stands.world, second=stands.second)
 
     def _read(self, pipe: Connection) -> None:
         """Until the process ends."""
@@ -215,10 +251,13 @@ class SessionProcess(FrameSource):
                 return
             if kind == "frame":
                 news = decoder.decode(what)
-                self._shown = news if isinstance(news, Frame) else self._shown
+                if isinstance(news, Frame):
+                    self._note(news)
                 self._publish(news)
             elif kind == "policy":
-                self._noted(*what)
+                name, spec = what
+                self._names[spec] = name
+                self._noted(name, spec)
             elif kind == "saved":
                 self._saved.put(what)
 
@@ -241,7 +280,7 @@ def _how(code: int | None) -> str:
 # --- In the process ---------------------------------------------------------------------------
 
 
-def _live(pipe: Connection, make: MakeSession, beginning: list[Command]) -> None:
+def _live(pipe: Connection, make: MakeSession, beginning: Beginning) -> None:
     """Runs a session until the page's process says None, or is gone. Nothing of it is shown before
     ``beginning`` has been carried out: if it ends there, the next one still begins with that."""
     set_up_worker()
@@ -265,8 +304,10 @@ def _live(pipe: Connection, make: MakeSession, beginning: list[Command]) -> None
         else:
             session.close()
 
-    if beginning:
-        for command in beginning:
+    if beginning.policy is not None:
+        session.open_with(beginning.policy)
+    if beginning.commands:
+        for command in beginning.commands:
             session.send(command)
         session.tick(time.monotonic())
     session.subscribe(send)

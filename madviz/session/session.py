@@ -91,6 +91,11 @@ class Session(FrameSource):
     def save(self, present_only: bool = False) -> SavedSession:
         return self._stage.journal.saved(present_only)
 
+    def open_with(self, policy: str) -> None:
+        """Another policy to begin with, by a name ``load_policy`` knows; before the session runs.
+        Unlike after ``SetPolicy``, the one that it was made with is never loaded."""
+        self._stage.policy = policy
+
     def start(self) -> Session:
         """Runs ``run`` in a thread of its own."""
         self._thread = threading.Thread(target=self.run, name="madviz-session", daemon=True)
@@ -262,6 +267,7 @@ class Session(FrameSource):
                 self._emit()
             case ReadSubsets(on):
                 self._read_all = on
+                self._emit()
             case SetSchedule(events):
                 self._stage.reschedule(events)
                 self._emit()
@@ -333,6 +339,7 @@ class Session(FrameSource):
             speed=self._pace.speed,
             rate=self._pace.rate,
             auto_next=self._auto_next,
+            reads_all=self._read_all,
             error=self._error,
         )
         frame = self._stage.frame(keep, pace)

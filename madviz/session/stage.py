@@ -51,7 +51,8 @@ class Stage:
     ) -> None:
         """``policy``: one that is there, or a name that ``load_policy`` knows, for ``open``."""
         self._make_env, self._load = make_env, load_policy
-        self._policy, self.seed = policy, seed
+        self.policy, self.seed = policy, seed
+        """Who acts in which episode; before ``open``, who shall."""
         self.journal, self._timeline, self._plan = Journal(), Timeline(), SessionPlan(script)
         self.simulation: Simulation | None = None
         """Always at a step; None where there is none, or none could begin."""
@@ -79,14 +80,14 @@ class Stage:
     def open(self) -> None:
         """Builds the policy's environment, and begins. Where that fails, nothing is open."""
         self.shut()
-        if isinstance(self._policy, str):
-            self._policy = self._loaded(self._policy)
+        if isinstance(self.policy, str):
+            self.policy = self._loaded(self.policy)
         script = self._plan.waiting
-        world = script or self._policy.spec
+        world = script or self.policy.spec
         env = self._make_env(world.task, world.render_profile, world.cameras)
         ablation = script.ablation if script else Ablation()
         seed = script.seed if script else self.seed
-        self.simulation = open_simulation(env, self._policy, ablation, seed, self.journal)
+        self.simulation = open_simulation(env, self.policy, ablation, seed, self.journal)
         self._begun(seed)
 
     def shut(self) -> None:
@@ -158,12 +159,12 @@ class Stage:
         live = self.simulation
         if live is not None and self._lives_in(policy.spec, live.env.spec):
             check_environment(policy.spec, live.env.spec)
-            self._policy = policy
+            self.policy = policy
             live.swap(policy)
             self.saliency.forget()
             self._foresight = None
             return False
-        self._policy, before = policy, live.ablation if live else Ablation()
+        self.policy, before = policy, live.ablation if live else Ablation()
         self.open()
         here = {camera.name for camera in self._live.env.spec.cameras}
         for camera, state in before.cameras.items():
@@ -214,7 +215,7 @@ class Stage:
         live = self._live
         live.return_to(self._timeline.fork())
         self._foresight = None
-        self._policy = live.policy
+        self.policy = live.policy
         if self._second is not None:
             self._second.part()
 
@@ -273,6 +274,7 @@ class Stage:
             pairs=tuple(self._pairs),
             schedule=self._plan.schedule,
             saliency=self.saliency.maps,
+            explained=self.saliency.target,
             foresight=self._foresight,
         )
         frame = self._timeline.live(frame, live.snapshot(), keep)

@@ -27,13 +27,11 @@ class SaliencyPanel(WidgetPanel):
     def __init__(
         self, gui: viser.GuiApi, ask: Callable[[Target | None], None] | None, frame: Frame
     ) -> None:
-        self._asked = ""
         self.handles: list[Any] = []
         self._choice: Choice | None = None
         if ask is not None:
 
             def choose(_: viser.ClientHandle, value: str) -> None:
-                self._asked = value
                 ask(value or None)  # type: ignore[arg-type]
 
             self._choice = Choice(gui, "Saliency", OPTIONS, choose, HINT)
@@ -46,19 +44,17 @@ class SaliencyPanel(WidgetPanel):
         return [Assign(self._line, "content", self._html(frame))]
 
     def _html(self, frame: Frame) -> str:
-        style = self._choice.style(self._asked) if self._choice else ""
-        said = saliency_words(frame, self._asked)
+        style = self._choice.style(frame.explained or "") if self._choice else ""
+        said = saliency_words(frame)
         return f'<style>{style}</style><div class="mv mv-saliency dim">{said}</div>'
 
 
-def saliency_words(frame: Frame, asked: str) -> str:
+def saliency_words(frame: Frame) -> str:
     """What the colours on the pictures mean, or why there are none."""
-    maps = frame.saliency
-    if not asked and maps is None:
+    if frame.explained is None:
         return "Shows on every picture which of its pixels the policy's output depends on."
-    if maps is not None:
-        what = "the norm of its action" if asked == "action" else "its Q"
-        what = what if asked else "what it gives out"
+    if frame.saliency is not None:
+        what = "the norm of its action" if frame.explained == "action" else "its Q"
         return (
             f"Bright: if this pixel changed a little, {what} would change most (SmoothGrad, twice "
             "a second). All pictures share one scale: a dark one hardly counts."

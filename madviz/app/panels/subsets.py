@@ -11,7 +11,7 @@ import viser
 from madviz.analysis.shapley import camera_masks
 from madviz.app.markup import band, track
 from madviz.app.panel import Assign, apply
-from madviz.app.toolkit import WidgetPanel, on_value
+from madviz.app.toolkit import SyncedInput, WidgetPanel, on_value
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.session.commands import Command, ReadSubsets
 from madviz.session.frame import Frame
@@ -39,7 +39,8 @@ class SubsetsPanel(WidgetPanel):
     ) -> None:
         """``send`` None: read-only."""
         self._frame = frame
-        self._read = gui.add_checkbox("Read every set", False, hint=ONE_BY_ONE)
+        self._read = gui.add_checkbox("Read every set", frame.pace.reads_all, hint=ONE_BY_ONE)
+        self._reads = SyncedInput(self._read)
         self._read.visible = send is not None and not frame.world.policy.reads_together
         if send is not None:
             on_value(self._read, lambda _, on: send(ReadSubsets(bool(on))))
@@ -59,6 +60,7 @@ class SubsetsPanel(WidgetPanel):
             Assign(self._table, "content", html),
             Assign(self._everything, "visible", len(frame.world.probe.masks) > FEW),
             Assign(self._read, "visible", self._may_read and not frame.world.policy.reads_together),
+            *self._reads.show(frame.pace.reads_all),
         ]
 
 

@@ -40,10 +40,16 @@ class SuccessPanel(WidgetPanel):
     """Bars (shipped above, measured here below), a curve that marks every change, a strip."""
 
     def __init__(
-        self, gui: viser.GuiApi, frame: Frame, rates: SuccessRates, visitor: Hashable | None
+        self,
+        gui: viser.GuiApi,
+        frame: Frame,
+        rates: SuccessRates,
+        visitor: Hashable | None,
+        measures: bool = True,
     ) -> None:
-        """``visitor`` has the present condition measured; None only watches."""
-        self._rates, self._visitor = rates, visitor
+        """``visitor`` has the present condition measured, if the switch for it begins with
+        ``measures``; None only watches."""
+        self._frame, self._rates, self._visitor = frame, rates, visitor
         self._wanted: dict[Hashable, tuple[PolicySpec, Condition]] = {}
         """By side: what is measured for it."""
         self._known: dict[Hashable, tuple[Outcome, ...]] = {}
@@ -68,11 +74,17 @@ class SuccessPanel(WidgetPanel):
         self.handles = [self._bars, self._strip, self._plot]
         self._switch: viser.GuiCheckboxHandle | None = None
         if visitor is not None and rates.measures:
-            self._switch = gui.add_checkbox("Measure", True, hint=MEASURE_HINT)
+            self._switch = gui.add_checkbox("Measure", measures, hint=MEASURE_HINT)
             self.handles.append(self._switch)
             on_value(self._switch, lambda _, on: self._set_measuring(bool(on)))
 
+    @property
+    def measures(self) -> bool:
+        """Whether the visitor has left the switch on."""
+        return self._switch is None or bool(self._switch.value)
+
     def update(self, frame: Frame) -> list[Assign]:
+        self._frame = frame
         if self._visitor is not None:
             self._keep(frame)
             self._want(frame)
@@ -101,7 +113,7 @@ class SuccessPanel(WidgetPanel):
 
     def _want(self, frame: Frame) -> None:
         """Has the conditions of this moment measured, if they are not those that already are."""
-        if self._switch is None or not self._switch.value:
+        if self._switch is None or not self.measures:
             return
         sides = self._sides(frame)
         for gone in self._wanted.keys() - {who for who, _ in sides}:
@@ -114,7 +126,9 @@ class SuccessPanel(WidgetPanel):
                 self._rates.want(who, side.world.policy, side.mask, side.world.ablation)
 
     def _set_measuring(self, on: bool) -> None:
-        if not on:
+        if on:
+            self._want(self._frame)  # No other frame may come while an episode is paused.
+        else:
             self._forget()
 
     def _forget(self) -> None:
