@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder, r
 from madviz.training.light import LightConfig, LightRun, imitation_loss, run_rounds, train_light
 from madviz.training.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
 from madviz.training.run_folder import RunFolder
+from madviz.types import Array
 from tests.plans import THREE, toy_plan
 
 RGBD = SETTINGS["three-rgbd"].streams
@@ -217,6 +219,17 @@ def test_a_kill_leaves_every_row_of_the_curve_once(
     train_light(toy_plan(), short, RunFolder(tmp_path, short, resume=True, listener=None))
     rows = (tmp_path / "curve.csv").read_text().splitlines()
     assert [row.split(",")[0] for row in rows] == ["round", "1", "2", "3"]
+
+
+class NumpySuccess(ToyReach):
+    """As a task of one's own may say it; a saved state takes no NumPy objects."""
+
+    def step(self, action: Array) -> Any:
+        return SimpleNamespace(**vars(super().step(action)) | {"success": np.True_})
+
+
+def test_the_success_of_an_episode_can_be_saved_with_a_state() -> None:
+    assert record_episode(NumpySuccess(), THREE, Driver(), 1).success is True
 
 
 def test_more_than_a_hundred_episodes_come_back_in_order(tmp_path: Path) -> None:
