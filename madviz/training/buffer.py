@@ -335,7 +335,7 @@ class ReplayBuffer:
 
     def _refuse_if_too_large(self, need: int, folder: Path | None, available: int | None) -> None:
         spec = self.spec
-        have = _free(folder) if available is None else available
+        have = _free(spec, folder) if available is None else available
         if need > have:
             fits = int(spec.capacity * have / need) // 1000 * 1000
             raise UserError(
@@ -350,10 +350,14 @@ class ReplayBuffer:
 def _frame_store(spec: BufferSpec, folder: Path | None) -> FrameStore:
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-        files = [folder / f"{stream}.frames" for stream in spec.streams]
-        return PlainFrames(spec.rows, spec.channels, files)
+        return PlainFrames(spec.rows, spec.channels, _files(spec, folder))
     kind = PackedFrames if spec.packed else PlainFrames
     return kind(spec.rows, spec.channels)
+
+
+def _files(spec: BufferSpec, folder: Path) -> list[Path]:
+    """Where the frames of each stream are on a disk."""
+    return [folder / f"{stream}.frames" for stream in spec.streams]
 
 
 def _span(part: str) -> tuple[int, int]:
@@ -362,13 +366,15 @@ def _span(part: str) -> tuple[int, int]:
     return int(start), int(stop)
 
 
-def _free(folder: Path | None) -> int:
-    """Bytes that may be filled: of the nearest disk, or of memory."""
+def _free(spec: BufferSpec, folder: Path | None) -> int:
+    """Bytes that may be filled: of memory, or of the nearest disk, where frames of an earlier
+    start are written over."""
     if folder is not None:
+        old = sum(512 * f.stat().st_blocks for f in _files(spec, folder) if f.exists())
         while not folder.exists():
             folder = folder.absolute().parent
         disk = os.statvfs(folder)
-        return disk.f_bavail * disk.f_frsize
+        return disk.f_bavail * disk.f_frsize + old
     meminfo = Path("/proc/meminfo")
     if meminfo.exists():
         fields = dict(line.split(":") for line in meminfo.read_text().splitlines())

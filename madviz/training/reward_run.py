@@ -87,6 +87,8 @@ class RunConfig(RecipeOptions):
     save_every: Steps = 2_000
     """Decisions between checkpoints."""
 
+    ONLY_TIME = ("buffer_packed", "buffer_on_disk", "save_every")
+
     def numbers_of(self, task: str) -> SuiteNumbers:
         """The paper's for ``task``, but where an option says otherwise."""
         suite = MANISKILL if task.startswith("maniskill/") else METAWORLD
