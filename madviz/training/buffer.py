@@ -227,11 +227,16 @@ class ReplayBuffer:
                     column[rows] = part[key]
                 self._restore_frames(part, range(start, stop))
             self._count = stop
-        for file in folder.glob("part*"):
-            if file.name not in state["parts"]:
-                file.unlink()
         self._count = self._saved = state["count"]
         self._parts = list(state["parts"])
+        self.remove_other_parts(folder)
+
+    def remove_other_parts(self, folder: Path) -> None:
+        """Those that the state last saved or restored does not need. After a ``save`` the older
+        state may need them until the new one is in its place."""
+        for file in folder.glob("part*"):
+            if file.name not in self._parts:
+                file.unlink()
 
     def _restore_frames(self, part: Any, numbers: range) -> None:
         """Those of a part's frames that no part before it had."""

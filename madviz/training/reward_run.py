@@ -247,6 +247,10 @@ class RewardRun:
             **{key: getattr(self, key) for key in _COUNTS},
         }
 
+    def saved(self) -> None:
+        """The newest ``state`` is in its place: what only older ones needed goes."""
+        self.buffer.remove_other_parts(self.folder.resume / "buffer")
+
     def restore(self, state: dict[str, Any]) -> None:
         """Continues from ``state``, in mid-episode if need be."""
         self.learner.load_state_dict(state["learner"])
