@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -200,7 +202,7 @@ def test_memory_is_what_the_frames_packed_take(monkeypatch: pytest.MonkeyPatch) 
 
 def test_frames_that_pack_badly_are_found_out_early(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = replace(PACKED, capacity=300_000)
-    monkeypatch.setattr(buffer_module, "_free", lambda folder: 8 * 10**9)
+    monkeypatch.setattr(buffer_module, "_free", lambda spec, folder: 8 * 10**9)
     buffer, rng = ReplayBuffer(spec), np.random.default_rng(0)
 
     def frames() -> list[Array]:
@@ -210,6 +212,36 @@ def test_frames_that_pack_badly_are_found_out_early(monkeypatch: pytest.MonkeyPa
     with pytest.raises(UserError, match=r"needs \d\d.\d GB, found 8.0 GB free in memory"):
         for _ in range(8):
             buffer.add(np.zeros(2), 0.0, 0.9, np.zeros(6), frames())
+
+
+def test_the_frames_of_an_earlier_start_make_room_for_themselves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Recorded(ReplayBuffer(SPEC, tmp_path)).play(12)
+    numbers = SPEC.rows * (SPEC.bytes_per_row - SPEC.frame_bytes)
+    full = SimpleNamespace(f_bavail=numbers, f_frsize=1)
+    monkeypatch.setattr(os, "statvfs", lambda folder: full)
+    ReplayBuffer(SPEC, tmp_path)
+    with pytest.raises(UserError, match="0.0 GB free in"):
+        ReplayBuffer(SPEC, tmp_path / "elsewhere")
+
+
+@pytest.mark.parametrize("again", [(False, False), (False, True), (True, False)])
+@pytest.mark.parametrize("before", [(False, False), (False, True), (True, False)])
+def test_frames_may_be_stored_otherwise_after_a_restart(
+    before: tuple[bool, bool], again: tuple[bool, bool], tmp_path: Path
+) -> None:
+    def stored(packed: bool, on_disk: bool) -> ReplayBuffer:
+        folder = tmp_path / "frames" if on_disk else None
+        return ReplayBuffer(replace(SPEC, packed=packed), folder)
+
+    first, second = Recorded(stored(*before)), Recorded(stored(*again))
+    first.play(12)
+    second.buffer.restore(tmp_path / "parts", first.buffer.save(tmp_path / "parts"))
+    for name in ("views", "states", "steps"):
+        setattr(second, name, getattr(first, name))
+    second.play(2, first=12)
+    second.check(np.array(drawn(second.buffer)))
 
 
 @pytest.mark.parametrize(("packed", "on_disk"), [(False, False), (False, True), (True, False)])

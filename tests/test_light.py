@@ -5,6 +5,8 @@ from __future__ import annotations
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +19,11 @@ from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
-from madviz.training.demonstrations import Dataset, Driver, Episode, record_episode
-from madviz.training.light import LightConfig, LightRun, imitation_loss, run_rounds
+from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder, record_episode
+from madviz.training.light import LightConfig, LightRun, imitation_loss, run_rounds, train_light
 from madviz.training.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
 from madviz.training.run_folder import RunFolder
+from madviz.types import Array
 from tests.plans import THREE, toy_plan
 
 RGBD = SETTINGS["three-rgbd"].streams
@@ -194,6 +197,39 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(
     assert isinstance(found, TorchPolicy)
     assert found.agent.config == uninterrupted.average.config
     assert bool(found.agent.config.state_mean) == config.standard_state
+
+
+@pytest.mark.parametrize(("after", "call"), [("report", 1), ("report", 2), ("save_state", 2)])
+def test_a_kill_leaves_every_row_of_the_curve_once(
+    after: str, call: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = replace(TINY, rounds=3, demonstrations=1, episodes_per_round=1, updates_per_round=1)
+    monkeypatch.setattr(Recorder, "start", InlineRecorder().start)
+    folder = RunFolder(tmp_path, short, resume=False, listener=None)
+    plain, calls = getattr(folder, after), iter(range(1, 10))
+
+    def killed(*args: Any, **values: Any) -> None:
+        plain(*args, **values)
+        if next(calls) == call:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(folder, after, killed)
+    with pytest.raises(KeyboardInterrupt):
+        train_light(toy_plan(), short, folder)
+    train_light(toy_plan(), short, RunFolder(tmp_path, short, resume=True, listener=None))
+    rows = (tmp_path / "curve.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["round", "1", "2", "3"]
+
+
+class NumpySuccess(ToyReach):
+    """As a task of one's own may say it; a saved state takes no NumPy objects."""
+
+    def step(self, action: Array) -> Any:
+        return SimpleNamespace(**vars(super().step(action)) | {"success": np.True_})
+
+
+def test_the_success_of_an_episode_can_be_saved_with_a_state() -> None:
+    assert record_episode(NumpySuccess(), THREE, Driver(), 1).success is True
 
 
 def test_more_than_a_hundred_episodes_come_back_in_order(tmp_path: Path) -> None:

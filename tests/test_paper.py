@@ -67,6 +67,12 @@ def run(
         train_paper(resolve(whole), config, RunFolder(folder, whole, resume, listener))
 
 
+def test_parts_of_the_buffer_that_no_state_needs_go_while_a_run_goes_on(tmp_path: Path) -> None:
+    run(tmp_path, replace(TINY, buffer_capacity=8))
+    parts = torch.load(tmp_path / "resume" / "state.pt", weights_only=True)["buffer"]["parts"]
+    assert {file.name for file in (tmp_path / "resume" / "buffer").iterdir()} == set(parts)
+
+
 def test_a_finished_run_gives_back_the_room_of_its_buffer(tmp_path: Path) -> None:
     whole = TrainConfig("toy/reach", "mad", "paper", seed=3, paper=TINY)
     train_paper(resolve(whole), TINY, RunFolder(tmp_path, whole, False, None))

@@ -192,12 +192,14 @@ def test_changes_are_named_one_by_one() -> None:
     assert changes(before, now) == ["paper.alpha 0.8 -> 0.5", "cameras None -> [a]"]
 
 
-def test_options_of_other_recipes_and_the_number_of_processes_may_change() -> None:
-    config = TrainConfig("toy/reach", recipe="paper-vectorised")
+def test_what_changes_only_time_or_room_may_change() -> None:
+    config = TrainConfig("toy/reach", recipe="paper-vectorised", threads=1)
     other = replace(
         config,
         light=TINY,
-        vectorised=replace(config.vectorised, workers=7),
+        vectorised=replace(
+            config.vectorised, workers=7, save_every=9, buffer_packed=False, buffer_on_disk=True
+        ),
         out=Path("elsewhere"),
         resume=True,
     )
@@ -206,6 +208,18 @@ def test_options_of_other_recipes_and_the_number_of_processes_may_change() -> No
     assert changes(identity(config, ()), identity(slower, ())) == [
         "vectorised.update_ratio 0.5 -> 0.25"
     ]
+
+
+def test_the_threads_of_the_learner_may_not_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 8)
+    light = TrainConfig("toy/reach")
+    assert identity(light, ()) == identity(replace(light, light=LightConfig(workers=3)), ())
+    assert identity(light, ()) == identity(replace(light, threads=1), ()), "what it takes anyway"
+    lanes = TrainConfig("toy/reach", recipe="paper-vectorised")
+    fewer = replace(lanes, vectorised=replace(lanes.vectorised, workers=2))
+    assert changes(identity(lanes, ()), identity(fewer, ())) == ["threads_used 4 -> 6"]
+    older = {name: each for name, each in identity(lanes, ()).items() if name != "threads_used"}
+    assert changes({**older, "threads": None}, identity(fewer, ())) == []
 
 
 def test_the_learner_takes_the_cores_that_are_left(monkeypatch: pytest.MonkeyPatch) -> None:

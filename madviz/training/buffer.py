@@ -227,11 +227,16 @@ class ReplayBuffer:
                     column[rows] = part[key]
                 self._restore_frames(part, range(start, stop))
             self._count = stop
-        for file in folder.glob("part*"):
-            if file.name not in state["parts"]:
-                file.unlink()
         self._count = self._saved = state["count"]
         self._parts = list(state["parts"])
+        self.remove_other_parts(folder)
+
+    def remove_other_parts(self, folder: Path) -> None:
+        """Those that the state last saved or restored does not need. After a ``save`` the older
+        state may need them until the new one is in its place."""
+        for file in folder.glob("part*"):
+            if file.name not in self._parts:
+                file.unlink()
 
     def _restore_frames(self, part: Any, numbers: range) -> None:
         """Those of a part's frames that no part before it had."""
@@ -335,7 +340,7 @@ class ReplayBuffer:
 
     def _refuse_if_too_large(self, need: int, folder: Path | None, available: int | None) -> None:
         spec = self.spec
-        have = _free(folder) if available is None else available
+        have = _free(spec, folder) if available is None else available
         if need > have:
             fits = int(spec.capacity * have / need) // 1000 * 1000
             raise UserError(
@@ -350,10 +355,14 @@ class ReplayBuffer:
 def _frame_store(spec: BufferSpec, folder: Path | None) -> FrameStore:
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-        files = [folder / f"{stream}.frames" for stream in spec.streams]
-        return PlainFrames(spec.rows, spec.channels, files)
+        return PlainFrames(spec.rows, spec.channels, _files(spec, folder))
     kind = PackedFrames if spec.packed else PlainFrames
     return kind(spec.rows, spec.channels)
+
+
+def _files(spec: BufferSpec, folder: Path) -> list[Path]:
+    """Where the frames of each stream are on a disk."""
+    return [folder / f"{stream}.frames" for stream in spec.streams]
 
 
 def _span(part: str) -> tuple[int, int]:
@@ -362,13 +371,15 @@ def _span(part: str) -> tuple[int, int]:
     return int(start), int(stop)
 
 
-def _free(folder: Path | None) -> int:
-    """Bytes that may be filled: of the nearest disk, or of memory."""
+def _free(spec: BufferSpec, folder: Path | None) -> int:
+    """Bytes that may be filled: of memory, or of the nearest disk, where frames of an earlier
+    start are written over."""
     if folder is not None:
+        old = sum(512 * f.stat().st_blocks for f in _files(spec, folder) if f.exists())
         while not folder.exists():
             folder = folder.absolute().parent
         disk = os.statvfs(folder)
-        return disk.f_bavail * disk.f_frsize
+        return disk.f_bavail * disk.f_frsize + old
     meminfo = Path("/proc/meminfo")
     if meminfo.exists():
         fields = dict(line.split(":") for line in meminfo.read_text().splitlines())

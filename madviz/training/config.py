@@ -145,6 +145,11 @@ def options_of(config: TrainConfig) -> RecipeOptions:
     return getattr(config, RECIPES[config.recipe].options)
 
 
+def learner_threads(config: TrainConfig) -> int:
+    """As asked for, or else as many as the recipe takes on this machine."""
+    return config.threads or options_of(config).threads()
+
+
 def _one_camera(config: TrainConfig, chosen: Method, known: tuple[str, ...]) -> str:
     """The camera of a method that takes one; empty for all others."""
     if not chosen.one_camera:
@@ -171,9 +176,13 @@ def _name(config: TrainConfig, chosen: Method, camera: str) -> str:
 
 def identity(config: TrainConfig, drawn: tuple[CameraSpec, ...]) -> dict[str, Any]:
     """What must be the same when a run is resumed: all but where it is, options that only change
-    its time, and other recipes' options. Of the user's cameras, ``drawn``, it is what the file says
-    that counts, not where the file is."""
+    its time or room, and other recipes' options. Of the user's cameras, ``drawn``, it is what the
+    file says that counts, not where the file is; of the threads, how many they are, not who said
+    so."""
     facts = asdict(replace(config, out=None, resume=False, cameras=None))
+    # Another key than the option's: older runs have that one, None where nobody said a number.
+    del facts["threads"]
+    facts["threads_used"] = learner_threads(config)
     for recipe in RECIPES.values():
         if recipe != RECIPES[config.recipe]:
             del facts[recipe.options]

@@ -126,7 +126,8 @@ def record_episode(
         for key, value in (("actions", action), ("labels", label), ("rewards", now.reward)):
             rows[key].append(value)
     arrays = {key: np.asarray(value, np.float32) for key, value in rows.items()}
-    return Episode({s: np.stack(f) for s, f in frames.items()}, **arrays, success=now.success)
+    stacked = {s: np.stack(f) for s, f in frames.items()}
+    return Episode(stacked, **arrays, success=bool(now.success))
 
 
 def slow_noise(rng: np.random.Generator, std: float, size: int) -> Iterator[Array]:

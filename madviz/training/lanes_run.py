@@ -3,8 +3,9 @@
     act in L lanes -> workers step and draw ......................... -> L transitions
                          meanwhile updates on what was there before
 
-The order of everything is fixed, so a run is a function of its configuration and seed, whatever the
-number of workers. What learns, and how much, is a recipe's own (``vectorised``, ``mv_mwm``).
+The order of everything is fixed, so a run is a function of its configuration and seed and of the
+learner's threads, whatever the number of workers. What learns, and how much, is a recipe's own
+(``vectorised``, ``mv_mwm``).
 """
 
 from __future__ import annotations
@@ -28,12 +29,13 @@ class LanesConfig(RunConfig):
     environments: Count = 8
     """That step together; a decision of all of them counts as so many decisions."""
     workers: ThreadsOrNone | None = None
-    """Processes that step them; 0: none but this one. By default one for every second core. Their
-    number changes nothing but the time."""
+    """Processes that step them; 0: none but this one. By default one for every second core. With
+    ``--threads`` given their number changes nothing but the time; else the learner takes the cores
+    that they leave, and its number of threads makes another run."""
     update_ratio: Weight = 0.5
     """Updates per decision; the paper makes one for every second decision."""
 
-    ONLY_TIME = ("workers",)
+    ONLY_TIME = (*RunConfig.ONLY_TIME, "workers")
 
     def processes(self) -> int:
         """Worker processes to start."""

@@ -278,7 +278,7 @@ def train_light(plan: TrainingPlan, config: LightConfig, folder: RunFolder) -> N
     state = folder.load_state()
     if state:
         run.restore(state)
-        folder.truncate_curve("round", run.round)
+    folder.truncate_curve("round", run.round)
     with closing(Recorder(plan.drawn_task, config.workers)) as recorder:
         run_rounds(run, folder, recorder)
 
@@ -300,8 +300,10 @@ def run_rounds(run: LightRun, folder: RunFolder, recorder: Recorder) -> None:
             episodes = Recorder.finish(recording)
             run.add(episodes, ahead, planned)
             run.seconds = time.monotonic() - began
-            folder.save_state(run.state())
+            # In this order: a row without its state is dropped and comes again, a state without
+            # its row would never have one.
             _report(run, folder, loss, episodes)
+            folder.save_state(run.state())
             if run.round < config.all_rounds:
                 _save(run, folder, final=False)
         if run.round >= config.all_rounds:

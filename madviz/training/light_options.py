@@ -96,6 +96,8 @@ class LightConfig(RecipeOptions):
     autoencoder: AutoencoderConfig = field(default_factory=AutoencoderConfig)
     """MV-MAE alone."""
 
+    ONLY_TIME = ("workers",)
+
     @property
     def all_rounds(self) -> int:
         """Rounds of updates."""

@@ -110,4 +110,5 @@ def _seconds_left(run: RewardRun) -> int:
 def _save(run: RewardRun) -> None:
     """Resume state, then the policy in its shipped form."""
     run.folder.save_state(run.state())
+    run.saved()
     run.plan.save(run.folder, run.acting_agent(), run.record())

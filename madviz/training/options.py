@@ -17,7 +17,8 @@ class RecipeOptions(Protocol):
     """The options of one recipe."""
 
     ONLY_TIME: ClassVar[tuple[str, ...]] = ()
-    """Options that change how long a run takes and nothing else. ``--resume`` may change them."""
+    """Options that change how long a run takes, or how much room, and nothing else. ``--resume``
+    may change them."""
 
     @property
     def alpha(self) -> float:

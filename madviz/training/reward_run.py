@@ -87,6 +87,8 @@ class RunConfig(RecipeOptions):
     save_every: Steps = 2_000
     """Decisions between checkpoints."""
 
+    ONLY_TIME = ("buffer_packed", "buffer_on_disk", "save_every")
+
     def numbers_of(self, task: str) -> SuiteNumbers:
         """The paper's for ``task``, but where an option says otherwise."""
         suite = MANISKILL if task.startswith("maniskill/") else METAWORLD
@@ -244,6 +246,10 @@ class RewardRun:
             "rng": generator_state(self.rng),
             **{key: getattr(self, key) for key in _COUNTS},
         }
+
+    def saved(self) -> None:
+        """The newest ``state`` is in its place: what only older ones needed goes."""
+        self.buffer.remove_other_parts(self.folder.resume / "buffer")
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continues from ``state``, in mid-episode if need be."""

@@ -165,33 +165,35 @@ class RunFolder:
     def report(self, kind: str, **values: Any) -> None:
         """Tells the listener; rows of kind ``curve`` are also appended to curve.csv."""
         if kind == "curve":
-            self._append(values)
+            _append(self.path / "curve.csv", values)
         if self._listener:
             self._listener({"kind": kind, **values})
 
     def truncate_curve(self, column: str, limit: float) -> None:
-        """Drops rows reported after the state that is resumed, so that none is there twice."""
+        """Drops rows reported after the state that is resumed, so that none is there twice. A kill
+        meanwhile leaves the rows as they were, or as they should be."""
         file = self.path / "curve.csv"
         if not file.exists():
             return
         with file.open(newline="") as handle:
             rows = [row for row in csv.DictReader(handle) if float(row[column]) <= limit]
-        file.unlink()
-        for row in rows:
-            self._append(row)
+        with replacing(file) as part:
+            for row in rows:
+                _append(part, row)
 
-    def _append(self, row: dict[str, Any]) -> None:
-        file = self.path / "curve.csv"
-        before = file.stat().st_size if file.exists() else 0
-        try:
-            with file.open("a", newline="") as handle:
-                writer = csv.DictWriter(handle, list(row))
-                if not before:
-                    writer.writeheader()
-                writer.writerow(row)
-        except OSError:
-            os.truncate(file, before)  # Half a row could not be read again.
-            raise
+
+def _append(file: Path, row: dict[str, Any]) -> None:
+    """A row at the end of a CSV file, whole or not at all; its names come first in a new file."""
+    before = file.stat().st_size if file.exists() else 0
+    try:
+        with file.open("a", newline="") as handle:
+            writer = csv.DictWriter(handle, list(row))
+            if not before:
+                writer.writeheader()
+            writer.writerow(row)
+    except OSError:
+        os.truncate(file, before)  # Half a row could not be read again.
+        raise
 
 
 def not_written(folder: Path, error: Exception) -> UserError:

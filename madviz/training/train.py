@@ -21,7 +21,7 @@ from madviz.errors import Interrupted, UserError, signal_of
 from madviz.system.numbers import check_numbers
 from madviz.system.processes import reuse_large_blocks
 from madviz.system.streams import say
-from madviz.training.config import RECIPES, TrainConfig, identity, options_of, resolve
+from madviz.training.config import RECIPES, TrainConfig, identity, learner_threads, resolve
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import Event, RunFolder, alone_in, not_written
 
@@ -43,7 +43,7 @@ def _train(config: TrainConfig, listener: Callable[[Event], None] | None) -> Pat
     check_numbers(config)
     plan = resolve(config)
     reuse_large_blocks()
-    torch.set_num_threads(config.threads or options_of(config).threads())
+    torch.set_num_threads(learner_threads(config))
     out = config.out or Path("runs") / plan.spec.name
     facts = identity(config, plan.drawn_task.cameras)
     try:

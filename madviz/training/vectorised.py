@@ -11,8 +11,9 @@ How much is learned from a decision is an option: ``update_ratio``, 0.5 in the p
 environments that is 4 updates for a step of all; fewer make a run shorter and each decision count
 for less. The curve reports both rates, ``env_steps_per_s`` and ``updates_per_s``.
 
-The order of everything is fixed, so a run is a function of its configuration and seed, whatever the
-number of workers; a killed run goes on in mid-episode and ends with the same weights.
+The order of everything is fixed, so a run is a function of its configuration and seed and of the
+learner's threads, whatever the number of workers; a killed run goes on in mid-episode and ends with
+the same weights.
 
 On a CUDA device (``--vectorised.device``) updates run there, in bfloat16 where it has it, and with
 ``--vectorised.compile`` the encoder is compiled into CUDA graphs. ``--vectorised.simulation gpu``
