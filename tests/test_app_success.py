@@ -210,7 +210,9 @@ class Asked:
     def __init__(self) -> None:
         self.by: dict[Hashable, str] = {}
 
-    def request(self, visitor: Hashable, policy: str, mask, occlusions, moves) -> Tally:
+    def request(
+        self, visitor: Hashable, policy: str, mask, occlusions, moves, digest: str
+    ) -> Tally:
         self.by[visitor] = policy
         return Tally(Request(policy, "", "all"), ())
 
