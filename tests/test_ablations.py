@@ -9,6 +9,7 @@ import pytest
 
 from madviz.envs.registry import SETTINGS
 from madviz.errors import UserError
+from madviz.evaluation.episodes import occlusion_key, relevant
 from madviz.observation.ablation import (
     Ablation,
     CameraState,
@@ -17,6 +18,7 @@ from madviz.observation.ablation import (
     by_sides,
     noise_generator,
 )
+from madviz.session.frame import condition_of
 from madviz.subsets import every_mask, mask_of
 
 FRAME = np.random.default_rng(0).integers(0, 256, (84, 84, 3), np.uint8)
@@ -122,6 +124,28 @@ def test_switches_of_a_camera() -> None:
     assert np.array_equal(ablation.mask(rgbd), mask_of("third_a.depth+third_b", rgbd))
     plain = ablation.mask(SETTINGS["three"].streams)
     assert plain.tolist() == [False, False, True]  # RGB-only: depth alone leaves nothing.
+
+
+@pytest.mark.parametrize("kind", get_args(OcclusionKind))
+def test_what_a_kind_does_not_use_is_no_part_of_a_condition(kind: OcclusionKind) -> None:
+    plain, left_over = Occlusion(kind), Occlusion(kind, x=0.1, y=0.2, width=0.3, height=0.6)
+    keys = {occlusion_key({"first": one}) for one in (plain, left_over)}
+    assert len(keys) == 1 + (kind == "patch")
+    weaker = Occlusion(kind, strength=0.5)
+    streams = SETTINGS["three"].streams
+    states = [Ablation({"first": CameraState("rgb", one)}) for one in (plain, weaker)]
+    same = kind in ("none", "black", "mean", "freeze")
+    assert (condition_of(states[0], streams) == condition_of(states[1], streams)) is same
+    everything = np.ones(3, bool)
+    noticed = [relevant({"first": one}, everything, streams) for one in (plain, weaker)]
+    assert (noticed[0] == noticed[1]) is same
+    if kind != "none":  # The words that results were stored under are found again.
+        assert keys >= {f"first:{kind},strength=1,x=0.5,y=0.5,size=0.4"}
+
+
+def test_pictures_that_come_equally_late_are_one_condition() -> None:
+    keys = {occlusion_key({"first": Occlusion("delay", s)}) for s in (0.28, 0.3, 0.31)}
+    assert keys == {"first:delay,strength=0.3,x=0.5,y=0.5,size=0.4"}
 
 
 def test_a_key_names_occlusions_and_nothing_else() -> None:

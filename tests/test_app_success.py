@@ -247,7 +247,9 @@ class Asked:
         self.by: dict[Hashable, str] = {}
         self.ever: set[str] = set()
 
-    def request(self, visitor: Hashable, policy: str, mask, occlusions, moves) -> Tally:
+    def request(
+        self, visitor: Hashable, policy: str, mask, occlusions, moves, digest: str
+    ) -> Tally:
         self.by[visitor] = policy
         self.ever.add(policy)
         return Tally(Request(policy, "", "all"), ())

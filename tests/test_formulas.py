@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.stats import binomtest, norm
 
 from madviz.evaluation.formulas import (
@@ -10,6 +11,7 @@ from madviz.evaluation.formulas import (
     hierarchical_bootstrap,
     holm,
     mcnemar,
+    mcnemar_any_time,
     newcombe,
     wilson_bounds,
 )
@@ -29,6 +31,24 @@ def test_mcnemar_is_the_exact_binomial_test():
     for b, c, found in zip(first.ravel(), second.ravel(), p.ravel(), strict=True):
         expected = binomtest(int(b), int(b + c)).pvalue if b + c else 1.0
         assert found == pytest.approx(expected, abs=1e-12)
+
+
+def test_mcnemar_for_those_who_look_all_the_time_weighs_coins_of_every_bias():
+    for first, second in ((0, 0), (1, 0), (3, 3), (8, 0), (2, 11), (40, 60)):
+        ratio = quad(lambda c, a=first, b=second: (2 * c) ** a * (2 - 2 * c) ** b, 0, 1)[0]
+        assert mcnemar_any_time(first, second) == pytest.approx(min(1 / ratio, 1.0), rel=1e-6)
+        assert mcnemar_any_time(second, first) == pytest.approx(1 / max(ratio, 1.0), rel=1e-6)
+        assert mcnemar_any_time(first, second) >= mcnemar(first, second)
+
+
+@pytest.mark.parametrize("differing", [0.1, 0.3, 1.0])
+def test_two_equal_sides_are_seldom_called_different_however_often_somebody_looks(differing):
+    rng = np.random.default_rng(0)
+    differs = rng.random((1000, 400)) < differing
+    first_wins = differs & (rng.random((1000, 400)) < 0.5)
+    first, all_ = first_wins.cumsum(1), differs.cumsum(1)
+    assert (mcnemar(first, all_ - first) <= 0.05).any(1).mean() > 0.1, "a look after every pair"
+    assert (mcnemar_any_time(first, all_ - first) <= 0.05).any(1).mean() <= 0.05
 
 
 def holm_by_hand(p):

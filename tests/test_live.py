@@ -11,6 +11,7 @@ import threading
 import time
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,10 +22,11 @@ from madviz.errors import UserError
 from madviz.evaluation.episodes import Runner, Workers
 from madviz.evaluation.live import Evaluator
 from madviz.evaluation.store import MEMORY, EpisodeResult, Store
-from madviz.observation.ablation import Ablation, Occlusion
+from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.displacement import Displacement
 from madviz.policies import checkpoint
-from madviz.session.frame import condition_of
+from madviz.session.commands import SetCamera
+from madviz.session.frame import Condition, condition_of
 from tests.checkpoints import make_config
 from tests.fakes import FakePolicy
 from tests.sessions import frame_with
@@ -306,6 +308,39 @@ def test_what_workers_measure_of_a_moved_camera_is_where_the_page_looks_for_it()
     made[0].finish()
     assert rates.live(policy.spec, condition_of(moved, policy.spec.streams)).n == 1
     assert rates.live(policy.spec, condition_of(Ablation(), policy.spec.streams)).n == 0
+
+
+def test_a_folder_that_was_trained_again_meanwhile_is_not_measured_as_the_old_one(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setattr(checkpoint, "is_folder", lambda policy: True)
+    folder = checkpoint.PolicyFolder(tmp_path, make_config(), FakePolicy().spec)
+    monkeypatch.setattr(checkpoint, "describe", lambda policy: folder)
+    made = []
+
+    def make(listener):
+        evaluator, workers = fake(1, listener=listener)
+        made.append(workers)
+        return evaluator
+
+    rates, frame = SuccessRates(make_evaluator=make), frame_with()
+    acting = frame.world.policy
+    rates.want("ann", acting, ALL, Ablation())
+    folder = replace(folder, spec=replace(acting, digest="trained again"))
+    rates.want("ann", acting, FIRST, Ablation.from_mask(FIRST, acting.streams, {}))
+    made[0].finish()  # It began with the old weights.
+    assert made[0].jobs == [], "nothing more is played"
+    assert rates.live(acting, Condition("all")).n == 1
+    assert rates.live(folder.spec, Condition("all")).n == 0
+    alone = frame_with(*(SetCamera(c, CameraState("off")) for c in ("third_a", "third_b")))
+    said = "not measured: expected the weights that act here, found others in toy-mad"
+    assert said in bars_html(alone, rates)
+    rates.add(acting, Condition("first"), {2000: True})
+    assert said in bars_html(alone, rates), "an episode of the page does not take it away"
+    rates.want("bob", folder.spec, ALL, Ablation())
+    made[0].finish()
+    assert rates.live(folder.spec, Condition("all")).n == 1
+    assert rates.live(acting, Condition("all")).n == 1
 
 
 def test_measuring_goes_on_when_the_disk_is_full_and_the_page_says_so(monkeypatch, tmp_path):

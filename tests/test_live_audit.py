@@ -31,7 +31,7 @@ class Measured:
         self.listener, self.step, self.error = listener, step, error
         self.known, self.asked, self.left = {}, [], []
 
-    def request(self, visitor, policy, mask, occlusions=None, moves=None):
+    def request(self, visitor, policy, mask, occlusions=None, moves=None, digest=None):
         present = relevant(occlusions or {}, mask, SPEC.streams)
         request = Request(str(policy), SPEC.digest, name_of(mask, SPEC.streams), present)
         self.asked.append((request.subset, present))

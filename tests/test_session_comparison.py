@@ -141,6 +141,18 @@ def test_the_panel_says_what_the_pairs_say() -> None:
     assert "n = 1 pairs" in html and "Every pair came out alike." in html
 
 
+def test_the_panel_says_that_sides_differ_when_that_holds_after_every_look() -> None:
+    frame = Played()(Compare("toy-mad"), 3)
+    spec, condition = frame.world.policy, frame.condition
+    blank = Outcome(spec, 0, True, True, 0.0, {}, condition)
+    for wins, said in ((6, "No difference can be seen yet."), (8, "They differ.")):
+        pairs = tuple(
+            Pair(replace(blank, seed=seed), replace(blank, seed=seed, success=False))
+            for seed in range(wins)
+        )
+        assert said in comparison_html(replace(frame, pairs=pairs))
+
+
 def test_cameras_set_before_the_first_decision_make_a_pair() -> None:
     play = Played()
     frame = play(Compare("toy-mad"), SetCamera("first", OFF), 25)

@@ -15,6 +15,7 @@ Worked: of 40 decisions and three views come 120 rows of 3136. Their directions 
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,10 +76,10 @@ class FeatureMaps:
 
     def __init__(self, decisions: int = DECISIONS) -> None:
         self._decisions = decisions
-        self._seen: dict[str, list[Array]] = {}
-        self._maps: dict[str, Basis] = {}
+        self._seen: dict[Hashable, list[Array]] = {}
+        self._maps: dict[Hashable, Basis] = {}
 
-    def collect(self, key: str, features: Array) -> None:
+    def collect(self, key: Hashable, features: Array) -> None:
         """Takes the features (V, Z) of one more time step of the policy ``key``."""
         if key in self._maps or not np.isfinite(features).all():
             return
@@ -87,10 +88,10 @@ class FeatureMaps:
         if len(seen) >= self._decisions:
             self._maps[key] = fit(np.concatenate(self._seen.pop(key)))
 
-    def map(self, key: str) -> Basis | None:
+    def map(self, key: Hashable) -> Basis | None:
         """The map of the policy ``key``; None until there is one."""
         return self._maps.get(key)
 
-    def progress(self, key: str) -> float:
+    def progress(self, key: Hashable) -> float:
         """How much of what a map is made of has been seen, 0 to 1."""
         return 1.0 if key in self._maps else len(self._seen.get(key, [])) / self._decisions

@@ -13,10 +13,11 @@ from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
 from madviz.app.session_maker import Reference, own_name
+from madviz.errors import UserError
 from madviz.evaluation.live import Evaluator, Tally
 from madviz.evaluation.statistics import SuccessRate
 from madviz.observation.ablation import Ablation, CameraState
-from madviz.session.frame import Condition
+from madviz.session.frame import Condition, condition_of
 from madviz.types import Array, PolicySpec
 
 Shipped = Callable[[PolicySpec], Mapping[str, Mapping[str, Any]]]
@@ -42,8 +43,6 @@ class SuccessRates:
         but what runs on pages. ``reference`` is what ``load_policy`` knows a policy by."""
         self._read, self._reference = shipped, reference
         self._evaluator = make_evaluator(self._hear) if make_evaluator else None
-        self._keys: dict[str, str] = {}
-        """By reference: the key of that policy here."""
         self._errors: dict[tuple[str, Condition], str] = {}
         self._lock = threading.Lock()
         """Between writers: pages and the evaluator add episodes, and pages come and go."""
@@ -53,7 +52,7 @@ class SuccessRates:
 
     def shipped(self, spec: PolicySpec) -> dict[str, SuccessRate]:
         """By subset, without occlusions: what the policy's own evaluation says."""
-        key = key_of(spec)
+        key = self._key(spec)
         if key not in self._shipped:
             table = {
                 subset: SuccessRate.of(round(row["success"] * row["n"]), row["n"])
@@ -64,12 +63,12 @@ class SuccessRates:
 
     def live(self, spec: PolicySpec, condition: Condition) -> SuccessRate:
         """What was measured here."""
-        seen = self._live.get((key_of(spec), condition), {})
+        seen = self._live.get((self._key(spec), condition), {})
         return SuccessRate.of(sum(seen.values()), len(seen))
 
     def outcomes(self, spec: PolicySpec, condition: Condition) -> Mapping[int, bool]:
         """Success by seed of what was measured here."""
-        return self._live.get((key_of(spec), condition), {})
+        return self._live.get((self._key(spec), condition), {})
 
     def best(self, spec: PolicySpec, condition: Condition) -> SuccessRate:
         """Whichever says more. They are not added up: workers begin with the shipped seeds."""
@@ -81,14 +80,16 @@ class SuccessRates:
 
     def add(self, spec: PolicySpec, condition: Condition, outcomes: Mapping[int, bool]) -> None:
         """Takes outcomes by seed; calls the listeners if one of them is new."""
-        self._add((key_of(spec), condition), outcomes)
+        self._add((self._key(spec), condition), outcomes)
 
     def _add(
-        self, key: tuple[str, Condition], outcomes: Mapping[int, bool], error: str = ""
+        self, key: tuple[str, Condition], outcomes: Mapping[int, bool], error: str | None = None
     ) -> None:
+        """``error``: why there will be no more of them; None: as it was."""
         with self._lock:
-            before = self._live.get(key, {})
-            news = not outcomes.items() <= before.items() or self._errors.get(key, "") != error
+            before, old = self._live.get(key, {}), self._errors.get(key, "")
+            error = old if error is None else error
+            news = not outcomes.items() <= before.items() or old != error
             others = {k: v for k, v in self._live.items() if k != key}
             for oldest in list(others)[: max(0, len(others) + 1 - MOST_CONDITIONS)]:
                 del others[oldest]
@@ -105,12 +106,17 @@ class SuccessRates:
         return self._evaluator is not None
 
     def want(self, visitor: Hashable, spec: PolicySpec, mask: Array, ablation: Ablation) -> None:
-        """Has the condition of ``visitor`` measured from now on, and not their last one."""
-        if self._evaluator is not None:
-            reference = self._reference(spec)
-            self._keys = {**self._keys, reference: key_of(spec)}
-            asked = (mask, ablation.occlusions(), ablation.moves)
-            self._hear(self._evaluator.request(visitor, reference, *asked))
+        """Has the condition of ``visitor`` measured from now on, and not their last one. Where that
+        cannot be, ``error`` says why."""
+        if self._evaluator is None:
+            return
+        asked = (self._reference(spec), mask, ablation.occlusions(), ablation.moves)
+        try:
+            self._hear(self._evaluator.request(visitor, *asked, digest=spec.digest))
+        except UserError as error:
+            self._evaluator.forget(visitor)
+            key = (self._key(spec), condition_of(ablation, spec.streams))
+            self._add(key, {}, str(error))
 
     def forget(self, visitor: Hashable) -> None:
         """This visitor wants nothing measured any more, nor the B that they compare with."""
@@ -120,7 +126,7 @@ class SuccessRates:
 
     def error(self, spec: PolicySpec, condition: Condition) -> str:
         """Why a condition cannot be measured; empty while it can."""
-        return self._errors.get((key_of(spec), condition), "")
+        return self._errors.get((self._key(spec), condition), "")
 
     @property
     def trouble(self) -> str:
@@ -137,7 +143,13 @@ class SuccessRates:
         ablation = Ablation(occluded, dict(tally.request.moves))
         condition = Condition(tally.request.subset, ablation.key())
         outcomes = {result.seed: result.success for result in tally.results}
-        self._add((self._keys[tally.request.policy], condition), outcomes, tally.error)
+        key = tally.request.digest or tally.request.policy
+        self._add((key, condition), outcomes, tally.error)
+
+    def _key(self, spec: PolicySpec) -> str:
+        """What episodes of a policy are kept under: its version, or its reference where it has
+        none. ``_hear`` finds the same in a request."""
+        return spec.digest or self._reference(spec)
 
     def subscribe(self, listener: Callable[[], None]) -> None:
         """``listener`` is called whenever something was added, in whatever thread did it."""
@@ -153,8 +165,3 @@ class SuccessRates:
 def side_b(visitor: Hashable) -> Hashable:
     """Who wants B measured while ``visitor`` compares."""
     return visitor, "B"
-
-
-def key_of(spec: PolicySpec) -> str:
-    """What episodes of a policy are stored under: its version, or its name where it has none."""
-    return spec.digest or spec.name

@@ -91,9 +91,10 @@ def claimed_definition(policy: str) -> str:
 
 
 def relevant(occlusions: dict[str, Occlusion], mask: Array, streams: tuple[str, ...]) -> Occlusions:
-    """The occlusions that a policy on the subset ``mask`` can notice, in a fixed order."""
+    """What a policy on the subset ``mask`` can notice of occlusions, in a fixed order."""
     present = cameras_of(tuple(s for s, on in zip(streams, mask, strict=True) if on))
-    return tuple((c, o) for c, o in sorted(occlusions.items()) if c in present and o.kind != "none")
+    noticed = [camera for camera in sorted(occlusions) if camera in present]
+    return tuple((c, occlusions[c].effective) for c in noticed if occlusions[c].kind != "none")
 
 
 def unsupported(spec: PolicySpec, mask: Array) -> UserError:

@@ -21,6 +21,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
+from madviz.errors import UserError
 from madviz.evaluation.episodes import (
     FIRST_SEED,
     GIVE_UP,
@@ -132,13 +133,15 @@ class Evaluator:
         mask: Array,
         occlusions: dict[str, Occlusion] | None = None,
         moves: dict[str, Displacement] | None = None,
+        digest: str | None = None,
     ) -> Tally:
         """From now on ``visitor`` wants this and nothing else. Returns what is known of it already.
         ``mask`` is (V,) bool, the streams that are present.
 
-        Raises UserError for an unknown policy or camera.
+        Raises UserError for an unknown policy or camera, and for a policy that has another
+        ``digest`` by now.
         """
-        request = self._as_request(policy, mask, occlusions, moves)
+        request = self._as_request(policy, mask, occlusions, moves, digest)
         with self._lock:
             if self._wanted.get(visitor) != request:
                 self._errors.pop(request, None)  # Asking anew is trying anew.
@@ -181,6 +184,7 @@ class Evaluator:
         mask: Array,
         occlusions: dict[str, Occlusion] | None,
         moves: dict[str, Displacement] | None = None,
+        digest: str | None = None,
     ) -> Request:
         """Requests that cannot differ are the same one. New ones start with what the store has."""
         reference = str(policy)
@@ -188,6 +192,11 @@ class Evaluator:
             spec = checkpoint.describe(reference).spec
         else:
             spec = checkpoint.load_policy(reference).spec
+        if digest not in (None, spec.digest):
+            raise UserError(
+                f"expected the weights that act here, found others in {reference}: it was changed "
+                "meanwhile; reload the page to see and measure those"
+            )
         present = relevant(occlusions or {}, mask, spec.streams)
         seen = {camera_of(s) for s, on in zip(spec.streams, mask, strict=True) if on}
         moved = tuple((c, move) for c, move in sorted((moves or {}).items()) if c in seen)

@@ -23,6 +23,7 @@ from madviz.evaluation.formulas import (
     agresti_min,
     hierarchical_bootstrap,
     mcnemar,
+    mcnemar_any_time,
     newcombe,
     wilson_bounds,
 )
@@ -96,6 +97,11 @@ class Paired:
         """Exact two-sided p-value of 'both are equally good': the episodes that came out
         differently must then be a fair coin. 1 where none did."""
         return float(mcnemar(self.first_only, self.second_only))
+
+    def any_time(self) -> float:
+        """As ``mcnemar``, for a count that is looked at while it grows: larger, and valid whenever
+        somebody looks."""
+        return float(mcnemar_any_time(self.first_only, self.second_only))
 
 
 def pair(first: Mapping[int, bool], second: Mapping[int, bool]) -> Paired:

@@ -30,6 +30,8 @@ OcclusionKind = Literal[
 ]
 PLACE = ("x", "y", "width", "height")
 """Where a patch is: its middle from the left and the top, and its sides."""
+WEIGHED = ("noise", "blur", "patch", "dropout", "delay")
+"""Kinds that have a strength."""
 LATEST = 10
 """Decisions by which a delayed picture is late at most; a second at normal speed."""
 
@@ -66,6 +68,15 @@ class Occlusion:
     def late(self) -> int:
         """How many decisions ago what arrives now was seen."""
         return round(LATEST * self.strength) if self.kind == "delay" else 0
+
+    @property
+    def effective(self) -> Occlusion:
+        """This occlusion with the default for all that its kind does not use: two that do the same
+        are equal here, whatever the sliders of another kind were left at."""
+        place = {name: getattr(self, name) for name in PLACE} if self.kind == "patch" else {}
+        if self.kind == "delay":
+            return Occlusion("delay", self.late / LATEST)
+        return Occlusion(self.kind, self.strength if self.kind in WEIGHED else 1.0, **place)
 
     def apply(self, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
         """The frame that arrives instead of ``frame`` (H, W, C) uint8; ``before`` is the one that
@@ -167,8 +178,12 @@ class Ablation:
         )
 
     def occlusions(self) -> dict[str, Occlusion]:
-        """The cameras that are occluded at all."""
-        return {n: s.occlusion for n, s in self.cameras.items() if s.occlusion.kind != "none"}
+        """The cameras that are occluded at all, and what is done to each."""
+        return {
+            name: state.occlusion.effective
+            for name, state in self.cameras.items()
+            if state.occlusion.kind != "none"
+        }
 
     def key(self) -> str:
         """A name for the occlusions and moves, '' for none; the mask is named by its subset."""

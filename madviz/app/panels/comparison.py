@@ -21,6 +21,10 @@ INTRODUCTION = (
     "choose here, with the cameras as they are now. Its pictures appear under A's. The switches "
     "act on both, until you choose <b>A only</b>."
 )
+CHANCE = (
+    "p: how often two equal sides come to look as different as this, if somebody looks after every "
+    "pair. The interval is that of a number of pairs which was fixed before."
+)
 HINTS = {
     "policy": "Who acts on B's side.",
     "start": "B gets this policy and the cameras as they are now; both start the seed again.",
@@ -119,8 +123,9 @@ def _squares(counted: Paired) -> str:
 
 
 def _verdict(counted: Paired) -> str:
+    """Visitors look after every pair, so p must hold whenever they do."""
     low, high = counted.interval()
-    p = counted.mcnemar()
+    p = counted.any_time()
     said = (
         "They differ."
         if p < 0.05
@@ -130,6 +135,6 @@ def _verdict(counted: Paired) -> str:
     )
     return (
         f"<div>success of A minus B <b>{counted.difference:+.2f}</b> [{low:+.2f}, {high:+.2f}] "
-        f'<span class="dim">n = {counted.n} pairs, 95 %; McNemar p = {p:.2g}.</span> '
+        f'<span class="dim" title="{CHANCE}">n = {counted.n} pairs, 95 %; p = {p:.2g}.</span> '
         f"{said}</div>"
     )

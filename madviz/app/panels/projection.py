@@ -19,12 +19,11 @@ from madviz.analysis.projection import DECISIONS, Basis, FeatureMaps
 from madviz.app.markup import progress_bar
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_VIEWS, stream_label
-from madviz.app.rates import key_of
 from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import MERGED, MUTED, camera_colours
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
-from madviz.types import Array
+from madviz.types import Array, PolicySpec
 
 TRAIL, FADES = 60, (0.12, 0.25, 0.45, 0.8)
 """Time steps a trail goes back; how strongly its quarters are drawn, oldest first."""
@@ -48,7 +47,7 @@ class ProjectionPanel(WidgetPanel):
         self._height = height
         self._atlas = FeatureMaps()
         self._trail: list[Place] = []
-        self._of: tuple[str, int] = ("", -1)
+        self._of: tuple[PolicySpec | None, int] = (None, -1)
         """Policy and episode of the trail."""
         self._seen: tuple[int, int] = (-1, -1)
         self._drawing = gui.add_html(self._html(frame))
@@ -60,14 +59,14 @@ class ProjectionPanel(WidgetPanel):
     def _html(self, frame: Frame) -> str:
         if frame.world.probe.merged_kind() == "no views":
             return f'<div class="mv mv-map">{NO_VIEWS}</div>'
-        key = key_of(frame.world.policy)
+        key = frame.world.policy
         trail = self._note(frame, key)
         basis = self._atlas.map(key)
         if basis is None:
             return waiting_html(self._atlas.progress(key))
         return map_html(frame, basis, trail, self._height)
 
-    def _note(self, frame: Frame, key: str) -> list[Place]:
+    def _note(self, frame: Frame, key: PolicySpec) -> list[Place]:
         """The trail that leads to this time step, which is added to it, and to the map while that
         is being made. A step that is computed again replaces the trail from there on; one that is
         only shown again changes nothing."""
