@@ -133,6 +133,18 @@ def test_a_tour_clicked_through_fast_brings_the_policy_back(
     assert swaps == ["toy-merged-only-light", "toy-mad-light"]
 
 
+def test_a_policy_comes_back_by_what_it_was_loaded_by(table: Table, server: viser.ViserServer):
+    """Its own name is that of another: the shipped one."""
+    sent: list = []
+    still, named = table.frame, lambda spec: f"runs/{spec.name}"
+    tour = Tour(browser(server), sent.append, lambda: still, CHOICES, [], named)
+    tour.begin()
+    for _ in range(5):
+        tour.next()
+    tour.end()
+    assert [one.name for one in sent if isinstance(one, SetPolicy)][-1] == "runs/toy-mad-light"
+
+
 def buttons(client) -> list[str]:
     """What the buttons of the tour's window say."""
     return [one.label for one in client.gui.present if type(one).__name__ == "GuiButtonHandle"]

@@ -98,7 +98,7 @@ class Panels:
         named = shared.references.name_of
         visitor = None if readonly else client.client_id
         keys = Keys(self._send, newest, frame)
-        tour = Tour(client, self._send, newest, choices, keys.help)
+        tour = Tour(client, self._send, newest, choices, keys.help, named)
         policy = PolicyPanel(gui, self._send, frame, choices, named)
         self.success = SuccessPanel(gui, frame, rates, visitor, measures)
         dockable = dock(client, wide)

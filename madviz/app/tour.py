@@ -19,6 +19,7 @@ from typing import Any
 import viser
 
 from madviz.app.panels.policy import PolicyChoice
+from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import Cell, guarded, heard, place, theme
 from madviz.app.tour_steps import Step, compares, comparison_steps, never_alone, restored, steps
 from madviz.session.commands import Command, Play, Scrub, SetPolicy
@@ -59,9 +60,10 @@ class Tour:
         newest: Callable[[], Frame | NoFrame | None],
         choices: Sequence[PolicyChoice],
         keys: Sequence[tuple[str, str]],
+        named: Reference = own_name,
     ) -> None:
         """``send`` None: a watcher, who gets help only. ``keys``: (key, what it does)."""
-        self._client, self._send, self._newest = client, send, newest
+        self._client, self._send, self._newest, self._named = client, send, newest, named
         self._choices, self._keys = choices, keys
         self._panel: viser.PanelHandle | None = None
         self._help: Any = None
@@ -98,19 +100,19 @@ class Tour:
         """Offers the comparison, if there is a policy to compare with."""
         frame, other = self._newest(), self._other()
         if isinstance(frame, Frame) and other is not None:
-            self._open(frame, comparison_steps(frame, other))
+            self._open(frame, comparison_steps(frame, other, self._named))
 
     def begin(self) -> None:
         """Opens the tour's window at its first step."""
         frame = self._newest()
         if isinstance(frame, Frame):
-            self._open(frame, steps(frame, self._choices))
+            self._open(frame, steps(frame, self._choices, self._named))
 
     def _open(self, frame: Frame, steps: list[Step]) -> None:
         if self._send is None or self._panel is not None:
             return
         self._start, self._steps, self._at = None, steps, 0
-        self._acting = frame.world.policy.name
+        self._acting = self._named(frame.world.policy)
         gui = self._client.gui
         self._panel = gui.add_panel()
         self._panel.float(x=10, y=10, width=WIDTH)
@@ -143,7 +145,8 @@ class Tour:
         panel.remove()
         if self._start is not None:
             # First to the newest step: a camera that is touched in the past begins another run.
-            self._do((Play(), *restored(self._start, any(map(compares, self._steps)))))
+            compared = any(map(compares, self._steps))
+            self._do((Play(), *restored(self._start, compared, self._named)))
 
     def _show(self) -> None:
         step, count = self._steps[self._at], len(self._steps)
@@ -172,7 +175,7 @@ class Tour:
         """Whether ``policy`` acts, and no other is on its way: what the tour asked for may not have
         come yet, and a visitor may have chosen another."""
         frame = self._newest()
-        shown = frame.world.policy.name if isinstance(frame, Frame) else ""
+        shown = self._named(frame.world.policy) if isinstance(frame, Frame) else ""
         return policy == shown == self._acting
 
     def help(self) -> None:
