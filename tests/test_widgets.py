@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from madviz.errors import UserError
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Play, SetSpeed
 from madviz.teaching.inside import record
 from madviz.teaching.lessons import interval_figure
@@ -89,6 +90,21 @@ def test_cells_can_do_what_clicks_do(explorer: Explorer) -> None:
     assert not explorer.frame.mask[0]
     with pytest.raises(UserError, match="unknown camera"):
         explorer.set("fourth", "off")
+
+
+def test_switches_follow_what_a_cell_does_and_a_click_changes_one_thing(
+    explorer: Explorer,
+) -> None:
+    given, fails = switch(explorer, "first")
+    explorer.set("first", input="off")
+    until(lambda: given.value == "off")
+    fails.value = "black"
+    until(lambda: explorer.frame.camera("first").occlusion.kind == "black")
+    assert explorer.frame.camera("first").input == "off"
+    explorer.set("first", input="both", occlusion="blur")
+    until(lambda: fails.value == "blur")
+    assert given.value is None, "a choice that is not offered"
+    assert explorer.frame.camera("first") == CameraState("both", Occlusion("blur"))
 
 
 def test_it_plays_and_pictures_follow(explorer: Explorer) -> None:
