@@ -30,12 +30,12 @@ from madviz.app.screen import Screen
 from madviz.drawing.viewpoint import focus
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
-from madviz.session.commands import Compare, Link, Pause, SetCamera, SetPolicy, StepOnce
+from madviz.session.commands import Compare, Link, Pause, Scrub, SetCamera, SetPolicy, StepOnce
 from madviz.session.frame import Condition, Frame
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import browser, recorded, use
-from tests.sessions import OFF, frame_with, with_world
+from tests.sessions import OFF, Recorder, frame_with, with_world
 
 
 def test_camera_switches_send_commands_and_never_echo(server):
@@ -127,6 +127,20 @@ def test_curves_have_every_decision_though_they_are_drawn_less_often(server):
     apply(panel.update(session.latest))
     decisions = gui.of("GuiUplotHandle")[0].data[0]
     assert len(decisions) == 41 and set(np.diff(decisions)) == {1}
+    panel.remove()
+
+
+def test_looking_back_leaves_the_curves_as_they_are(server):
+    session = Recorder()
+    session.at(0.0)
+    gui = recorded(server.gui)
+    panel = FeaturesPanel(gui, frame_with())
+    for _ in range(5):
+        apply(panel.update(session.steps(1)))
+    before = gui.of("GuiUplotHandle")[0].data
+    for step in (2, 4, 1):
+        apply(panel.update(session.ask(Scrub(step))))
+    np.testing.assert_array_equal(gui.of("GuiUplotHandle")[0].data, before)
     panel.remove()
 
 

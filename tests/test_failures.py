@@ -21,13 +21,23 @@ from madviz.observation.schedule import (
     scenario,
     schedule_words,
 )
-from madviz.session.commands import Pause, Play, Reset, Scrub, SetCamera, SetSchedule, SetSeed
+from madviz.session.commands import (
+    Pause,
+    Play,
+    Reset,
+    Scrub,
+    SetCamera,
+    SetPolicy,
+    SetSchedule,
+    SetSeed,
+)
 from madviz.session.frame import Frame
 from madviz.session.journal import Journal
 from madviz.session.session import Session
 from madviz.session.session_reader import parse
 from tests.fakes import FakePolicy, policies
 from tests.pages import Wire, recorded, use
+from tests.sessions import any_task, elsewhere
 
 CAMERAS = ("first", "third_a", "third_b")
 ENV = make_env("toy/reach").spec
@@ -135,6 +145,19 @@ def test_a_session_obeys_at_the_step_itself() -> None:
         frames[2].world.arrived["first"], frames[2].world.views["first"].rgb
     )
     assert frames[4].schedule == parse_schedule(["third_a@4-7", "first=noise:0.5@0-2"], CAMERAS)
+
+
+def test_another_task_begins_with_no_failure_that_is_still_to_come() -> None:
+    one = Session(any_task, FakePolicy(), elsewhere, seed=3, speed=None)
+    one.send(schedule("first@3-8"))
+    one.send(SetCamera("third_b", CameraState("off")))
+    assert run(one, 6)[-1].condition.subset == "third_a"
+    one.send(Pause())
+    one.send(SetPolicy("elsewhere"))
+    for command in (Pause(), Reset()):
+        one.send(command)
+        (frame,) = run(one, 1)
+        assert (frame.world.step, frame.condition.subset) == (0, "first+third_a")
 
 
 def test_a_reset_begins_it_anew_with_all_its_cameras_intact() -> None:

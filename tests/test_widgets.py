@@ -12,6 +12,7 @@ import types
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,7 @@ import numpy as np
 import pytest
 
 from madviz.errors import UserError
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Play, SetSpeed
 from madviz.teaching.inside import record
 from madviz.teaching.lessons import interval_figure
@@ -26,8 +28,9 @@ from madviz.widgets import Explorer, Predict, TryOut, Viewer, live_page
 from madviz.widgets import page as widgets_page
 from madviz.widgets.explorer import MOST
 from madviz.widgets.questions import control_for
-from madviz.widgets.table import ROWS
-from tests.fakes import AllOrNothing, FakePolicy
+from madviz.widgets.table import ROWS, table_html
+from tests.fakes import AllOrNothing, Chunked, FakePolicy
+from tests.sessions import frame_with
 
 
 def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
@@ -91,6 +94,21 @@ def test_cells_can_do_what_clicks_do(explorer: Explorer) -> None:
         explorer.set("fourth", "off")
 
 
+def test_switches_follow_what_a_cell_does_and_a_click_changes_one_thing(
+    explorer: Explorer,
+) -> None:
+    given, fails = switch(explorer, "first")
+    explorer.set("first", input="off")
+    until(lambda: given.value == "off")
+    fails.value = "black"
+    until(lambda: explorer.frame.camera("first").occlusion.kind == "black")
+    assert explorer.frame.camera("first").input == "off"
+    explorer.set("first", input="both", occlusion="blur")
+    until(lambda: fails.value == "blur")
+    assert given.value is None, "a choice that is not offered"
+    assert explorer.frame.camera("first") == CameraState("both", Occlusion("blur"))
+
+
 def test_it_plays_and_pictures_follow(explorer: Explorer) -> None:
     painted = explorer.painted
     explorer.session.send(SetSpeed(None))
@@ -107,6 +125,18 @@ def test_it_says_so_when_a_policy_cannot_act() -> None:
         until(lambda: "cannot act on this" in explorer.table.value)
         explorer.step()
         until(lambda: "cannot act on" in explorer.words.value)
+
+
+def test_a_set_that_was_not_read_is_not_one_that_it_cannot_act_on() -> None:
+    """Nor has it a Q of nan; and a name that the card writes otherwise is the same set."""
+    policy = Chunked()
+    policy.spec = replace(policy.spec, trained_subsets=("all", "third_b+third_a"))
+    html = table_html(frame_with(policy=policy))
+    assert html.count("not read") == 7 and "cannot act" not in html
+    assert "nan" not in html and "<td>–</td>" in html
+    now, trained, *rest = html.split("<tr>")[2:]
+    assert "not trained" not in now + trained and "third_a+third_b" in trained
+    assert all("not trained" in row for row in rest)
 
 
 def test_modalities_that_a_policy_lacks_are_not_offered(explorer: Explorer) -> None:

@@ -37,6 +37,11 @@ class Probe:
     known: Bool[Array, " N"]
     """Rows that were read; the others are NaN, too."""
 
+    @property
+    def waiting(self) -> Bool[Array, " N"]:
+        """Rows that could be read, and were not."""
+        return self.supported & ~self.known
+
     def row(self, mask: Array) -> int:
         """Where ``mask`` (V,) stands in ``masks``."""
         return row_of(mask)

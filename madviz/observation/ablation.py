@@ -4,7 +4,7 @@ Two things are easily confused. A *dropped* stream leaves the sum: the policy's 
 loses the term f(o_i). An *occluded* stream stays in the sum, but its camera sends black, noise or
 an old picture, so that the sum holds f(black), an input nobody trained it on. ``CameraInput``
 decides the first, an ``Occlusion`` the second. A third thing is a camera that was *moved*: its
-picture is sound, but from elsewhere (``moves.py``).
+picture is sound, but from elsewhere (``displacement.py``).
 
 Noise and losses are drawn from (seed, step, stream), so a replayed session gives the same pixels.
 """
@@ -12,6 +12,7 @@ Noise and losses are drawn from (seed, step, stream), so a replayed session give
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Literal, TypeVar, get_args
 
@@ -165,6 +166,13 @@ class Ablation:
         """The same ablation with the camera ``name`` elsewhere; None: where it was trained."""
         others = {camera: move for camera, move in self.moves.items() if camera != name}
         return Ablation(self.cameras, others if to is None or to.is_none else {**others, name: to})
+
+    def of(self, names: Sequence[str]) -> Ablation:
+        """The same ablation of the cameras ``names`` alone."""
+        return Ablation(
+            {name: state for name, state in self.cameras.items() if name in names},
+            {name: move for name, move in self.moves.items() if name in names},
+        )
 
     def mask(self, streams: tuple[str, ...]) -> Array:
         """(V,) bool: the streams that are present."""

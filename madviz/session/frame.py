@@ -17,7 +17,7 @@ from madviz.analysis.probes import Probe
 from madviz.analysis.saliency import Target
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.schedule import Schedule
-from madviz.subsets import camera_of, modality_of, name_of
+from madviz.subsets import camera_of, mask_of, modality_of, name_of
 from madviz.types import Array, Body, CameraPose, EnvSpec, PolicySpec, View
 
 Phase = Literal["playing", "paused", "ended"]
@@ -219,6 +219,13 @@ class Frame:
     def row(self) -> int:
         """The row of the current subset in ``probe``."""
         return self.world.probe.row(self.mask)
+
+    @property
+    def trained_rows(self) -> frozenset[int]:
+        """The rows of ``probe`` that the policy was trained to work from, as its card says."""
+        spec = self.world.policy
+        masks = (mask_of(name, spec.streams) for name in spec.trained_subsets)
+        return frozenset(map(self.world.probe.row, masks))
 
     @property
     def action(self) -> Array:

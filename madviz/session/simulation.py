@@ -171,7 +171,7 @@ class Simulation:
     def read_more(self) -> bool:
         """Reads one more subset of this step, for a policy that reads one at a time; whether there
         was one."""
-        waiting = np.flatnonzero(self.probe.supported & ~self.probe.known)
+        waiting = np.flatnonzero(self.probe.waiting)
         if len(waiting):
             self.probe = read_row(self.probe, self.policy, self._encoded, int(waiting[0]))
         return bool(len(waiting))

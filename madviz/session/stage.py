@@ -77,17 +77,19 @@ class Stage:
             raise UserError("there is no simulation; press play to start one")
         return self.simulation
 
-    def open(self) -> None:
-        """Builds the policy's environment, and begins. Where that fails, nothing is open."""
+    def open(self, ablation: Ablation | None = None) -> None:
+        """Builds the policy's environment, and begins, with its cameras as in ``ablation``, unless
+        a saved episode or a schedule has another beginning. Where that fails, nothing is open."""
         self.shut()
         if isinstance(self.policy, str):
             self.policy = self._loaded(self.policy)
         script = self._plan.waiting
         world = script or self.policy.spec
         env = self._make_env(world.task, world.render_profile, world.cameras)
-        ablation = script.ablation if script else Ablation()
+        begins = script.ablation if script else ablation or Ablation()
+        begins = begins.of([camera.name for camera in env.spec.cameras])
         seed = script.seed if script else self.seed
-        self.simulation = open_simulation(env, self.policy, ablation, seed, self.journal)
+        self.simulation = open_simulation(env, self.policy, begins, seed, self.journal)
         self._begun(seed)
 
     def shut(self) -> None:
@@ -164,15 +166,8 @@ class Stage:
             self.saliency.forget()
             self._foresight = None
             return False
-        self.policy, before = policy, live.ablation if live else Ablation()
-        self.open()
-        here = {camera.name for camera in self._live.env.spec.cameras}
-        for camera, state in before.cameras.items():
-            if camera in here:
-                self._live.set_camera(SetCamera(camera, state))
-        for camera, move in before.moves.items():
-            if camera in here:
-                self._live.move_camera(MoveCamera(camera, move))
+        self.policy = policy
+        self.open(live.ablation if live else None)
         return True
 
     @staticmethod

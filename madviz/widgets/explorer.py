@@ -21,8 +21,9 @@ import threading
 import time
 from base64 import b64encode
 from collections.abc import Callable
+from dataclasses import replace
 from html import escape
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import ipywidgets
 
@@ -104,6 +105,13 @@ class Explorer(StaticBox):
         self.words, self.table = ipywidgets.HTML(), ipywidgets.HTML()
         self.play = ipywidgets.Button(button_style="info", layout={"width": "90px"})
         self.play.on_click(lambda _: self._toggle())
+        self._states = {c.name: first.camera(c.name) for c in first.world.env.cameras}
+        """Of every camera, as it was asked for or shown last."""
+        self._followed = dict(self._states)
+        """Of every camera, as the newest frame had it: switches follow what changes, for an older
+        frame would take back what was just chosen."""
+        self._following: int | None = None
+        """The thread that assigns to switches now, which is nobody's click."""
         self.switches = {c.name: self._camera_row(first, c) for c in first.world.env.cameras}
         self._bar = self._buttons()
         super().__init__([self._bar, self.picture, *self.switches.values(), self.words])
@@ -177,7 +185,21 @@ class Explorer(StaticBox):
         self.words.value = words_html(frame)
         self.table.value = table_html(frame)
         self.play.description = "Play" if frame.pace.phase == "paused" else "Pause"
+        self._follow(frame)
         self.painted += 1
+
+    def _follow(self, frame: Frame) -> None:
+        """Puts the switches of cameras that were changed where they are now."""
+        self._following = threading.get_ident()
+        for camera, row in self.switches.items():
+            state, controls = frame.camera(camera), cast(Any, row.children)
+            if state != self._followed[camera]:
+                self._followed[camera] = self._states[camera] = state
+                _, switch, fails = controls
+                offered = state.input in switch.options.values()
+                switch.value = state.input if offered else None
+                fails.value = state.occlusion.kind
+        self._following = None
 
     def _run(self) -> None:
         while True:
@@ -240,15 +262,18 @@ class Explorer(StaticBox):
             options=inputs, value=frame.camera(camera.name).input, style={"button_width": "70px"}
         )
         fails: Any = ipywidgets.Dropdown(
-            options=OCCLUSIONS, value="none", layout={"width": "140px"}
+            options=OCCLUSIONS,
+            value=frame.camera(camera.name).occlusion.kind,
+            layout={"width": "140px"},
         )
 
-        def send(_: Any) -> None:
-            state = CameraState(switch.value, Occlusion(fails.value))
-            self.session.send(SetCamera(camera.name, state))
+        def choose(**chosen: Any) -> None:
+            if self._following != threading.get_ident():
+                state = self._states[camera.name] = replace(self._states[camera.name], **chosen)
+                self.session.send(SetCamera(camera.name, state))
 
-        switch.observe(send, "value")
-        fails.observe(send, "value")
+        switch.observe(lambda change: choose(input=change["new"]), "value")
+        fails.observe(lambda change: choose(occlusion=Occlusion(change["new"])), "value")
         label = ipywidgets.Label(camera.label, layout={"width": "100px"})
         return ipywidgets.HBox([label, switch, fails])
 

@@ -38,23 +38,25 @@ def table_html(frame: Frame) -> str:
 
 def shown_rows(frame: Frame) -> list[int]:
     """At most ROWS rows of the probe: the present subset, then the trained ones, then the rest."""
-    trained = set(frame.world.policy.trained_subsets)
-    names = [name_of(mask, frame.world.policy.streams) for mask in frame.world.probe.masks]
-    order = sorted(range(len(names)), key=lambda r: (r != frame.row, names[r] not in trained, r))
-    return order[:ROWS]
+    here, trained = frame.row, frame.trained_rows
+    rows = range(len(frame.world.probe.masks))
+    return sorted(rows, key=lambda row: (row != here, row not in trained, row))[:ROWS]
 
 
 def _subset_row(frame: Frame, row: int, name: str) -> str:
-    readout, note = frame.world.probe.readout, []
+    probe, note = frame.world.probe, []
     if row == frame.row:
         note.append("now")
-    if name not in frame.world.policy.trained_subsets:
+    if row not in frame.trained_rows:
         note.append("not trained on this subset")
-    action: Array = readout.action[row]
-    if not np.isfinite(action).all():
+    action: Array = probe.readout.action[row]
+    if probe.waiting[row]:
+        cells = ["not read", "", ""]
+    elif not np.isfinite(action).all():
         cells = ["cannot act on this", "", ""]
     else:
         distance = float(np.linalg.norm(action - frame.action))
-        cells = [" ".join(f"{a:+.2f}" for a in action), f"{distance:.2f}", f"{readout.q[row]:.1f}"]
+        numbers = (f"{distance:.2f}", f"{probe.readout.q[row]:.1f}")
+        cells = [" ".join(f"{a:+.2f}" for a in action), *(n.replace("nan", "–") for n in numbers)]
     row_cells = "".join(f"<td>{escape(cell)}</td>" for cell in (name, ", ".join(note), *cells))
     return f"<tr>{row_cells}</tr>"

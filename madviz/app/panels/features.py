@@ -79,8 +79,9 @@ class FeaturesPanel(WidgetPanel):
         return changes
 
     def note(self, frame: Frame) -> None:
-        """Takes a point for the curves, which are drawn less often than decisions are taken."""
-        if frame.world.policy.streams != self._streams:
+        """Takes a point for the curves, which are drawn less often than decisions are taken. An
+        earlier step that is shown again has its point already."""
+        if frame.past or frame.world.policy.streams != self._streams:
             return
         episode, step = self._last
         if (frame.world.episode, frame.world.step) == (episode, step) and self._history:

@@ -15,7 +15,7 @@ from madviz.app.toolkit import SyncedInput, WidgetPanel, on_value
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.session.commands import Command, ReadSubsets
 from madviz.session.frame import Frame
-from madviz.subsets import camera_of, mask_of, modality_of, name_of
+from madviz.subsets import camera_of, modality_of, name_of
 
 MODALITY_WORDS = {"rgb": "colour", "depth": "depth"}
 MIDDLE = 50
@@ -64,28 +64,20 @@ class SubsetsPanel(WidgetPanel):
         ]
 
 
-def is_trained(frame: Frame, mask: np.ndarray) -> bool:
-    """Whether the card says that the policy was trained to work from the streams of ``mask``."""
-    streams = frame.world.policy.streams
-    return any(
-        np.array_equal(mask_of(name, streams), mask) for name in frame.world.policy.trained_subsets
-    )
-
-
 def subsets_html(frame: Frame, everything: bool = True) -> str:
     """The current subset first, then the trained ones, then the rest; of more than ``FEW`` only the
     first two kinds and the sets of whole cameras, unless ``everything`` is asked for."""
     masks, streams, here = frame.world.probe.masks, frame.world.policy.streams, frame.row
-    trained = {mask_of(name, streams).tobytes() for name in frame.world.policy.trained_subsets}
+    probe, trained = frame.world.probe, frame.trained_rows
     rows = range(len(masks))
     if not everything and len(masks) > FEW:
-        whole = {mask.tobytes() for mask in camera_masks(streams)} | trained
-        rows = [row for row in rows if row == here or masks[row].tobytes() in whole]
-    order = sorted(rows, key=lambda row: (row != here, masks[row].tobytes() not in trained, row))
-    lines = [_row(frame, row, masks[row].tobytes() in trained, row == here) for row in order]
+        shown = {*map(probe.row, camera_masks(streams)), *trained, here}
+        rows = [row for row in rows if row in shown]
+    order = sorted(rows, key=lambda row: (row != here, row not in trained, row))
+    lines = [_row(frame, row, row in trained, row == here) for row in order]
     left_out = len(masks) - len(lines)
     more = f" · {left_out} sets with half a camera are not shown" if left_out else ""
-    if any(_waits(frame, row) for row in rows):
+    if probe.waiting[list(rows)].any():
         more += " · not read: every set costs this policy a pass; see <b>Read every set</b>"
     key = (
         '<div class="dim">† not trained on this subset · apart: distance between '
@@ -121,7 +113,7 @@ def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
         q = f"{readout.q[row]:.1f}" if np.isfinite(readout.q[row]) else "–"
         cells = f'<td>{action_bars(readout.action[row])}</td>{apart}<td class="num">{q}</td>'
     else:
-        why = "cannot act on this" if not _waits(frame, row) else "not read"
+        why = "cannot act on this" if not frame.world.probe.waiting[row] else "not read"
         cells = f'<td class="dim" colspan="4">{why}</td>'
     style = ' style="background:rgba(255,209,102,0.12)"' if here else ""
     return (
@@ -129,12 +121,6 @@ def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
         f'<td style="max-width:190px;overflow:hidden;text-overflow:ellipsis" title="{label}">'
         f"{now}{dagger}{label}</td>{cells}</tr>"
     )
-
-
-def _waits(frame: Frame, row: int) -> bool:
-    """Whether ``row`` could be read, and was not."""
-    probe = frame.world.probe
-    return bool(probe.supported[row] and not probe.known[row])
 
 
 def presence(frame: Frame, mask: np.ndarray) -> str:

@@ -13,7 +13,7 @@ from viser import uplot
 from madviz.app.markup import band, dot, track
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_POINTS, small_axes
-from madviz.app.panels.subsets import is_trained, presence, subset_label
+from madviz.app.panels.subsets import presence, subset_label
 from madviz.app.rates import NOTHING, SuccessRates, side_b
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
@@ -237,7 +237,7 @@ def _bar_row(
     if condition.occlusions:
         words = " · " + ", ".join(p.split(",")[0] for p in condition.occlusions.split(";"))
         label, short = label + words, short + words
-    dagger = "" if is_trained(frame, mask) else "† "
+    dagger = "" if frame.world.probe.row(mask) in frame.trained_rows else "† "
     joined = live if live.n >= shipped.n else shipped
     number = f"<b>{joined.value:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"
     here = condition == frame.condition

@@ -28,7 +28,7 @@ from madviz.app.panel import Assign
 from madviz.app.toolkit import forget_camera, heard
 from madviz.drawing.colours import MERGED, NOTE, camera_colours, rgb
 from madviz.session.frame import Frame
-from madviz.subsets import camera_of, cameras_of, mask_of
+from madviz.subsets import camera_of, cameras_of
 from madviz.types import Array
 
 PERIOD = 0.25
@@ -137,7 +137,7 @@ def _drawn_rows(frame: Frame) -> list[tuple[int, tuple[int, ...], bool]]:
     others, and last the present condition. With half cameras, six streams would have 64 arrows."""
     streams, probe, here = frame.world.policy.streams, frame.world.probe, frame.row
     own = camera_colours(frame.world.env.cameras)
-    trained = {probe.row(mask_of(name, streams)) for name in frame.world.policy.trained_subsets}
+    trained = frame.trained_rows
     rows = []
     for mask in camera_masks(streams):
         row = probe.row(mask)
