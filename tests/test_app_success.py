@@ -6,6 +6,7 @@ import traceback
 from collections.abc import Hashable
 from html import escape
 
+import numpy as np
 import pytest
 
 from madviz.app.layout import Shared
@@ -27,11 +28,14 @@ from madviz.app.panels.success import (
     strip_html,
 )
 from madviz.app.panels.words import WordsPanel, both_sides, sentence
+from madviz.app.pictures import picture
 from madviz.app.rates import SuccessRates, side_b
 from madviz.envs.registry import make_env
 from madviz.evaluation.live import Request, Tally
 from madviz.evaluation.statistics import SuccessRate
+from madviz.observation.ablation import CameraState, Occlusion
 from madviz.policies.checkpoint import load_policy
+from madviz.recording.facts import condition_words
 from madviz.session.commands import Compare, Pause, ReadSubsets, SetCamera, SetPolicy, SetSaliency
 from madviz.session.frame import Condition, Frame
 from madviz.session.session import Session
@@ -190,6 +194,24 @@ def test_bars_and_outcomes_of_both_sides_stand_under_each_other(server):
     assert html.count("<b>A</b>") == html.count("<b>B</b>") == rows
     assert "shipped 0.94" in html and html.count("first episode is still running") == 0
     assert strip_html(frame).count("the first episode is still running") == 2
+
+
+def test_a_camera_that_gives_nothing_the_policy_knows_is_as_good_as_dropped():
+    only_depth = SetCamera("first", CameraState("depth", Occlusion("black")))
+    session = Recorder()
+    session.tick(0.0)
+    session.ask(only_depth)
+    frame = session.steps(30)
+    (outcome,) = frame.world.outcomes
+    assert outcome.condition == Condition("third_a+third_b")
+    assert outcome.cameras == {"first": "off", "third_a": "", "third_b": ""}
+    assert "first off" in strip_html(frame) and "all cameras worked" not in strip_html(frame)
+    assert [frame.uses(name) for name in outcome.cameras] == [False, True, True]
+    assert condition_words(frame) == "third_a+third_b"
+    dropped = frame_with(SetCamera("first", OFF))
+    assert np.array_equal(picture(frame_with(only_depth), "first"), picture(dropped, "first"))
+    both = frame_with(only_depth, policy=FakePolicy("toy-rgbd", "three-rgbd"))
+    assert both.uses("first")
 
 
 def test_both_sides_are_measured_while_there_are_two(server):

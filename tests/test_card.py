@@ -37,6 +37,15 @@ def test_a_card_says_what_was_measured_and_how(folder):
     assert text == card_text(folder)
 
 
+def test_a_card_filled_in_several_goes_says_how_many_seeds_each_row_has(folder):
+    measure(folder, {**ROWS, "none": {**ROWS["none"], "n": 20}})
+    text = write_card(folder).read_text()
+    assert "Development seeds from 5000 on, in each row as many as it has episodes; render" in text
+    assert "the same for every row" not in text
+    measure(folder, ROWS)
+    assert "Development seeds 5000 to 5049, the same for every row; render" in card_text(folder)
+
+
 def test_a_card_without_an_evaluation_says_so(folder):
     assert "Not measured yet: `madviz eval --policy toy-reach-mad-light --card`" in card_text(
         folder

@@ -15,6 +15,7 @@ from madviz.evaluation.compare import CompareConfig, comparison_table, over_trai
 from madviz.evaluation.evidence import read_evidence
 from madviz.evaluation.statistics import pair
 from madviz.evaluation.store import EpisodeResult, ResultKey, Store
+from madviz.plots import figures
 from tests.evidence import rates, write_policy
 
 GOOD, BAD = rates(0.95, 0.9, 0.85, 0.8), rates(0.9, 0.2, 0.1, 0.0)
@@ -83,8 +84,11 @@ def test_one_policy_is_nothing_to_compare(two: tuple[str, str]) -> None:
         run_compare(CompareConfig((two[0], "no-such-policy")))
 
 
+@pytest.mark.parametrize(
+    ("stored", "asked"), [("none", "none"), ("first+third_a", "third_a+first")]
+)
 def test_episodes_may_come_from_a_store(
-    two: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    two: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored: str, asked: str
 ) -> None:
     from madviz.policies import checkpoint
 
@@ -94,17 +98,34 @@ def test_episodes_may_come_from_a_store(
             self.digest = Path(path).name
 
     monkeypatch.setattr(checkpoint, "describe", Described)
-    store, facts = Store(tmp_path / "store.sqlite"), ("fast", "", "none")
+    store, facts = Store(tmp_path / "store.sqlite"), ("fast", "", stored)
     for policy, successes in zip(two, (3, 1), strict=True):
         evidence = read_evidence(policy)
         key = ResultKey(Path(policy).name, evidence.config.task, evidence.config.definition, *facts)
         for seed in range(4):
-            store.put(key, EpisodeResult("none", seed, seed < successes, True, 0.0))
+            store.put(key, EpisodeResult(stored, seed, seed < successes, True, 0.0))
     store.close()
-    result = run_compare(CompareConfig(two, ("none",), store=str(tmp_path / "store.sqlite")))
-    assert result["comparisons"][0]["subsets"]["none"]["difference"] == 0.5
+    result = run_compare(CompareConfig(two, (asked,), store=str(tmp_path / "store.sqlite")))
+    assert result["comparisons"][0]["subsets"][asked]["difference"] == 0.5
+    with pytest.raises(UserError, match="expected episodes on 'fourth' of every policy"):
+        run_compare(CompareConfig(two, ("fourth",), store=str(tmp_path / "store.sqlite")))
     with pytest.raises(UserError, match="expected a store of results"):
         run_compare(CompareConfig(two, store=str(tmp_path / "none.sqlite")))
+
+
+def test_trainings_that_agree_have_an_interval(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three that always succeed are no proof that the fourth does."""
+    drawn: dict[str, list[figures.Bar]] = {}
+    monkeypatch.setattr(figures, "bars", lambda title, groups, series: drawn.update(series) or "")
+    policies = [
+        str(write_policy(tmp_path, {"all": 1.0}, seed=seed, folder=f"mad{seed}"))
+        for seed in (1, 2, 3)
+    ]
+    run_compare(CompareConfig(tuple(policies), figure=tmp_path / "figure.svg"))
+    ((bar,),) = drawn.values()
+    assert (bar.value, bar.high) == (1.0, 1.0) and 0.95 < bar.low < 0.99
 
 
 def test_the_figure_has_a_bar_for_a_method_and_a_dot_for_a_training(tmp_path: Path) -> None:

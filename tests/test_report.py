@@ -342,3 +342,29 @@ def test_success_while_training_is_drawn_for_reinforcement_learning_only(tmp_pat
     assert "reinforcement.svg" in [Path(name).name for name in result["pictures"]]
     drawn = (tmp_path / "pictures" / "reinforcement.svg").read_text()
     assert drawn.count('class="line"') == 2 and ">mad, hammer<" in drawn
+
+
+def test_no_curve_takes_the_place_of_another(tmp_path: Path) -> None:
+    changes: list[dict[str, Any]] = [
+        {"recipe": "paper"},
+        {"recipe": "paper", "alpha": 0.8, "folder": "often"},
+        {"recipe": "paper", "alpha": 0.8, "folder": "again"},
+        {"recipe": "paper-vectorised"},
+        {"recipe": "paper", "seed": 2, "folder": "second"},
+        {"recipe": "paper", "method": "vib"},
+    ]
+    for change in changes:
+        path = write_policy(tmp_path, GOOD, **change)
+        (path / "curve.csv").write_text("env_steps,episodes,success_all\n0,6,0.0\n100,6,0.5\n")
+    report(tmp_path)
+    drawn = (tmp_path / "pictures" / "reinforcement.svg").read_text()
+    assert drawn.count('class="line"') == len(changes)
+    for label in (
+        "mad, hammer, paper, alpha 0.5",
+        "mad, hammer, paper, alpha 0.8, often",
+        "mad, hammer, paper, alpha 0.8, again",
+        "mad, hammer, paper-vectorised",
+        "mad, hammer, seed 2",
+        "vib, hammer",
+    ):
+        assert f">{label}<" in drawn

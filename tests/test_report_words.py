@@ -114,6 +114,19 @@ def test_reinforcement_learning_is_judged_over_several_trainings(
     assert said[-1].endswith(": agrees, in direction and size.") == judged
 
 
+def test_a_method_with_a_recipe_of_its_own_stands_beside_mads_reinforcement(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD, recipe="paper")
+    write_policy(
+        tmp_path, rates(0.5, 0.5, 0.5, 0.5), method="mv-mwm", merge="mv-mwm", recipe="mv-mwm"
+    )
+    said = claims(table(tmp_path, "scratch"))
+    assert said[0].startswith("MAD minus mv-mwm, mv-mwm: +38 points [")
+    for method in ("mad", "single"):
+        write_policy(tmp_path, GOOD, method=method)
+    imitated = claims(table(tmp_path, "overall"))
+    assert imitated and not any("mv-mwm" in one for one in imitated)
+
+
 def test_one_training_under_two_names_is_said_to_be_one(tmp_path: Path) -> None:
     for task, alpha in (("metaworld/hammer", 0.5), ("metaworld/push", 0.25)):
         for method in ("mad", "naive-both"):

@@ -45,6 +45,12 @@ def test_a_killed_worker_is_replaced_and_nothing_finished_is_lost():
     assert dict(seen) == {job: serial.run(job) for job in jobs}
 
 
+def test_workers_are_gone_when_the_last_episode_is_there():
+    before = set(multiprocessing.active_children())
+    evaluate("tests.fakes:FakePolicy", ("all",), episodes=2, workers=1)
+    assert set(multiprocessing.active_children()) <= before
+
+
 def test_a_policy_that_kills_every_worker_is_given_up():
     with pytest.raises(UserError, match="3 deaths in a row.*--workers"):
         evaluate("tests.test_workers:Killing", ("all",), episodes=2, workers=1)

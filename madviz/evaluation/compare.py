@@ -25,11 +25,12 @@ from madviz.errors import UserError
 from madviz.evaluation.conditions import compare_conditions, conditions_table
 from madviz.evaluation.episodes import FIRST_SEED
 from madviz.evaluation.evidence import Evidence, Outcomes, alike, readable
-from madviz.evaluation.statistics import Interval, pair, wilson
+from madviz.evaluation.statistics import Interval, interval_over_trainings, mean_interval, pair
 from madviz.evaluation.store import ResultKey, Store
 from madviz.plots import figures
 from madviz.policies import checkpoint
 from madviz.policies.listing import BrokenRow
+from madviz.subsets import mask_of, name_of
 from madviz.system.files import write_bytes, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
 from madviz.wire.reference import with_wire
@@ -204,14 +205,12 @@ def _opened(path: str) -> Store:
 
 
 def _stored(store: Store, evidence: Evidence, subset: str) -> Outcomes:
-    digest = checkpoint.describe(evidence.path).spec.digest
-    facts = (
-        evidence.config.task,
-        evidence.config.definition,
-        evidence.config.render_profile,
-        "",
-        subset,
-    )
+    config, digest = evidence.config, checkpoint.describe(evidence.path).spec.digest
+    try:
+        name = name_of(mask_of(subset, config.streams), config.streams)
+    except UserError:
+        return {}  # A camera that this policy does not have.
+    facts = (config.task, config.definition, config.render_profile, "", name)
     results = store.results(ResultKey(digest, *facts))
     return {seed: result.success for seed, result in results.items()}
 
@@ -249,11 +248,14 @@ def _bars(
     for label, places in _grouped(found).items():
         series[label] = []
         for rows in table.values():
-            rates = [sum(rows[i].values()) / len(rows[i]) for i in places]
-            mean = sum(rates) / len(rates)
-            counted = wilson(sum(rows[places[0]].values()), len(rows[places[0]]))
-            ends = over_trainings(rates) if len(rates) > 1 else counted
-            series[label].append(figures.Bar(mean, *ends, tuple(rates) if len(rates) > 1 else ()))
+            trainings = [[float(rows[i][seed]) for seed in sorted(rows[i])] for i in places]
+            rates = [sum(each) / len(each) for each in trainings]
+            shares = [sum(scene) / len(scene) for scene in zip(*trainings, strict=True)]
+            ends = mean_interval(shares, len(trainings))
+            if len(trainings) > 1:
+                ends = interval_over_trainings([trainings], ends)
+            dots = tuple(rates) if len(rates) > 1 else ()
+            series[label].append(figures.Bar(sum(rates) / len(rates), *ends, dots))
     return series
 
 

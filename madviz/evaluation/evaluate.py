@@ -243,7 +243,8 @@ def run_jobs(jobs: list[Job], workers: Workers) -> Iterator[tuple[Job, Finished]
             breaks = breaks + 1 if len(left) == before else 0
             if breaks == GIVE_UP:
                 raise workers.gave_up()
-            workers.renew(workers.generation)
+            if left:
+                workers.renew(workers.generation)
     finally:
         workers.close()
 

@@ -185,6 +185,12 @@ class Ablation:
             bool,
         )
 
+    def present(self, streams: tuple[str, ...]) -> set[str]:
+        """The cameras of which a policy with ``streams`` gets anything: one that gives nothing but
+        depth to a policy of colour is as good as dropped."""
+        pairs = zip(streams, self.mask(streams), strict=True)
+        return {camera_of(stream) for stream, on in pairs if on}
+
     def occlusions(self) -> dict[str, Occlusion]:
         """The cameras that are occluded at all, and what is done to each."""
         return {

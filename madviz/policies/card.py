@@ -65,11 +65,10 @@ def _success(evaluation: EvaluationFile | None, name: str) -> str:
         "|---|---|---|---|---|---|",
     ]
     lines += [success_row(subset, row) for subset, row in evaluation["subsets"].items()]
-    last = max(episode["seed"] for episode in evaluation["episodes"])
     lines += [
         "",
-        f"A success, {evaluation['definition']}. {_seeds(evaluation)} {evaluation['seed']} to "
-        f"{last}, the same for every row; render profile `{evaluation['render_profile']}`. "
+        f"A success, {evaluation['definition']}. {_seeds(evaluation)}; "
+        f"render profile `{evaluation['render_profile']}`. "
         "Intervals are Wilson's. Rows not trained on this subset show what happens there; the "
         "training did not aim at it.",
     ]
@@ -77,8 +76,14 @@ def _success(evaluation: EvaluationFile | None, name: str) -> str:
 
 
 def _seeds(evaluation: EvaluationFile) -> str:
-    use = seeds_of(evaluation)
-    return f"{use.capitalize()} seeds" if use in (DEVELOPMENT, REPORTING) else "Seeds"
+    """What seeds the rows have. All begin with the same one; a row that was measured in another go
+    may have more of them."""
+    use, first = seeds_of(evaluation), evaluation["seed"]
+    words = f"{use.capitalize()} seeds" if use in (DEVELOPMENT, REPORTING) else "Seeds"
+    if len({row["n"] for row in evaluation["subsets"].values()}) > 1:
+        return f"{words} from {first} on, in each row as many as it has episodes"
+    last = max(episode["seed"] for episode in evaluation["episodes"])
+    return f"{words} {first} to {last}, the same for every row"
 
 
 def success_row(subset: str, row: SubsetRow) -> str:

@@ -31,7 +31,7 @@ def condition_words(frame: Frame) -> str:
     """Which streams count and which cameras fail how: ``first+third_b, First person is frozen``."""
     parts = [frame.condition.subset]
     for name, occlusion in sorted(frame.world.ablation.occlusions().items()):
-        if frame.camera(name).input != "off":
+        if frame.uses(name):
             parts.append(f"{frame.world.env.camera(name).label} {occlusion_words(occlusion)}")
     return ", ".join(parts)
 

@@ -101,8 +101,8 @@ class RerunWriter:
         self._stream.log(path, rr.SeriesLines(names=names, colors=colours), static=True)
 
     def _camera(self, frame: Frame, name: str) -> None:
-        """Its pose and opening, and what arrives of it; dark where it is dropped."""
-        world, off = frame.world, frame.camera(name).input == "off"
+        """Its pose and opening, and what arrives of it; dark where that is nothing."""
+        world, off = frame.world, not frame.uses(name)
         pose, picture = world.poses[name], world.views[name].rgb
         w, x, y, z = (float(number) for number in pose.wxyz)
         size = picture.shape[0]

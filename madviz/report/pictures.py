@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from madviz.evaluation.evidence import Evidence
 from madviz.evaluation.statistics import SuccessRate
@@ -14,6 +15,14 @@ from madviz.report.tables import ResultTable
 from madviz.report.threshold import WEAK, Verdict
 from madviz.training.curve import success_lines
 
+DIFFERENCES: tuple[Callable[[Evidence], str], ...] = (
+    lambda each: each.config.recipe,
+    lambda each: each.config.merge,
+    lambda each: each.config.setting,
+    lambda each: f"alpha {each.config.training.alpha or 0:g}",
+    lambda each: each.folder,
+)
+"""What curves of one method, task and seed may differ in."""
 TWENTY, METHODS, CURVE = "twenty.svg", "methods.svg", "reinforcement.svg"
 
 
@@ -70,17 +79,33 @@ def rates(table: ResultTable) -> str:
 def curve(evidence: Sequence[Evidence]) -> str:
     """Success while training by reinforcement, '' where no training measured it by subset."""
     panels: dict[str, dict[str, figures.Line]] = {}
-    for each in evidence:
-        file = each.path / "curve.csv"
-        if each.config.recipe == "light" or not file.is_file():
-            continue
-        lines = success_lines(list(csv.DictReader(file.read_text().splitlines())))
+    drawn = [each for each in evidence if each.config.recipe != "light" and _curve(each).is_file()]
+    for each, label in zip(drawn, _told_apart(drawn), strict=True):
+        lines = success_lines(list(csv.DictReader(_curve(each).read_text().splitlines())))
         for subset, line in lines.items():
             name = each.config.streams[0] if len(each.config.streams) == 1 else subset
-            task = each.config.task.split("/")[-1]
-            label = f"{each.config.method}, {task}" + (
-                f", seed {each.seed}" if each.seed != 1 else ""
-            )
             panels.setdefault(name, {})[label] = line
     title = "Reinforcement learning: success at evaluations on selection seeds, 95% intervals"
     return figures.lines(title, "simulator steps", panels) if panels else ""
+
+
+def _curve(evidence: Evidence) -> Path:
+    return evidence.path / "curve.csv"
+
+
+def _told_apart(evidence: Sequence[Evidence]) -> list[str]:
+    """A name for each: its method, task and seed; and where several have the same, what else they
+    differ in."""
+    labels = [
+        f"{each.config.method}, {each.config.task.split('/')[-1]}"
+        + (f", seed {each.seed}" if each.seed != 1 else "")
+        for each in evidence
+    ]
+    for fact in DIFFERENCES:
+        named = list(zip(labels, evidence, strict=True))
+        for place, (label, each) in enumerate(named):
+            alike = (other for name, other in named if name == label)
+            same_streams = [o for o in alike if o.config.streams == each.config.streams]
+            if len({fact(other) for other in same_streams}) > 1:
+                labels[place] = f"{label}, {fact(each)}"
+    return labels

@@ -35,11 +35,11 @@ class EpisodeRecord:
     def note(self, policy: PolicySpec, condition: Condition, ablation: Ablation) -> None:
         """What a decision was taken under."""
         self.conditions.add((policy, condition))
+        present, occluded = ablation.present(policy.streams), ablation.occlusions()
         for camera in (*ablation.cameras, *ablation.moves):
-            state = ablation.camera(camera)
-            if state.input == "off":
+            if camera not in present:
                 self.worst[camera] = "off"
-            elif state.occlusion.kind != "none" and self.worst.get(camera) != "off":
+            elif camera in occluded and self.worst.get(camera) != "off":
                 self.worst[camera] = "occluded"
             elif camera in ablation.moves:
                 self.worst.setdefault(camera, "moved")

@@ -17,7 +17,7 @@ from madviz.analysis.probes import Probe
 from madviz.analysis.saliency import Target
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.schedule import Schedule
-from madviz.subsets import camera_of, mask_of, modality_of, name_of
+from madviz.subsets import mask_of, modality_of, name_of
 from madviz.types import Array, Body, CameraPose, EnvSpec, PolicySpec, View
 
 Phase = Literal["playing", "paused", "ended"]
@@ -38,8 +38,7 @@ class Condition:
 def condition_of(ablation: Ablation, streams: tuple[str, ...]) -> Condition:
     """What a policy with ``streams`` gets under ``ablation``; how a dropped camera fails is no part
     of it."""
-    mask = ablation.mask(streams)
-    present = {camera_of(stream) for stream, on in zip(streams, mask, strict=True) if on}
+    mask, present = ablation.mask(streams), ablation.present(streams)
     noticed = {name: state for name, state in ablation.cameras.items() if name in present}
     moved = {name: move for name, move in ablation.moves.items() if name in present}
     return Condition(name_of(mask, streams), Ablation(noticed, moved).key())
@@ -260,6 +259,10 @@ class Frame:
         if name in self.world.ablation.cameras:
             return self.world.ablation.camera(name)
         return untouched(self.world.policy)
+
+    def uses(self, name: str) -> bool:
+        """Whether anything of a camera reaches the policy."""
+        return name in self.world.ablation.present(self.world.policy.streams)
 
 
 def untouched(policy: PolicySpec) -> CameraState:

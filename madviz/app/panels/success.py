@@ -287,10 +287,8 @@ def strip_html(frame: Frame) -> str:
         name = f"<b>{'AB'[index]}</b>" if len(sides) == 2 else ""
         rows.append(f'<div class="mv-outcomes">{name}{body}</div>')
     curve = "" if len(sides) == 2 else "<h4>Success now, by episode</h4>"
-    return (
-        '<div class="mv"><h4>Last episodes <span class="plain">● dropped, ○ occluded</span></h4>'
-        f"{''.join(rows)}{curve}</div>"
-    )
+    key = '<span class="plain">● dropped, ○ occluded, moved</span>'
+    return f'<div class="mv"><h4>Last episodes {key}</h4>{"".join(rows)}{curve}</div>'
 
 
 def _outcome(frame: Frame, outcome: Outcome) -> str:

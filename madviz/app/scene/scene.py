@@ -77,8 +77,8 @@ class ScenePanel:
             return []
         changes = self._view.update()
         for name, handle in self._frusta.items():
-            off = frame.camera(name).input == "off"
-            changes.append(Assign(handle, "color", OFF if off else rgb(self._colours[name])))
+            colour = rgb(self._colours[name]) if frame.uses(name) else OFF
+            changes.append(Assign(handle, "color", colour))
         if frame.pace.phase != "playing" or now - self._moved >= (
             MOVE_AT_FULL_SPEED if full_speed else MOVE
         ):
