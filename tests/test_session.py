@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ from madviz.session.commands import (
     SetSpeed,
     StepOnce,
 )
-from madviz.session.frame import Frame, words
+from madviz.session.frame import Frame, deed, words
 from madviz.session.pace import HOLD
 from madviz.session.session import FIRST_SEED
 from tests.fakes import AllOrNothing
@@ -123,6 +125,15 @@ def test_a_dropped_camera_leaves_the_sum_at_once(session: Recorder):
     assert words(change, after.world.env).startswith("Third A dropped: action changed by ")
     session.steps(1)
     assert not session.frames[-1].mask[1]
+
+
+def test_what_was_done_to_a_dropped_camera_is_said(session: Recorder):
+    said = []
+    for state in (OFF, OFF, replace(OFF, occlusion=Occlusion("black")), CameraState("rgb")):
+        frame = session.ask(SetCamera("first", state))
+        assert frame.world.change is not None
+        said.append(deed(frame.world.change, frame.world.env).removeprefix("First person "))
+    assert said == ["dropped", "dropped", "sends black", "is back"]
 
 
 def test_black_is_not_dropped(session: Recorder):

@@ -8,12 +8,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import Pipe
 
 import numpy as np
 import pytest
 
+from madviz.analysis.foresight import Foresight
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation
@@ -40,6 +41,7 @@ from madviz.session.frame import Frame, NoFrame
 from madviz.session.process import MakeSession, Noted, SessionProcess
 from madviz.session.session import Session
 from madviz.session.transfer import FrameDecoder, FrameEncoder
+from madviz.types import Future
 from tests.fakes import FakePolicy, policies
 from tests.sessions import OFF, Recorder
 
@@ -161,6 +163,14 @@ def test_what_is_the_same_object_here_is_the_same_object_there():
         same = [part(a) is part(b) for a, b in zip(sent, sent[1:], strict=False)]
         assert [part(a) is part(b) for a, b in zip(came, came[1:], strict=False)] == same
         assert any(same)
+
+
+def test_what_was_imagined_is_the_same_object_while_nothing_happens():
+    frame = frames_of()[-1]
+    empty = np.zeros((0, 3, 8, 8, 3), np.uint8)
+    seen = Foresight(0, "all", ("first",), Future(empty, np.zeros(0), np.zeros((0, 2))))
+    first, second = passed_on([replace(frame, foresight=seen)] * 2)
+    assert first.foresight is not None and first.foresight is second.foresight
 
 
 def test_both_ends_forget_what_is_not_used_any_more():

@@ -11,10 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from madviz.app.panels.training import training_html
+from madviz.app.panels.training import TrainingPanel, training_html
 from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
 from madviz.training.job import JobConfig, JobStatus, TrainingJob
+from tests.pages import recorded, use
+from tests.sessions import frame_with
 
 PROGRAM = """
 import signal, sys, time
@@ -104,6 +106,31 @@ def test_a_snapshot_is_a_copy_under_its_own_name(job: TrainingJob) -> None:
     assert (copy / "weights.safetensors").read_bytes() == b"w"
 
 
+def test_newer_weights_are_another_copy_and_the_same_weights_the_same(job: TrainingJob) -> None:
+    """Also between two rows of the curve: what is being watched stays as it is."""
+    job.start(JobConfig("toy/reach"))
+    folder = until(job, lambda status: status.ready).folder
+    assert folder is not None
+    copies = [job.snapshot()]
+    job.stop()
+    until(job, lambda status: status.state == "stopped")
+    copies.append(job.snapshot())
+    (folder / "weights.safetensors").write_bytes(b"newer")
+    copies.append(job.snapshot())
+    weights = [(copy / "weights.safetensors").read_bytes() for copy in copies]
+    assert weights == [b"w", b"w", b"newer"]
+    assert copies[0] == copies[1] != copies[2] and len([*copies[0].parent.iterdir()]) == 2
+
+
+def test_only_a_start_that_was_one_is_announced(job: TrainingJob, server) -> None:
+    gui = recorded(server.gui)
+    panel = TrainingPanel(gui, lambda _: None, frame_with(), job)
+    use(gui.find("Task"), "toy/reach")
+    assert [title for title, _ in use(gui.find("start"))] == ["Training"]
+    assert [title for title, _ in use(gui.find("start"))] == ["That did not work"]
+    panel.remove()
+
+
 def test_why_a_job_failed_is_its_last_line(job: TrainingJob) -> None:
     job.start(JobConfig("toy/reach", "merged-only"))
     failed = until(job, lambda status: status.state == "failed")
@@ -155,6 +182,7 @@ def test_a_real_training_can_be_watched(tmp_path: Path) -> None:
                 break
             time.sleep(0.5)
         assert status.state == "done" and len(status.rows) == 4
-        assert load_policy(str(job.snapshot())).spec.name.endswith("-0004")
+        watched = job.snapshot()
+        assert load_policy(str(watched)).spec.name == watched.name
     finally:
         job.close()

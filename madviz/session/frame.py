@@ -288,15 +288,16 @@ def deed(change: Change, env: EnvSpec) -> str:
 
 
 def _deed(before: CameraState, after: CameraState) -> str:
-    if after.input == "off":
+    occluded = before.input == after.input and before.occlusion != after.occlusion
+    if after.input == "off" and not occluded:
         return "dropped"
+    if before.input == after.input:
+        return occlusion_words(after.occlusion)
     if before.input == "off":
         return "is back"
-    if before.input != after.input:
-        return {"rgb": "gives colour", "depth": "gives depth", "both": "gives colour and depth"}[
-            after.input
-        ]
-    return occlusion_words(after.occlusion)
+    return {"rgb": "gives colour", "depth": "gives depth", "both": "gives colour and depth"}[
+        after.input
+    ]
 
 
 def occlusion_words(occlusion: Occlusion) -> str:

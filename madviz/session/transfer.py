@@ -22,11 +22,22 @@ import io
 import pickle
 from typing import Any, NamedTuple
 
-from madviz.analysis.foresight import Happened
+from madviz.analysis.foresight import Foresight, Happened
 from madviz.session.frame import Branch, Change, Frame, NoFrame, Outcome, Pair, TimelinePoint
 from madviz.types import Body, EnvSpec, Future, PolicySpec
 
-_SHARED = (Branch, Change, EnvSpec, Future, Happened, Outcome, Pair, PolicySpec, TimelinePoint)
+_SHARED = (
+    Branch,
+    Change,
+    EnvSpec,
+    Foresight,
+    Future,
+    Happened,
+    Outcome,
+    Pair,
+    PolicySpec,
+    TimelinePoint,
+)
 """Frozen, and the same object in many frames."""
 
 

@@ -15,10 +15,10 @@ is being watched must not change under those who watch it. One job at a time.
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import math
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -30,7 +30,7 @@ from typing import Literal
 from madviz.agent.methods import method
 from madviz.envs.registry import check_task
 from madviz.errors import UserError, unknown
-from madviz.system.files import write_json
+from madviz.system.files import new_folder, write_json
 from madviz.system.priority import lowest_priority
 
 State = Literal["idle", "running", "stopping", "stopped", "failed", "done"]
@@ -65,6 +65,8 @@ STOPPED = tuple(
     code for number in (signal.SIGINT, signal.SIGTERM) for code in (128 + number, -number)
 )
 """Exit codes of a training that a signal stopped, after it saved or before it began."""
+DIGITS = 8
+"""Of the weights' hash, in the name of a copy."""
 LOG_END = 500
 """Characters of a log's end that may be shown."""
 
@@ -177,17 +179,23 @@ class TrainingJob:
             )
 
     def snapshot(self) -> Path:
-        """A copy of the newest policy, under a name of its own: it must not be taken for the
-        finished one of the same task. Raises UserError before there is one."""
+        """A copy of the newest policy, named after its weights: it must not be taken for the
+        finished one of the same task, nor for what the run saves next. The same weights are the
+        same copy. Raises UserError before there is one."""
         status = self.status()
         if status.folder is None or not status.ready:
             raise UserError("expected a policy to watch, found none yet; the first comes soon")
-        copy = status.folder / "watched" / f"{status.folder.name}-{len(status.rows):04d}"
-        copy.mkdir(parents=True, exist_ok=True)
         config, weights = POLICY_FILES
-        shutil.copyfile(status.folder / weights, copy / weights)
-        described = json.loads((status.folder / config).read_text())
-        write_json(copy / config, {**described, "name": copy.name})
+        learned = (status.folder / weights).read_bytes()
+        digest = hashlib.sha256(learned).hexdigest()[:DIGITS]
+        copy = status.folder / "watched" / f"{status.folder.name}-{digest}"
+        with self._lock:  # Two visitors may ask at once.
+            if not copy.exists():
+                copy.parent.mkdir(exist_ok=True)
+                described = json.loads((status.folder / config).read_text())
+                with new_folder(copy) as part:
+                    (part / weights).write_bytes(learned)
+                    write_json(part / config, {**described, "name": copy.name})
         return copy
 
     def close(self) -> None:

@@ -59,7 +59,7 @@ HINTS = {
 
 
 class CameraControls:
-    """The switches of one camera. ``change(state)`` is called with what a visitor asks for."""
+    """The switches of one camera. ``send`` gets what a visitor asks for."""
 
     def __init__(self, gui: viser.GuiApi, send: Callable[[SetCamera], None], name: str) -> None:
         self.name, self._send = name, send

@@ -33,7 +33,7 @@ HINTS = {
 
 
 class ComparisonPanel(WidgetPanel):
-    """Controls, B's cameras, and the tally. ``send`` None: read-only."""
+    """Controls and the tally. ``send`` None: read-only."""
 
     def __init__(
         self,

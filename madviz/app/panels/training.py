@@ -88,14 +88,15 @@ class TrainingPanel(WidgetPanel):
         budget = gui.add_dropdown("Budget", tuple(BUDGETS["light"]), hint=HINTS["budget"])
         on_value(recipe, lambda _, name: setattr(budget, "options", tuple(BUDGETS[name])))
 
-        def start() -> None:
+        def start(client: viser.ClientHandle) -> None:
             self._job.start(JobConfig(task.value, method.value, recipe.value, budget.value))
+            notify(client, "Training", "The first round takes half a minute to show.")
 
-        work: dict[str, Callable[[], None]] = {
+        work: dict[str, Callable[[viser.ClientHandle], None]] = {
             "start": start,
-            "stop": self._job.stop,
-            "go on": self._job.resume,
-            "watch": lambda: send(SetPolicy(str(self._job.snapshot()))),
+            "stop": lambda _: self._job.stop(),
+            "go on": lambda _: self._job.resume(),
+            "watch": lambda _: send(SetPolicy(str(self._job.snapshot()))),
         }
         buttons = [self._button(gui, name, do) for name, do in work.items()]
         cells = [
@@ -108,17 +109,15 @@ class TrainingPanel(WidgetPanel):
         self.handles = place(gui, "training", 12, cells)
 
     def _button(
-        self, gui: viser.GuiApi, name: str, work: Callable[[], None]
+        self, gui: viser.GuiApi, name: str, work: Callable[[viser.ClientHandle], None]
     ) -> viser.GuiButtonHandle:
         button = gui.add_button(name, hint=HINTS[name])
 
         def press(event: viser.GuiEvent) -> None:
-            if event.client is None:
-                return
-            guarded(event.client, work)
-            self._read_at = -READ_EVERY
-            if name == "start":
-                notify(event.client, "Training", "The first round takes half a minute to show.")
+            client = event.client
+            if client is not None:
+                guarded(client, lambda: work(client))
+                self._read_at = -READ_EVERY
 
         button.on_click(one_at_a_time(press))
         return button
