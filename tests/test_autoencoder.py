@@ -243,8 +243,24 @@ def test_the_stem_is_two_convolutions_of_each_patch():
 
 
 def test_patches_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match="no even patches of 13"):
-        MultiViewAutoencoder(AutoencoderConfig(patch=13), 9, torch.zeros(2, 3, 84, 84))
+    with pytest.raises(ValueError, match="80 pixels has no whole patches of 14"):
+        MultiViewAutoencoder(AutoencoderConfig(), 9, torch.zeros(2, 3, 80, 80))
+
+
+@pytest.mark.parametrize(
+    ("sizes", "message"),
+    [
+        ({"patch": 16}, "expected patches of 2, 4, 6, 12, 14, 28, 42, 84 pixels.*found 16"),
+        ({"patch": 7}, "found 7"),
+        ({"width": 130, "heads": 2}, "a width .* that 4 and its 2 heads divide, found 130"),
+        ({"heads": 3}, "3 heads divide, found 128"),
+    ],
+)
+def test_sizes_that_do_not_go_together_are_refused_in_words(
+    sizes: dict[str, int], message: str
+) -> None:
+    with pytest.raises(UserError, match=message):
+        AutoencoderConfig(**sizes)
 
 
 def test_the_rate_rises_and_falls():

@@ -358,26 +358,6 @@ def test_a_stopped_run_goes_on_and_ends_the_same(
     assert curve(tmp_path / "run") == curve(undisturbed[0])
 
 
-def test_a_run_with_demonstrations_goes_on_with_the_same_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    config = replace(TINY, demonstrations=2, steps=64, update_ratio=0.2)
-    whole = run(tmp_path / "whole", config)
-    assert whole["losses"]["cloning_loss"] > 0
-
-    def interrupt(event: Event) -> None:
-        if event["kind"] == "progress" and event["step"] == 54:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    monkeypatch.setattr(loop, "PROGRESS_SECONDS", 0)
-    stopped = run(tmp_path / "run", config, listener=interrupt)
-    assert stopped["step"] == 54 and stopped["updates"] < whole["updates"]
-    assert_same_run(run(tmp_path / "run", config, resume=True), whole)
-    card = card_text(tmp_path / "run")
-    assert "imitation of 2 episodes of a scripted expert" in card
-    assert "expert demonstrations: 2" in card
-
-
 def test_the_smallest_buffer_has_enough_decisions_in_a_row_at_any_time(tmp_path: Path) -> None:
     config = replace(TINY, buffer_capacity=14, update_ratio=1.0)
     assert run(tmp_path / "run", config)["step"] == config.steps

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from madviz.evaluation.evaluate import evaluate
 from madviz.policies.checkpoint import load_policy
 from madviz.training.config import TrainConfig, command, identity, resolve
 from madviz.training.light import LightConfig
+from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import Event, changes
 from madviz.training.train import train
 
@@ -190,6 +192,36 @@ def test_changes_are_named_one_by_one() -> None:
     before = {"seed": 1, "paper": {"alpha": 0.8, "steps": 5}, "gone": 1, "cameras": None}
     now = {"seed": 1, "paper": {"alpha": 0.5, "steps": 5, "new": 3}, "cameras": [{"name": "a"}]}
     assert changes(before, now) == ["paper.alpha 0.8 -> 0.5", "cameras None -> [a]"]
+
+
+def test_a_run_that_broke_before_it_began_stands_in_nobodys_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(self: TrainingPlan) -> None:
+        raise RuntimeError("a mistake of ours")
+
+    with monkeypatch.context() as patch, pytest.raises(RuntimeError):
+        patch.setattr(TrainingPlan, "new_agent", broken)
+        train(TrainConfig("toy/reach", out=tmp_path / "run", light=TINY))
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"light": replace(TINY, shift=84)}, "--light.shift: .* from 0 to 83, found 84"),
+        (
+            {"state": "paper", "light": TINY},
+            "a task with fewer numbers .* toy/reach, which has none; leave",
+        ),
+    ],
+)
+def test_options_that_cannot_be_carried_out_cost_nothing(
+    change: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(UserError, match=message):
+        train(replace(TrainConfig("toy/reach", out=tmp_path / "run"), **change))
+    assert not (tmp_path / "run").exists()
 
 
 def test_what_changes_only_time_or_room_may_change() -> None:

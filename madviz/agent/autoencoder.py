@@ -63,8 +63,8 @@ class MultiViewAutoencoder(nn.Module):
         view over the training frames, 0 to 1. Raises ValueError where patches do not fit."""
         super().__init__()
         views, _, size, _ = mean.shape
-        if size % config.patch or config.patch % 2:
-            raise ValueError(f"a picture of {size} pixels has no even patches of {config.patch}")
+        if size % config.patch:
+            raise ValueError(f"a picture of {size} pixels has no whole patches of {config.patch}")
         self.config, self.channels, self.side = config, channels, size // config.patch
         width = config.width
         places = (config.patch // 2) ** 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import inf
 
+from madviz.errors import UserError
 from madviz.system.numbers import Count, CountOrNone, Pixels, Weight, Width
 
 FEATURE_MAP = (64, 7, 7)
@@ -12,6 +13,8 @@ FEATURE_SIZE = 64 * 7 * 7
 """Z: the 3136 numbers a stream is encoded to."""
 PICTURE = 84
 """Pixels of a picture's side that give this map."""
+PATCHES = tuple(side for side in range(2, PICTURE + 1, 2) if PICTURE % side == 0)
+"""Pixels of a patch's side: pictures have whole ones, and these whole squares of 2 x 2."""
 MOVING = 10 / 255
 """A pixel moves where a channel differs by more than this from its camera's mean."""
 FEWEST_MOVING = 10
@@ -38,6 +41,19 @@ class AutoencoderConfig:
     """How much more a pixel that moves counts (0)."""
     view_masking: bool = True
     """Whether views are hidden as a whole in training; if not, patches alone are, of all views."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError for sizes that do not go together."""
+        if self.patch not in PATCHES:
+            raise UserError(
+                f"expected patches of {', '.join(map(str, PATCHES))} pixels, which a picture of "
+                f"{PICTURE} has, found {self.patch}"
+            )
+        if self.width % 4 or self.width % self.heads:
+            raise UserError(
+                f"expected a width of the autoencoder's tokens that 4 and its {self.heads} heads "
+                f"divide, found {self.width}"
+            )
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,8 @@ ThreadsOrNone = Annotated[int, Range(0, 256)]
 Width = Annotated[int, Range(1, 65_536)]
 """Numbers in a layer, or samples in a batch."""
 Pixels = Annotated[int, Range(1, 4096)]
-PixelsOrNone = Annotated[int, Range(0, 4096)]
+Shift = Annotated[int, Range(0, 83)]
+"""Pixels that a picture of 84 is moved by; some of it must stay."""
 Port = Annotated[int, Range(0, 65_535)]
 Share = Annotated[float, Range(0, 1)]
 Weight = Annotated[float, Range(0, 1_000_000)]

@@ -32,7 +32,7 @@ from madviz.training.paper import PaperConfig, train_paper
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder
 from madviz.training.vectorised import VectorisedConfig, train_vectorised
-from madviz.types import CameraSpec, PolicySpec
+from madviz.types import CameraSpec, EnvSpec, PolicySpec
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class TrainConfig:
     """Of networks, data and noise; the same seed repeats a run."""
     state: Literal["code", "paper"] = "code"
     """Proprioception: ``code`` is all the environment gives (Meta-World: 24 numbers, as in the
-    paper's code), ``paper`` the 4 of its table."""
+    paper's code), ``paper`` the 4 of its table, which other suites have not."""
     render_profile: Annotated[str, OneOf("render profile", get_args(RenderProfile))] = "fast"
     """How pictures are drawn, in training and later: ``fast`` has no shadows and reflections,
     ``full`` is the simulator's own way."""
@@ -132,7 +132,7 @@ def resolve(config: TrainConfig) -> TrainingPlan:
         ),
         drawn_task,
         facts,
-        options.networks(facts, facts.paper_state if config.state == "paper" else ()),
+        options.networks(facts, _state_columns(config, facts)),
         merge,
         config.seed,
         camera,
@@ -143,6 +143,18 @@ def resolve(config: TrainConfig) -> TrainingPlan:
 def options_of(config: TrainConfig) -> RecipeOptions:
     """Those of the recipe that is asked for."""
     return getattr(config, RECIPES[config.recipe].options)
+
+
+def _state_columns(config: TrainConfig, facts: EnvSpec) -> tuple[int, ...]:
+    """The state numbers that are read; empty for all of them."""
+    if config.state == "code":
+        return ()
+    if not facts.paper_state:
+        raise UserError(
+            "expected --state paper with a task with fewer numbers in the paper's table, found "
+            f"{config.task}, which has none; leave it out"
+        )
+    return facts.paper_state
 
 
 def learner_threads(config: TrainConfig) -> int:

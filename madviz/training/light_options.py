@@ -14,9 +14,9 @@ from madviz.agent.sizes import AutoencoderConfig
 from madviz.system.numbers import (
     Count,
     CountOrNone,
-    PixelsOrNone,
     Rate,
     Share,
+    Shift,
     Threads,
     Weight,
     Width,
@@ -63,7 +63,7 @@ class LightConfig(RecipeOptions):
     gripper_loss: Literal["square", "cross-entropy"] = "square"
     """Of the last action number: how far it is off, or how unlikely it makes the expert's choice
     between open and closed."""
-    shift: PixelsOrNone = 4
+    shift: Shift = 4
     """Pixels of random shift."""
     average: Share = 0.998
     """Decay of the exponential average of the weights that acts and is shipped."""

@@ -11,7 +11,7 @@ scripted expert are there from the start: a quarter of every batch is theirs, an
 taught the expert's actions in them besides.
 
 With the defaults 20,000 decisions are 800 + 4,000 updates: each sees 16 stretches of 4 decisions
-and, after the first 800, imagines 64 x 15 more. ``UNLIKE`` says what differs from the authors'
+and, after the first 800, imagines 64 x 15 more. ``unlike`` says what differs from the authors'
 code; it stands on every card.
 
 On a CUDA device (``--mv-mwm.device``) it learns there. No such device was at hand when this was
@@ -32,39 +32,43 @@ from torch import Tensor
 from madviz.agent.autoencoder import newest
 from madviz.errors import UserError
 from madviz.policies.config import TrainingRecord
-from madviz.policies.seeds import training_seed
+from madviz.policies.seeds import FIRST_SELECTION, training_seed
 from madviz.training.autoencoder import MEAN_OF
 from madviz.training.buffer import Stretch
 from madviz.training.demonstrations import Dataset, Driver, record_episode
 from madviz.training.lanes_run import LanesRun
 from madviz.training.loop import train_on
 from madviz.training.mv_mwm_learner import Labels, WorldLearner
-from madviz.training.mv_mwm_options import MvMwmConfig
+from madviz.training.mv_mwm_options import SIZES, MvMwmConfig
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder
 from madviz.training.vector_envs import Board, VectorEnvs
 
-UNLIKE = (
-    "beliefs are rebuilt from nothing over a frame stack, without the actions in between, so that "
-    "a policy keeps no memory; the world model is trained on short stretches, too, and "
-    "predicts them also without their pictures; "
-    "the state is given to actor and critic, and predicted in imagination; "
-    "views are dropped uniformly, also where the world model reads them; "
-    "the autoencoder sees single frames of 84 pixels in patches of 14, keeps up to whole views "
-    "and weights what moves; learned questions read its tokens; "
-    "batches, rates and schedule are those of the command"
-)
-"""What differs from the authors' code, for the card."""
 DEMONSTRATED = 4
 """One of so many stretches of a batch is an expert's, where there are demonstrations."""
 _SMOOTHING = 0.02
 """Share of the newest losses in those that are reported."""
 
 
+def unlike(config: MvMwmConfig) -> str:
+    """What differs from the authors' code, for the card."""
+    weights = SIZES[config.size].autoencoder.moving_weight > 0
+    return (
+        "beliefs are rebuilt from nothing over a frame stack, without the actions in between, so "
+        "that a policy keeps no memory; the world model is trained on short stretches, too, and "
+        "predicts them also without their pictures; "
+        "the state is given to actor and critic, and predicted in imagination; "
+        "views are dropped uniformly, also where the world model reads them; "
+        "the autoencoder sees single frames of 84 pixels in patches of 14, keeps up to whole views"
+        f"{' and weights what moves' if weights else ''}; learned questions read its tokens; "
+        "batches, rates and schedule are those of the command"
+    )
+
+
 class MvMwmRun(LanesRun):
     """A run of the recipe; see the module."""
 
-    SCHEDULE = f"in the imagination of a world model. Unlike the authors' code: {UNLIKE}"
+    SCHEDULE = "in the imagination of a world model"
     LOSSES = (
         "autoencoder_loss",
         "model_loss",
@@ -99,7 +103,8 @@ class MvMwmRun(LanesRun):
         self.demonstrations = Dataset(streams, count, self.plan.env.horizon)
         for number in range(count):
             seed = training_seed(self.plan.seed, number)
-            self.demonstrations.add(record_episode(self.env, streams, Driver(), seed))
+            expert = Driver(noise_share=0.0)
+            self.demonstrations.add(record_episode(self.env, streams, expert, seed))
 
     def learn(self) -> None:
         """The updates that are due: those of a pretraining while exploring, and of all four
@@ -131,7 +136,7 @@ class MvMwmRun(LanesRun):
 
     def _learn_world(self, imagines: bool) -> None:
         config, labels = self.config, None
-        expert = config.batch_size // DEMONSTRATED if self.demonstrations else 0
+        expert = max(1, config.batch_size // DEMONSTRATED) if self.demonstrations else 0
         index = self.buffer.draw(config.batch_size - expert, self.rng, config.ahead)
         stretch = self.buffer.stretch(index, config.ahead)
         if self.demonstrations:
@@ -152,13 +157,17 @@ class MvMwmRun(LanesRun):
             self.losses[name] = before + _SMOOTHING * (loss - before)
 
     def record(self) -> TrainingRecord:
-        record = super().record()
-        count = self.config.demonstrations
+        record, count, facts = super().record(), self.config.demonstrations, self.plan.env
+        differs = f". Unlike the authors' code: {unlike(self.config)}"
         if not count:
-            return record
+            return msgspec.structs.replace(record, how=f"{record.how}{differs}")
         how = f"reinforcement learning and imitation of {count} episodes of a scripted expert"
         return msgspec.structs.replace(
-            record, how=f"{how}, {self.SCHEDULE}", expert_demonstrations=count
+            record,
+            how=f"{how}, {self.SCHEDULE}{differs}",
+            expert_demonstrations=count,
+            environment_steps=self.env_steps + count * facts.horizon * facts.action_repeat,
+            seeds=f"{record.seeds}, demonstrations below {FIRST_SELECTION}",
         )
 
     def state(self) -> dict[str, Any]:
@@ -206,9 +215,14 @@ def unlabelled_before(labels: Labels, count: int) -> Labels:
 
 def train_mv_mwm(plan: TrainingPlan, config: MvMwmConfig, folder: RunFolder) -> None:
     """Trains from the folder's last state on, if it has one; Ctrl-C saves after the decision at
-    hand. Raises UserError for what the machine cannot do and for stretches that no episode has
-    or the buffer does not hold."""
+    hand. Raises UserError for what the machine cannot do, for a batch too small for
+    demonstrations, and for stretches that no episode has or the buffer does not hold."""
     drawn_task, facts, lanes = plan.drawn_task, plan.env, config.environments
+    if config.demonstrations and config.batch_size < 2:
+        raise UserError(
+            "expected an --mv-mwm.batch-size of 2 or more, for a demonstration and what was "
+            f"explored, found {config.batch_size}; raise it, or leave --mv-mwm.demonstrations out"
+        )
     if config.ahead >= facts.horizon:
         raise UserError(
             f"expected an --mv-mwm.ahead below the {facts.horizon} decisions of an episode, found "

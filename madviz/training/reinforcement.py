@@ -43,7 +43,8 @@ class ReinforcementConfig(RunConfig):
     same_shift_for_views: bool = True
     """Shift all views of a sample alike (the paper), or each on its own (its code)."""
     shift_when_acting: bool = False
-    """Also shift what the policy acts on, in training and in evaluation (as the code does)."""
+    """Also shift what the policy acts on, in training and in evaluations while it trains (as the
+    code does, in all evaluations). The policy that is saved does not."""
     precision: Precision = "auto"
     """Of matrix products in updates; the paper has float32."""
 
@@ -98,8 +99,8 @@ class ReinforcementRun(RewardRun):
 
 
 class _ShiftingPolicy(TorchPolicy):
-    """The code's policy: every view it acts on is shifted, evaluation included. ``same``: all views
-    of a time step by the same pixels."""
+    """The code's policy, in evaluations while it trains: every view it acts on is shifted.
+    ``same``: all views of a time step by the same pixels."""
 
     def __init__(self, spec: PolicySpec, agent: Agent, same: bool) -> None:
         super().__init__(spec, agent)

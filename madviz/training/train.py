@@ -17,7 +17,7 @@ from pathlib import Path
 
 import torch
 
-from madviz.errors import Interrupted, UserError, signal_of
+from madviz.errors import Interrupted, signal_of
 from madviz.system.numbers import check_numbers
 from madviz.system.processes import reuse_large_blocks
 from madviz.system.streams import say
@@ -64,7 +64,7 @@ def _work(config: TrainConfig, plan: TrainingPlan, folder: RunFolder) -> None:
     goes_on = f"{plan.command} {shlex.join(['--out', str(folder.path), '--resume'])}"
     try:
         recipe.train(plan, getattr(config, recipe.options), folder)
-    except (UserError, OSError):
+    except Exception:
         folder.forget()
         raise
     except KeyboardInterrupt as stopped:  # Before its loop, or a second one.
