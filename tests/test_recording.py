@@ -302,11 +302,20 @@ def test_a_link_is_followed_and_a_pipe_written_to(tmp_path: Path) -> None:
         ),
         (
             ("--policy", "toy-mad", "--fps", "nan", "--out", "x.mp4"),
-            "--fps: expected a number above 0",
+            "--fps: expected a number from 0.5",
         ),
         (
             ("--policy", "toy-mad", "--seed", "-1", "--out", "x.mp4"),
             "--seed: expected a whole number from 0",
+        ),
+        (("--policy", "toy-mad", "--tile", "83", "--out", "x.mp4"), "from 84 to 1024, found 83"),
+        (
+            ("--policy", "toy-mad", "--episode", "3", "--out", "x.mp4"),
+            "expected --replay FILE beside --episode",
+        ),
+        (
+            ("--replay", "k.json", "--seed", "7", "--out", "x.mp4"),
+            "expected a saved session to have seed, failures and length of its own",
         ),
         (("--policy", "wurst", "--out", "x.mp4"), "unknown policy 'wurst'"),
     ],
@@ -328,6 +337,19 @@ def test_the_command_that_makes_it_again_can_be_pasted() -> None:
     assert command_of(config) == (
         "madviz record --policy mine --seed 5000 --drop third_a@3-8 first=black@5 "
         "--scenario 'taking turns' --out x.mp4"
+    )
+    served, wire = "ws://host:8000?token=secret", Path("/home/me/arm.toml")
+    config = RecordConfig(Path("x.mp4"), served, replay=Path("/a/k.json"), wire=wire, episode=2)
+    assert command_of(config) == (
+        "madviz record --replay k.json --policy ws://host:8000 --wire arm.toml --episode 2 "
+        "--out x.mp4"
+    )
+    config = RecordConfig(
+        Path("x.mp4"), "sb3:/home/a@b/m.zip@toy/reach", trust=True, steps=9, tile=84, fps=2
+    )
+    assert command_of(config) == (
+        "madviz record --policy sb3:m.zip@toy/reach --seed 5000 --trust --steps 9 --tile 84 "
+        "--fps 2 --out x.mp4"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from queue import Queue
 
 import gymnasium
@@ -100,6 +101,17 @@ def test_a_visitors_simulation_knows_whether_it_is_trusted(model, trusted):
         assert isinstance(found, Frame)
     else:
         assert isinstance(found, NoFrame) and "add --trust" in found.error
+
+
+def test_a_folder_may_have_an_at_in_its_name(model, tmp_path):
+    file = tmp_path / "a@b" / "model.zip"
+    file.parent.mkdir()
+    shutil.copy(model[1], file)
+    name = f"sb3:{file}@toy/reach"
+    with pytest.raises(UserError, match=r"a@b/model\.zip: a file of Stable-Baselines3 runs code"):
+        load_policy(name)
+    trust(name, True)
+    assert load_policy(name).spec.task == "toy/reach"
 
 
 def test_what_is_no_such_policy_is_said(model, tmp_path):

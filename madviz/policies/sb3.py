@@ -37,13 +37,20 @@ def is_sb3(policy: str) -> bool:
 def trust(policy: str | None, on: bool) -> None:
     """Makes the file of ``policy`` trusted in this process and all that it starts, if ``on``."""
     if policy is not None and on and is_sb3(policy):
-        os.environ[VARIABLE] = os.pathsep.join([*_trusted(), str(_file(policy))])
+        os.environ[VARIABLE] = os.pathsep.join([*_trusted(), str(_parts(policy)[0].resolve())])
+
+
+def shown_sb3(policy: str) -> str:
+    """``policy`` as it may be shown to others: of the file's path the last part only."""
+    file, task = _parts(policy)
+    return f"{PREFIX}{file.name}" + (f"{AT}{task}" if task else "")
 
 
 def load_sb3(policy: str) -> Sb3Policy:
     """The policy ``sb3:FILE@TASK``. Raises UserError for a file that is not trusted, cannot be
     loaded, or was trained on something else than the task's pictures and state."""
-    file, task = _file(policy), policy.rpartition(AT)[2] if AT in policy else ""
+    named, task = _parts(policy)
+    file = named.resolve()
     if str(file) not in _trusted():
         raise UserError(
             f"{file}: a file of Stable-Baselines3 runs code when it is loaded, and nobody has said "
@@ -149,8 +156,11 @@ def _stream(name: str, cameras: Collection[str]) -> str:
     return f"{camera}.depth" if camera != name and camera in cameras else name
 
 
-def _file(policy: str) -> Path:
-    return Path(policy.removeprefix(PREFIX).partition(AT)[0]).resolve()
+def _parts(policy: str) -> tuple[Path, str]:
+    """File and task, '' where there is none. A folder of the file may have an @ in its name."""
+    words = policy.removeprefix(PREFIX)
+    file, _, task = words.rpartition(AT) if AT in words else (words, "", "")
+    return Path(file), task
 
 
 def _trusted() -> list[str]:

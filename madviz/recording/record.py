@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 from madviz.envs.registry import env_spec, make_env
 from madviz.errors import UserError
@@ -36,7 +36,7 @@ from madviz.observation.schedule import (
     schedule_words,
 )
 from madviz.policies import checkpoint
-from madviz.policies.sb3 import trust
+from madviz.policies.sb3 import is_sb3, shown_sb3, trust
 from madviz.recording.facts import Facts
 from madviz.session.commands import Play, SetSchedule
 from madviz.session.frame import Frame, NoFrame
@@ -52,7 +52,7 @@ from madviz.session.session import Session
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
 from madviz.system.files import replacing, written_to
-from madviz.system.numbers import Count, Pixels, Rate, Seed, Share
+from madviz.system.numbers import Count, Range, Seed, Share, check_numbers
 from madviz.types import Environment, Policy
 from madviz.wire.reference import plain, with_wire
 
@@ -81,9 +81,9 @@ class RecordConfig:
     """Which episode of the saved session, from 1; by default the last."""
     steps: Count | None = None
     """Decisions to record; by default all there are."""
-    tile: Pixels = 252
+    tile: Annotated[int, Range(84, 1024)] = 252
     """Pixels that a camera's picture is wide in a film."""
-    fps: Rate = 10.0
+    fps: Annotated[float, Range(0.5, 120)] = 10.0
     """Decisions in a second of film."""
     keep: Path | None = None
     """Also write the episode as a saved session, for `madviz replay`."""
@@ -120,12 +120,7 @@ class Writer(Protocol):
 
 def check(config: RecordConfig) -> None:
     """Raises UserError for numbers out of range and words that exclude each other."""
-    for name, low, high in (("tile", 84, 1024), ("fps", 0.5, 120), ("seed", 0, 2**31 - 1)):
-        found = getattr(config, name)
-        if not low <= found <= high:
-            raise UserError(f"expected --{name} from {low} to {high}, found {found}; change it")
-    if config.steps is not None and config.steps < 1:
-        raise UserError(f"expected --steps 1 or more, found {config.steps}; leave it out for all")
+    check_numbers(config)
     if config.format is not None:
         return check_dataset(config)
     if config.expert is not None or config.episodes > 1 or config.noise:
@@ -134,10 +129,13 @@ def check(config: RecordConfig) -> None:
         )
     if config.replay is None and config.policy is None:
         raise UserError("expected --policy NAME or --replay FILE, found neither; give one")
-    if config.replay is not None and (config.drop or config.scenario or config.steps):
+    if config.replay is None and config.episode is not None:
+        raise UserError("expected --replay FILE beside --episode, found none; give it, or --seed")
+    own = config.drop or config.scenario or config.steps or config.seed != FIRST_SEED
+    if config.replay is not None and own:
         raise UserError(
-            "expected a saved session to have failures and length of its own, found --drop, "
-            "--scenario or --steps beside --replay; leave them out"
+            "expected a saved session to have seed, failures and length of its own, found --seed, "
+            "--drop, --scenario or --steps beside --replay; leave them out"
         )
 
 
@@ -309,16 +307,19 @@ def record_words(result: dict[str, Any]) -> str:
 def command_of(config: RecordConfig) -> str:
     """The command line that makes the recording again. Of paths only the last part: a report that
     is given away says nothing about whose folders it came from."""
-    words = ["madviz", "record"]
+    policy, words = config.policy, ["madviz", "record"]
     if config.replay is not None:
         words += ["--replay", config.replay.name]
-        words += [] if config.episode is None else ["--episode", str(config.episode)]
-    else:
-        words += ["--policy", plain(str(config.policy)), "--seed", str(config.seed)]
-        words += ["--wire", config.wire.name] if config.wire else []
-        words += ["--drop", *config.drop] if config.drop else []
-        words += ["--scenario", config.scenario] if config.scenario else []
-        words += [] if config.steps is None else ["--steps", str(config.steps)]
+    if policy is not None:
+        words += ["--policy", shown_sb3(policy) if is_sb3(policy) else plain(policy)]
+    if config.replay is None:
+        words += ["--seed", str(config.seed)]
+    words += ["--wire", config.wire.name] if config.wire else []
+    words += ["--trust"] if config.trust else []
+    words += ["--drop", *config.drop] if config.drop else []
+    for name in ("scenario", "episode", "steps", "tile", "fps"):
+        value = getattr(config, name)
+        words += [] if value == getattr(RecordConfig, name) else [f"--{name}", f"{value}"]
     return shlex.join([*words, "--out", config.out.name])
 
 
