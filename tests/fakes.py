@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import torch
 
+from madviz.agent.agent import Agent, TorchPolicy
+from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.errors import UserError
 from madviz.types import Array, Encoded, PolicySpec, Readout
@@ -44,6 +47,13 @@ class FakePolicy:
 
     def supports(self, mask: Array) -> bool:
         return len(mask) == len(self.spec.streams)
+
+
+def random_policy(spec: PolicySpec, config: NetworkConfig, seed: int = 0) -> TorchPolicy:
+    """MAD's networks, untrained."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        return TorchPolicy(spec, Agent(config))
 
 
 class NanPolicy(FakePolicy):

@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -257,7 +258,7 @@ def test_patches_that_do_not_fit_are_refused():
     ],
 )
 def test_sizes_that_do_not_go_together_are_refused_in_words(
-    sizes: dict[str, int], message: str
+    sizes: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(UserError, match=message):
         AutoencoderConfig(**sizes)

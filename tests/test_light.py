@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from madviz.agent.agent import Agent, TorchPolicy, random_policy
+from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
@@ -24,6 +24,7 @@ from madviz.training.light import LightConfig, LightRun, imitation_loss, run_rou
 from madviz.training.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
 from madviz.training.run_folder import RunFolder
 from madviz.types import Array
+from tests.fakes import random_policy
 from tests.plans import THREE, toy_plan
 
 RGBD = SETTINGS["three-rgbd"].streams

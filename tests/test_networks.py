@@ -9,13 +9,13 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from madviz.agent.agent import random_policy
 from madviz.agent.augment import _shift_by_index, draw_shifts, random_shift, shift
 from madviz.agent.merges.sum import merge_sum
 from madviz.agent.networks import Actor, Critic, Encoder, NetworkConfig, squash
 from madviz.envs.registry import SETTINGS
 from madviz.subsets import every_mask
 from madviz.types import PolicySpec
+from tests.fakes import random_policy
 
 SMALL = NetworkConfig(hidden_dim=32)
 STREAMS = SETTINGS["three"].streams

@@ -240,7 +240,7 @@ def test_a_method_without_a_merged_term_explores_on_one_stream_and_mad_on_all() 
         read: list[Tensor] = []
         agent.actor.register_forward_hook(lambda _, inputs, __, read=read: read.append(inputs[0]))
         for _ in range(12):
-            learner.act(batch.views[0], batch.state[0])
+            learner.act_all(batch.views[:1], batch.state[:1])
         features = agent.encode(batch.views[:1])[0]
         rows = [features.sum(0), *features]
         near = [[torch.allclose(x[0], row, rtol=1e-4, atol=1e-5) for row in rows] for x in read]

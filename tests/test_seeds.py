@@ -14,6 +14,7 @@ import torch
 from madviz import cli
 from madviz.agent.agent import Agent
 from madviz.agent.networks import NetworkConfig
+from madviz.bench.imagine import ImagineConfig, bench_imagine
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
@@ -22,7 +23,7 @@ from madviz.evaluation.evaluate import EvalConfig, run_eval
 from madviz.evaluation.evidence import find_evidence, read_evidence
 from madviz.policies import checkpoint
 from madviz.policies.config import TrainingRecord, policy_config
-from madviz.policies.seeds import training_seed, use_of
+from madviz.policies.seeds import seeds_from, training_seed, use_of
 from madviz.report.results import ReportConfig, run_report
 from madviz.report.threshold import judge
 from madviz.types import PolicySpec
@@ -52,6 +53,13 @@ def move_to_reporting(path: Path, measured: dict[str, float]) -> None:
     (path / "evaluation.json").rename(path / "development.json")
     shutil.copy(fresh / "evaluation.json", path / "evaluation.json")
     shutil.rmtree(path.parent / "fresh")
+
+
+def test_no_more_seeds_are_asked_for_than_a_use_has() -> None:
+    assert seeds_from(1000, 1000) == range(1000, 2000)
+    assert seeds_from(1_000_000, 5_000_000).stop == 6_000_000
+    with pytest.raises(UserError, match="1000 episodes or fewer, .* 0 to 999 .training., found 1"):
+        bench_imagine(ImagineConfig(episodes=1001))
 
 
 def test_every_seed_has_one_use() -> None:

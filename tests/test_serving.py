@@ -11,7 +11,6 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from madviz.agent.agent import random_policy
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
@@ -23,7 +22,7 @@ from madviz.serving.serve import MOST_CLIENTS, PolicyServer, ServeConfig, run_se
 from madviz.session.commands import Fork, Scrub, SetCamera
 from madviz.types import Policy
 from madviz.wire.codec import pack, unpack
-from tests.fakes import AllOrNothing, Chunked, FakePolicy
+from tests.fakes import AllOrNothing, Chunked, FakePolicy, random_policy
 from tests.sessions import BLACK, OFF, Recorder
 
 

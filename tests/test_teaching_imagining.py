@@ -9,13 +9,13 @@ import pytest
 
 import madviz
 from madviz import teaching
-from madviz.agent.agent import random_policy
 from madviz.agent.sizes import NetworkConfig
 from madviz.analysis.imagination import moving_psnr
 from madviz.errors import UserError
 from madviz.teaching.imagining import foreseen_sheet, imagined_at, imagined_psnr, imagined_sheet
 from madviz.teaching.show import LABEL
 from madviz.types import Array, Imagines
+from tests.fakes import random_policy
 from tests.plans import toy_plan
 
 

@@ -46,13 +46,13 @@ def test_a_restored_learner_goes_on_exactly() -> None:
     one.update(BATCH)
     torch.save(one.state_dict(), file)
     one.update(BATCH)
-    acted = one.act(BATCH.views[0], BATCH.state[0])
+    acted = one.act_all(BATCH.views[:1], BATCH.state[:1])
     file.seek(0)
     two.load_state_dict(torch.load(file, weights_only=True))
     assert not torch.equal(weights(one), weights(two))
     two.update(BATCH)
     assert torch.equal(weights(one), weights(two))
-    np.testing.assert_array_equal(two.act(BATCH.views[0], BATCH.state[0]), acted)
+    np.testing.assert_array_equal(two.act_all(BATCH.views[:1], BATCH.state[:1]), acted)
     assert torch.equal(one.draw(4).actor_noise, two.draw(4).actor_noise)
     np.testing.assert_array_equal(one.draw(4).shifts, two.draw(4).shifts)
 
@@ -83,7 +83,7 @@ def test_the_memory_layout_of_a_batch_changes_nothing() -> None:
 
 def test_acting_draws_from_the_policy_on_all_streams() -> None:
     learner = make()
-    drawn = np.stack([learner.act(BATCH.views[0], BATCH.state[0]) for _ in range(300)])
+    drawn = np.concatenate([learner.act_all(BATCH.views[:1], BATCH.state[:1]) for _ in range(300)])
     assert drawn.shape == (300, 2) and drawn.dtype == np.float32 and (np.abs(drawn) <= 1).all()
     with torch.no_grad():
         merged = learner.agent.encode(BATCH.views[:1]).sum(1)

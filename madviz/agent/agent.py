@@ -34,8 +34,8 @@ class Agent(nn.Module):
         merge: str = "sum",
         streams: tuple[str, ...] = (),
     ) -> None:
-        """``merge`` is a row of ``MERGES``; all but ``sum`` and ``attention`` are built for their
-        ``streams``. Raises UserError for an unknown merge."""
+        """``merge`` is a row of ``MERGES``; the networks of some are built for their ``streams``.
+        Raises UserError for an unknown merge."""
         super().__init__()
         self.config, self.merge_name, self.streams = config, merge, streams
         self.encoder = self.merge.networks(config, streams)
@@ -170,7 +170,7 @@ class TorchPolicy:
             return merge
         raise UserError(
             f"expected a policy that draws pictures, found {self.spec.name}, whose merge "
-            f"{self.agent.merge_name!r} does not; pick one of the method mv-mae"
+            f"{self.agent.merge_name!r} does not; pick one of the methods mv-mae and mv-mwm"
         )
 
     def supports(self, mask: Array) -> bool:
@@ -190,13 +190,6 @@ class TorchPolicy:
 def _bytes(pictures: Float[Tensor, "*N 3 H W"]) -> UInt8[Array, "*N H W 3"]:
     """Pictures from 0 to 1 as they are shown."""
     return (255 * pictures).round().byte().movedim(-3, -1).contiguous().numpy()
-
-
-def random_policy(spec: PolicySpec, config: NetworkConfig, seed: int = 0) -> TorchPolicy:
-    """An untrained policy that sums, for tests and for timing."""
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
-        return TorchPolicy(spec, Agent(config))
 
 
 def optimisers(agent: Agent, lr: float) -> dict[str, torch.optim.Adam]:

@@ -164,10 +164,6 @@ class Learner:
             "entropy": -log_prob[0].mean().item(),
         }
 
-    def act(self, views: Tensor, state: Tensor) -> Array:
-        """(V, C, H, W) uint8 and (S,) to a drawn action (A,); see ``act_all``."""
-        return self.act_all(views[None], state[None])[0]
-
     @torch.inference_mode()
     def act_all(self, views: Tensor, state: Tensor) -> Array:
         """(L, V, C, H, W) uint8 and (L, S) to drawn actions (L, A); for exploration.

@@ -46,6 +46,7 @@ from madviz.agent.sizes import FEWEST_MOVING
 from madviz.envs.registry import TaskName, make_env
 from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyName, load_policy
+from madviz.policies.seeds import FIRST_SELECTION, FIRST_TRAINING, seeds_from
 from madviz.subsets import every_mask, name_of
 from madviz.system.numbers import Count, Seed
 from madviz.training.autoencoder import (
@@ -58,8 +59,6 @@ from madviz.types import Array, Environment
 
 ENOUGH = 3.0
 """dB above both controls."""
-HELD_OUT = 1000
-"""The first seed of the frames that are judged; training seeds are below."""
 
 
 @dataclass(frozen=True)
@@ -87,13 +86,14 @@ class ImagineConfig:
 
 def bench_imagine(config: ImagineConfig) -> dict[str, Any]:
     """The result of the module's table, by hidden camera and by what is seen. Raises UserError for
-    a task with one camera, and for a policy that draws nothing."""
+    a task with one camera, for a policy that draws nothing, and for more episodes than there are
+    seeds."""
     if config.policy is not None:
         return _of_a_policy(config, config.policy)
     with closing(make_env(config.task)) as env:
         streams = tuple(camera.name for camera in env.spec.cameras)
         _check_streams(streams, config.task)
-        train = recorded(env, streams, range(config.episodes))
+        train = recorded(env, streams, seeds_from(FIRST_TRAINING, config.episodes))
         judged = recorded(env, streams, _judged_seeds(config, env))
     began = time.process_time()
     model = new_autoencoder(train, config.network, config.seed)
@@ -158,7 +158,7 @@ def recorded(env: Environment, streams: tuple[str, ...], seeds: range) -> Datase
 def _judged_seeds(config: ImagineConfig, env: Environment) -> range:
     """Two more than have the frames, so that other frames are of other episodes."""
     count = max(2, math.ceil(config.frames / env.spec.horizon) + 2)
-    return range(HELD_OUT, HELD_OUT + count)
+    return seeds_from(FIRST_SELECTION, count)
 
 
 def imagined(

@@ -37,12 +37,11 @@ from madviz.evaluation.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
 from madviz.policies.checkpoint import PolicyName, load_policy
 from madviz.policies.config import check_environment
+from madviz.policies.seeds import FIRST_DEVELOPMENT, FIRST_SELECTION, seeds_from
 from madviz.subsets import camera_of
 from madviz.system.numbers import Count, Seed, Share
 from madviz.types import Array, CameraPose, Encoded, Environment, KnowsPlaces, NamesPlaces, Policy
 
-FIT, JUDGE = 1000, 5000
-"""The first seeds of the episodes that maps are fitted to, and of those that judge them."""
 STILL = 2e-3
 """Metres: what varies less over all frames is left out, because there is nothing to tell."""
 FURTHEST = 5.0
@@ -90,7 +89,7 @@ class SeenPlaces:
 
 def bench_places(config: PlacesConfig) -> dict[str, Any]:
     """Errors by place and stream. Raises UserError for a task that does not say where things are,
-    and for a policy without features."""
+    for a policy without features, and for more episodes than there are seeds."""
     policy = load_policy(config.policy)
     spec = policy.spec
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env, one_thread():
@@ -100,8 +99,8 @@ def bench_places(config: PlacesConfig) -> dict[str, Any]:
                 f"expected a task that says where its objects are, found {spec.task}; give its "
                 "environment a method places() (madviz.types.KnowsPlaces)"
             )
-        fitted = frames(env, policy, config, range(FIT, FIT + config.episodes))
-        judged = frames(env, policy, config, range(JUDGE, JUDGE + config.judged))
+        fitted = frames(env, policy, config, seeds_from(FIRST_SELECTION, config.episodes))
+        judged = frames(env, policy, config, seeds_from(FIRST_DEVELOPMENT, config.judged))
         count = judged.places.shape[1]
         numbered = tuple(f"place {number + 1}" for number in range(count))
         names = env.place_names if isinstance(env, NamesPlaces) else numbered

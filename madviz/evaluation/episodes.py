@@ -31,6 +31,7 @@ from madviz.observation.displacement import Displacement, Moves
 from madviz.policies import checkpoint
 from madviz.policies.config import check_environment, definition_of
 from madviz.policies.players import player_of
+from madviz.policies.seeds import FIRST_DEVELOPMENT
 from madviz.subsets import camera_of, cameras_of, mask_of, name_of
 from madviz.system.processes import set_up_worker
 from madviz.types import Array, Environment, Policy, PolicySpec
@@ -39,8 +40,8 @@ Occlusions = tuple[tuple[str, Occlusion], ...]
 Finished = tuple[EpisodeResult, str]
 """An episode's result and the definition of success it was judged by."""
 
-FIRST_SEED = 5000
-"""Where the seeds of reported numbers begin; training stays below 1000, selection below 2000."""
+FIRST_SEED = FIRST_DEVELOPMENT
+"""Of evaluations whose seeds nobody named."""
 GIVE_UP = 3
 """Pools that may break in a row, without a single episode finished, before it is an error."""
 

@@ -15,26 +15,38 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable
 
-FIRST_SELECTION = 1_000
-"""Training with a scripted expert has all seeds below."""
+from madviz.errors import UserError
+
+FIRST_TRAINING, FIRST_SELECTION, FIRST_LIVE = 0, 1_000, 2_000
+FIRST_DEVELOPMENT, FIRST_REPORTING, FIRST_LEARNING = 5_000, 10_000, 1_000_000
+DEVELOPMENT, REPORTING = "development", "reporting"
 USES = {
-    0: "training",
+    FIRST_TRAINING: "training",
     FIRST_SELECTION: "selection",
-    2_000: "live page",
-    5_000: "development",
-    10_000: "reporting",
-    1_000_000: "reinforcement learning",
+    FIRST_LIVE: "live page",
+    FIRST_DEVELOPMENT: DEVELOPMENT,
+    FIRST_REPORTING: REPORTING,
+    FIRST_LEARNING: "reinforcement learning",
 }
 """The first seed of each use."""
-DEVELOPMENT, REPORTING = "development", "reporting"
-FIRST_REPORTING = 10_000
-FIRST_LEARNING = 1_000_000
 
 
 def training_seed(seed: int, number: int) -> int:
     """Of episode ``number``, from 0 on, in a training with a scripted expert whose own seed is
     ``seed``: below ``FIRST_SELECTION``, so a training with more episodes meets scenes again."""
     return (seed * 137 + number) % FIRST_SELECTION
+
+
+def seeds_from(first: int, count: int) -> range:
+    """``count`` seeds of the use that begins at ``first``. Raises UserError if it has fewer."""
+    seeds = range(first, first + count)
+    end = min((start for start in USES if start > first), default=seeds.stop)
+    if seeds.stop > end:
+        raise UserError(
+            f"expected {end - first} episodes or fewer, one for each seed from {first} to "
+            f"{end - 1} ({USES[first]}), found {count}; those above serve another use"
+        )
+    return seeds
 
 
 def use_of(seeds: Iterable[int]) -> str:

@@ -37,6 +37,7 @@ from madviz.observation.schedule import (
 )
 from madviz.policies import checkpoint
 from madviz.policies.sb3 import is_sb3, shown_sb3, trust
+from madviz.policies.seeds import FIRST_DEVELOPMENT
 from madviz.recording.facts import Facts
 from madviz.session.commands import Play, SetSchedule
 from madviz.session.frame import Frame, NoFrame
@@ -56,8 +57,6 @@ from madviz.system.numbers import Count, Range, Seed, Share, check_numbers
 from madviz.types import Environment, Policy
 from madviz.wire.reference import plain, with_wire
 
-FIRST_SEED = 5000
-
 
 @dataclass(frozen=True)
 class RecordConfig:
@@ -69,7 +68,7 @@ class RecordConfig:
     policy: checkpoint.PolicyName | None = None
     """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served;
     beside --replay, where to find it."""
-    seed: Seed = FIRST_SEED
+    seed: Seed = FIRST_DEVELOPMENT
     """Which episode."""
     drop: tuple[str, ...] = ()
     """Cameras that fail: third_a@20 (dropped), third_a@20-40 (comes back), third_b=noise:0.5@10."""

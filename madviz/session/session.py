@@ -21,6 +21,7 @@ from collections.abc import Callable
 
 from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
+from madviz.policies.seeds import FIRST_LIVE
 from madviz.session.commands import (
     Command,
     Compare,
@@ -50,8 +51,8 @@ from madviz.session.stage import EnvFactory, Stage
 from madviz.system.priority import lower_thread_priority
 from madviz.types import Policy
 
-FIRST_SEED = 2000
-"""Live episodes start here: training is below 1000, selection below 2000, cards from 5000."""
+FIRST_SEED = FIRST_LIVE
+"""Of live episodes."""
 NICENESS = 10
 """Of the simulating thread, on a scale where 19 yields to all others; workers are at 15."""
 

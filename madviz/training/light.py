@@ -85,7 +85,7 @@ class LightRun:
             self.optimisers[agent.merge.own_optimiser] = torch.optim.Adam(
                 encoder, lr=config.learning_rate, fused=True
             )
-        total = config.demonstrations + config.rounds * config.episodes_per_round
+        total = config.demonstrations + (config.rounds - 1) * config.episodes_per_round
         self.data = Dataset(streams, total, plan.env.horizon)
         self.rng = np.random.default_rng(plan.seed)
         self.places: PlacesHead | None = None

@@ -30,7 +30,8 @@ class LightConfig(RecipeOptions):
     """The options of the light recipe; defaults were chosen by measurement on hammer."""
 
     rounds: Count = 12
-    """Rounds of recording and updates after the first demonstrations."""
+    """Rounds of updates; while one goes on, the next one's episodes are recorded, so the first one
+    has the demonstrations alone."""
     demonstrations: Count = 10
     """Episodes driven by the (perturbed) expert before the first update."""
     episodes_per_round: Count = 8

@@ -30,7 +30,7 @@ from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread, run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies.config import TrainingRecord
-from madviz.policies.seeds import FIRST_LEARNING
+from madviz.policies.seeds import FIRST_LEARNING, FIRST_SELECTION
 from madviz.subsets import mask_of, single_streams
 from madviz.system.numbers import CountOrNone, Share, Steps, Width
 from madviz.training.buffer import BufferSpec, ReplayBuffer
@@ -38,9 +38,6 @@ from madviz.training.options import RecipeOptions
 from madviz.training.plan import TrainingPlan
 from madviz.training.run_folder import RunFolder
 from madviz.types import Array, Environment
-
-SELECTION_SEED = 1000
-"""Where the seeds of evaluations during training begin."""
 
 
 @dataclass(frozen=True)
@@ -218,7 +215,7 @@ class RewardRun:
                 continue
             with one_thread():
                 results = [
-                    run_episode(policy, self.env, mask, Ablation(), SELECTION_SEED + i, stop)
+                    run_episode(policy, self.env, mask, Ablation(), FIRST_SELECTION + i, stop)
                     for i in range(self.config.eval_episodes)
                 ]
             row[f"success_{subset}"] = round(float(np.mean([r.success for r in results])), 4)
