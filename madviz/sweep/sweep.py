@@ -43,6 +43,7 @@ from madviz.sweep.run import (
 from madviz.system.numbers import Threads, check_numbers
 from madviz.system.signals import terminable
 from madviz.system.streams import say
+from madviz.training.curve import duration
 
 BUSY_SECONDS = 2.0
 """How long a run that another process works on is left alone."""
@@ -283,14 +284,6 @@ class Watch:
             say(f"[sweep] {line}")
         else:
             self._bar.console.print(line, markup=False, highlight=False)
-
-
-def duration(seconds: float) -> str:
-    """``45 s``, ``12 min``, ``3 h 05 min``."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 def _summary(
