@@ -26,6 +26,7 @@ from madviz.commands import COMMANDS, GROUPS, OTHERS
 from madviz.errors import Interrupted, NotWritten, Unfinished, UserError, saving, signal_of, unknown
 from madviz.system.command_line import completion, read
 from madviz.system.files import pretty, write_json, written_to
+from madviz.system.numbers import check_numbers
 from madviz.system.signals import terminable
 from madviz.system.streams import open_standard_streams, say, telling
 
@@ -82,6 +83,7 @@ def run(words: Sequence[str], group: str = "") -> int:
     command = COMMANDS[name]
     try:
         config, work = parse(name, rest), named(command.work)
+        check_numbers(config)
         in_words = named(command.words) if command.words else None
     except KeyboardInterrupt as stopped:
         raise Interrupted("", signal_of(stopped)) from stopped

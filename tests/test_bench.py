@@ -130,19 +130,6 @@ def test_different_results_of_the_two_loops_are_an_error(monkeypatch) -> None:
         bench_evaluate.bench_evaluate(bench_evaluate.BenchEvaluateConfig(episodes=2))
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        bench_evaluate.BenchEvaluateConfig(episodes=0),
-        bench_evaluate.BenchEvaluateConfig(stock_decisions=0),
-        bench_evaluate.BenchEvaluateConfig(workers=0),
-    ],
-)
-def test_counts_below_one_are_refused(wrong: bench_evaluate.BenchEvaluateConfig) -> None:
-    with pytest.raises(UserError, match="at least 1 episode, 1 decision to time and 1 worker"):
-        bench_evaluate.bench_evaluate(wrong)
-
-
 def test_an_unknown_policy_is_refused() -> None:
     with pytest.raises(UserError, match="nobody"):
         bench_evaluate.bench_evaluate(bench_evaluate.BenchEvaluateConfig(policy="nobody"))

@@ -42,7 +42,6 @@ def test_changed_frames_of_the_packed_buffer_are_an_error(monkeypatch: pytest.Mo
         bench_buffer(BenchBufferConfig(task="toy/reach", decisions=50, batch_size=3, rounds=1))
 
 
-@pytest.mark.parametrize("change", [{"decisions": 1024}, {"rounds": 0}])
-def test_too_few_decisions_or_rounds_are_refused(change: dict[str, int]) -> None:
+def test_too_few_decisions_are_refused() -> None:
     with pytest.raises(UserError, match="more than 1024 --decisions"):
-        bench_buffer(BenchBufferConfig(task="toy/reach", **change))  # type: ignore[arg-type]
+        bench_buffer(BenchBufferConfig(task="toy/reach", decisions=1024))

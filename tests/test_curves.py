@@ -47,4 +47,5 @@ def test_progress_in_words() -> None:
     assert progress({"step": "0", "seconds": "3", "seconds_left": ""}, 100) == "0 of 100 decisions"
     assert progress({"step": "50", "seconds_left": "30"}, 100) == "50 of 100 decisions, 30 s left"
     assert progress({"step": "100", "seconds": "7200"}, 100) == "100 of 100 decisions, 2 h 00 min"
-    assert duration(720) == "12 min"
+    words = {45.2: "45 s", 95: "2 min", 720: "12 min", 3660: "1 h 01 min", 11_100: "3 h 05 min"}
+    assert {seconds: duration(seconds) for seconds in words} == words

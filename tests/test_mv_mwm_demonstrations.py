@@ -15,7 +15,7 @@ from madviz.policies.card import card_text
 from madviz.policies.config import read_config
 from madviz.training import loop
 from madviz.training.mv_mwm import MvMwmRun, unlike
-from madviz.training.mv_mwm_options import SIZES
+from madviz.training.mv_mwm_options import MvMwmConfig
 from madviz.training.run_folder import Event
 from tests.test_mv_mwm_run import SHORT, TINY, assert_same_run, run
 
@@ -68,5 +68,5 @@ def test_a_batch_of_one_has_no_room_for_a_demonstration(tmp_path: Path) -> None:
 
 
 def test_the_card_says_what_moves_is_weighted_where_it_is() -> None:
-    weighted = {size: "weights what moves" in unlike(replace(TINY, size=size)) for size in SIZES}
-    assert weighted == {"tiny": True, "small": True, "paper": False}
+    configs = (MvMwmConfig(size="tiny"), MvMwmConfig(size="small"), MvMwmConfig(size="paper"))
+    assert ["weights what moves" in unlike(each) for each in configs] == [True, True, False]

@@ -33,6 +33,11 @@ def test_every_number_is_refused_outside_its_range(
                 assert line.startswith(f"madviz: {option}: expected {wanted} ")
 
 
+def test_every_value_of_an_option_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["bench", "crowd", "--visitors", "1", "0", "4"]
+    refused(words, "--visitors: expected a whole number from 1 to 1000000, found 0", capsys)
+
+
 @pytest.mark.parametrize("command", cli.COMMANDS)
 def test_the_defaults_are_in_their_ranges(command: str) -> None:
     config = cli.COMMANDS[command]

@@ -9,13 +9,10 @@ import threading
 import time
 import weakref
 
-import pytest
-
 from madviz.app.users import Limits
 from madviz.bench.live import LiveConfig, watched
 from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, sample, settled, soak
 from madviz.bench.visitor import Visitor
-from madviz.errors import UserError
 from tests.pages import fake_app
 
 
@@ -70,11 +67,6 @@ def test_settling_waits_for_a_thread_that_has_not_ended():
     thread.start()
     assert settled(os.getpid()).threads == calm + 1  # Nothing is known of what there should be.
     assert settled(os.getpid(), calm).threads == calm and not thread.is_alive()
-
-
-def test_zero_minutes_are_refused():
-    with pytest.raises(UserError, match="minutes above 0"):
-        soak(SoakConfig(minutes=0))
 
 
 def ours() -> set[threading.Thread]:

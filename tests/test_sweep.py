@@ -178,13 +178,6 @@ class Clock:
         return self.time
 
 
-@pytest.mark.parametrize(
-    ("seconds", "words"), [(45.2, "45 s"), (720, "12 min"), (11_100, "3 h 05 min")]
-)
-def test_durations_read_well(seconds: float, words: str) -> None:
-    assert sweep.duration(seconds) == words
-
-
 # --- The command ---
 
 

@@ -111,7 +111,7 @@ def test_a_mistake_in_the_file_costs_nothing(text: str, expected: str, tmp_path:
 def test_a_missing_file_and_no_jobs_at_all_are_mistakes(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="expected a sweep file, found: No such file"):
         run_sweep(SweepConfig(str(tmp_path / "none.toml")))
-    with pytest.raises(UserError, match="expected 1 or more jobs"):
+    with pytest.raises(UserError, match="^--jobs: expected a whole number from 1"):
         run_sweep(config(tmp_path, jobs=0))
 
 

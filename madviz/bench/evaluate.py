@@ -32,7 +32,7 @@ from madviz.evaluation.evaluate import run_jobs
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of
-from madviz.system.numbers import Count, Seed, ThreadsOrNone
+from madviz.system.numbers import Count, Seed, Threads
 from madviz.types import Array, Policy
 
 
@@ -50,7 +50,7 @@ class BenchEvaluateConfig:
     """Episodes that our workers and the serial loop run."""
     seed: Seed = FIRST_SEED
     """Of the first episode."""
-    workers: ThreadsOrNone | None = None
+    workers: Threads | None = None
     """Processes; by default one per core."""
     stock_decisions: Count = 10
     """Decisions of the stock loop that are timed."""
@@ -59,9 +59,7 @@ class BenchEvaluateConfig:
 def bench_evaluate(config: BenchEvaluateConfig) -> dict[str, Any]:
     """``ours``, ``serial`` and ``stock`` in episodes a minute, and the two ratios. Raises UserError
     for what cannot be measured, and where the two loops disagree about an episode."""
-    count = (os.cpu_count() or 1) if config.workers is None else config.workers
-    if min(config.episodes, config.stock_decisions, count) < 1:
-        raise UserError("expected at least 1 episode, 1 decision to time and 1 worker")
+    count = config.workers or os.cpu_count() or 1
     spec = checkpoint.describe(config.policy).spec
     if spec.task.split("/")[0] not in STOCK:
         raise UserError(f"expected a policy of {' or '.join(STOCK)}, found one for {spec.task}")

@@ -92,8 +92,6 @@ def bench_render(config: RenderConfig) -> dict[str, Any]:
         raise UserError(
             f"expected a task metaworld/… or maniskill/…, found {task!r}; see `madviz list`"
         )
-    if config.rounds < 1:
-        raise UserError(f"expected at least 1 round, found {config.rounds}")
     ours = OurFrames(task, config.size)
     ours.draw()  # Complains about missing OpenGL in words of its own, before MuJoCo can.
     # MuJoCo loads an OpenGL library when it is imported, so this waits until ours has checked it.

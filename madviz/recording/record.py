@@ -130,7 +130,7 @@ def check(config: RecordConfig) -> None:
         raise UserError("expected --policy NAME or --replay FILE, found neither; give one")
     if config.replay is None and config.episode is not None:
         raise UserError("expected --replay FILE beside --episode, found none; give it, or --seed")
-    own = config.drop or config.scenario or config.steps or config.seed != FIRST_SEED
+    own = config.drop or config.scenario or config.steps or config.seed != FIRST_DEVELOPMENT
     if config.replay is not None and own:
         raise UserError(
             "expected a saved session to have seed, failures and length of its own, found --seed, "

@@ -33,6 +33,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 
 from madviz.errors import UserError
 from madviz.policies.checkpoint import CONFIG, EVALUATION, IN_RUN
+from madviz.policies.listing import RateRow
 from madviz.system.files import read_json, write_json
 from madviz.system.lock import locked
 from madviz.system.typed import typed
@@ -67,18 +68,10 @@ class Run:
         return {"train": list(self.train), "eval": list(self.evaluate)}
 
 
-class ResultRow(TypedDict):
-    """Success on one subset."""
-
-    success: float
-    n: int
-    ci95: list[float]
-
-
 class RunResult(TypedDict):
     """What a summary reads of result.json, and of an evaluation."""
 
-    subsets: dict[str, ResultRow]
+    subsets: dict[str, RateRow]
 
 
 class TrainedConfig(TypedDict):
@@ -131,7 +124,7 @@ def _words_before(folder: Path) -> dict[str, list[str]] | None:
     return typed(read_json(file), dict[str, list[str]], file, FIX) if file.is_file() else None
 
 
-def result_rows(folder: Path) -> dict[str, ResultRow]:
+def result_rows(folder: Path) -> dict[str, RateRow]:
     """The subsets of a finished run. Raises UserError for a file that is none."""
     file = folder / RESULT
     return typed(read_json(file), RunResult, file, FIX)["subsets"]

@@ -29,7 +29,6 @@ from typing import Any, Literal, Protocol
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from madviz.errors import UserError
 from madviz.sweep.plan import SweepPlan, read_plan
 from madviz.sweep.run import (
     Run,
@@ -41,9 +40,10 @@ from madviz.sweep.run import (
     finished,
     result_rows,
 )
-from madviz.system.numbers import Threads
+from madviz.system.numbers import Threads, check_numbers
 from madviz.system.signals import terminable
 from madviz.system.streams import say
+from madviz.training.curve import duration
 
 BUSY_SECONDS = 2.0
 """How long a run that another process works on is left alone."""
@@ -126,10 +126,9 @@ def run_sweep(
     ``program`` stands for ``madviz`` in every run. Raises UserError before anything runs for a
     mistake in the file, and for folders that hold runs of another file.
     """
+    check_numbers(config)
     plan = read_plan(config.file)
     out = config.out or Path("runs") / plan.name
-    if (config.jobs is not None and config.jobs < 1) or config.cpus < 1:
-        raise UserError(f"expected 1 or more jobs and cpus, found {config.jobs} and {config.cpus}")
     for run in plan.runs:
         if not broken(out / run.name):
             check_same(out / run.name, run)
@@ -285,14 +284,6 @@ class Watch:
             say(f"[sweep] {line}")
         else:
             self._bar.console.print(line, markup=False, highlight=False)
-
-
-def duration(seconds: float) -> str:
-    """``45 s``, ``12 min``, ``3 h 05 min``."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 def _summary(

@@ -59,7 +59,7 @@ def progress(row: Mapping[str, str], steps: int) -> str:
 
 def duration(seconds: float) -> str:
     """``3 h 05 min``, ``12 min`` or ``40 s``."""
-    if seconds < 100:
+    if seconds < 90:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
     return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"

@@ -238,7 +238,7 @@ def _bar_row(
         words = " · " + ", ".join(p.split(",")[0] for p in condition.occlusions.split(";"))
         label, short = label + words, short + words
     dagger = "" if frame.world.probe.row(mask) in frame.trained_rows else "† "
-    joined = live if live.n >= shipped.n else shipped
+    joined = rates.best(spec, condition)
     number = f"<b>{joined.value:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"
     here = condition == frame.condition
     now = f'<b style="color:{NOTE}">▸</b>' if here else ""
