@@ -34,6 +34,7 @@ from madviz.session.commands import (
 from madviz.session.frame import Frame, untouched
 from madviz.types import PolicySpec
 
+Commands = tuple[Command, ...]
 BACK = 10
 """Steps that the tour goes back in time."""
 GOES_AT = 15
@@ -45,7 +46,7 @@ class Step(NamedTuple):
 
     title: str
     words: str
-    commands: tuple[Command, ...] = ()
+    commands: Commands = ()
     back: int = 0
     """How many steps to look back."""
     go: str = "next step"
@@ -60,9 +61,7 @@ def steps(frame: Frame, choices: Sequence[PolicyChoice], named: Reference = own_
     return list(_steps(frame, choices, whole(frame, named)))
 
 
-def _steps(
-    frame: Frame, choices: Sequence[PolicyChoice], unbroken: tuple[Command, ...]
-) -> Iterator[Step]:
+def _steps(frame: Frame, choices: Sequence[PolicyChoice], unbroken: Commands) -> Iterator[Step]:
     cameras = frame.world.env.cameras
     label = [camera.label for camera in cameras]
     middle, last = len(cameras) // 2, len(cameras) - 1
@@ -171,7 +170,7 @@ def comparison_steps(frame: Frame, other: str, named: Reference = own_name) -> l
     ]
 
 
-def whole(frame: Frame, named: Reference = own_name) -> tuple[Command, ...]:
+def whole(frame: Frame, named: Reference = own_name) -> Commands:
     """Commands for all cameras as nobody has touched them, and the policy of ``frame``."""
     cameras = (_camera(frame, index) for index in range(len(frame.world.env.cameras)))
     return (SetPolicy(named(frame.world.policy)), *cameras)
@@ -196,9 +195,7 @@ def compares(step: Step) -> bool:
     return any(isinstance(command, Compare) for command in step.commands)
 
 
-def restored(
-    frame: Frame, compared: bool = False, named: Reference = own_name
-) -> tuple[Command, ...]:
+def restored(frame: Frame, compared: bool = False, named: Reference = own_name) -> Commands:
     """Commands for cameras, policy, speed and pause as in ``frame``; if something was ``compared``,
     also for the failures that come by themselves, and without B."""
     cameras = (SetCamera(c.name, frame.camera(c.name)) for c in frame.world.env.cameras)
