@@ -61,7 +61,7 @@ def test_writing_replaces_the_whole_file_and_others_may_read_it(tmp_path):
 
 
 def test_who_writes_files_goes_through_one_place():
-    """But for the cache of results; and a session's priority is no file, but what the system reads."""
+    """But for the cache of results; and what sets a priority is no file."""
     direct = re.compile(
         r"os\.(replace|rename)\(|\.rename\(|NamedTemporaryFile|mkstemp|\.write_text\("
     )
