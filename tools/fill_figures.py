@@ -180,6 +180,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "findings": findings,
     "mv-mae": partial(included, "mv-mae"),
     "mv-mwm": partial(included, "mv-mwm"),
+    "beside-imagining": measurements.beside_imagining,
     "tree": tree,
     "files": files,
     "benchmarks": measurements.benchmarks,

@@ -9,7 +9,7 @@ import math
 import re
 from typing import Any
 
-from policy_files import LABELS, ROOT, SINGLES, evaluation
+from policy_files import LABELS, ROOT, SINGLES, config_of, evaluation
 
 CLASS_RUNS = ("lessons", "pages", "alone")
 """Of results/class: files of ``python -m tests.e2e.class_server``."""
@@ -184,6 +184,66 @@ def _one_hidden(found: dict[str, Any]) -> list[dict[str, Any]]:
     """The rows of a result of `madviz bench imagine` in which all other cameras are seen."""
     most = max(row["from"].count("+") for row in found["rows"])
     return [row for row in found["rows"] if row["from"].count("+") == most]
+
+
+def beside_imagining() -> str:
+    """Policies that imagine, and MAD and Single Camera on the same task after as many episodes or
+    decisions: one row each, on development seeds. Rows without files are left out."""
+    lines = [
+        "| task | method | trained for | minutes | all | First person | Third A | Third B |",
+        "|" + "---|" * 8,
+    ]
+    for task, (imagines, mad, single) in BESIDE_IMAGINING.items():
+        lines += [_compared(task, folder) for folder in (imagines, mad)]
+        lines += [_compared(task, single.format(name), name) for name in SINGLES]
+    return "\n".join(filter(None, lines)) + "\n"
+
+
+BESIDE_IMAGINING = {
+    "metaworld/hammer": (
+        "metaworld-hammer-mv-mae-light",
+        "metaworld-hammer-mad-light-12x300",
+        "metaworld-hammer-single-{}-light-12x300",
+    ),
+    "maniskill/push-cube": (
+        "maniskill-push-cube-mv-mae-light",
+        "maniskill-push-cube-mad-light-12x300",
+        "maniskill-push-cube-single-{}-light",
+    ),
+    "toy/reach": (
+        "toy-reach-mv-mwm-mv-mwm",
+        "toy-reach-mad-paper-vectorised",
+        "toy-reach-single-{}-paper-vectorised",
+    ),
+}
+"""By task, the folders of a policy that imagines, of MAD and of Single Camera."""
+
+
+def _compared(task: str, folder: str, camera: str | None = None) -> str:
+    """A row of the table above; nothing if there is no such folder. ``camera``: the only one."""
+    try:
+        found = evaluation(folder, development=True)
+    except FileNotFoundError:
+        return ""
+    config = config_of(folder)
+    training = config["training"]
+    done = (
+        f"{training['steps']:,} decisions"
+        if "steps" in training
+        else f"{training['labelled_episodes']} episodes"
+    )
+    cells = []
+    for column in ("all", *SINGLES):
+        row = found["subsets"].get("all" if column == camera else column)
+        if row is None or (camera is not None and column != camera):
+            cells.append("–")
+        else:
+            low, high = row["ci95"]
+            cells.append(f"{row['success']:.2f} [{low:.2f}, {high:.2f}]")
+    updates = f"{training['updates']:,} updates of {training['batch_size']}"
+    minutes = round(training["wall_time_s"] / 60)
+    rates = " | ".join(cells)
+    return f"| {task} | {config['method']} | {done}, {updates} | {minutes} | {rates} |"
 
 
 def site_speed() -> str:

@@ -22,12 +22,21 @@ Evaluation = dict[str, Any]
 def evaluation(policy: str, development: bool = False) -> Evaluation:
     """evaluation.json of a policy with weights or of a row of a table; or its figures on
     development seeds."""
+    file = _file(policy, "evaluation.json")
+    earlier = file.with_name("development.json")
+    return json.loads((earlier if development and earlier.is_file() else file).read_text())
+
+
+def config_of(policy: str) -> dict[str, Any]:
+    """config.json of a policy with weights or of a row of a table."""
+    return json.loads(_file(policy, "config.json").read_text())
+
+
+def _file(policy: str, name: str) -> Path:
     for folder in ("checkpoints", "results/tables"):
-        file = ROOT / folder / policy / "evaluation.json"
-        earlier = file.with_name("development.json")
-        if file.is_file():
-            return json.loads((earlier if development and earlier.is_file() else file).read_text())
-    raise FileNotFoundError(f"expected {policy}/evaluation.json in checkpoints/ or results/tables/")
+        if (file := ROOT / folder / policy / name).is_file():
+            return file
+    raise FileNotFoundError(f"expected {policy}/{name} in checkpoints/ or results/tables/")
 
 
 @cache
