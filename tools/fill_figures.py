@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 
 import measurements
-from policy_files import LABELS, ROOT, SINGLES, Evaluation, evaluation, methods, seeds
+from policy_files import LABELS, ROOT, SINGLES, Evaluation, evaluation, methods, rate, seeds
 
 from madviz.report.claims import signed
 from madviz.report.rows import Row, difference
@@ -26,13 +26,6 @@ from madviz.report.rows import Row, difference
 BLOCK = re.compile(r"(<!-- figures: ([a-z-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 WEAK = 0.70
 """A single camera below this success rate is named as weak."""
-
-
-def rate(found: Evaluation, subset: str = "all") -> str:
-    """For example ``0.99 [0.95, 1.00]``."""
-    row = found["subsets"][subset]
-    low, high = row["ci95"]
-    return f"{row['success']:.2f} [{low:.2f}, {high:.2f}]"
 
 
 def count(found: Evaluation) -> str:

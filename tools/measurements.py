@@ -9,12 +9,29 @@ import math
 import re
 from typing import Any
 
-from policy_files import LABELS, ROOT, SINGLES, config_of, evaluation
+from policy_files import LABELS, ROOT, SINGLES, config_of, evaluation, rate
 
 CLASS_RUNS = ("lessons", "pages", "alone")
 """Of results/class: files of ``python -m tests.e2e.class_server``."""
 MEASURED = ("kernel", "all")
 """What the memory of a lesson is given for: its kernel, and all that the student runs."""
+BESIDE_IMAGINING = (
+    "metaworld-hammer-mv-mae-light",
+    "metaworld-hammer-mad-light-12x300",
+    "metaworld-hammer-single-first-light-12x300",
+    "metaworld-hammer-single-third_a-light-12x300",
+    "metaworld-hammer-single-third_b-light-12x300",
+    "maniskill-push-cube-mv-mae-light",
+    "maniskill-push-cube-mad-light-12x300",
+    "maniskill-push-cube-single-first-light",
+    "maniskill-push-cube-single-third_a-light",
+    "maniskill-push-cube-single-third_b-light",
+    "toy-reach-mv-mwm-mv-mwm",
+    "toy-reach-mad-paper-vectorised",
+    "toy-reach-single-first-paper-vectorised",
+    "toy-reach-single-third_a-paper-vectorised",
+)
+"""Folders of policies that imagine, each before those it is compared with."""
 FASTER = "{ours_ms:.0f} ms; stock {stock_ms:.0f} ms; {ratio:.1f} times faster"
 PAGE = (
     "{updates_per_s:.0f} updates per second; a switch is seen after {toggle_ms_p50:.0f} ms, 19 of "
@@ -188,62 +205,30 @@ def _one_hidden(found: dict[str, Any]) -> list[dict[str, Any]]:
 
 def beside_imagining() -> str:
     """Policies that imagine, and MAD and Single Camera on the same task after as many episodes or
-    decisions: one row each, on development seeds. Rows without files are left out."""
+    decisions: one row each, on development seeds. Raises FileNotFoundError if one is missing."""
+    columns = ("all", *SINGLES)
     lines = [
         "| task | method | trained for | minutes | all | First person | Third A | Third B |",
         "|" + "---|" * 8,
     ]
-    for task, (imagines, mad, single) in BESIDE_IMAGINING.items():
-        lines += [_compared(task, folder) for folder in (imagines, mad)]
-        lines += [_compared(task, single.format(name), name) for name in SINGLES]
-    return "\n".join(filter(None, lines)) + "\n"
-
-
-BESIDE_IMAGINING = {
-    "metaworld/hammer": (
-        "metaworld-hammer-mv-mae-light",
-        "metaworld-hammer-mad-light-12x300",
-        "metaworld-hammer-single-{}-light-12x300",
-    ),
-    "maniskill/push-cube": (
-        "maniskill-push-cube-mv-mae-light",
-        "maniskill-push-cube-mad-light-12x300",
-        "maniskill-push-cube-single-{}-light",
-    ),
-    "toy/reach": (
-        "toy-reach-mv-mwm-mv-mwm",
-        "toy-reach-mad-paper-vectorised",
-        "toy-reach-single-{}-paper-vectorised",
-    ),
-}
-"""By task, the folders of a policy that imagines, of MAD and of Single Camera."""
-
-
-def _compared(task: str, folder: str, camera: str | None = None) -> str:
-    """A row of the table above; nothing if there is no such folder. ``camera``: the only one."""
-    try:
-        found = evaluation(folder, development=True)
-    except FileNotFoundError:
-        return ""
-    config = config_of(folder)
-    training = config["training"]
-    done = (
-        f"{training['steps']:,} decisions"
-        if "steps" in training
-        else f"{training['labelled_episodes']} episodes"
-    )
-    cells = []
-    for column in ("all", *SINGLES):
-        row = found["subsets"].get("all" if column == camera else column)
-        if row is None or (camera is not None and column != camera):
-            cells.append("–")
-        else:
-            low, high = row["ci95"]
-            cells.append(f"{row['success']:.2f} [{low:.2f}, {high:.2f}]")
-    updates = f"{training['updates']:,} updates of {training['batch_size']}"
-    minutes = round(training["wall_time_s"] / 60)
-    rates = " | ".join(cells)
-    return f"| {task} | {config['method']} | {done}, {updates} | {minutes} | {rates} |"
+    for folder in BESIDE_IMAGINING:
+        config, found = config_of(folder), evaluation(folder, development=True)
+        training, streams = config["training"], config["streams"]
+        # All of one camera is that camera alone.
+        subset_of = {streams[0]: "all"} if len(streams) == 1 else {one: one for one in columns}
+        rates = (rate(found, subset_of[one]) if one in subset_of else "–" for one in columns)
+        done = (
+            f"{training['steps']:,} decisions"
+            if "steps" in training
+            else f"{training['labelled_episodes']} episodes"
+        )
+        updates = f"{training['updates']:,} updates of {training['batch_size']}"
+        minutes = round(training["wall_time_s"] / 60)
+        lines.append(
+            f"| {config['task']} | {config['method']} | {done}, {updates} | {minutes} | "
+            f"{' | '.join(rates)} |"
+        )
+    return "\n".join(lines) + "\n"
 
 
 def site_speed() -> str:

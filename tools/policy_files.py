@@ -39,6 +39,13 @@ def _file(policy: str, name: str) -> Path:
     raise FileNotFoundError(f"expected {policy}/{name} in checkpoints/ or results/tables/")
 
 
+def rate(found: Evaluation, subset: str = "all") -> str:
+    """For example ``0.99 [0.95, 1.00]``."""
+    row = found["subsets"][subset]
+    low, high = row["ci95"]
+    return f"{row['success']:.2f} [{low:.2f}, {high:.2f}]"
+
+
 @cache
 def methods(task: str) -> dict[str, Row]:
     """By method, the row of ``results/RESULTS.md`` on one task, with all its trainings."""
