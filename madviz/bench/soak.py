@@ -126,6 +126,7 @@ def soak(config: SoakConfig) -> dict[str, Any]:
     return {
         "schema": 1,
         "policy": config.policy,
+        "workers": config.workers,
         "minutes": config.minutes,
         "seed": config.seed,
         "visits": crowd.visits,
