@@ -26,6 +26,7 @@ def write_policy(
     merge: str = "sum",
     alpha: float | None = 0.5,
     updates: int = 6000,
+    steps: int | None = None,
     seed: int = 1,
     episodes: int = 100,
     first_seed: int = 5000,
@@ -60,6 +61,7 @@ def write_policy(
             "command": f"madviz train --task {task} --method {method} --seed {seed}",
             "alpha": alpha,
             "updates": updates,
+            "steps": steps,
         },
     }
     write_json(path / "config.json", config)

@@ -26,10 +26,14 @@ BESIDE_IMAGINING = (
     "maniskill-push-cube-single-first-light",
     "maniskill-push-cube-single-third_a-light",
     "maniskill-push-cube-single-third_b-light",
+    "maniskill-push-cube-mv-mwm-mv-mwm",
+    "maniskill-push-cube-mad-paper-vectorised",
+    "maniskill-push-cube-single-third_a-paper-vectorised",
     "toy-reach-mv-mwm-mv-mwm",
     "toy-reach-mad-paper-vectorised",
     "toy-reach-single-first-paper-vectorised",
     "toy-reach-single-third_a-paper-vectorised",
+    "toy-reach-single-third_b-paper-vectorised",
 )
 """Folders of policies that imagine, each before those it is compared with."""
 FASTER = "{ours_ms:.0f} ms; stock {stock_ms:.0f} ms; {ratio:.1f} times faster"

@@ -104,7 +104,7 @@ def _lead(
     table: ResultTable, baselines: Sequence[str], said: str, judge: Judge = ahead
 ) -> list[str]:
     """MAD against each of ``baselines``; what the paper says is held against the one that comes
-    closest."""
+    closest, of those that were trained as long."""
     lines: list[str] = []
     columns = table.mean_of or table.columns
     for recipe in _recipes(table):
@@ -112,12 +112,25 @@ def _lead(
         for name in baselines:
             other = table.average(f"{name}{recipe}") or _by_its_own_recipe(table, name, recipe)
             if mad and other and (gap := difference(mad, other, columns)):
-                gaps.append(gap)
-                lines.append(f"MAD minus {other.label}: {points(gap)}.")
+                unlike = _unlike_steps(mad, other, gap.tasks)
+                gaps += [] if unlike else [gap]
+                lines.append(f"MAD minus {other.label}: {points(gap)}{unlike}.")
         if gaps:
             closest = min(gaps, key=lambda gap: gap.value)
             lines.append(f"The paper reports {said}{beside(table, closest, judge)}.")
     return lines
+
+
+def _unlike_steps(mad: Row, other: Row, tasks: Sequence[str]) -> str:
+    """How long each was trained, where that differs; '' where nothing says it, as for imitation."""
+    taken = [
+        sorted({one.config.training.steps or 0 for one in row.on(tasks).evidence})
+        for row in (mad, other)
+    ]
+    if taken[0] == taken[1]:
+        return ""
+    words = [" or ".join(f"{steps:,}" for steps in each) for each in taken]
+    return f"; after {words[0]} and {words[1]} decisions, so not a fair comparison"
 
 
 def _by_its_own_recipe(table: ResultTable, name: str, recipe: str) -> Row | None:
