@@ -338,10 +338,15 @@ def test_success_while_training_is_drawn_for_reinforcement_learning_only(tmp_pat
     for recipe in ("light", "paper"):
         path = write_policy(tmp_path, GOOD, recipe=recipe)
         (path / "curve.csv").write_text(curve)
-    result, _ = report(tmp_path)
-    assert "reinforcement.svg" in [Path(name).name for name in result["pictures"]]
-    drawn = (tmp_path / "pictures" / "reinforcement.svg").read_text()
-    assert drawn.count('class="line"') == 2 and ">mad, hammer<" in drawn
+    other = write_policy(tmp_path, GOOD, recipe="paper", task="toy/reach")
+    (other / "curve.csv").write_text(curve)
+    result, text = report(tmp_path)
+    assert {Path(one).name for one in result["pictures"] if "reinforcement" in one} == {
+        "reinforcement-metaworld-hammer.svg", "reinforcement-toy-reach.svg"
+    }  # fmt: skip
+    drawn = (tmp_path / "pictures" / "reinforcement-metaworld-hammer.svg").read_text()
+    assert drawn.count('class="line"') == 2 and ">mad<" in drawn
+    assert "](pictures/reinforcement-toy-reach.svg)" in text and "scratch on toy/reach." in text
 
 
 def test_no_curve_takes_the_place_of_another(tmp_path: Path) -> None:
@@ -357,14 +362,14 @@ def test_no_curve_takes_the_place_of_another(tmp_path: Path) -> None:
         path = write_policy(tmp_path, GOOD, **change)
         (path / "curve.csv").write_text("env_steps,episodes,success_all\n0,6,0.0\n100,6,0.5\n")
     report(tmp_path)
-    drawn = (tmp_path / "pictures" / "reinforcement.svg").read_text()
+    drawn = (tmp_path / "pictures" / "reinforcement-metaworld-hammer.svg").read_text()
     assert drawn.count('class="line"') == len(changes)
     for label in (
-        "mad, hammer, paper, alpha 0.5",
-        "mad, hammer, paper, alpha 0.8, often",
-        "mad, hammer, paper, alpha 0.8, again",
-        "mad, hammer, paper-vectorised",
-        "mad, hammer, seed 2",
-        "vib, hammer",
+        "mad, paper, alpha 0.5",
+        "mad, paper, alpha 0.8, often",
+        "mad, paper, alpha 0.8, again",
+        "mad, paper-vectorised",
+        "mad, seed 2",
+        "vib",
     ):
         assert f">{label}<" in drawn

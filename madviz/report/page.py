@@ -28,8 +28,6 @@ CAPTIONS = {
     pictures.TWENTY: f"MAD on twenty tasks. The dashed line is at {WEAK:.2f}.",
     pictures.METHODS: f"{BASELINES.question} Dark is high; a dash is what cannot be or was not "
     "measured.",
-    pictures.CURVE: "Reinforcement learning from scratch. Bands are wide where an evaluation has "
-    "few episodes.",
 }
 
 
@@ -44,9 +42,7 @@ def page(
     """The file's text. ``drawn``: the pictures by name; ``sweeps``: the folder of sweep files."""
     bare = sum(not (each.path / WEIGHTS).is_file() for each in evidence)
     pictured = [
-        f"![{words}](pictures/{name})\n\n{words}"
-        for name, words in CAPTIONS.items()
-        if name in drawn
+        f"![{words}](pictures/{name})\n\n{words}" for name in drawn if (words := _caption(name))
     ]
     sections = [
         "# Results",
@@ -74,6 +70,16 @@ def page(
         ),
     ]
     return "\n\n".join(sections) + "\n"
+
+
+def _caption(picture: str) -> str:
+    """'' for one that stands with its table."""
+    if not picture.startswith(pictures.CURVE):
+        return CAPTIONS.get(picture, "")
+    return (
+        f"Reinforcement learning from scratch on {pictures.task_of(picture)}. Bands are wide where "
+        "an evaluation has few episodes."
+    )
 
 
 def _seeds_words(verdicts: Sequence[Verdict], tables: Sequence[ResultTable]) -> str:

@@ -22,8 +22,9 @@ DIFFERENCES: tuple[Callable[[Evidence], str], ...] = (
     lambda each: f"alpha {each.config.training.alpha or 0:g}",
     lambda each: each.folder,
 )
-"""What curves of one method, task and seed may differ in."""
-TWENTY, METHODS, CURVE = "twenty.svg", "methods.svg", "reinforcement.svg"
+"""What curves of one method and seed, on one task, may differ in."""
+TWENTY, METHODS, CURVE = "twenty.svg", "methods.svg", "reinforcement-"
+"""Names of pictures; the last is the beginning of a task's."""
 
 
 def bar(rate: SuccessRate | None) -> figures.Bar | None:
@@ -76,16 +77,30 @@ def rates(table: ResultTable) -> str:
     return figures.dots(f"{table.layout.title}: {where}, {uses} seeds", groups, series)
 
 
-def curve(evidence: Sequence[Evidence]) -> str:
-    """Success while training by reinforcement, '' where no training measured it by subset."""
+def curves(evidence: Sequence[Evidence]) -> dict[str, str]:
+    """Success while training by reinforcement, by the picture's name: one for each task on which
+    a training measured it by subset."""
+    by_task: dict[str, list[Evidence]] = {}
+    for each in evidence:
+        if each.config.recipe != "light" and _curve(each).is_file():
+            by_task.setdefault(each.config.task, []).append(each)
+    drawn = {task: _curves_on(task, by_task[task]) for task in sorted(by_task)}
+    return {f"{CURVE}{task.replace('/', '-')}.svg": text for task, text in drawn.items() if text}
+
+
+def task_of(name: str) -> str:
+    """Of the picture ``name`` of ``curves``."""
+    return name.removeprefix(CURVE).removesuffix(".svg").replace("-", "/", 1)
+
+
+def _curves_on(task: str, evidence: Sequence[Evidence]) -> str:
     panels: dict[str, dict[str, figures.Line]] = {}
-    drawn = [each for each in evidence if each.config.recipe != "light" and _curve(each).is_file()]
-    for each, label in zip(drawn, _told_apart(drawn), strict=True):
+    for each, label in zip(evidence, _told_apart(evidence), strict=True):
         lines = success_lines(list(csv.DictReader(_curve(each).read_text().splitlines())))
         for subset, line in lines.items():
             name = each.config.streams[0] if len(each.config.streams) == 1 else subset
             panels.setdefault(name, {})[label] = line
-    title = "Reinforcement learning: success at evaluations on selection seeds, 95% intervals"
+    title = f"{task}: success at evaluations on selection seeds, 95% intervals"
     return figures.lines(title, "simulator steps", panels) if panels else ""
 
 
@@ -94,12 +109,10 @@ def _curve(evidence: Evidence) -> Path:
 
 
 def _told_apart(evidence: Sequence[Evidence]) -> list[str]:
-    """A name for each: its method, task and seed; and where several have the same, what else they
+    """A name for each: its method and seed; and where several have the same, what else they
     differ in."""
     labels = [
-        f"{each.config.method}, {each.config.task.split('/')[-1]}"
-        + (f", seed {each.seed}" if each.seed != 1 else "")
-        for each in evidence
+        each.config.method + (f", seed {each.seed}" if each.seed != 1 else "") for each in evidence
     ]
     for fact in DIFFERENCES:
         named = list(zip(labels, evidence, strict=True))

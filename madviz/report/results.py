@@ -128,8 +128,7 @@ def _drawn(
         drawn[pictures.TWENTY] = pictures.twenty(verdicts)
     if compared:
         drawn[pictures.METHODS] = pictures.methods(compared)
-    if curve := pictures.curve(evidence):
-        drawn[pictures.CURVE] = curve
+    drawn |= pictures.curves(evidence)
     return {**drawn, **{f"{table.name}.svg": pictures.rates(table) for table in tables}}
 
 
