@@ -177,6 +177,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "tree": tree,
     "files": files,
     "benchmarks": measurements.benchmarks,
+    "priorities": measurements.priorities,
     "class-server": measurements.class_server,
     "grading": measurements.grading,
     "kernel-memory": measurements.kernel_memory,

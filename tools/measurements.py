@@ -96,6 +96,22 @@ def benchmarks() -> str:
     return "\n".join(lines) + f"\n\nOn {machine()}.\n"
 
 
+def priorities() -> str:
+    """The page beside other work, before that had a lower priority and now, in alternation."""
+    found = json.loads((ROOT / "results" / "bench" / "priorities.json").read_text())
+    lines = [
+        "| run | alone | beside an evaluation | beside a training |",
+        "|---|---|---|---|",
+    ]
+    for run in found["runs"]:
+        cells = (
+            f"{run[part]['updates_per_s']:.1f}; {run[part]['toggle_ms_p95']:.0f} ms"
+            for part in ("alone", "with_workers", "with_training")
+        )
+        lines.append(f"| {run['side']} | {' | '.join(cells)} |")
+    return "\n".join(lines) + f"\n\nOn {found['machine']}.\n"
+
+
 def class_server() -> str:
     """What students took of a class server, from results/class, and what more would take."""
     folder = ROOT / "results" / "class"
