@@ -285,7 +285,8 @@ def test_the_memory_it_will_need_is_said_before() -> None:
         ReplayBuffer(paper, available=16 * 10**9)
     assert str(error.value) == (
         "the replay buffer of 500000 transitions of 3 streams needs 32.1 GB, found 16.0 GB free "
-        "in memory; ask for 248000 transitions or fewer, or keep it on disk"
+        "in memory; free some, or start a training with 248000 transitions or fewer, or with the "
+        "buffer on disk"
     )
     ReplayBuffer(replace(paper, capacity=248_000), available=16 * 10**9)
     packed = replace(paper, packed=True)

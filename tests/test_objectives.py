@@ -261,8 +261,7 @@ def test_the_naive_learner_passes_the_same_test() -> None:
 
 
 def test_bfloat16_points_the_same_way() -> None:
-    streams = STREAMS["three"]
-    batch = make_batch(3, size=16)
+    streams, batch = STREAMS["three"], make_batch(3, size=16)
     exact, low = make_agent().float(), make_agent().float()
     draw = make_learner(exact, "mad", streams).draw(16)
     make_learner(exact, "mad", streams).update(batch, draw)
@@ -277,8 +276,7 @@ def test_bfloat16_points_the_same_way() -> None:
 
 
 def test_merged_only_is_mad_with_alpha_one() -> None:
-    streams = STREAMS["three"]
-    batch = make_batch(3)
+    streams, batch = STREAMS["three"], make_batch(3)
     both = [make_agent(), make_agent()]
     mad = make_learner(both[0], "mad", streams, alpha=1.0)
     merged = make_learner(both[1], "merged-only", streams)

@@ -21,10 +21,12 @@ import numpy as np
 
 from madviz.envs.registry import make_env
 from madviz.observation.streams import IMAGE_SIZE, MeanPictures, StreamStack, stream_frame
+from madviz.policies.seeds import FIRST_SELECTION
 from madviz.subsets import camera_of, cameras_of
 from madviz.types import EnvSpec, PolicySpec
 
-FIRST_SEED = 1900
+FIRST_SEED = FIRST_SELECTION + 900
+"""The last hundred selection seeds: evaluations while a policy trains use the first ones."""
 EPISODES, PICTURES = 8, 5
 
 

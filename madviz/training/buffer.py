@@ -347,8 +347,8 @@ class ReplayBuffer:
                 f"the replay buffer of {spec.capacity} transitions of {len(spec.streams)} streams "
                 f"needs {need / 1e9:.1f} GB, found {have / 1e9:.1f} GB free "
                 f"{'in memory' if folder is None else f'in {folder}'}; "
-                f"ask for {fits} transitions or fewer"
-                + (", or keep it on disk" if folder is None else "")
+                f"free some, or start a training with {fits} transitions or fewer"
+                + (", or with the buffer on disk" if folder is None else "")
             )
 
 
