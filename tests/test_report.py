@@ -17,8 +17,8 @@ from madviz.evaluation.evidence import find_evidence, read_evidence
 from madviz.report.layouts import THREE
 from madviz.report.results import ReportConfig, run_report
 from madviz.report.rows import difference
+from madviz.report.sweeps import FIRST_LINE
 from madviz.report.tables import usual_alphas
-from madviz.sweep.plan import read_plan
 from tests.evidence import rates, write_policy
 from tests.reports import GOOD, every_table, report, table
 
@@ -64,11 +64,16 @@ def test_a_folder_without_policies_is_a_mistake(tmp_path: Path) -> None:
 def test_the_report_comes_out_the_same_to_the_byte(tmp_path: Path) -> None:
     for method, measured in (("mad", GOOD), ("merged-only", rates(0.95, 0.1, 0.0, 0.0))):
         write_policy(tmp_path, measured, method=method)
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "sweeps").mkdir()
+    own = (tmp_path / "pictures" / "mine.svg", tmp_path / "sweeps" / "mine.toml")
+    for file in own:
+        file.write_text("of somebody else")
     result, text = report(tmp_path)
     written = {path: path.read_bytes() for path in tmp_path.rglob("*.[sct][vos][gvm]*")}
     assert result["tables"] == ["overall-metaworld"]
     (tmp_path / "pictures" / "five-maniskill.svg").write_text("of a table that is gone")
-    (tmp_path / "sweeps" / "five.toml").write_text("likewise")
+    (tmp_path / "sweeps" / "five.toml").write_text(f"{FIRST_LINE}\n")
     again, same_text = report(tmp_path)
     assert (again, same_text) == (result, text)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*.[sct][vos][gvm]*")} == written
@@ -80,6 +85,7 @@ def test_the_report_comes_out_the_same_to_the_byte(tmp_path: Path) -> None:
         xml.fromstring(Path(name).read_text())
         assert f"](pictures/{Path(name).name})" in text
     assert not (tmp_path / "sweeps" / "five.toml").exists()
+    assert all(file.read_text() == "of somebody else" for file in own)
 
 
 def test_pictures_come_before_tables_and_a_table_has_one_command(tmp_path: Path) -> None:
@@ -89,26 +95,6 @@ def test_pictures_come_before_tables_and_a_table_has_one_command(tmp_path: Path)
     assert text.index("](pictures/twenty.svg)") < text.index("## How to read") < text.index("\n|")
     for section in text.split("\n## ")[2:]:
         assert section.count("madviz sweep ") == 1 and "madviz train" not in section
-
-
-def test_one_sweep_trains_the_policies_of_a_table_again(tmp_path: Path) -> None:
-    """Also where two trainings differ in an option alone."""
-    for method in ("mad", "merged-only"):
-        write_policy(tmp_path, GOOD, method=method)
-    other = write_policy(tmp_path, GOOD, alpha=0.8, folder="other")
-    file = other / "config.json"
-    config = json.loads(file.read_text())
-    config["training"]["command"] += " --light.alpha 0.8 --light.no-critic --out x"
-    file.write_text(json.dumps(config))
-    report(tmp_path)
-    overall = read_plan(tmp_path / "sweeps" / "overall.toml").runs
-    assert sorted(run.train[3] for run in overall) == ["mad", "merged-only"]
-    assert overall[0].evaluate == ("--episodes", "100", "--seed", "5000")
-    plain, changed = sorted(
-        read_plan(tmp_path / "sweeps" / "alpha.toml").runs, key=lambda r: r.name
-    )
-    assert plain.name == "metaworld-hammer-mad-light-alpha0.8-criticFalse-seed1"
-    assert changed.name == "metaworld-hammer-mad-light-seed1"
 
 
 def test_every_rate_is_a_line_of_the_csv(tmp_path: Path) -> None:
@@ -207,6 +193,14 @@ def test_the_twenty_tasks_have_an_average_of_each_suite(tmp_path: Path) -> None:
     _, text = report(tmp_path)
     (average,) = (line for line in text.splitlines() if "average of" in line)
     assert average.startswith("| average of 2 in metaworld | 0.75 [0.69, 0.80] n=200 |")
+
+
+def test_an_average_of_means_leaves_out_what_they_leave_out(tmp_path: Path) -> None:
+    """PokeCube's mean is without First person."""
+    write_policy(tmp_path, rates(0.9, 0, 0.9, 0.9), task="maniskill/poke-cube")
+    write_policy(tmp_path, rates(0.5, 0.5, 0.5, 0.5), task="maniskill/push-cube")
+    (average,) = (line for line in report(tmp_path)[1].splitlines() if "average of" in line)
+    assert "| 0.25 [" in average and average.count("| 0.70 [") == 4
 
 
 def test_single_camera_is_three_trainings_in_one_row(tmp_path: Path) -> None:

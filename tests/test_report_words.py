@@ -148,7 +148,11 @@ def test_a_shorter_training_is_said_and_not_held_against_the_paper(tmp_path: Pat
 def test_one_training_under_two_names_is_said_to_be_one(tmp_path: Path) -> None:
     for task, alpha in (("metaworld/hammer", 0.5), ("metaworld/push", 0.25)):
         for method in ("mad", "naive-both"):
-            write_policy(tmp_path, GOOD, task=task, method=method, alpha=alpha)
+            for seed in (1, 2):
+                write_policy(
+                    tmp_path, GOOD, task=task, method=method, alpha=alpha, seed=seed,
+                    folder=f"{task}/{method}-{seed}",
+                )  # fmt: skip
     said = [line for line in claims(table(tmp_path, "overall")) if "one and the same" in line]
     assert len(said) == 1 and said[0].startswith("On metaworld/push naive-both and MAD")
 
@@ -245,6 +249,27 @@ def test_alphas_are_compared_on_the_trainings_they_share(tmp_path: Path) -> None
         )  # fmt: skip
     (said,) = claims(table(tmp_path, "alpha"))
     assert "alpha 0.8 minus alpha 0.5: +10 points" in said and "n = 100 on 1 task" in said
+    assert said.startswith("On metaworld/hammer, with training seed 1 alone, alpha 0.8 has")
+
+
+def test_alphas_of_two_recipes_do_not_compete(tmp_path: Path) -> None:
+    for recipe, better in (("paper", 0.0), ("paper-vectorised", 0.3)):
+        for alpha, rate in ((0.5, 0.4), (0.8, 0.6)):
+            level = rate + better
+            write_policy(
+                tmp_path, rates(level, level, level, level), alpha=alpha, recipe=recipe,
+                folder=f"{recipe}-{alpha}",
+            )  # fmt: skip
+    said = claims(table(tmp_path, "alpha"))
+    assert len(said) == 2 and all("+20 points" in one for one in said)
+
+
+def test_nothing_is_chosen_on_reporting_seeds(tmp_path: Path) -> None:
+    """One policy has been measured on them alone, and had luck there."""
+    write_policy(tmp_path, rates(1, 1, 1, 1), first_seed=10_000, folder="a")
+    write_policy(tmp_path, GOOD, folder="b")
+    found = judge("metaworld/hammer", find_evidence(tmp_path)[0])
+    assert found.row is not None and found.row.evidence[0].folder == "b"
 
 
 def test_methods_that_were_trained_often_are_compared_task_by_task(tmp_path: Path) -> None:

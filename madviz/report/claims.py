@@ -189,7 +189,7 @@ def _one_and_the_same(table: ResultTable) -> list[str]:
     if both is None or mad is None:
         return []
     tasks = {each.config.task for each in both.evidence}
-    return [
+    sentences = [
         f"On {each.config.task} naive-both and MAD are one and the same training: with alpha "
         f"{each.alpha:g} MAD weighs the sum and each of "
         f"{len(each.config.streams)} streams alike, and under the light recipe the expert is the "
@@ -198,6 +198,7 @@ def _one_and_the_same(table: ResultTable) -> list[str]:
         if each.config.task in tasks
         and abs((each.alpha or 0) - 1 / (1 + len(each.config.streams))) < 1e-3
     ]
+    return list(dict.fromkeys(sentences))  # Several trainings say it once.
 
 
 def _five(table: ResultTable) -> list[str]:
@@ -206,16 +207,22 @@ def _five(table: ResultTable) -> list[str]:
 
 
 def _alpha(table: ResultTable) -> list[str]:
-    """Task by task: not every alpha was trained on all of them."""
-    tasks = dict.fromkeys(task for task, _ in table.rows)
-    each = [_best_alpha(table, task) for task in tasks]
+    """Task by task, because not every alpha was trained on all of them; and recipe by recipe, which
+    a label names after its alpha."""
+    alike: dict[tuple[str, str], list[Row]] = {}
+    for task, row in table.rows:
+        alike.setdefault((task, row.label.partition(",")[2]), []).append(row)
+    each = [_best_alpha(table, task, rows) for (task, _), rows in alike.items()]
     return [sentence for sentence in each if sentence]
 
 
-def _best_alpha(table: ResultTable, task: str) -> str:
-    rows = [row for at, row in table.rows if at == task]
+def _best_alpha(table: ResultTable, task: str, rows: Sequence[Row]) -> str:
+    """Of ``rows``, those of one task and recipe."""
     # A row of several trainings beside a row of one: another training alone may change the order.
     shared = set.intersection(*(row.training_seeds for row in rows))
+    fewer = any(row.training_seeds != shared for row in rows)
+    seeds = ", ".join(map(str, sorted(shared)))
+    where = f"{task}, with training seed {seeds} alone," if fewer else task
     rows = [row.seeded(shared) for row in rows]
     papers = next((row for row in rows if row.label.split(",")[0] == BEST_ALPHA), None)
     rated = [(rate.value, row) for row in rows if (rate := row.mean(THREE))]
@@ -233,7 +240,7 @@ def _best_alpha(table: ResultTable, task: str) -> str:
         return "agrees" if best is papers else "does not agree"
 
     return (
-        f"On {task} {best.label} has the highest mean; {best.label} minus {other.label}: "
+        f"On {where} {best.label} has the highest mean; {best.label} minus {other.label}: "
         f"{points(gap)}. The paper finds {BEST_ALPHA} best{beside(table, gap, judge)}."
     )
 

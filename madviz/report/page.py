@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 
 from madviz.evaluation.evidence import Evidence
-from madviz.evaluation.statistics import SuccessRate
+from madviz.evaluation.statistics import SuccessRate, mean_interval
 from madviz.policies.checkpoint import WEIGHTS
 from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.report import pictures
@@ -123,7 +123,7 @@ def _threshold_section(verdicts: Sequence[Verdict], sweep: str) -> str:
     for whole in _suites(verdicts):
         cells = [_cell(whole.rate(column)) for column in THREE]
         label = f"average of {len(whole.tasks)} in {whole.label}"
-        lines.append(_line((label, *cells, _cell(whole.mean(THREE)), whole.seeds, "")))
+        lines.append(_line((label, *cells, _cell(_suite_mean(whole)), whole.seeds, "")))
     return "\n".join([*lines, "", *_again(sweep)])
 
 
@@ -137,6 +137,20 @@ def _suites(verdicts: Sequence[Verdict]) -> list[Row]:
                 for column, cell in verdict.row.cells.items():
                     whole.cells.setdefault(column, {}).update(cell)
     return [whole for whole in found.values() if len(whole.tasks) > 1]
+
+
+def _suite_mean(whole: Row) -> SuccessRate | None:
+    """Over what each task is judged on, as the means of the lines above; None without one."""
+    judged = {task: judged_on(task) for task in whole.tasks}
+    shares = [
+        share
+        for task, columns in judged.items()
+        for share in whole.on({task}).shares(columns).values()
+    ]
+    if not shares:
+        return None
+    interval = mean_interval(shares, min(map(len, judged.values())))
+    return SuccessRate(sum(shares) / len(shares), interval, len(shares))
 
 
 def _section(tables: Sequence[ResultTable], sweep: str) -> str:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from madviz.evaluation.evidence import Evidence
 from madviz.evaluation.statistics import SuccessRate
 from madviz.plots import figures
-from madviz.report.layouts import THREE, rank
+from madviz.report.layouts import LAYOUTS, THREE, rank
 from madviz.report.rows import Row
-from madviz.report.tables import ResultTable
+from madviz.report.tables import SUITES, ResultTable
 from madviz.report.threshold import WEAK, Verdict
 from madviz.training.curve import success_lines
 
@@ -86,6 +87,14 @@ def curves(evidence: Sequence[Evidence]) -> dict[str, str]:
             by_task.setdefault(each.config.task, []).append(each)
     drawn = {task: _curves_on(task, by_task[task]) for task in sorted(by_task)}
     return {f"{CURVE}{task.replace('/', '-')}.svg": text for task, text in drawn.items() if text}
+
+
+def is_ours(file: Path) -> bool:
+    """Whether a report may have drawn it: of all tasks, of a table, or a task's curves."""
+    keys = "|".join(layout.key for layout in LAYOUTS)
+    of_table = rf"({keys})-({'|'.join(SUITES)})(-reinforcement)?\.svg"
+    named = file.name in (TWENTY, METHODS) or re.fullmatch(of_table, file.name) is not None
+    return file.is_file() and (named or (file.name.startswith(CURVE) and file.suffix == ".svg"))
 
 
 def task_of(name: str) -> str:

@@ -13,7 +13,7 @@ no files yet are left out; a task without a policy stays in the first table, as 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from madviz.report.evaluate import EPISODES, evaluate_all
 from madviz.report.layouts import BASELINES, LAYOUTS
 from madviz.report.page import page
 from madviz.report.rates import rates_csv
-from madviz.report.sweeps import sweep_text
+from madviz.report.sweeps import is_sweep_of_a_table, sweep_text
 from madviz.report.tables import ResultTable, build
 from madviz.report.threshold import TWENTY, Verdict, judge, verdict_json
 from madviz.system.files import write_bytes, written_to
@@ -80,8 +80,8 @@ def run_report(config: ReportConfig) -> dict[str, Any]:
     drawn = _drawn(evidence, verdicts, tables, compared)
     sweeps = out.parent / "sweeps"
     text = page(_remake(config, out), evidence, verdicts, tables, drawn, sweeps.as_posix())
-    _write_all(out.parent / "pictures", "*.svg", drawn)
-    _write_all(sweeps, "*.toml", _sweeps(sweeps, verdicts, tables))
+    _write_all(out.parent / "pictures", drawn, pictures.is_ours)
+    _write_all(sweeps, _sweeps(sweeps, verdicts, tables), is_sweep_of_a_table)
     write_bytes(out.parent / "rates.csv", rates_csv(verdicts, [*tables, *compared]).encode())
     write_bytes(out, text.encode())
     return {
@@ -143,11 +143,13 @@ def _sweeps(
     return {name: sweep_text((folder / name).as_posix(), used[key]) for key, name in names.items()}
 
 
-def _write_all(folder: Path, pattern: str, files: Mapping[str, str]) -> None:
-    """Writes ``files`` by name, and removes what the pattern finds of tables that are gone."""
+def _write_all(folder: Path, files: Mapping[str, str], ours: Callable[[Path], bool]) -> None:
+    """Writes ``files`` by name, and removes those that an earlier report wrote of tables that are
+    gone; ``ours`` knows them."""
     folder.mkdir(parents=True, exist_ok=True)
-    for old in set(folder.glob(pattern)) - {folder / name for name in files}:
-        old.unlink()
+    for old in sorted(set(folder.iterdir()) - {folder / name for name in files}):
+        if ours(old):
+            old.unlink()
     for name, text in files.items():
         write_bytes(folder / name, text.encode())
 

@@ -9,9 +9,12 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 
 from madviz.evaluation.evidence import Evidence
 
+FIRST_LINE = "# Written by `madviz report`. Trains and evaluates the policies of a table again:"
+MARK = FIRST_LINE.encode()
 AXES = ("task", "method", "setting", "recipe", "seed")
 Options = tuple[tuple[str, str], ...]
 
@@ -26,7 +29,7 @@ def sweep_text(file: str, evidence: Sequence[Evidence]) -> str:
         kept = tuple((k, f"[{v}]" if (axes, k) in varied else v) for k, v in options)
         grids.setdefault((axes[2:], kept), []).append((axes[0], axes[1]))
     lines = [
-        "# Written by `madviz report`. Trains and evaluates the policies of a table again:",
+        FIRST_LINE,
         "#",
         f"#     madviz sweep {file}",
         "",
@@ -44,6 +47,11 @@ def sweep_text(file: str, evidence: Sequence[Evidence]) -> str:
     episodes = max(each.episodes for each in evidence)
     first = max(each.first_seed for each in evidence)
     return "\n".join([*lines, "[eval]", f"episodes = {episodes}", f"seed = {first}"]) + "\n"
+
+
+def is_sweep_of_a_table(file: Path) -> bool:
+    """Whether ``sweep_text`` made it."""
+    return file.suffix == ".toml" and file.is_file() and file.read_bytes().startswith(MARK)
 
 
 def _entry(evidence: Evidence) -> tuple[tuple[str, ...], Options]:

@@ -50,7 +50,7 @@ class ResultTable:
     @property
     def evidence(self) -> list[Evidence]:
         """The policies in its rows."""
-        return [each for row in self.averages for each in row.evidence]
+        return [each for _, row in self.rows for each in row.evidence]
 
     def average(self, label: str) -> Row | None:
         """The row of ``label`` over all its tasks; None where it has none."""

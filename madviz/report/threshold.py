@@ -73,8 +73,9 @@ def judge(task: str, evidence: Sequence[Evidence]) -> Verdict:
         return Verdict(task, None, None, ())
 
     def rank(each: Evidence) -> float:
-        mean = _row(each.on_development() or each).mean(judged_on(task))
-        return mean.value if mean else 0.0
+        known = each.on_development()
+        mean = known and _row(known).mean(judged_on(task))
+        return mean.value if mean else -1.0
 
     row = _row(max(found, key=rank))
     mean = row.mean(judged_on(task))

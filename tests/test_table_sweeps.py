@@ -1,0 +1,43 @@
+"""The sweep file of a table: every policy of the table is trained again by it, and no other."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from madviz.sweep.plan import read_plan
+from tests.evidence import write_policy
+from tests.reports import GOOD, report
+
+
+def test_one_sweep_trains_the_policies_of_a_table_again(tmp_path: Path) -> None:
+    """Also where two trainings differ in an option alone."""
+    for method in ("mad", "merged-only"):
+        write_policy(tmp_path, GOOD, method=method)
+    other = write_policy(tmp_path, GOOD, alpha=0.8, folder="other")
+    file = other / "config.json"
+    config = json.loads(file.read_text())
+    config["training"]["command"] += " --light.alpha 0.8 --light.no-critic --out x"
+    file.write_text(json.dumps(config))
+    report(tmp_path)
+    overall = read_plan(tmp_path / "sweeps" / "overall.toml").runs
+    assert sorted(run.train[3] for run in overall) == ["mad", "merged-only"]
+    assert overall[0].evaluate == ("--episodes", "100", "--seed", "5000")
+    plain, changed = sorted(
+        read_plan(tmp_path / "sweeps" / "alpha.toml").runs, key=lambda r: r.name
+    )
+    assert plain.name == "metaworld-hammer-mad-light-alpha0.8-criticFalse-seed1"
+    assert changed.name == "metaworld-hammer-mad-light-seed1"
+
+
+def test_a_sweep_has_every_training_of_its_table(tmp_path: Path) -> None:
+    """Hammer was trained once, so that the average has one training of each task."""
+    for method in ("mad", "merged-only"):
+        write_policy(tmp_path, GOOD, method=method)
+        for seed in (1, 2, 3):
+            write_policy(
+                tmp_path, GOOD, method=method, task="metaworld/push", seed=seed,
+                folder=f"{method}-{seed}",
+            )  # fmt: skip
+    report(tmp_path)
+    assert len(read_plan(tmp_path / "sweeps" / "overall.toml").runs) == 8
