@@ -3,6 +3,7 @@ somewhere, and a built page fetches nothing from elsewhere."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -61,6 +62,16 @@ def test_figures_in_the_text_are_those_in_the_files() -> None:
     command = [sys.executable, str(ROOT / "tools" / "fill_figures.py"), "--check"]
     checked = subprocess.run(command, capture_output=True, text=True)
     assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+def test_a_block_of_figures_without_an_end_takes_no_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    fill = importlib.import_module("fill_figures").filled
+    block = "<!-- figures: machine2 -->\n"
+    with pytest.raises(ValueError, match="found one without"):
+        fill(f"{block}important\n<!-- figures: tree -->\n<!-- end -->\n")
+    with pytest.raises(KeyError, match="machine2"):
+        fill(f"{block}<!-- end -->\n")
 
 
 def test_pictures_of_the_page_are_all_shown_and_small() -> None:

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import os
+import random
 import subprocess
 import sys
 import threading
 import time
 import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
 
 from madviz.app.users import Limits
 from madviz.bench.live import LiveConfig, watched
-from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, sample, settled, soak
+from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, sample, settled, soak, soak_words
 from madviz.bench.visitor import Visitor
+from madviz.errors import UserError
 from tests.pages import fake_app
 
 
@@ -36,6 +42,81 @@ def test_growth_after_warm_up_is_a_leak():
     assert not judged(samples([460] * 9, processes=[1, 1, 1, 1, 1, 1, 1, 2, 2]))["kept"]
     # One straggler at the very end is no leak, a child that stays is.
     assert judged(samples([460] * 9, threads=[20] * 8 + [40]))["kept"]
+
+
+STAYS, DIES = "import time; time.sleep(60)", "import sys; sys.exit('Traceback: the reason')"
+
+
+@pytest.fixture
+def server(monkeypatch):
+    """Makes ``soak`` start a program in the server's place."""
+
+    def replace(program: str, crowd: Callable[[Crowd], Iterator[Sample]] | None = None) -> None:
+        @contextmanager
+        def serving(words, log):
+            process = subprocess.Popen([sys.executable, "-c", program], stderr=log)
+            if program == DIES:
+                process.wait()
+            try:
+                yield "http://127.0.0.1:9", process
+            finally:
+                process.kill()
+                process.wait()
+
+        monkeypatch.setattr("madviz.bench.soak.serving", serving)
+        if crowd is not None:
+            monkeypatch.setattr("madviz.bench.soak.rounds", lambda here, seconds: crowd(here))
+
+    return replace
+
+
+def test_a_server_that_dies_early_says_why(server):
+    server(DIES)
+    with pytest.raises(UserError, match="(?s)expected 9 rounds, found 0.*Traceback: the reason"):
+        soak(SoakConfig(minutes=0.1))
+
+
+def test_what_was_measured_before_a_server_died_is_kept(server):
+    def crowd(here: Crowd) -> Iterator[Sample]:
+        here.visits, here.updates = 20, 400
+        yield from samples([300] * 12)
+        raise UserError("no page to visit")
+
+    server(DIES, crowd)
+    result = soak(SoakConfig(minutes=5.0))
+    assert result["rounds"] == 12 and result["kept"] and result["served"] and not result["ok"]
+    assert result["errors"] == [
+        "Traceback: the reason", "no page to visit", "the server ended by itself"
+    ]  # fmt: skip
+    assert "the server has not grown" in soak_words(result)
+
+
+def test_a_soak_whose_visitors_saw_nothing_has_not_passed(server):
+    def crowd(here: Crowd) -> Iterator[Sample]:
+        here.visits, here.updates = 20, 19
+        yield from samples([300] * 12)
+
+    server(STAYS, crowd)
+    result = soak(SoakConfig(minutes=5.0))
+    assert result["kept"] and result["errors"] == [] and not result["ok"]
+    assert "TOO LITTLE WAS TRIED: 19 pictures came in 20 visits" in soak_words(result)
+
+
+def test_a_visitor_touches_what_can_be_touched_now():
+    app = fake_app("toy-mad")
+    try:
+        with Visitor(app.url) as visitor:
+            wait_until(lambda: visitor.steps)
+            rng = random.Random(0)
+            assert visitor.toggle(rng)
+            for uuid in list(visitor.controls):
+                visitor._change(uuid, {"visible": False, "value": "other"})
+            assert not visitor.toggle(rng)
+            assert {one["value"] for one in visitor.controls.values() if "value" in one} == {
+                "other"
+            }
+    finally:
+        app.stop()
 
 
 def test_a_sample_counts_threads_and_memory():

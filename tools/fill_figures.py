@@ -23,7 +23,8 @@ from policy_files import LABELS, ROOT, SINGLES, Evaluation, evaluation, methods,
 from madviz.report.claims import signed
 from madviz.report.rows import Row, difference
 
-BLOCK = re.compile(r"(<!-- figures: ([a-z-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+START = "<!-- figures: "
+BLOCK = re.compile(rf"({START}(\S+) -->\n)(?:(?!{START}).)*?(<!-- end -->)", re.DOTALL)
 WEAK = 0.70
 """A single camera below this success rate is named as weak."""
 
@@ -190,7 +191,12 @@ BLOCKS: dict[str, Callable[[], str]] = {
 
 
 def filled(text: str) -> str:
-    """``text`` with today's figures in its blocks. Raises KeyError for a block nobody makes."""
+    """``text`` with today's figures in its blocks. Raises KeyError for a block nobody makes, and
+    ValueError for one without an end."""
+    if text.count(START) != len(BLOCK.findall(text)):
+        raise ValueError(
+            "expected <!-- end --> after every <!-- figures: NAME -->, found one without"
+        )
     return BLOCK.sub(lambda found: found[1] + BLOCKS[found[2]]() + found[3], text)
 
 

@@ -32,7 +32,11 @@ def serving(
         yield url, process
     finally:
         process.terminate()
-        process.wait(20)
+        try:
+            process.wait(20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 def await_answer(url: str, process: subprocess.Popen[bytes], patience: float = 60.0) -> None:

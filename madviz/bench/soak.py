@@ -12,7 +12,9 @@ processes that is.
 
 The first rounds fill what stays for good: the allocator's pools, caches of glyphs, viser's threads
 for callbacks. The bounds: the median of the last third of what follows is at most 2 % above the
-first third's, no more threads (but for ``POOL``) or processes than before, nothing in the log.
+first third's, no more threads (but for ``POOL``) or processes than before, nothing in the log. And
+visitors must have got pictures, one each at least: where a machine is so busy that they leave
+before the first one, nothing was tried.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ import random
 import statistics
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -40,6 +42,8 @@ FEWEST = 9
 MOST_GROWTH = 0.02
 POOL = 4
 """Threads that viser's pool for callbacks may have started late: it grows to its busiest moment."""
+IMPATIENT = 0.2
+"""Share of those who leave although they have not seen a picture yet."""
 SETTLING = 20.0
 """Seconds that visitors who left may take to disappear."""
 
@@ -101,10 +105,11 @@ class Crowd:
             here.append(Visitor(self._url))
             self.visits += 1
         elif chance < 0.18:
-            self._leave(here.pop(self._rng.randrange(len(here))))
+            number = self._rng.randrange(len(here))
+            if here[number].steps or self._rng.random() < IMPATIENT:
+                self._leave(here.pop(number))
         else:
-            self._rng.choice(here).toggle(self._rng)
-            self.touches += 1
+            self.touches += self._rng.choice(here).toggle(self._rng)
 
     def _leave(self, visitor: Visitor) -> None:
         self.updates += len(visitor.steps)
@@ -112,17 +117,29 @@ class Crowd:
 
 
 def soak(config: SoakConfig) -> dict[str, Any]:
-    """Runs server and visitors; see the module. Raises UserError for a machine without /proc."""
+    """Runs server and visitors; see the module. Raises UserError for a machine without /proc, and
+    for a server that ends before ``FEWEST`` rounds."""
     words = ["--policy", config.policy, "--workers", str(config.workers)]
     words += ["--visitors", str(max(1, config.visitors - 1))]
     with tempfile.TemporaryFile("w+") as log, serving(words, log) as (url, process):
         crowd = Crowd(url, process.pid, config.visitors, config.seed)
-        samples = rounds(crowd, 60 * config.minutes)
+        samples: list[Sample] = []
+        trouble = ""
+        try:
+            for one in rounds(crowd, 60 * config.minutes):
+                samples.append(one)
+        except UserError as error:  # Nothing answers any more.
+            trouble = str(error)
         died = process.poll() is not None
         log.seek(0)
         errors = [line.rstrip() for line in log if line.strip()]
+    errors += [trouble] if trouble else []
     errors += ["the server ended by itself"] if died else []
-    verdict = judged(samples)
+    if len(samples) < FEWEST:
+        raise UserError(
+            "\n".join([f"expected {FEWEST} rounds, found {len(samples)}", *errors[-10:]])
+        )
+    verdict, served = judged(samples), crowd.updates >= crowd.visits
     return {
         "schema": 1,
         "policy": config.policy,
@@ -133,19 +150,20 @@ def soak(config: SoakConfig) -> dict[str, Any]:
         "touches": crowd.touches,
         "updates": crowd.updates,
         **verdict,
+        "served": served,
+        "log_lines": len(errors),
         "errors": errors[:50],
-        "ok": verdict["kept"] and not errors,
+        "ok": verdict["kept"] and served and not errors,
     }
 
 
-def rounds(crowd: Crowd, seconds: float) -> list[Sample]:
+def rounds(crowd: Crowd, seconds: float) -> Iterator[Sample]:
     """Rounds until the time is over, ``FEWEST`` at least."""
-    samples: list[Sample] = []
     length = min(ROUND, seconds / FEWEST)
-    end = time.monotonic() + seconds
-    while len(samples) < FEWEST or time.monotonic() < end:
-        samples.append(crowd.round(length))
-    return samples
+    end, done = time.monotonic() + seconds, 0
+    while done < FEWEST or time.monotonic() < end:
+        yield crowd.round(length)
+        done += 1
 
 
 def judged(samples: Sequence[Sample]) -> dict[str, Any]:
@@ -224,8 +242,13 @@ def soak_words(result: dict[str, Any]) -> str:
         f"memory {memory['after_warm_up']} -> {memory['end']} MB ({100 * memory['growth']:+.1f} %)",
         f"threads {threads['after_warm_up']} -> {threads['end']}, processes "
         f"{result['processes']['after_warm_up']} -> {result['processes']['end']}",
-        f"lines in the log: {len(result['errors'])}",
+        f"lines in the log: {result['log_lines']}",
         *result["errors"][:10],
-        "the server has not grown" if result["ok"] else "THE SERVER HAS GROWN, see above",
+        "the server has not grown" if result["kept"] else "THE SERVER HAS GROWN, see above",
     ]
+    if not result["served"]:
+        lines.append(
+            f"BUT TOO LITTLE WAS TRIED: {result['updates']} pictures came in {result['visits']} "
+            "visits; run it with nothing else running"
+        )
     return "\n".join(lines)

@@ -106,18 +106,25 @@ class Visitor:
             if control["props"].get("label") == label and kind in control["type"]
         ]
 
-    def toggle(self, rng: random.Random) -> None:
-        """Touches a row of buttons or a slider, any one, at random."""
-        rows = [(u, c) for u, c in list(self.controls.items()) if "ButtonGroup" in c["type"]]
-        sliders = [(u, c) for u, c in list(self.controls.items()) if "GuiSlider" in c["type"]]
+    def toggle(self, rng: random.Random) -> bool:
+        """Touches a row of buttons, or one of the first three sliders, at random; whether there was
+        something to touch."""
+        usable = [
+            (uuid, control)
+            for uuid, control in list(self.controls.items())
+            if control["props"].get("visible", True) and not control["props"].get("disabled")
+        ]
+        rows = [(u, c) for u, c in usable if "ButtonGroup" in c["type"]]
+        sliders = [(u, c) for u, c in usable if "GuiSlider" in c["type"]]
         if not rows:
-            return
+            return False
         uuid, control = rng.choice(rows + sliders[:3])
         props = control["props"]
         if "options" in props:
             self.set(uuid, rng.choice(props["options"]))
         else:
             self.set(uuid, rng.uniform(props["min"], props["max"]))
+        return True
 
     def shown(self, text: str) -> bool:
         """Whether the page says ``text`` somewhere."""
@@ -153,10 +160,20 @@ class Visitor:
                 self.texts.pop(uuid, None)
             elif kind == "GuiUpdateMessage":
                 self._read(uuid, message["updates"])
+                self._change(uuid, dict(message["updates"]))
             elif "container_uuid" in message and "props" in message:
                 self._read(uuid, message["props"])
                 if "value" in message:
                     self.controls[uuid] = message
+
+    def _change(self, uuid: str, updates: dict[str, Any]) -> None:
+        """A control's new value and properties."""
+        control = self.controls.get(uuid)
+        if control is None:
+            return
+        if "value" in updates:
+            control["value"] = updates.pop("value")
+        control["props"].update(updates)
 
     def _read(self, uuid: str, props: dict[str, Any]) -> None:
         html = props.get("content")

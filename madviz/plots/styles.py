@@ -39,6 +39,7 @@ STYLES: dict[str, Style] = {
     "mvd": Style("#5c9a3a", "^"),
     "vib": Style("#a3156a", "v"),
     "mv-mwm": Style("#6940a5", "p"),
+    "mv-mae": Style("#2f9e9e", "8"),
     "naive-both": Style("#9a6a3f", "D"),
     "merged-only": Style("#1b1b1b", "X"),
     "singular-only": Style("#d8b400", "P"),

@@ -85,7 +85,7 @@ def claims(table: ResultTable) -> list[str]:
 
 
 def points(gap: Difference) -> str:
-    """``+73 points [+68, +78], 100 pairs on 1 task``."""
+    """``+73 points [+68, +78] on the mean of all, first; n = 100 on 1 task``."""
     low, high = gap.interval
     tasks = f"{len(gap.tasks)} task{'s' * (len(gap.tasks) > 1)}"
     mean = "the mean of " if len(gap.columns) > 1 else ""

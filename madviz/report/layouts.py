@@ -78,8 +78,8 @@ def _in(setting: str, methods: Iterable[str] = ()) -> Callable[[Evidence], str |
 
 
 def _overall(evidence: Evidence) -> str | None:
-    """All methods with three cameras that imitate, and Single Camera, whose setting may be any with
-    one."""
+    """All methods with three cameras that imitate, and Single Camera, whose setting may be
+    ``one-rgb``, too."""
     return _three(evidence) if evidence.config.recipe == "light" else None
 
 

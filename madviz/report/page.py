@@ -56,9 +56,9 @@ def page(
         "training has an interval over its episodes (Wilson): another training or another task "
         "would scatter more. A row with several trainings has one over trainings and episodes "
         "(hierarchical bootstrap, at least as wide as the one over episodes); with three trainings "
-        "it is still somewhat too narrow. A dash is what was not measured or cannot be. All rates, "
-        "a line each, are in [rates.csv](rates.csv). What was tried, taken or not, is in "
-        "[tried.json](tried.json).",
+        "it is still somewhat too narrow. A dash is what was not measured or cannot be. All rates "
+        "but the means, a line each, are in [rates.csv](rates.csv). What was tried, taken or not, "
+        "is in [tried.json](tried.json).",
         "The paper's sentences are about reinforcement learning, five trainings for each row. They "
         "stand beside our differences; only rows that were trained so three times or more are "
         "judged by them.",

@@ -39,8 +39,8 @@ def lower_thread_priority(niceness: int) -> None:
 
 
 def lower_own_priority(niceness: int) -> None:
-    """This process, and all that it starts from now on, gets ``niceness`` and a session of its
-    own with that niceness. It no longer hears Ctrl-C or the end of the terminal."""
+    """This process, and all that it starts from now on, becomes nicer by ``niceness``, in a session
+    of its own with ``niceness``. It no longer hears Ctrl-C or the end of the terminal."""
     os.nice(niceness)
     if sys.platform == "linux":
         with suppress(PermissionError):  # It leads a group of processes: then its session stays.
