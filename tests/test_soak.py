@@ -102,23 +102,6 @@ def test_a_soak_whose_visitors_saw_nothing_has_not_passed(server):
     assert "TOO LITTLE WAS TRIED: 19 pictures came in 20 visits" in soak_words(result)
 
 
-def test_a_visitor_touches_what_can_be_touched_now():
-    app = fake_app("toy-mad")
-    try:
-        with Visitor(app.url) as visitor:
-            wait_until(lambda: visitor.steps)
-            rng = random.Random(0)
-            assert visitor.toggle(rng)
-            for uuid in list(visitor.controls):
-                visitor._change(uuid, {"visible": False, "value": "other"})
-            assert not visitor.toggle(rng)
-            assert {one["value"] for one in visitor.controls.values() if "value" in one} == {
-                "other"
-            }
-    finally:
-        app.stop()
-
-
 def test_a_sample_counts_threads_and_memory():
     # In a process of its own: this one may put a block where an earlier test has freed one.
     grows = (
@@ -143,7 +126,7 @@ def test_a_sample_counts_threads_and_memory():
 
 
 def test_settling_waits_for_a_thread_that_has_not_ended():
-    calm = sample(os.getpid()).threads
+    calm = settled(os.getpid()).threads  # Threads of earlier tests may be ending.
     thread = threading.Timer(2.5, lambda: None)
     thread.start()
     assert settled(os.getpid()).threads == calm + 1  # Nothing is known of what there should be.
@@ -183,6 +166,23 @@ def test_a_simulation_is_freed_as_soon_as_its_visitor_has_left():
             (number,) = app.server.get_clients()
             session = weakref.ref(app.users.session_of(number))
         wait_until(lambda: session() is None)
+    finally:
+        app.stop()
+
+
+def test_a_visitor_touches_what_can_be_touched_now():
+    app = fake_app("toy-mad")
+    try:
+        with Visitor(app.url) as visitor:
+            wait_until(lambda: visitor.steps)
+            rng = random.Random(0)
+            assert visitor.toggle(rng)
+            for uuid in list(visitor.controls):
+                visitor._change(uuid, {"visible": False, "value": "other"})
+            assert not visitor.toggle(rng)
+            assert {one["value"] for one in visitor.controls.values() if "value" in one} == {
+                "other"
+            }
     finally:
         app.stop()
 
