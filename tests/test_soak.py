@@ -99,7 +99,7 @@ def test_a_soak_whose_visitors_saw_nothing_has_not_passed(server):
     server(STAYS, crowd)
     result = soak(SoakConfig(minutes=5.0))
     assert result["kept"] and result["errors"] == [] and not result["ok"]
-    assert "TOO LITTLE WAS TRIED: 19 pictures came in 20 visits" in soak_words(result)
+    assert "TOO FEW PICTURES FOR A SOAK: 19 pictures came in 20 visits" in soak_words(result)
 
 
 def test_a_sample_counts_threads_and_memory():

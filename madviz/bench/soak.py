@@ -248,7 +248,7 @@ def soak_words(result: dict[str, Any]) -> str:
     ]
     if not result["served"]:
         lines.append(
-            f"BUT TOO LITTLE WAS TRIED: {result['updates']} pictures came in {result['visits']} "
+            f"TOO FEW PICTURES FOR A SOAK: {result['updates']} pictures came in {result['visits']} "
             "visits; run it with nothing else running"
         )
     return "\n".join(lines)

@@ -14,7 +14,6 @@ from pathlib import Path
 from madviz.evaluation.evidence import Evidence
 
 FIRST_LINE = "# Written by `madviz report`. Trains and evaluates the policies of a table again:"
-MARK = FIRST_LINE.encode()
 AXES = ("task", "method", "setting", "recipe", "seed")
 Options = tuple[tuple[str, str], ...]
 
@@ -51,7 +50,11 @@ def sweep_text(file: str, evidence: Sequence[Evidence]) -> str:
 
 def is_sweep_of_a_table(file: Path) -> bool:
     """Whether ``sweep_text`` made it."""
-    return file.suffix == ".toml" and file.is_file() and file.read_bytes().startswith(MARK)
+    return (
+        file.suffix == ".toml"
+        and file.is_file()
+        and file.read_bytes().startswith(FIRST_LINE.encode())
+    )
 
 
 def _entry(evidence: Evidence) -> tuple[tuple[str, ...], Options]:
