@@ -19,7 +19,8 @@ from madviz.subsets import camera_of, cameras_of
 from madviz.training import buffer as buffer_module
 from madviz.training import buffer_storage
 from madviz.training.buffer import BufferSpec, ReplayBuffer
-from madviz.training.buffer_storage import Pack
+from madviz.training.buffer_device import DeviceFrames
+from madviz.training.buffer_storage import Pack, PlainFrames
 from madviz.types import Array
 
 STREAMS = ("first.rgb", "first.depth", "third_a.rgb")
@@ -94,6 +95,21 @@ def test_samples_are_the_transitions_that_were_seen(spec: BufferSpec) -> None:
     batch = recorded.buffer.sample(7, np.random.default_rng(0))
     assert batch.views.shape == (7, 3, 9, 84, 84) and batch.views.dtype == torch.uint8
     assert batch.views.flatten(0, 1).is_contiguous(memory_format=torch.channels_last)
+
+
+def test_frames_on_a_device_show_what_frames_here_show() -> None:
+    """PyTorch's memory of this machine stands in for a GPU's."""
+    rng, rows = np.random.default_rng(0), 5
+    here, there = PlainFrames(rows, (3, 1)), DeviceFrames(rows, (3, 1), "cpu")
+    for number in range(8):
+        frames = [rng.integers(0, 256, (84, 84, c), np.uint8) for c in (3, 1)]
+        here.write(number, frames)
+        there.write(number, frames)
+    histories = [np.array([[3, 4, 5], [7, 7, 7]]), np.array([[4, 5, 6], [5, 6, 7]])]
+    for expected, found in zip(here.stacks(histories), there.stacks(histories), strict=True):
+        assert torch.equal(found, expected) and found.stride() == expected.stride()
+    np.testing.assert_array_equal(there.read(1, [6, 3])[3], here.read(1, [3])[3])
+    assert there.bytes_held == here.bytes_held == rows * 84 * 84 * 4
 
 
 @pytest.mark.parametrize("spec", [SPEC, PACKED])
@@ -202,7 +218,7 @@ def test_memory_is_what_the_frames_packed_take(monkeypatch: pytest.MonkeyPatch) 
 
 def test_frames_that_pack_badly_are_found_out_early(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = replace(PACKED, capacity=300_000)
-    monkeypatch.setattr(buffer_module, "_free", lambda spec, folder: 8 * 10**9)
+    monkeypatch.setattr(buffer_module, "_free", lambda spec, folder, device: 8 * 10**9)
     buffer, rng = ReplayBuffer(spec), np.random.default_rng(0)
 
     def frames() -> list[Array]:

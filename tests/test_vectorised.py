@@ -16,6 +16,8 @@ import torch
 
 from madviz.envs.toy import CAMERAS, ToyReach
 from madviz.errors import UserError
+from madviz.evaluation.episodes import Stopped, run_episode
+from madviz.observation.ablation import Ablation
 from madviz.policies.checkpoint import load_policy
 from madviz.training import loop
 from madviz.training.config import TrainConfig, resolve
@@ -23,6 +25,7 @@ from madviz.training.drawn_task import DrawnTask
 from madviz.training.run_folder import Event
 from madviz.training.vector_envs import Board, VectorEnvs
 from madviz.training.vectorised import VectorisedConfig
+from tests.fakes import FakePolicy
 from tests.recipe_runs import last_state
 
 STREAMS = ("first.rgb", "first.depth", "third_b.rgb")
@@ -186,15 +189,35 @@ def test_updates_are_made_while_the_lanes_step(
     logged(VectorEnvs, "send")
     logged(VectorEnvs, "receive")
     monkeypatch.setattr(
-        "madviz.agent.update.Learner.update", lambda learner, batch: log.append("update") or {}
+        "madviz.agent.update.Learner.step", lambda learner, batch: log.append("update")
     )
     run(tmp_path / "run", replace(TINY, update_ratio=1.0, steps=48))
     assert log[:40] == ["send", "receive"] * 20, "exploration"
     assert log[40:] == ["send", "receive", *["send", "update", "update", "receive"] * 3]
 
 
+@pytest.mark.parametrize("workers", [0, 2])
+def test_lanes_play_episodes_as_evaluations_do_and_stop_when_asked(workers: int) -> None:
+    policy, mask = FakePolicy(), np.array([1, 0, 1], bool)
+    jobs = [(mask, seed) for seed in range(1000, 1005)]
+    expected = [run_episode(policy, ToyReach(), mask, Ablation(), seed) for _, seed in jobs]
+    streams = policy.spec.streams
+    own = Board(3, streams, state_dim=6, action_dim=2)
+    envs = VectorEnvs(replace(TASK, streams=streams), own, lanes=3, workers=workers)
+    try:
+        with pytest.raises(Stopped):
+            envs.play(policy, jobs, lambda: True)
+        assert envs.play(policy, jobs, lambda: False) == expected
+        envs.reset([1, 2, 3])  # No answer was left in a pipe.
+    finally:
+        envs.close()
+
+
 def test_cuda_is_refused_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(UserError, match="learn on a CUDA device for the option buffer-on-device"):
+        VectorisedConfig(buffer_on_device=True).frames_device()
+    assert VectorisedConfig().frames_device() == "cpu"
     assert VectorisedConfig().torch_device() == "cpu"
     with pytest.raises(UserError, match="expected a CUDA device"):
         VectorisedConfig(device="cuda").torch_device()

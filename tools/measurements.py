@@ -68,6 +68,13 @@ BENCHMARKS = (
         "{ours_ms:.0f} ms; simple {naive_ms:.0f} ms; {ratio:.1f} times faster ({precision})",
     ),
     (
+        "update-cuda",
+        "",
+        "update --device cuda",
+        "on one {device}: {ours_ms:.1f} ms; simple {naive_ms:.1f} ms; {ratio:.1f} times faster "
+        "({precision})",
+    ),
+    (
         "buffer",
         "",
         "buffer",

@@ -200,7 +200,11 @@ def optimisers(agent: Agent, lr: float) -> dict[str, torch.optim.Adam]:
         "critic": list(agent.critic.parameters()),
         "temperature": [agent.log_temperature],
     }
-    return {name: torch.optim.Adam(list(part), lr=lr, fused=True) for name, part in parts.items()}
+    recorded = agent.log_temperature.device.type == "cuda"  # In a graph, see update_graph.py.
+    return {
+        name: torch.optim.Adam(list(part), lr=lr, fused=True, capturable=recorded)
+        for name, part in parts.items()
+    }
 
 
 def autocast() -> torch.autocast:

@@ -35,10 +35,10 @@ def draw_shifts(
     return np.repeat(shifts, count // shifts.shape[-2], axis=-2)
 
 
-def shift(views: Tensor, shifts: Array) -> Tensor:
+def shift(views: Tensor, shifts: Array | Tensor) -> Tensor:
     """Moves view (b, v) so that pixel (y, x) shows what was at (y + shifts[..., 0], x + ...[1])."""
     if views.device.type != "cpu":
-        return _shift_by_index(views, shifts)
+        return _shift_by_index(views, torch.as_tensor(shifts, device=views.device))
     source = views.numpy().reshape(-1, *views.shape[2:])
     moved = np.empty_like(source)
     for image, out, (dy, dx) in zip(source, moved, shifts.reshape(-1, 2).tolist(), strict=True):
@@ -58,12 +58,16 @@ def _shift_image(image: Array, out: Array, dy: int, dx: int) -> None:
     out[:, :, right:] = out[:, :, right - 1 : right]
 
 
-def _shift_by_index(views: Tensor, shifts: Array) -> Tensor:
-    height, width = views.shape[-2:]
-    offset = torch.as_tensor(shifts.copy(), device=views.device)
-    rows = (torch.arange(height, device=views.device) + offset[..., :1]).clamp(0, height - 1)
-    columns = (torch.arange(width, device=views.device) + offset[..., 1:]).clamp(0, width - 1)
-    b = torch.arange(views.shape[0], device=views.device)[:, None, None, None]
-    v = torch.arange(views.shape[1], device=views.device)[None, :, None, None]
-    moved = views[b, v, :, rows[:, :, :, None], columns[:, :, None, :]]
+def _shift_by_index(views: Tensor, shifts: Tensor) -> Tensor:
+    """One gather of whole pixels; channels come last in memory, as the encoder wants them."""
+    batch, count, channels, height, width = views.shape
+
+    def places(size: int, moved: Tensor) -> Tensor:
+        return (torch.arange(size, device=views.device) + moved).clamp(0, size - 1)
+
+    rows, columns = places(height, shifts[..., :1]), places(width, shifts[..., 1:])
+    image = torch.arange(batch * count, device=views.device).view(batch, count, 1, 1)
+    pixel = (image * height + rows[..., None]) * width + columns[..., None, :]
+    pixels = views.permute(0, 1, 3, 4, 2).reshape(-1, channels)
+    moved = pixels.index_select(0, pixel.flatten()).view(batch, count, height, width, channels)
     return moved.permute(0, 1, 4, 2, 3)

@@ -41,7 +41,7 @@ class Encoder(nn.Module):
     def forward(self, pixels: Tensor) -> Tensor:
         """(B, C, H, W) uint8 -> (B, Z) non-negative features. Pixels may also be floating, 0 to
         255: bytes have no gradient, and saliency asks for one."""
-        low = torch.is_autocast_enabled("cpu") and pixels.device.type == "cpu"
+        low = torch.is_autocast_enabled(pixels.device.type)
         x = pixels.contiguous(memory_format=torch.channels_last)
         x = x - 128 if x.is_floating_point() else (x ^ 128).view(torch.int8)
         x = x.to(torch.bfloat16 if low else self.conv1.weight.dtype)
@@ -68,14 +68,22 @@ class Trunk(nn.Module):
 def read_state(config: NetworkConfig, state: Tensor) -> Tensor:
     """(..., S) -> (..., state_inputs): the numbers that the heads read of a state. As they are in
     the paper; with speeds, and in units of their spread, where ``config`` says so."""
-    read = state[..., list(config.state_columns)] if config.state_columns else state
+    read = _columns(state, config.state_columns) if config.state_columns else state
     if config.state_changes:
-        now, before = (list(numbers) for numbers in zip(*config.state_changes, strict=True))
-        read = torch.cat([read, state[..., now] - state[..., before]], -1)
+        now, before = zip(*config.state_changes, strict=True)
+        read = torch.cat([read, _columns(state, now) - _columns(state, before)], -1)
     if config.state_mean:
         mean, spread = read.new_tensor(config.state_mean), read.new_tensor(config.state_spread)
         read = ((read - mean) / spread).clamp(-FURTHEST, FURTHEST)
     return read
+
+
+def _columns(state: Tensor, columns: tuple[int, ...]) -> Tensor:
+    """``state[..., columns]``; on a GPU without copying the numbers there, which a CUDA graph
+    could not repeat."""
+    if state.device.type == "cpu":
+        return state[..., list(columns)]
+    return torch.stack([state[..., column] for column in columns], -1)
 
 
 def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:

@@ -6,7 +6,8 @@
     target critic <- 0.99 target critic + 0.01 critic
 
 The encoder learns from the critic's losses alone. The actor acts on features from before the critic
-and encoder step and is judged by the critic from after it.
+and encoder step and is judged by the critic from after it. On a CUDA device all of it is one CUDA
+graph (``update_graph.py``).
 
 A merge may bring a loss. A *penalty* is added to the critic's (VIB's bottleneck); an *own loss* has
 an Adam of its own on the encoder, and comes after everything else, on freshly shifted pictures
@@ -31,7 +32,6 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from madviz.agent.agent import Agent, fast_bfloat16, optimisers
 from madviz.agent.augment import draw_shifts, shift
-from madviz.agent.merges.base import Noise
 from madviz.agent.methods import Method
 from madviz.agent.networks import squash
 from madviz.agent.objectives import (
@@ -42,9 +42,12 @@ from madviz.agent.objectives import (
     temperature_losses,
     weighted,
 )
+from madviz.agent.update_graph import Draw, GraphedUpdate
 from madviz.errors import UserError
 from madviz.types import Array
 
+LOSSES = ("critic_loss", "actor_loss", "temperature", "entropy")
+"""What an update says of itself."""
 Precision = Literal["auto", "float32", "bfloat16"]
 
 
@@ -64,22 +67,6 @@ class LearningConfig:
     """Of matrix products: bfloat16 where the device has instructions for it, else float32."""
     kl_weight: float = 10.0
     """VIB's beta, on a mean over dimensions: 10 / 3136 for every nat of a view's Gaussian."""
-
-
-@dataclass(frozen=True)
-class Draw:
-    """All the randomness of one update."""
-
-    shifts: Array
-    """(2, B, V, 2) pixels by which observations, then next observations, are moved."""
-    target_noise: Tensor
-    """(R, B, A) standard normal, for a'."""
-    actor_noise: Tensor
-    """(N, B, A) standard normal, for the rows' actions."""
-    merge_noise: tuple[Noise, Noise] = (None, None)
-    """Of the merge, for observations and for next observations."""
-    own_loss: tuple[Array, int] | None = None
-    """For a merge's own loss: fresh shifts, (2, B, V, 2) as above, and a view."""
 
 
 class Learner:
@@ -115,6 +102,7 @@ class Learner:
         if self._device.type == "cuda" and self.config.precision == "float32":
             torch.backends.cudnn.allow_tf32 = False  # 10 bits of 23 in convolutions, by default.
         self._average = get_ema_multi_avg_fn(1 - self.config.target_rate)
+        self._graph = self._new_graph()
 
     def draw(self, batch: int) -> Draw:
         """The next update's randomness, for ``batch`` samples."""
@@ -131,7 +119,20 @@ class Learner:
 
     def update(self, batch: Batch, draw: Draw | None = None) -> dict[str, float]:
         """One step of all four optimisers and of the target; returns named losses."""
+        return named(self.step(batch, draw))
+
+    def step(self, batch: Batch, draw: Draw | None = None) -> Tensor:
+        """``update``, whose losses (4,) are not waited for; ``named`` reads them. On a CUDA device
+        they are those of the newest update, in place."""
         draw = draw or self.draw(len(batch.action))
+        return self._graph(batch, draw) if self._graph else self._step_all(batch, draw)
+
+    def _new_graph(self) -> GraphedUpdate | None:
+        # A merge's own loss chooses a view by number: a graph would always take the same.
+        on_cuda = self._device.type == "cuda" and not self.agent.merge.own_optimiser
+        return GraphedUpdate(self._step_all, self._device) if on_cuda else None
+
+    def _step_all(self, batch: Batch, draw: Draw) -> Tensor:
         as_stored = batch
         batch = self._shifted(batch, draw.shifts)
         target = self._target(batch, draw)
@@ -157,12 +158,9 @@ class Learner:
             )
         if draw.own_loss is not None:
             self._own_step(as_stored, *draw.own_loss)
-        return {
-            "critic_loss": critic.item(),
-            "actor_loss": actor.item(),
-            "temperature": self.agent.log_temperature.exp().item(),
-            "entropy": -log_prob[0].mean().item(),
-        }
+        with torch.no_grad():
+            entropy = -log_prob[0].mean()
+            return torch.stack([critic, actor, self.agent.log_temperature.exp(), entropy])
 
     @torch.inference_mode()
     def act_all(self, views: Tensor, state: Tensor) -> Array:
@@ -193,6 +191,7 @@ class Learner:
             optimiser.load_state_dict(state["optimisers"][name])
         restore_generator(self._rng, state["rng"])
         self._noise.set_state(state["noise"])
+        self._graph = self._new_graph()  # Optimisers have other tensors now.
 
     def _shifted(self, batch: Batch, both: Array) -> Batch:
         moved = {
@@ -236,6 +235,11 @@ class Learner:
         loss.backward(inputs=parameters)
         for optimiser in chosen:
             optimiser.step()
+
+
+def named(losses: Tensor) -> dict[str, float]:
+    """What ``Learner.step`` returned, by name; waits for it."""
+    return dict(zip(LOSSES, losses.tolist(), strict=True))
 
 
 def generator_state(rng: np.random.Generator) -> str:

@@ -72,7 +72,7 @@ class NaiveLearner:
 
     def _encode(self, views: Tensor, shifts: object) -> list[Tensor]:
         """(B, V, C, H, W) -> the features (B, Z) of every view."""
-        moved = torch.as_tensor(shifts)
+        moved = torch.as_tensor(shifts, device=views.device)
         dtype = self._encoder.conv1.weight.dtype
         count = views.shape[1]
         return [self._cnn(_shift(views[:, v].to(dtype), moved[:, v])) for v in range(count)]
@@ -85,7 +85,7 @@ class NaiveLearner:
 
     def _target(self, batch: Batch, merged: Tensor, noise: Tensor) -> Tensor:
         mean, log_std = self.agent.actor(merged, batch.next_state)
-        action, log_prob = squash(mean, log_std, noise)
+        action, log_prob = squash(mean, log_std, noise.to(mean.device))
         q = torch.min(*self.agent.target(merged, batch.next_state, action))
         return batch.reward + batch.discount * (q - self.agent.log_temperature.exp() * log_prob)
 
@@ -104,11 +104,11 @@ class NaiveLearner:
         merged, alpha = torch.stack(features).sum(0), self.config.alpha
         temperature = self.agent.log_temperature.exp()
         self.agent.critic.requires_grad_(False)
-        actor_loss = temperature_loss = torch.zeros(())
+        actor_loss = temperature_loss = torch.zeros((), device=merged.device)
         for row, feature in enumerate([merged, *features]):
             weight = alpha if row == 0 else (1 - alpha) / len(features)
             mean, log_std = self.agent.actor(feature, batch.state)
-            action, log_prob = squash(mean, log_std, noise[row])
+            action, log_prob = squash(mean, log_std, noise[row].to(mean.device))
             q = torch.min(*self.agent.critic(merged, batch.state, action))
             actor_loss = actor_loss + weight * (temperature.detach() * log_prob - q).mean()
             entropy_gap = -log_prob.detach() + self.agent.config.action_dim
@@ -122,7 +122,8 @@ def _shift(images: Tensor, shifts: Tensor, pad: int = 4) -> Tensor:
     size = images.shape[-1]
     padded = F.pad(images, (pad, pad, pad, pad), mode="replicate")
     step = 2 / (size + 2 * pad)
-    line = torch.linspace(-1 + step / 2, 1 - step / 2, size + 2 * pad, dtype=images.dtype)[:size]
+    ends, kind = (-1 + step / 2, 1 - step / 2), {"dtype": images.dtype, "device": images.device}
+    line = torch.linspace(*ends, size + 2 * pad, **kind)[:size]
     y, x = torch.meshgrid(line, line, indexing="ij")
     offset = (shifts + pad).to(images.dtype) * step
     grid = torch.stack([x, y], -1) + offset.flip(-1)[:, None, None]

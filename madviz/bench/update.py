@@ -11,7 +11,7 @@ import resource
 import time
 from dataclasses import dataclass
 from statistics import median
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -22,8 +22,10 @@ from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.objectives import Batch
 from madviz.agent.update import Learner, LearningConfig, Precision
+from madviz.agent.update_graph import WARM_UP
 from madviz.bench.memory import HERE, kilobytes
 from madviz.bench.naive import NaiveLearner
+from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.system.numbers import Count, ThreadsOrNone, Width
 
@@ -44,6 +46,8 @@ class BenchUpdateConfig:
     """Of both; 0 leaves PyTorch's default, one per core."""
     precision: Precision = "auto"
     """Of ours; the naive one computes in float32."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where both compute, and where the transitions are."""
 
 
 STREAMS = ("first", "third_a", "third_b")
@@ -53,8 +57,14 @@ def bench_update(config: BenchUpdateConfig) -> dict[str, Any]:
     """Medians in milliseconds, their ratio (naive by ours), our peak memory in MB; the raw times.
 
     The peak is the whole process's, Python and PyTorch and the batch included, while only ours has
-    run: the naive learner is made afterwards.
+    run: the naive learner is made afterwards. On a CUDA device it is that of PyTorch's allocator
+    there. Raises UserError where that device is not there.
     """
+    if config.device == "cuda" and not torch.cuda.is_available():
+        raise UserError(
+            "expected a CUDA device for --device cuda, found none that PyTorch can use; see "
+            "`nvidia-smi`, or leave the option out"
+        )
     before = torch.get_num_threads()
     torch.set_num_threads(config.threads or before)
     try:
@@ -66,13 +76,13 @@ def bench_update(config: BenchUpdateConfig) -> dict[str, Any]:
 def _measure(config: BenchUpdateConfig) -> dict[str, Any]:
     torch.manual_seed(0)
     networks = NetworkConfig(hidden_dim=config.hidden_dim)
-    batch = random_batch(config.batch_size, len(STREAMS), networks)
+    batch = moved(random_batch(config.batch_size, len(STREAMS), networks), config.device)
     learning = LearningConfig(precision=config.precision)
-    ours = Learner(Agent(networks), METHODS["mad"], STREAMS, learning)
+    ours = Learner(Agent(networks).to(config.device), METHODS["mad"], STREAMS, learning)
     _forget_peak()
-    for _ in range(2):
+    for _ in range(2 if config.device == "cpu" else WARM_UP + 2):
         ours.update(batch)
-    peak = _peak_mb()
+    peak = _peak_mb() if config.device == "cpu" else torch.cuda.max_memory_allocated() / 2**20
     naive = NaiveLearner(ours.agent, learning)
     naive.update(contiguous(batch), ours.draw(config.batch_size))
     times: dict[str, list[float]] = {"ours_ms": [], "naive_ms": []}
@@ -88,6 +98,7 @@ def _measure(config: BenchUpdateConfig) -> dict[str, Any]:
         "ratio": round(medians["naive_ms"] / medians["ours_ms"], 2),
         "peak_mb": round(peak),
         "threads": torch.get_num_threads(),
+        "device": "cpu" if config.device == "cpu" else torch.cuda.get_device_name(),
         "precision": "bfloat16" if ours.low_precision else "float32",
         "raw": {name: [round(value, 1) for value in values] for name, values in times.items()},
     }
@@ -113,6 +124,11 @@ def random_batch(size: int, streams: int, networks: NetworkConfig) -> Batch:
         reward=numbers(),
         discount=torch.full((size,), 0.99),
     )
+
+
+def moved(batch: Batch, device: str) -> Batch:
+    """The same batch in the memory of ``device``."""
+    return Batch(**{name: tensor.to(device) for name, tensor in vars(batch).items()})
 
 
 def contiguous(batch: Batch) -> Batch:

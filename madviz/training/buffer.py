@@ -10,8 +10,8 @@ row of a ring, and a transition is two rows that follow each other:
 
 Memory for 500,000 transitions of three 84x84 RGB streams in episodes of 100 decisions: 505,003 rows
 of 63,504 bytes, 32.1 GB, where full stacks of both sides take 190. Frames may be packed without
-loss (``buffer_packed``), which takes 6 to 8 GB, or be on a disk; the need is said before the first
-step is taken, and checked again when the first frames have been packed.
+loss (``buffer_packed``), which takes 6 to 8 GB, or be on a disk or in a GPU's memory; the need is
+said before the first step is taken, and checked again when the first frames have been packed.
 
 Several environments that step together share a ring: a row for each of them in turn, its *lanes*.
 What follows the time step i of a lane is then i + lanes.
@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -35,6 +34,7 @@ from madviz.observation.streams import IMAGE_SIZE
 from madviz.subsets import modality_of
 from madviz.system.files import replacing
 from madviz.training import buffer_storage
+from madviz.training.buffer_device import DeviceFrames
 from madviz.training.buffer_storage import (
     EXPECTED_SHARE,
     FrameStore,
@@ -106,17 +106,22 @@ class ReplayBuffer:
     """See the module. ``begin`` an episode, ``add`` steps, ``sample`` batches."""
 
     def __init__(
-        self, spec: BufferSpec, folder: Path | None = None, available: int | None = None
+        self,
+        spec: BufferSpec,
+        folder: Path | None = None,
+        available: int | None = None,
+        device: str = "cpu",
     ) -> None:
-        """Frames live in memory, or in files in ``folder``.
+        """Frames live in memory, in files in ``folder``, or in the memory of a CUDA ``device``.
 
         ``available`` bytes there may be used, by default what the machine has free. Raises
         UserError, with need and have, where the buffer will not fit.
         """
         self.spec = spec
         rows = spec.rows
+        self._device = device
         self._refuse_if_too_large(rows * spec.bytes_per_row, folder, available)
-        self._frames: FrameStore = _frame_store(spec, folder)
+        self._frames: FrameStore = _frame_store(spec, folder, device)
         self._numbers: dict[str, Array] = {
             "state": np.zeros((rows, spec.state_dim), np.float32),
             "action": np.zeros((rows, spec.action_dim), np.float32),
@@ -158,7 +163,7 @@ class ReplayBuffer:
     def newest(self) -> tuple[Tensor, Tensor]:
         """Views (L, V, C, H, W) uint8 and states (L, S) of every lane's newest time step."""
         index = np.arange(self._count - self.spec.lanes, self._count)
-        return self._stacks(index)[0], self._column("state", index)
+        return self._frames.stacks([self._history(index)])[0], self._column("state", index)
 
     def actions(self) -> Array:
         """(age, L, A): the actions of the episodes so far, with which they can be replayed."""
@@ -173,7 +178,8 @@ class ReplayBuffer:
     def batch(self, index: Array) -> Batch:
         """The transitions that begin at the time steps numbered ``index`` (B,)."""
         names, following = ("state", "action", "reward", "discount"), index + self.spec.lanes
-        views, next_views = self._stacks(index, following)
+        histories = [self._history(index), self._history(following)]
+        views, next_views = self._frames.stacks(histories)
         return Batch(
             views=views,
             **{name: self._column(name, index) for name in names},
@@ -184,7 +190,8 @@ class ReplayBuffer:
     def stretch(self, index: Array, ahead: int) -> Stretch:
         """From the time steps numbered ``index`` (B,), ``ahead`` decisions on."""
         later = index[:, None] + self.spec.lanes * np.arange(1, ahead + 1)
-        shown = self._shown(np.concatenate([self._history(index), later], 1))[0]
+        history = np.concatenate([self._history(index), later], 1)
+        shown = self._frames.stacks([history])[0]
         known = np.concatenate([index[:, None], later], 1).T
         done = known[:-1]
         return Stretch(
@@ -312,26 +319,6 @@ class ReplayBuffer:
     def _column(self, name: str, index: Array) -> Tensor:
         return torch.from_numpy(self._numbers[name][self._row(index)])
 
-    def _stacks(self, *indices: Array) -> list[Tensor]:
-        """Of each (B,) of time steps its (B, V, 3 x stack, H, W) uint8, channels last in memory:
-        what the encoder wants. A frame that several stacks show is fetched once."""
-        return self._shown(*(self._history(index) for index in indices))
-
-    def _shown(self, *histories: Array) -> list[Tensor]:
-        """Of each (B, F) of time steps the (B, V, 3 F, H, W) uint8 that they show."""
-        count, size = len(self.spec.streams), IMAGE_SIZE
-        stacks = [
-            np.empty((len(history), count, size, size, 3 * history.shape[1]), np.uint8)
-            for history in histories
-        ]
-        needed = np.unique(np.concatenate(histories)).tolist()
-        for v, channels in enumerate(self.spec.channels):
-            frames, repeat = self._frames.read(v, needed), 3 // channels
-            for out, history in zip(stacks, histories, strict=True):
-                for views, numbers in zip(out, history.tolist(), strict=True):
-                    cv2.merge([frames[n] for n in numbers for _ in range(repeat)], views[v])
-        return [torch.from_numpy(out).permute(0, 1, 4, 2, 3) for out in stacks]
-
     def _history(self, index: Array) -> Array:
         """(B, stack): the time steps that the stacks at ``index`` (B,) show, oldest first."""
         past = np.arange(self.spec.frame_stack)[::-1]
@@ -340,19 +327,24 @@ class ReplayBuffer:
 
     def _refuse_if_too_large(self, need: int, folder: Path | None, available: int | None) -> None:
         spec = self.spec
-        have = _free(spec, folder) if available is None else available
+        have = _free(spec, folder, self._device) if available is None else available
         if need > have:
             fits = int(spec.capacity * have / need) // 1000 * 1000
+            place, instead = f"in {folder}", ""
+            if self._device != "cpu":
+                place, instead = "on the device", ", or with the buffer in memory"
+            elif folder is None:
+                place, instead = "in memory", ", or with the buffer on disk"
             raise UserError(
                 f"the replay buffer of {spec.capacity} transitions of {len(spec.streams)} streams "
-                f"needs {need / 1e9:.1f} GB, found {have / 1e9:.1f} GB free "
-                f"{'in memory' if folder is None else f'in {folder}'}; "
-                f"free some, or start a training with {fits} transitions or fewer"
-                + (", or with the buffer on disk" if folder is None else "")
+                f"needs {need / 1e9:.1f} GB, found {have / 1e9:.1f} GB free {place}; free some, or "
+                f"start a training with {fits} transitions or fewer{instead}"
             )
 
 
-def _frame_store(spec: BufferSpec, folder: Path | None) -> FrameStore:
+def _frame_store(spec: BufferSpec, folder: Path | None, device: str) -> FrameStore:
+    if device != "cpu":
+        return DeviceFrames(spec.rows, spec.channels, device)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         return PlainFrames(spec.rows, spec.channels, _files(spec, folder))
@@ -371,9 +363,11 @@ def _span(part: str) -> tuple[int, int]:
     return int(start), int(stop)
 
 
-def _free(spec: BufferSpec, folder: Path | None) -> int:
-    """Bytes that may be filled: of memory, or of the nearest disk, where frames of an earlier
-    start are written over."""
+def _free(spec: BufferSpec, folder: Path | None, device: str) -> int:
+    """Bytes that may be filled: of memory, here or of ``device``, or of the nearest disk, where
+    frames of an earlier start are written over."""
+    if device != "cpu":
+        return torch.cuda.mem_get_info(device)[0]
     if folder is not None:
         old = sum(512 * f.stat().st_blocks for f in _files(spec, folder) if f.exists())
         while not folder.exists():

@@ -12,7 +12,8 @@ Subtracting each frame from the one before would pack tighter (10 against 11.5 k
 streams of Meta-World's hammer), but a frame could then only be reached through others before it.
 Plain frames take 63.5 kB. Unpacking takes 15 to 25 microseconds of one core a frame.
 
-Packs never change, and are dropped whole when the ring has gone past them.
+Packs never change, and are dropped whole when the ring has gone past them. Frames in a GPU's memory
+are not packed: ``buffer_device.py``.
 """
 
 from __future__ import annotations
@@ -21,8 +22,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
 
+import cv2
 import numpy as np
+import torch
 import zstandard
+from torch import Tensor
 
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.types import Array
@@ -48,17 +52,49 @@ class FrameStore(Protocol):
         """Frames (H, W, C) by time step; not to be written to, and used before a ``write``."""
         ...
 
+    def stacks(self, histories: Sequence[Array]) -> list[Tensor]:
+        """Of each (B, F) of time steps the (B, V, 3 F, H, W) uint8 that they show, channels last in
+        memory: what the encoder wants."""
+        ...
+
     @property
     def bytes_held(self) -> int:
         """What the frames take at this moment."""
         ...
 
 
-class PlainFrames:
+class HostFrames:
+    """What stores in a CPU's reach have in common: how stacks are put together."""
+
+    def __init__(self, channels: Sequence[int]) -> None:
+        """Of every stream's frames: 3 for colour, 1 for depth."""
+        self._channels = channels
+
+    def read(self, stream: int, numbers: Iterable[int]) -> dict[int, Array]:
+        raise NotImplementedError
+
+    def stacks(self, histories: Sequence[Array]) -> list[Tensor]:
+        """A frame that several stacks show is fetched once."""
+        count, size = len(self._channels), IMAGE_SIZE
+        stacks = [
+            np.empty((len(history), count, size, size, 3 * history.shape[1]), np.uint8)
+            for history in histories
+        ]
+        needed = np.unique(np.concatenate(histories)).tolist()
+        for v, channels in enumerate(self._channels):
+            frames, repeat = self.read(v, needed), 3 // channels
+            for out, history in zip(stacks, histories, strict=True):
+                for views, numbers in zip(out, history.tolist(), strict=True):
+                    cv2.merge([frames[n] for n in numbers for _ in range(repeat)], views[v])
+        return [torch.from_numpy(out).permute(0, 1, 4, 2, 3) for out in stacks]
+
+
+class PlainFrames(HostFrames):
     """Every frame as it is, in memory or in files."""
 
     def __init__(self, rows: int, channels: Sequence[int], files: Sequence[Path] = ()) -> None:
         """Room for ``rows`` time steps; in a file for each stream if there are ``files``."""
+        super().__init__(channels)
         shapes = [(rows, IMAGE_SIZE, IMAGE_SIZE, count) for count in channels]
         self._rows = rows
         self._arrays: list[Array] = (
@@ -132,11 +168,12 @@ class Pack:
         return cls(arrays["pictures"].tobytes(), arrays["data"].tobytes(), arrays["ends"], shape)
 
 
-class PackedFrames:
+class PackedFrames(HostFrames):
     """Packs of ``TOGETHER`` time steps, and the newest time steps plain."""
 
     def __init__(self, rows: int, channels: Sequence[int]) -> None:
         """Remembers ``rows`` time steps, and up to two packs more."""
+        super().__init__(channels)
         self._rows = rows
         self._packs: dict[int, list[Pack]] = {}
         size = (TOGETHER, IMAGE_SIZE, IMAGE_SIZE)

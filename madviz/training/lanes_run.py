@@ -11,8 +11,11 @@ learner's threads, whatever the number of workers. What learns, and how much, is
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from madviz.agent.agent import TorchPolicy
+from madviz.evaluation.store import EpisodeResult
 from madviz.system.numbers import Count, ThreadsOrNone, Weight
 from madviz.training.plan import TrainingPlan
 from madviz.training.reward_run import RewardRun, RunConfig
@@ -61,7 +64,7 @@ class LanesRun(RewardRun):
         folder: RunFolder,
         envs: VectorEnvs | BatchedEnvs,
     ) -> None:
-        """``env`` only evaluates; ``envs`` are learned from."""
+        """``env`` serves what is not learned from, where ``envs`` do not do it."""
         super().__init__(plan, config, env, folder, lanes=config.environments)
         self.envs = envs
 
@@ -96,6 +99,13 @@ class LanesRun(RewardRun):
         self.envs.reset(self.episode_seeds)
         for lane in range(self.envs.lanes):
             self.buffer.begin(self.envs.board["state"][lane], self.envs.frames(lane))
+
+    def play(
+        self, policy: TorchPolicy, jobs: list[tuple[Array, int]], stop: Callable[[], bool]
+    ) -> list[EpisodeResult]:
+        if isinstance(self.envs, VectorEnvs):
+            return self.envs.play(policy, jobs, stop)
+        return super().play(policy, jobs, stop)
 
     def repeat(self, actions: Array) -> None:
         self.envs.repeat(self.episode_seeds, actions)

@@ -15,7 +15,8 @@ import torch
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.augment import random_shift
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
-from madviz.agent.update import Learner, LearningConfig, Precision
+from madviz.agent.update import LOSSES, Learner, LearningConfig, Precision
+from madviz.errors import UserError
 from madviz.policies.config import TrainingRecord
 from madviz.system.numbers import Rate, Share, Weight, Width
 from madviz.training.reward_run import RewardRun, RunConfig
@@ -47,6 +48,11 @@ class ReinforcementConfig(RunConfig):
     code does, in all evaluations). The policy that is saved does not."""
     precision: Precision = "auto"
     """Of matrix products in updates; the paper has float32."""
+    buffer_on_device: bool | None = None
+    """Keep frames in the memory of the CUDA device, unpacked; by default where it learns there and
+    they are not to be on a disk."""
+
+    ONLY_TIME = (*RunConfig.ONLY_TIME, "buffer_on_device")
 
     def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
         return NetworkConfig(
@@ -56,6 +62,17 @@ class ReinforcementConfig(RunConfig):
             bottleneck_dim=self.bottleneck_dim,
             state_columns=state_columns,
         )
+
+    def frames_device(self) -> str:
+        """Raises UserError where they shall be on a device and nothing learns on one."""
+        device = self.torch_device()
+        if self.buffer_on_device and device == "cpu":
+            raise UserError(
+                "expected networks that learn on a CUDA device for the option buffer-on-device, "
+                "found none; leave the option out"
+            )
+        wanted = not self.buffer_on_disk if self.buffer_on_device is None else self.buffer_on_device
+        return device if wanted else "cpu"
 
     def learning(self) -> LearningConfig:
         """The part an update needs."""
@@ -72,7 +89,7 @@ class ReinforcementConfig(RunConfig):
 class ReinforcementRun(RewardRun):
     """A run with the paper's losses."""
 
-    LOSSES = ("critic_loss", "actor_loss", "temperature", "entropy")
+    LOSSES = LOSSES
     config: ReinforcementConfig
     learner: Learner
 

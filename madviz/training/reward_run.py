@@ -28,6 +28,7 @@ from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.update import generator_state, restore_generator
 from madviz.errors import UserError
 from madviz.evaluation.episodes import one_thread, run_episode
+from madviz.evaluation.store import EpisodeResult
 from madviz.observation.ablation import Ablation
 from madviz.policies.config import TrainingRecord
 from madviz.policies.seeds import FIRST_LEARNING, FIRST_SELECTION
@@ -105,6 +106,10 @@ class RunConfig(RecipeOptions):
             )
         return "cuda" if there and self.device != "cpu" else "cpu"
 
+    def frames_device(self) -> str:
+        """In whose memory the buffer's frames are."""
+        return "cpu"
+
 
 class LearnsByRun(Protocol):
     """What a run needs of whatever learns in it."""
@@ -143,6 +148,7 @@ class RewardRun:
         self.plan, self.config, self.env, self.folder = plan, config, env, folder
         self.numbers = config.numbers_of(plan.spec.task)
         self.learner = self.new_learner()
+        where = config.frames_device()
         self.buffer = ReplayBuffer(
             BufferSpec(
                 plan.spec.streams,
@@ -151,10 +157,11 @@ class RewardRun:
                 capacity=min(config.buffer_capacity, config.steps),
                 horizon=plan.env.horizon,
                 frame_stack=plan.spec.frame_stack,
-                packed=config.buffer_packed and not config.buffer_on_disk,
+                packed=config.buffer_packed and not config.buffer_on_disk and where == "cpu",
                 lanes=lanes,
             ),
-            folder.resume / "frames" if config.buffer_on_disk else None,
+            folder.resume / "frames" if config.buffer_on_disk and where == "cpu" else None,
+            device=where,
         )
         self.rng = np.random.default_rng(plan.seed)
         self.step = self.updates = self.episodes = self.evaluate_at = 0
@@ -207,23 +214,31 @@ class RewardRun:
 
         The environment is between two episodes; the next one begins with a reset anyway.
         """
-        policy = self.policy()
+        policy, streams, count = self.policy(), self.plan.spec.streams, self.config.eval_episodes
+        masks = {
+            subset: mask_of(subset, streams)
+            for subset in dict.fromkeys(("all", *single_streams(streams)))
+        }
+        asked = [subset for subset in masks if count and policy.supports(masks[subset])]
+        seeds = range(FIRST_SELECTION, FIRST_SELECTION + count)
+        results = iter(self.play(policy, [(masks[s], seed) for s in asked for seed in seeds], stop))
         row: dict[str, float] = {}
-        for subset in dict.fromkeys(("all", *single_streams(self.plan.spec.streams))):
-            mask = mask_of(subset, self.plan.spec.streams)
-            if not policy.supports(mask) or not self.config.eval_episodes:
-                continue
-            with one_thread():
-                results = [
-                    run_episode(policy, self.env, mask, Ablation(), FIRST_SELECTION + i, stop)
-                    for i in range(self.config.eval_episodes)
-                ]
-            row[f"success_{subset}"] = round(float(np.mean([r.success for r in results])), 4)
-            row[f"return_{subset}"] = round(float(np.mean([r.total_reward for r in results])), 3)
+        for subset in asked:
+            of = [next(results) for _ in seeds]
+            row[f"success_{subset}"] = round(float(np.mean([r.success for r in of])), 4)
+            row[f"return_{subset}"] = round(float(np.mean([r.total_reward for r in of])), 3)
         self.evaluated_step = self.step
         every = self.numbers.eval_every
         self.evaluate_at = (self.env_steps // every + 1) * every
         return row
+
+    def play(
+        self, policy: TorchPolicy, jobs: list[tuple[Array, int]], stop: Callable[[], bool]
+    ) -> list[EpisodeResult]:
+        """An episode for each of ``jobs``: a mask (V,) and a seed. Raises Stopped if ``stop`` says
+        so."""
+        with one_thread():
+            return [run_episode(policy, self.env, mask, Ablation(), s, stop) for mask, s in jobs]
 
     def policy(self) -> TorchPolicy:
         """What is evaluated."""

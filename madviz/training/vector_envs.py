@@ -11,6 +11,8 @@ every step. All lanes step together and their episodes are equally long, so what
 seeds and actions alone, and not on how many processes share the work: with 0 workers this process
 does it all, and the numbers are the same.
 
+The same processes play a policy's evaluations, an episode each at a time, while nothing is learned.
+
 ManiSkill can also simulate many environments on a GPU, without workers: see ``vector_batch``.
 """
 
@@ -18,18 +20,24 @@ from __future__ import annotations
 
 import multiprocessing
 import traceback
-from collections.abc import Sequence
-from multiprocessing.connection import Connection
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
 import numpy as np
 
 from madviz.errors import UserError
+from madviz.evaluation.episodes import Stopped, one_thread, run_episode
+from madviz.evaluation.store import EpisodeResult
+from madviz.observation.ablation import Ablation
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.subsets import modality_of
 from madviz.system.processes import set_up_worker
 from madviz.training.drawn_task import DrawnTask, newest_frames
-from madviz.types import Array, Environment, TimeStep
+from madviz.types import Array, Environment, Policy, TimeStep
+
+LISTEN_SECONDS = 0.5
+"""How long a stop can stay unnoticed while an episode is played."""
 
 
 class Board:
@@ -64,6 +72,7 @@ class Lanes:
     def __init__(self, drawn_task: DrawnTask, board: Board, places: Sequence[int]) -> None:
         self._streams, self._board, self._places = drawn_task.streams, board, places
         self._envs = [drawn_task.build() for _ in places]
+        self._policy: Policy | None = None
 
     def reset(self, seeds: Sequence[int]) -> None:
         """A new episode in every lane; ``seeds`` are all lanes', here and elsewhere."""
@@ -82,6 +91,18 @@ class Lanes:
             env.reset(seeds[place])
             for action in actions[:, place]:
                 env.step(action)
+
+    def load(self, policy: Policy) -> None:
+        """The one that ``play`` plays."""
+        self._policy = policy
+
+    def play(
+        self, mask: Array, seed: int, stop: Callable[[], bool] = lambda: False
+    ) -> EpisodeResult:
+        """An episode in the first lane, whose own must be over."""
+        assert self._policy is not None
+        with one_thread():
+            return run_episode(self._policy, self._envs[0], mask, Ablation(), seed, stop)
 
     def close(self) -> None:
         for env in self._envs:
@@ -132,6 +153,34 @@ class VectorEnvs:
         self._order("repeat", seeds, actions)
         self._wait()
 
+    def play(
+        self, policy: Policy, jobs: Sequence[tuple[Array, int]], stop: Callable[[], bool]
+    ) -> list[EpisodeResult]:
+        """An episode of ``policy`` for each of ``jobs``, a mask (V,) and a seed. No lane may be in
+        mid-episode. Raises Stopped if ``stop`` says so."""
+        self._order("load", policy)
+        self._wait()
+        if self._here is not None:
+            return [self._here.play(mask, seed, stop) for mask, seed in jobs]
+        left, results = list(range(len(jobs))), dict[int, EpisodeResult]()
+        playing: dict[Connection, tuple[_Worker, int]] = {}
+        try:
+            while left or playing:
+                if stop():
+                    raise Stopped
+                for worker in self._workers:
+                    if left and worker.connection not in playing:
+                        playing[worker.connection] = worker, left.pop(0)
+                        worker.send(("play", *jobs[playing[worker.connection][1]]))
+                for answered in wait(list(playing), LISTEN_SECONDS):
+                    assert isinstance(answered, Connection)
+                    worker, job = playing.pop(answered)
+                    results[job] = worker.wait()
+        finally:
+            for worker, _ in playing.values():
+                worker.wait()  # No answer may be left in a pipe.
+        return [results[job] for job in range(len(jobs))]
+
     def frames(self, lane: int) -> list[Array]:
         """The newest frame (H, W, C) of every stream; it changes with the next step."""
         return [self.board[stream][lane] for stream in self._streams]
@@ -140,7 +189,9 @@ class VectorEnvs:
         if self._here is not None:
             self._here.close()
         for worker in self._workers:
-            worker.close()
+            worker.connection.close()  # All at once: a simulator may need seconds to end.
+        for worker in self._workers:
+            worker.end()
         self._workers = []
 
     def _order(self, name: str, *arguments: Any) -> None:
@@ -159,7 +210,7 @@ class _Worker:
 
     def __init__(self, drawn_task: DrawnTask, board: Board, places: Sequence[int]) -> None:
         context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
+        self.connection, theirs = context.Pipe()
         self._process = context.Process(
             target=_work, args=(theirs, drawn_task, board, places), daemon=True
         )
@@ -168,21 +219,22 @@ class _Worker:
 
     def send(self, order: tuple[Any, ...]) -> None:
         try:
-            self._connection.send(order)
+            self.connection.send(order)
         except OSError as error:
             raise self._died() from error
 
-    def wait(self) -> None:
-        """Until it has done what was asked; raises what went wrong there."""
+    def wait(self) -> Any:
+        """Until it has done what was asked, for what came of it; raises what went wrong there."""
         try:
-            error = self._connection.recv()
+            answer = self.connection.recv()
         except (EOFError, OSError) as error:
             raise self._died() from error
-        if error is not None:
-            raise error
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
-    def close(self) -> None:
-        self._connection.close()
+    def end(self) -> None:
+        """Waits for a process whose connection is closed."""
         self._process.join(timeout=5)
         if self._process.is_alive():
             self._process.kill()
@@ -207,8 +259,7 @@ def _work(
         connection.send(None)
         while True:
             name, *arguments = connection.recv()
-            getattr(lanes, name)(*arguments)
-            connection.send(None)
+            connection.send(getattr(lanes, name)(*arguments))
     except (EOFError, OSError):
         pass
     except UserError as error:

@@ -15,24 +15,20 @@ The order of everything is fixed, so a run is a function of its configuration an
 learner's threads, whatever the number of workers; a killed run goes on in mid-episode and ends with
 the same weights.
 
-On a CUDA device (``--vectorised.device``) updates run there, in bfloat16 where it has it, and with
-``--vectorised.compile`` the encoder is compiled into CUDA graphs. ``--vectorised.simulation gpu``
-makes all environments one simulation of ManiSkill's on it, which is for dozens or hundreds of them
-(``--vectorised.environments``). No such device was at hand when this was written: NONE OF THAT IS
-MEASURED, and those lines never ran on one. On a CPU compiling changes no loss and does not pay (an
-update of 32 transitions took 81 ms in place of 75).
+On a CUDA device (``--vectorised.device``) updates run there, in bfloat16 where it has it, each as
+one CUDA graph (``agent/update_graph.py``), and the buffer's frames are in its memory
+(``training/buffer_device.py``). ``--vectorised.simulation gpu`` makes all environments one
+simulation of ManiSkill's on it, which is for dozens or hundreds of them
+(``--vectorised.environments``); THAT ONE NEVER RAN: it needs a library that SAPIEN downloads.
 """
 
 from __future__ import annotations
 
-import copy
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from typing import Literal
 
-import torch
-
-from madviz.agent.agent import Agent
+from madviz.agent.update import named
 from madviz.envs.maniskill.batch import claim_gpu
 from madviz.training.lanes_run import LanesConfig, LanesRun
 from madviz.training.loop import train_on
@@ -41,7 +37,6 @@ from madviz.training.reinforcement import ReinforcementConfig, ReinforcementRun
 from madviz.training.run_folder import RunFolder
 from madviz.training.vector_batch import BatchedEnvs, check_batched
 from madviz.training.vector_envs import Board, VectorEnvs
-from madviz.types import Environment
 
 
 @dataclass(frozen=True)
@@ -51,8 +46,8 @@ class VectorisedConfig(LanesConfig, ReinforcementConfig):
     simulation: Literal["processes", "gpu"] = "processes"
     """``gpu``: all in one simulation on a CUDA device, without workers; tasks of ManiSkill alone. A
     resumed run then goes on nearly, not exactly, as if it had never stopped."""
-    compile: bool = False
-    """Compile the encoder with torch.compile; on CUDA into CUDA graphs. Needs a C++ compiler."""
+
+    ONLY_TIME = tuple({*LanesConfig.ONLY_TIME, *ReinforcementConfig.ONLY_TIME})
 
     def prepare(self, task: str) -> None:
         if self.simulation == "gpu":
@@ -66,32 +61,14 @@ class VectorisedRun(LanesRun, ReinforcementRun):
     SCHEDULE = "with the paper's losses over many environments"
     config: VectorisedConfig
 
-    def __init__(
-        self,
-        plan: TrainingPlan,
-        config: VectorisedConfig,
-        env: Environment,
-        folder: RunFolder,
-        envs: VectorEnvs | BatchedEnvs,
-    ) -> None:
-        super().__init__(plan, config, env, folder, envs)
-        if config.compile:
-            mode = "reduce-overhead" if config.torch_device() == "cuda" else "default"
-            self.learner.agent.encoder.compile(mode=mode)
-
-    def acting_agent(self) -> Agent:
-        plain = not self.config.compile and self.config.torch_device() == "cpu"
-        return self.learner.agent if plain else copy.deepcopy(self.learner.agent).cpu()
-
     def learn(self) -> None:
         """As many updates as the decisions before this one ask for."""
-        since = self.step - self.config.exploration_steps
+        since, losses = self.step - self.config.exploration_steps, None
         while since > 0 and self.updates < int(since * self.config.update_ratio):
-            if self.config.compile:
-                torch.compiler.cudagraph_mark_step_begin()
-            batch = self.buffer.sample(self.config.batch_size, self.rng)
-            self.losses = self.learner.update(batch)
+            losses = self.learner.step(self.buffer.sample(self.config.batch_size, self.rng))
             self.updates += 1
+        if losses is not None:
+            self.losses = named(losses)
 
 
 def train_vectorised(plan: TrainingPlan, config: VectorisedConfig, folder: RunFolder) -> None:

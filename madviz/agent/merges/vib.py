@@ -72,7 +72,7 @@ class BottleneckEncoder(nn.Module):
 
     def gaussian(self, own: Tensor) -> tuple[Tensor, Tensor]:
         """(B, V, D) -> means and log stds of the third-person views, (B, T, latent) each."""
-        third = own[:, self.third]
+        third = torch.stack([own[:, index] for index in self.third], 1)
         return third[..., : self.latent], third[..., self.latent : 2 * self.latent]
 
     def represent(self, own: Tensor, noise: Tensor | None) -> Tensor:

@@ -1,0 +1,133 @@
+"""What runs on a CUDA device alone; elsewhere there is nothing to test, and it is skipped."""
+
+from __future__ import annotations
+
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from madviz.agent.agent import Agent
+from madviz.agent.methods import METHODS
+from madviz.agent.networks import NetworkConfig
+from madviz.agent.update import Learner, LearningConfig
+from madviz.agent.update_graph import WARM_UP
+from madviz.bench.update import STREAMS, random_batch
+from madviz.policies.checkpoint import load_policy
+from madviz.training import loop
+from madviz.training.buffer import BufferSpec, ReplayBuffer
+from madviz.training.config import TrainConfig
+from madviz.training.run_folder import Event
+from madviz.training.vectorised import VectorisedConfig
+from tests.recipe_runs import last_state
+
+pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
+
+NETWORKS = NetworkConfig(state_dim=5, action_dim=2, hidden_dim=16, state_columns=(4, 0, 1))
+BATCH = random_batch(6, 3, NETWORKS)
+LEARNING = LearningConfig(precision="float32")
+GRAPHED = sorted(
+    name
+    for name, method in METHODS.items()
+    if "paper-vectorised" in method.recipes and name != "mvd"  # A loss of its own: no graph.
+)
+
+
+def learner(method: str, device: str = "cuda", graph: bool = True) -> Learner:
+    torch.manual_seed(0)
+    streams = STREAMS[:1] if method.startswith("single") else STREAMS
+    agent = Agent(NETWORKS, merge=METHODS[method].merge, streams=streams).to(device)
+    made = Learner(agent, METHODS[method], streams, LEARNING, seed=0)
+    if not graph:
+        made._graph = None
+    return made
+
+
+def weights(made: Learner) -> torch.Tensor:
+    return torch.cat([p.detach().flatten().cpu() for p in made.agent.parameters()])
+
+
+def batch_for(made: Learner) -> Any:
+    count = len(made._masks[0])
+    views = {name: getattr(BATCH, name)[:, :count] for name in ("views", "next_views")}
+    return type(BATCH)(**{**vars(BATCH), **views})
+
+
+@pytest.mark.parametrize("method", GRAPHED)
+def test_a_recorded_update_is_the_update(method: str) -> None:
+    one, other = learner(method), learner(method, graph=False)
+    began = weights(one)
+    for _ in range(WARM_UP + 3):
+        losses = one.update(batch_for(one))
+        expected = other.update(batch_for(other))
+        assert losses == pytest.approx(expected, rel=1e-2, abs=1e-3)
+    moved, apart = (weights(one) - began).abs(), (weights(one) - weights(other)).abs()
+    assert moved.max() > 1e-3 and apart.mean() < 0.02 * moved.mean()
+
+
+def test_an_update_on_a_device_is_that_on_a_cpu() -> None:
+    one, other = learner("mad"), learner("mad", "cpu")
+    draw = one.draw(6)
+    assert one.update(BATCH, draw) == pytest.approx(other.update(BATCH, draw), rel=1e-3)
+
+
+def test_a_restored_learner_records_anew_and_goes_on() -> None:
+    one, two = learner("mad"), learner("mad")
+    began = weights(one)
+    for _ in range(WARM_UP + 2):
+        one.update(BATCH)
+        two.update(BATCH)
+    two.load_state_dict(one.state_dict())
+    for _ in range(WARM_UP + 2):
+        one.update(BATCH)
+        two.update(BATCH)
+    apart = (weights(one) - weights(two)).abs()
+    assert apart.mean() < 0.02 * (weights(one) - began).abs().mean()
+    two.update(random_batch(3, 3, NETWORKS))  # Another size is no error.
+
+
+def test_a_ring_on_a_device_has_the_same_batches() -> None:
+    spec = BufferSpec(
+        ("a.rgb", "b.depth"), state_dim=2, action_dim=1, capacity=30, horizon=5, lanes=2
+    )
+    rings = [ReplayBuffer(spec), ReplayBuffer(spec, device="cuda")]
+    rng = np.random.default_rng(0)
+    for step in range(60):
+        frames = [rng.integers(0, 255, (84, 84, c), np.uint8) for c in (3, 1)]
+        for ring in rings:
+            if (step // 2) % 6 == 0:
+                ring.begin(np.zeros(2, np.float32), frames)
+            else:
+                ring.add(np.zeros(1, np.float32), 1.0, 0.9, np.zeros(2, np.float32), frames)
+    here, there = (ring.sample(20, np.random.default_rng(1)) for ring in rings)
+    for views in ("views", "next_views"):
+        assert getattr(there, views).device.type == "cuda"
+        assert torch.equal(getattr(here, views), getattr(there, views).cpu())
+
+
+def test_a_run_on_a_device_stops_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(event: Event) -> None:
+        if event["kind"] == "progress" and event["step"] == 66:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(loop, "PROGRESS_SECONDS", 0)
+    config = VectorisedConfig(
+        steps=120, exploration_steps=40, batch_size=8, hidden_dim=8, eval_every=50,
+        eval_episodes=1, environments=2, workers=1,
+    )  # fmt: skip
+    begun = TrainConfig(
+        "toy/reach", "mad", "paper-vectorised", out=tmp_path / "run", seed=3, threads=1,
+        vectorised=config,
+    )  # fmt: skip
+    state = last_state(begun, interrupt)
+    assert (state["step"], state["updates"]) == (66, 12)
+    state = last_state(replace(begun, resume=True))
+    assert (state["step"], state["updates"]) == (120, 39)
+    assert load_policy(tmp_path / "run").spec.method == "mad"
