@@ -18,7 +18,8 @@ weighting or another list of subsets is another row of it and no other code. No 
 
 Under ``light`` a row's target is the expert's action, the same for all rows: there ``targets``
 changes nothing in what the actor learns, only in what the shown critic is fitted to. Naive Both is
-then MAD with every row weighing alike, and Singular Only is MAD at alpha 0.
+then MAD with every row weighing alike. In the loss, Singular Only is MAD at alpha 0 and Merged Only
+MAD at alpha 1; in whom it lets drive while recording, it is not.
 """
 
 from __future__ import annotations

@@ -103,8 +103,8 @@ def signed(share: float) -> str:
 def _lead(
     table: ResultTable, baselines: Sequence[str], said: str, judge: Judge = ahead
 ) -> list[str]:
-    """MAD against each of ``baselines``; what the paper says is held against the one that comes
-    closest, of those that were trained as long."""
+    """MAD against each of ``baselines``; what the paper says, if anything, is held against the one
+    that comes closest, of those that were trained as long."""
     lines: list[str] = []
     columns = table.mean_of or table.columns
     for recipe in _recipes(table):
@@ -115,7 +115,7 @@ def _lead(
                 unlike = _unlike_steps(mad, other, gap.tasks)
                 gaps += [] if unlike else [gap]
                 lines.append(f"MAD minus {other.label}: {points(gap)}{unlike}.")
-        if gaps:
+        if gaps and said:
             closest = min(gaps, key=lambda gap: gap.value)
             lines.append(f"The paper reports {said}{beside(table, closest, judge)}.")
     return lines
@@ -157,9 +157,10 @@ def _overall(table: ResultTable) -> list[str]:
     over = f"{100 * lead:+.0f} points over its baselines, on {count} tasks"
     names = ", ".join(COMPONENTS)
     parts = f"{100 * COMPONENT_LEAD:+.0f} points over {names}, on five Meta-World tasks"
+    held = (parts, _size(COMPONENT_LEAD)) if table.suite == "metaworld" else ("", ahead)
     return [
         *_lead(table, BASELINES, over, _size(lead)),
-        *_lead(table, COMPONENTS, parts, _size(COMPONENT_LEAD)),
+        *_lead(table, COMPONENTS, *held),
         *_trained_often(table),
         *_one_and_the_same(table),
     ]
@@ -239,8 +240,11 @@ def _best_alpha(table: ResultTable, task: str, rows: Sequence[Row]) -> str:
             return "undecided: no difference could be shown"
         return "agrees" if best is papers else "does not agree"
 
+    shown = f"{best.label} has the highest mean"
+    if gap.interval[0] <= 0:
+        shown = "none is shown to be best"
     return (
-        f"On {where} {best.label} has the highest mean; {best.label} minus {other.label}: "
+        f"On {where} {shown}; {best.label} minus {other.label}: "
         f"{points(gap)}. The paper finds {BEST_ALPHA} best{beside(table, gap, judge)}."
     )
 

@@ -10,7 +10,7 @@ from madviz.evaluation.statistics import SuccessRate, mean_interval
 from madviz.policies.checkpoint import WEIGHTS
 from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.report import pictures
-from madviz.report.claims import claims
+from madviz.report.claims import SEVERAL, claims
 from madviz.report.layouts import BASELINES, THREE
 from madviz.report.rows import Row
 from madviz.report.tables import ResultTable
@@ -56,12 +56,15 @@ def page(
         "training has an interval over its episodes (Wilson): another training or another task "
         "would scatter more. A row with several trainings has one over trainings and episodes "
         "(hierarchical bootstrap, at least as wide as the one over episodes); with three trainings "
-        "it is still somewhat too narrow. A dash is what was not measured or cannot be. All rates "
+        "it is still somewhat too narrow. An average over tasks has of each task as many trainings "
+        "(the lowest seeds) and episodes as the task with fewest, and PokeCube's First person is "
+        "in no mean. Rounds and updates differ between tasks and tables: each card has its "
+        "command. A dash is what was not measured or cannot be. All rates "
         "but the means, a line each, are in [rates.csv](rates.csv). What was tried, taken or not, "
         "is in [tried.json](tried.json).",
         "The paper's sentences are about reinforcement learning, five trainings for each row. They "
         "stand beside our differences; only rows that were trained so three times or more are "
-        "judged by them.",
+        f"judged by them{'' if _judged(tables) else ', and there are none here'}.",
         _seeds_words(verdicts, tables),
         _threshold_section(verdicts, f"{sweeps}/twenty.toml"),
         *(
@@ -70,6 +73,11 @@ def page(
         ),
     ]
     return "\n\n".join(sections) + "\n"
+
+
+def _judged(tables: Sequence[ResultTable]) -> bool:
+    rows = [row for table in tables if not table.imitation for row in table.averages]
+    return any(row.trainings >= SEVERAL for row in rows)
 
 
 def _caption(picture: str) -> str:

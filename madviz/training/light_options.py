@@ -1,7 +1,7 @@
 """The options of the light recipe, each with what it changes.
 
-The defaults are what the included policies were trained with. The options below them, that are off,
-were tried beside them; ``results/tried.json`` has the rates.
+No included policy has the defaults alone: most had more rounds and another alpha, and some the
+options below, which are off. What else was tried is in ``results/tried.json``, with its rates.
 """
 
 from __future__ import annotations
