@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 import time
+from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
 from madviz.bench import crowd
 from madviz.bench.crowd import CrowdConfig, bench_crowd
 from madviz.bench.memory import family, proportional_megabytes
+from madviz.bench.server import await_answer
 from madviz.errors import UserError
 
 PARENT = (
@@ -52,3 +55,21 @@ def test_visitors_who_get_no_picture_are_an_error(monkeypatch):
     silent = type("Silent", (), {"steps": []})()
     with pytest.raises(UserError, match="a picture for every visitor within 0.2 s"):
         crowd._await_pictures([silent])  # type: ignore[list-item]
+
+
+def test_a_server_that_refuses_has_answered():
+    class Refuses(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_error(403)
+
+        def log_message(self, *words):
+            pass
+
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        with HTTPServer(("127.0.0.1", 0), Refuses) as server:
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            await_answer(f"http://127.0.0.1:{server.server_port}/", process, patience=5)
+            server.shutdown()
+        with pytest.raises(UserError, match="did not start"):
+            await_answer(f"http://127.0.0.1:{server.server_port}/", process, patience=0.3)
+        process.kill()

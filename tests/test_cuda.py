@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from dataclasses import replace
@@ -131,3 +132,5 @@ def test_a_run_on_a_device_stops_and_goes_on(
     state = last_state(replace(begun, resume=True))
     assert (state["step"], state["updates"]) == (120, 39)
     assert load_policy(tmp_path / "run").spec.method == "mad"
+    trained = json.loads((tmp_path / "run" / "config.json").read_text())["training"]
+    assert trained["device"] == torch.cuda.get_device_name()

@@ -132,7 +132,7 @@ def test_a_shorter_training_is_said_and_not_held_against_the_paper(tmp_path: Pat
     for seed in (1, 2, 3):
         for method, merge, recipe, rate, steps in (
             ("mad", "sum", "paper", 0.9, 60_000),
-            ("vib", "vib", "paper", 0.4, 60_000),
+            ("vib", "vib", "paper", 0.4, 64_000),
             ("mv-mwm", "mv-mwm", "mv-mwm", 0.9, 22_000),
         ):
             write_policy(
@@ -140,7 +140,7 @@ def test_a_shorter_training_is_said_and_not_held_against_the_paper(tmp_path: Pat
                 recipe=recipe, steps=steps, seed=seed, folder=f"{method}{seed}",
             )  # fmt: skip
     vib, shorter, paper = claims(table(tmp_path, "scratch"))
-    assert "decisions" not in vib
+    assert vib.endswith("; after 60,000 and 64,000 decisions."), "a tenth longer is as long"
     assert shorter.endswith("; after 60,000 and 22,000 decisions, so not a fair comparison.")
     assert paper.endswith(": agrees in direction; the lead is larger than the paper's.")
 

@@ -40,11 +40,14 @@ def serving(
 
 
 def await_answer(url: str, process: subprocess.Popen[bytes], patience: float = 60.0) -> None:
-    """Returns when ``url`` answers. Raises UserError if the server ends or stays silent."""
+    """Returns when ``url`` answers, with a refusal too. Raises UserError if the server ends or
+    stays silent."""
     deadline = time.monotonic() + patience
     while time.monotonic() < deadline and process.poll() is None:
         try:
             urllib.request.urlopen(url, timeout=1).close()
+            return
+        except urllib.error.HTTPError:
             return
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)

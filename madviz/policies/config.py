@@ -73,6 +73,8 @@ class TrainingRecord(msgspec.Struct, kw_only=True, frozen=True, omit_defaults=Tr
     wall_time_s: int | float | None = None
     finished: bool | None = None
     """Whether the training reached its end."""
+    device: str | None = None
+    """The CUDA device on which the networks learned, if they did."""
     hardware: str | None = None
     versions: dict[str, str] | None = None
 

@@ -25,7 +25,7 @@ from madviz.evaluation.compare import over_trainings
 from madviz.evaluation.statistics import Interval
 from madviz.report.layouts import MERGES, THREE
 from madviz.report.rows import Difference, Row, difference
-from madviz.report.tables import ResultTable
+from madviz.report.tables import ALIKE, ResultTable
 
 BASELINES = ("single", "mvd", "vib", "mv-mwm")
 COMPONENTS = ("naive-both", "merged-only", "singular-only")
@@ -112,25 +112,28 @@ def _lead(
         for name in baselines:
             other = table.average(f"{name}{recipe}") or _by_its_own_recipe(table, name, recipe)
             if mad and other and (gap := difference(mad, other, columns)):
-                unlike = _unlike_steps(mad, other, gap.tasks)
-                gaps += [] if unlike else [gap]
-                lines.append(f"MAD minus {other.label}: {points(gap)}{unlike}.")
+                fair, steps = _steps(mad, other, gap.tasks)
+                gaps += [gap] if fair else []
+                lines.append(f"MAD minus {other.label}: {points(gap)}{steps}.")
         if gaps and said:
             closest = min(gaps, key=lambda gap: gap.value)
             lines.append(f"The paper reports {said}{beside(table, closest, judge)}.")
     return lines
 
 
-def _unlike_steps(mad: Row, other: Row, tasks: Sequence[str]) -> str:
-    """How long each was trained, where that differs; '' where nothing says it, as for imitation."""
+def _steps(mad: Row, other: Row, tasks: Sequence[str]) -> tuple[bool, str]:
+    """Whether both were trained about as long, and how long each was, where that differs; '' where
+    nothing says it, as for imitation."""
     taken = [
         sorted({one.config.training.steps or 0 for one in row.on(tasks).evidence})
         for row in (mad, other)
     ]
     if taken[0] == taken[1]:
-        return ""
+        return True, ""
     words = [" or ".join(f"{steps:,}" for steps in each) for each in taken]
-    return f"; after {words[0]} and {words[1]} decisions, so not a fair comparison"
+    fair = max(map(max, taken)) <= (1 + ALIKE) * min(map(min, taken))
+    unfair = "" if fair else ", so not a fair comparison"
+    return fair, f"; after {words[0]} and {words[1]} decisions{unfair}"
 
 
 def _by_its_own_recipe(table: ResultTable, name: str, recipe: str) -> Row | None:

@@ -3,9 +3,10 @@
 The paper's Single Camera baseline is three trainings, each with one camera; its row takes each
 camera's cell from the policy that has this camera, and has no cell for all cameras.
 
-Only equal budgets are compared: a task's rows are those of one budget of updates, the one that
-most of them have. An average takes equally many trainings and episodes of every task, the first
-ones that all of its rows have, so that a task with more of them does not pull it towards itself.
+Only equal budgets are compared: a task's rows are those of one budget of updates, give or take a
+tenth, the one that most of them have. An average takes equally many trainings and episodes of every
+task, the first ones that all of its rows have, so that a task with more of them does not pull it
+towards itself.
 
 Imitation and reinforcement learning never share a table, and neither do reporting seeds and
 development seeds: where one policy has development seeds only, all others are taken on theirs.
@@ -24,6 +25,8 @@ from madviz.report.rows import Row
 
 SUITES = {"metaworld", "maniskill"}
 """Whose tasks have tables; the toy and tasks of a user's own do not."""
+ALIKE = 0.1
+"""How much longer one may be trained than the other and still be compared, as a share."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,8 @@ def _table(
 def _comparable(
     layout: Layout, task: str, chosen: Sequence[tuple[str, Evidence]]
 ) -> list[tuple[str, Evidence]]:
-    """Rows of a task that can be compared: of one recipe and budget, and enough of them."""
+    """Rows of a task that can be compared: of one recipe and about one budget, and enough of
+    them."""
     here = [(label, each) for label, each in chosen if each.config.task == task]
     found = []
     for recipe in sorted({each.config.recipe for _, each in here}):
@@ -118,9 +122,11 @@ def _comparable(
         rows: dict[int, set[str]] = {}
         for label, each in mine:
             rows.setdefault(each.config.training.updates or 0, set()).add(label)
-        budget = max(rows, key=lambda updates: (len(rows[updates]), updates))
-        if len(rows[budget]) >= layout.needs:
-            found += [pair for pair in mine if (pair[1].config.training.updates or 0) == budget]
+        near = {u: [few for few in rows if few <= u <= (1 + ALIKE) * few] for u in rows}
+        labels = {u: set[str]().union(*(rows[few] for few in near[u])) for u in rows}
+        budget = max(rows, key=lambda updates: (len(labels[updates]), updates))
+        if len(labels[budget]) >= layout.needs:
+            found += [p for p in mine if (p[1].config.training.updates or 0) in near[budget]]
     return found
 
 

@@ -181,6 +181,7 @@ class RewardRun:
 
     def record(self) -> TrainingRecord:
         """How the policy came about, as far as all recipes say it alike."""
+        on_cuda = self.config.torch_device() == "cuda"
         return TrainingRecord(
             how=f"reinforcement learning from scratch, {self.SCHEDULE}",
             command=self.plan.command,
@@ -192,6 +193,7 @@ class RewardRun:
             seeds=f"network and data {self.plan.seed}, episodes from {FIRST_LEARNING} on",
             wall_time_s=round(self.seconds),
             finished=self.finished,
+            device=torch.cuda.get_device_name() if on_cuda else None,
         )
 
     @property
