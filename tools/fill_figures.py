@@ -82,7 +82,8 @@ def findings() -> str:
         f"3. **Not every camera is enough.** {weak()}. *Limit:* a picture that does not show what "
         f"decides and a training that is too weak look the same in a rate.\n"
         f"4. **From rewards alone, MAD on one camera is about as good as a policy for that "
-        f"camera.** {from_rewards()}. *Limit:* one training each, at a fifth of the paper's decisions.\n"
+        f"camera.** {from_rewards()}. *Limit:* one training each, at a fifth of the paper's "
+        f"decisions.\n"
     )
 
 
