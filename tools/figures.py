@@ -1,4 +1,5 @@
-"""docs/push.svg and docs/push-cube.svg, README's two plots, from the files of the policies.
+"""docs/push.svg and docs/push-cube.svg, README's two plots, from the files of the policies, and
+docs/soak.svg, memory of the page's server, from those of `madviz soak`.
 
 python tools/figures.py
 """
@@ -7,9 +8,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from measurements import soaks
 from policy_files import LABELS, SINGLES, methods
 
-from madviz.plots.figures import Bar, bars
+from madviz.plots.figures import Bar, bars, curves
+from madviz.plots.styles import styles
 from madviz.report.rows import Row
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -43,9 +46,22 @@ def _bar(row: Row, group: str) -> Bar | None:
     return Bar(rate.value, *rate.interval, tuple(one.value for one in each if one))
 
 
+def soak_figure() -> str:
+    """SVG text: the server's memory after each round of each piece, when nobody visited."""
+    series = {
+        f"{stem}: {found['policy']}, {found['workers']} workers": found["memory_mb"]["rounds"]
+        for stem, found in soaks().items()
+    }
+    colours = {name: style.colour for name, style in styles(list(series)).items()}
+    last = max(len(rounds) for rounds in series.values()) - 1
+    title = "Memory while nobody visits (MB)"
+    return curves(title, series, colours, {}, last, height=220, unit="round")
+
+
 def main() -> None:
     (DOCS / "push.svg").write_text(figure("Push, small budget", "metaworld/push"))
     (DOCS / "push-cube.svg").write_text(figure("PushCube, small budget", "maniskill/push-cube"))
+    (DOCS / "soak.svg").write_text(soak_figure())
 
 
 if __name__ == "__main__":

@@ -203,6 +203,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "imagine": measurements.imagine,
     "view-masking": measurements.view_masking,
     "places": measurements.places,
+    "soak": measurements.soak,
     "site-speed": measurements.site_speed,
     "site-success": measurements.site_success,
 }

@@ -292,6 +292,35 @@ def places() -> str:
     return "\n".join(lines) + "\n"
 
 
+def soaks() -> dict[str, dict[str, Any]]:
+    """Pieces of `madviz soak`, from results/soak, by the name of their file."""
+    files = sorted((ROOT / "results" / "soak").glob("*.json"))
+    return {file.stem: json.loads(file.read_text()) for file in files}
+
+
+def soak() -> str:
+    """What the page's server took before and after each piece of `madviz soak`."""
+    lines = [
+        "| policy | workers | minutes | visits | controls used | memory after warm-up, at the end "
+        "(MB) | an hour | threads | lines in the log |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for found in soaks().values():
+        memory, threads = found["memory_mb"], found["threads"]
+        before, after = memory["after_warm_up"], memory["end"]
+        # From the middle of the first third after the warm-up to the middle of the last third; the
+        # warm-up is a third, or a tenth of 30 rounds and more (``madviz/bench/soak.py``).
+        count = len(memory["rounds"])
+        hours = found["minutes"] / 60 * (2 / 3 if count < 30 else 9 / 10) * 2 / 3
+        lines.append(
+            f"| {found['policy']} | {found['workers']} | {found['minutes']:.0f} | "
+            f"{found['visits']:,} | {found['touches']:,} | {before:.0f}, {after:.0f} | "
+            f"{(after - before) / hours:+.1f} MB | {threads['after_warm_up']}, {threads['end']} | "
+            f"{len(found['errors'])} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
 def machine() -> str:
     """Where benchmarks ran."""
     return json.loads((ROOT / "results" / "bench" / "machine.json").read_text())["machine"]

@@ -174,10 +174,11 @@ def curves(
     last: int,
     width: int = 760,
     height: int = 150,
+    unit: str = "step",
 ) -> str:
     """SVG text: ``series`` has a number for every step from 0 on, NaN where there is none;
     ``marks`` says what happened at a step; the axis ends at step ``last``. The scale is that of the
-    data: a Q value has no natural bounds."""
+    data: a Q value has no natural bounds. ``unit``: what a step is called."""
     with _style(title):
         figure = _figure(width, height, layout=None)
         axes = figure.subplots()
@@ -187,7 +188,7 @@ def curves(
         axes.set_xlim(0, max(last, 1))
         axes.locator_params(axis="x", nbins=6, integer=True)
         axes.locator_params(axis="y", nbins=3)
-        axes.xaxis.set_major_formatter("step {x:.0f}")
+        axes.xaxis.set_major_formatter(f"{unit} {{x:.0f}}")
         axes.grid(axis="y", clip_on=False)
         for step in marks:
             line = axes.axvline(step, color=MARK, linestyle="--", linewidth=1, clip_on=False)
@@ -201,7 +202,7 @@ def curves(
         drawn = _svg(figure)
     for step, words in marks.items():
         group = f'<g class="mark {step}">'
-        drawn = drawn.replace(group, f"{group}<title>step {step}: {escape(words)}</title>")
+        drawn = drawn.replace(group, f"{group}<title>{unit} {step}: {escape(words)}</title>")
     return drawn
 
 
