@@ -32,7 +32,7 @@ from tests.plans import toy_plan
 
 TINY = PaperConfig(
     steps=26, exploration_steps=10, batch_size=4, hidden_dim=8, eval_every=16, eval_episodes=1,
-    save_every=7, precision="float32", buffer_on_device=False,
+    save_every=7, precision="float32", buffer_on_host=True,
 )  # fmt: skip
 HORIZON = 6
 

@@ -205,8 +205,9 @@ def test_lanes_play_episodes_as_evaluations_do_and_stop_when_asked(workers: int)
     own = Board(3, streams, state_dim=6, action_dim=2)
     envs = VectorEnvs(replace(TASK, streams=streams), own, lanes=3, workers=workers)
     try:
-        with pytest.raises(Stopped):
-            envs.play(policy, jobs, lambda: True)
+        asked = iter([False] * (2 if workers else 30))
+        with pytest.raises(Stopped):  # While episodes are played.
+            envs.play(policy, jobs, lambda: next(asked, True))
         assert envs.play(policy, jobs, lambda: False) == expected
         envs.reset([1, 2, 3])  # No answer was left in a pipe.
     finally:
@@ -215,9 +216,12 @@ def test_lanes_play_episodes_as_evaluations_do_and_stop_when_asked(workers: int)
 
 def test_cuda_is_refused_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(UserError, match="learn on a CUDA device for the option buffer-on-device"):
-        VectorisedConfig(buffer_on_device=True).frames_device()
     assert VectorisedConfig().frames_device() == "cpu"
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert VectorisedConfig().frames_device() == "cuda"
+    assert VectorisedConfig(buffer_on_host=True).frames_device() == "cpu"
+    assert VectorisedConfig(buffer_on_disk=True).frames_device() == "cpu"
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert VectorisedConfig().torch_device() == "cpu"
     with pytest.raises(UserError, match="expected a CUDA device"):
         VectorisedConfig(device="cuda").torch_device()

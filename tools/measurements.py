@@ -316,7 +316,7 @@ def soak() -> str:
             f"| {found['policy']} | {found['workers']} | {found['minutes']:.0f} | "
             f"{found['visits']:,} | {found['touches']:,} | {before:.0f}, {after:.0f} | "
             f"{(after - before) / hours:+.1f} MB | {threads['after_warm_up']}, {threads['end']} | "
-            f"{len(found['errors'])} |"
+            f"{found['log_lines']} |"
         )
     return "\n".join(lines) + "\n"
 

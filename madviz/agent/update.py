@@ -188,7 +188,10 @@ class Learner:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.agent.load_state_dict(state["agent"])
         for name, optimiser in self.optimisers.items():
+            recorded = [group["capturable"] for group in optimiser.param_groups]
             optimiser.load_state_dict(state["optimisers"][name])
+            for group, here in zip(optimiser.param_groups, recorded, strict=True):
+                group["capturable"] = here  # Whatever device the state comes from.
         restore_generator(self._rng, state["rng"])
         self._noise.set_state(state["noise"])
         self._graph = self._new_graph()  # Optimisers have other tensors now.

@@ -245,7 +245,7 @@ def _best_alpha(table: ResultTable, task: str, rows: Sequence[Row]) -> str:
 
     shown = f"{best.label} has the highest mean"
     if gap.interval[0] <= 0:
-        shown = "none is shown to be best"
+        shown = "no alpha is shown to be best, and these have the highest means"
     return (
         f"On {where} {shown}; {best.label} minus {other.label}: "
         f"{points(gap)}. The paper finds {BEST_ALPHA} best{beside(table, gap, judge)}."

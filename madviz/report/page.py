@@ -56,15 +56,15 @@ def page(
         "training has an interval over its episodes (Wilson): another training or another task "
         "would scatter more. A row with several trainings has one over trainings and episodes "
         "(hierarchical bootstrap, at least as wide as the one over episodes); with three trainings "
-        "it is still somewhat too narrow. An average over tasks has of each task as many trainings "
-        "(the lowest seeds) and episodes as the task with fewest, and PokeCube's First person is "
-        "in no mean. Rounds and updates differ between tasks and tables: each card has its "
-        "command. A dash is what was not measured or cannot be. All rates "
-        "but the means, a line each, are in [rates.csv](rates.csv). What was tried, taken or not, "
-        "is in [tried.json](tried.json).",
+        "it is still somewhat too narrow. For an average, each task counts with equally many "
+        "trainings (lowest seeds first) and episodes: as many as the task with the fewest has. "
+        "PokeCube's First person is in no mean. Rounds and updates differ between tasks and "
+        "tables: each card has its command. A dash is what was not measured or cannot be. All "
+        "rates but the means, a line each, are in [rates.csv](rates.csv). What was tried, taken "
+        "or not, is in [tried.json](tried.json).",
         "The paper's sentences are about reinforcement learning, five trainings for each row. They "
-        "stand beside our differences; only rows that were trained so three times or more are "
-        f"judged by them{'' if _judged(tables) else ', and there are none here'}.",
+        "stand beside our differences. We judge only pairs of rows with three or more such "
+        f"trainings.{'' if _judged(tables) else ' There are none here.'}",
         _seeds_words(verdicts, tables),
         _threshold_section(verdicts, f"{sweeps}/twenty.toml"),
         *(

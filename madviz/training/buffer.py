@@ -332,7 +332,7 @@ class ReplayBuffer:
             fits = int(spec.capacity * have / need) // 1000 * 1000
             place, instead = f"in {folder}", ""
             if self._device != "cpu":
-                place, instead = "on the device", ", or with the buffer in memory"
+                place, instead = "on the device", ", or with the option buffer-on-host"
             elif folder is None:
                 place, instead = "in memory", ", or with the buffer on disk"
             raise UserError(

@@ -3,9 +3,9 @@
     act in L lanes -> workers step and draw ......................... -> L transitions
                          meanwhile updates on what was there before
 
-The order of everything is fixed, so a run is a function of its configuration and seed and of the
-learner's threads, whatever the number of workers. What learns, and how much, is a recipe's own
-(``vectorised``, ``mv_mwm``).
+On a CPU the order of everything is fixed, so a run is a function of its configuration and seed and
+of the learner's threads, whatever the number of workers. What learns, and how much, is a recipe's
+own (``vectorised``, ``mv_mwm``).
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class LanesRun(RewardRun):
         folder: RunFolder,
         envs: VectorEnvs | BatchedEnvs,
     ) -> None:
-        """``env`` serves what is not learned from, where ``envs`` do not do it."""
+        """``env`` plays evaluations where ``envs`` cannot, and records demonstrations."""
         super().__init__(plan, config, env, folder, lanes=config.environments)
         self.envs = envs
 

@@ -16,7 +16,6 @@ from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.augment import random_shift
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 from madviz.agent.update import LOSSES, Learner, LearningConfig, Precision
-from madviz.errors import UserError
 from madviz.policies.config import TrainingRecord
 from madviz.system.numbers import Rate, Share, Weight, Width
 from madviz.training.reward_run import RewardRun, RunConfig
@@ -48,11 +47,11 @@ class ReinforcementConfig(RunConfig):
     code does, in all evaluations). The policy that is saved does not."""
     precision: Precision = "auto"
     """Of matrix products in updates; the paper has float32."""
-    buffer_on_device: bool | None = None
-    """Keep frames in the memory of the CUDA device, unpacked; by default where it learns there and
-    they are not to be on a disk."""
+    buffer_on_host: bool = False
+    """Where the networks learn on a CUDA device: keep frames in the computer's memory all the same.
+    Otherwise they are in the device's, unpacked."""
 
-    ONLY_TIME = (*RunConfig.ONLY_TIME, "buffer_on_device")
+    ONLY_TIME = (*RunConfig.ONLY_TIME, "buffer_on_host")
 
     def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
         return NetworkConfig(
@@ -64,15 +63,7 @@ class ReinforcementConfig(RunConfig):
         )
 
     def frames_device(self) -> str:
-        """Raises UserError where they shall be on a device and nothing learns on one."""
-        device = self.torch_device()
-        if self.buffer_on_device and device == "cpu":
-            raise UserError(
-                "expected networks that learn on a CUDA device for the option buffer-on-device, "
-                "found none; leave the option out"
-            )
-        wanted = not self.buffer_on_disk if self.buffer_on_device is None else self.buffer_on_device
-        return device if wanted else "cpu"
+        return "cpu" if self.buffer_on_host or self.buffer_on_disk else self.torch_device()
 
     def learning(self) -> LearningConfig:
         """The part an update needs."""

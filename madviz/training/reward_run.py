@@ -160,7 +160,7 @@ class RewardRun:
                 packed=config.buffer_packed and not config.buffer_on_disk and where == "cpu",
                 lanes=lanes,
             ),
-            folder.resume / "frames" if config.buffer_on_disk and where == "cpu" else None,
+            folder.resume / "frames" if config.buffer_on_disk else None,
             device=where,
         )
         self.rng = np.random.default_rng(plan.seed)

@@ -158,9 +158,10 @@ class RunFolder:
                 raise OSError(errno.EIO, f"not written ({said:.80})", str(file)) from error
 
     def load_state(self) -> dict[str, Any] | None:
-        """The last whole state, or None for a new run. Never unpickles objects."""
+        """The last whole state, in this computer's memory; None for a new run. Never unpickles
+        objects."""
         file = self.resume / "state.pt"
-        return torch.load(file, weights_only=True) if file.exists() else None
+        return torch.load(file, "cpu", weights_only=True) if file.exists() else None
 
     def report(self, kind: str, **values: Any) -> None:
         """Tells the listener; rows of kind ``curve`` are also appended to curve.csv."""

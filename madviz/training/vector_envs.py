@@ -19,6 +19,7 @@ ManiSkill can also simulate many environments on a GPU, without workers: see ``v
 from __future__ import annotations
 
 import multiprocessing
+import pickle
 import traceback
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection, wait
@@ -37,7 +38,7 @@ from madviz.training.drawn_task import DrawnTask, newest_frames
 from madviz.types import Array, Environment, Policy, TimeStep
 
 LISTEN_SECONDS = 0.5
-"""How long a stop can stay unnoticed while an episode is played."""
+"""How often a stop is looked for while episodes are played; those that have begun are finished."""
 
 
 class Board:
@@ -92,9 +93,10 @@ class Lanes:
             for action in actions[:, place]:
                 env.step(action)
 
-    def load(self, policy: Policy) -> None:
-        """The one that ``play`` plays."""
-        self._policy = policy
+    def load(self, pickled: bytes) -> None:
+        """The policy that ``play`` plays. As bytes, because a pipe would put its weights into
+        memory that is shared with whoever learns."""
+        self._policy = pickle.loads(pickled)
 
     def play(
         self, mask: Array, seed: int, stop: Callable[[], bool] = lambda: False
@@ -158,7 +160,7 @@ class VectorEnvs:
     ) -> list[EpisodeResult]:
         """An episode of ``policy`` for each of ``jobs``, a mask (V,) and a seed. No lane may be in
         mid-episode. Raises Stopped if ``stop`` says so."""
-        self._order("load", policy)
+        self._order("load", pickle.dumps(policy))
         self._wait()
         if self._here is not None:
             return [self._here.play(mask, seed, stop) for mask, seed in jobs]

@@ -11,9 +11,10 @@ How much is learned from a decision is an option: ``update_ratio``, 0.5 in the p
 environments that is 4 updates for a step of all; fewer make a run shorter and each decision count
 for less. The curve reports both rates, ``env_steps_per_s`` and ``updates_per_s``.
 
-The order of everything is fixed, so a run is a function of its configuration and seed and of the
-learner's threads, whatever the number of workers; a killed run goes on in mid-episode and ends with
-the same weights.
+On a CPU the order of everything is fixed, so a run is a function of its configuration and seed and
+of the learner's threads, whatever the number of workers; a killed run goes on in mid-episode and
+ends with the same weights. On a GPU it ends with similar ones: what is summed there in which order
+is chosen by speed.
 
 On a CUDA device (``--vectorised.device``) updates run there, in bfloat16 where it has it, each as
 one CUDA graph (``agent/update_graph.py``), and the buffer's frames are in its memory
@@ -47,7 +48,7 @@ class VectorisedConfig(LanesConfig, ReinforcementConfig):
     """``gpu``: all in one simulation on a CUDA device, without workers; tasks of ManiSkill alone. A
     resumed run then goes on nearly, not exactly, as if it had never stopped."""
 
-    ONLY_TIME = tuple({*LanesConfig.ONLY_TIME, *ReinforcementConfig.ONLY_TIME})
+    ONLY_TIME = tuple(dict.fromkeys(LanesConfig.ONLY_TIME + ReinforcementConfig.ONLY_TIME))
 
     def prepare(self, task: str) -> None:
         if self.simulation == "gpu":
