@@ -41,3 +41,15 @@ def test_a_sweep_has_every_training_of_its_table(tmp_path: Path) -> None:
             )  # fmt: skip
     report(tmp_path)
     assert len(read_plan(tmp_path / "sweeps" / "overall.toml").runs) == 8
+
+
+def test_a_training_that_was_stopped_is_made_as_long_as_it_got(tmp_path: Path) -> None:
+    made = write_policy(tmp_path, GOOD, recipe="paper", steps=90_816)
+    file = made / "config.json"
+    config = json.loads(file.read_text())
+    config["training"] |= {"finished": False}
+    config["training"]["command"] += " --paper.steps 150000 --out x"
+    file.write_text(json.dumps(config))
+    report(tmp_path)
+    (run,) = read_plan(tmp_path / "sweeps" / "scratch.toml").runs
+    assert run.train[run.train.index("--paper.steps") + 1] == "90816"

@@ -68,6 +68,9 @@ def _entry(evidence: Evidence) -> tuple[tuple[str, ...], Options]:
             named[list(named)[-1]].append(word)
     for own in (*AXES, "out", "resume"):
         named.pop(own, None)
+    training = evidence.config.training
+    if training.finished is False and training.steps:  # As long as it got, not as was asked for.
+        named |= {name: [str(training.steps)] for name in named if name.endswith(".steps")}
     axes = (
         evidence.config.task,
         evidence.config.method,
