@@ -8,6 +8,7 @@ from typing import Any
 from madviz.evaluation.evidence import find_evidence
 from madviz.report.layouts import LAYOUTS
 from madviz.report.results import ReportConfig, run_report
+from madviz.report.rows import Row
 from madviz.report.tables import ResultTable, build
 from tests.evidence import rates
 
@@ -26,3 +27,8 @@ def every_table(root: Path) -> list[ResultTable]:
 def report(root: Path) -> tuple[dict[str, Any], str]:
     result = run_report(ReportConfig(root))
     return result, Path(result["path"]).read_text()
+
+
+def average(table: ResultTable, label: str) -> Row:
+    """The row of ``label`` over all its tasks."""
+    return next(row for row in table.averages if row.label == label)

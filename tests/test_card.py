@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from madviz.errors import UserError
-from madviz.policies.card import card_text, train_again, write_card
+from madviz.policies.card import card_text, write_card
 from madviz.policies.checkpoint import describe, save_policy
 from madviz.policies.config import TrainingRecord
 from tests.checkpoints import make_agent, make_config, measure
@@ -67,10 +67,3 @@ def test_broken_evaluations_are_named(folder):
     measure(folder, {"all": {**ROWS["all"], "n": "many"}})
     with pytest.raises(UserError, match="expected 'subsets.*' to be a whole number"):
         card_text(folder)
-
-
-def test_a_policy_is_made_again_where_it_overwrites_none() -> None:
-    plain = "madviz train --task toy/reach"
-    once = f"{plain} --out checkpoints/toy --light.alpha 0.2"
-    assert train_again(once, "a b") == f"{plain} --light.alpha 0.2 --out 'runs/a b'"
-    assert train_again(plain, "toy") == f"{plain} --out runs/toy"

@@ -20,7 +20,7 @@ from madviz.report.rows import difference
 from madviz.report.sweeps import FIRST_LINE
 from madviz.report.tables import usual_alphas
 from tests.evidence import rates, write_policy
-from tests.reports import GOOD, every_table, report, table
+from tests.reports import GOOD, average, every_table, report, table
 
 # --- What is read ---
 
@@ -210,8 +210,8 @@ def test_single_camera_is_three_trainings_in_one_row(tmp_path: Path) -> None:
             tmp_path, {"all": rate}, method="single", streams=(camera,), folder=f"single-{camera}"
         )
     overall = table(tmp_path, "overall")
-    single = overall.average("single")
-    assert single is not None and single.rate("all") is None
+    single = average(overall, "single")
+    assert single.rate("all") is None
     found = single.mean(THREE)
     assert found is not None and found.value == pytest.approx(0.5)
     assert "0.50 [" in report(tmp_path)[1] and "(first, third_a, third_b) |" in report(tmp_path)[1]
@@ -238,8 +238,8 @@ def test_what_adds_nothing_to_a_row_is_not_trained_again_for_it(tmp_path: Path) 
             tmp_path, {"all": 0.4}, method="single", streams=("third_a",), setting=setting,
             folder=f"single-{setting}",
         )  # fmt: skip
-    single = table(tmp_path, "overall").average("single")
-    assert single is not None and len(single.evidence) == 1
+    single = average(table(tmp_path, "overall"), "single")
+    assert len(single.evidence) == 1
     found = single.rate("third_a")
     assert found is not None and found.n == 100
 

@@ -12,9 +12,10 @@ import pytest
 from madviz.evaluation.evidence import find_evidence
 from madviz.policies import checkpoint
 from madviz.report.claims import claims, same, signed, verdict
+from madviz.report.rows import difference
 from madviz.report.threshold import judge
 from tests.evidence import rates, write_policy
-from tests.reports import GOOD, every_table, report, table
+from tests.reports import GOOD, average, every_table, report, table
 
 # --- The acceptance threshold ---
 
@@ -127,6 +128,30 @@ def test_a_method_with_a_recipe_of_its_own_stands_beside_mads_reinforcement(tmp_
     assert imitated and not any("mv-mwm" in one for one in imitated)
 
 
+def test_a_pair_takes_all_episodes_that_the_two_have(tmp_path: Path) -> None:
+    """A third row with fewer episodes, and a task that only one of them has, cut nothing."""
+    for task, method, count in (
+        ("metaworld/hammer", "mad", 100),
+        ("metaworld/hammer", "vib", 100),
+        ("metaworld/hammer", "mvd", 20),
+        ("metaworld/push", "mad", 10),
+        ("metaworld/push", "mvd", 10),
+    ):
+        write_policy(
+            tmp_path,
+            GOOD,
+            task=task,
+            method=method,
+            merge="sum" if method == "mad" else method,
+            episodes=count,
+        )
+    found = table(tmp_path, "overall")
+    assert found.pair("mad", "merged-only") is None
+    pairs = [found.pair("mad", other) for other in ("vib", "mvd")]
+    gaps = [difference(*pair, ("all",)) for pair in pairs if pair]
+    assert [(gap.n, len(gap.tasks)) for gap in gaps if gap] == [(100, 1), (20, 2)]
+
+
 def test_a_shorter_training_is_said_and_not_held_against_the_paper(tmp_path: Path) -> None:
     """It is as good as MAD: the verdict is on VIB, which was trained as long."""
     for seed in (1, 2, 3):
@@ -165,8 +190,8 @@ def test_a_config_without_alpha_stops_no_report(tmp_path: Path) -> None:
     del config["training"]["alpha"]
     (bare / "config.json").write_text(json.dumps(config))
     report(tmp_path)
-    mad = table(tmp_path, "overall").average("mad")
-    assert mad is not None and len(mad.evidence) == 1, "what differs from the usual stays out"
+    mad = average(table(tmp_path, "overall"), "mad")
+    assert len(mad.evidence) == 1, "what differs from the usual stays out"
 
 
 def test_cameras_that_see_nothing_have_their_part_of_the_loss(tmp_path: Path) -> None:
@@ -183,7 +208,7 @@ def test_cameras_that_see_nothing_have_their_part_of_the_loss(tmp_path: Path) ->
     assert [row.label for row in away.averages] == ["mad", "mad, alpha 0.8", "single"]
     assert [len(row.evidence) for row in away.averages] == [1, 1, 1]
     first, second, why, *_ = claims(away)
-    assert first.startswith("MAD minus single") and first.endswith("so no difference.")
+    assert first.startswith("MAD minus single") and first.endswith("62% for Single Camera.")
     assert second.startswith("MAD, alpha 0.8 minus single")
     # Two of three streams, each (1 - alpha) / 3.
     assert "50% at alpha 0.25, 13% at alpha 0.8" in why
@@ -211,7 +236,7 @@ def test_policies_that_are_figures_only_are_counted(tmp_path: Path) -> None:
     told["digest"] = checkpoint.describe(whole).spec.digest
     (whole / "evaluation.json").write_text(json.dumps(told))
     _, text = report(tmp_path)
-    assert "2 policies; not edited. 1 of them are figures only" in text
+    assert "2 policies; not edited. The weights of 1 of them are not kept" in text
     lines = csv.DictReader((tmp_path / "rates.csv").read_text().splitlines())
     assert {(line["policies"], line["weights"]) for line in lines} == {
         ("bare", "no"),
@@ -246,7 +271,8 @@ def test_alphas_are_compared_on_the_task_they_share(tmp_path: Path) -> None:
                 folder=f"{task}-{alpha}",
             )  # fmt: skip
     hammer, push = claims(table(tmp_path, "alpha"))
-    assert hammer.startswith("On metaworld/hammer no alpha is shown to be best, ")
+    assert hammer.startswith("On metaworld/hammer alpha 0.")
+    assert "has the highest mean, but no difference shows; " in hammer
     assert push.startswith("On metaworld/push alpha 0.8 has the highest mean; alpha 0.8 minus")
     assert push.endswith("The paper finds alpha 0.8 best.")
 

@@ -192,7 +192,7 @@ def test_a_later_look_at_development_seeds_leaves_the_reported_figures(toy: Path
 def test_figures_in_readme_pool_trainings_on_alike_seeds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first training was counted on reporting seeds later; the others are figures only."""
+    """The first training was counted on reporting seeds later; the others have no weights."""
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
     tool, files = map(importlib.import_module, ("fill_figures", "policy_files"))
     monkeypatch.setattr(files, "ROOT", tmp_path)

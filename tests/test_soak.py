@@ -16,7 +16,17 @@ import pytest
 
 from madviz.app.users import Limits
 from madviz.bench.live import LiveConfig, watched
-from madviz.bench.soak import Crowd, Sample, SoakConfig, judged, sample, settled, soak, soak_words
+from madviz.bench.soak import (
+    Crowd,
+    Sample,
+    SoakConfig,
+    growth_an_hour,
+    judged,
+    sample,
+    settled,
+    soak,
+    soak_words,
+)
 from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
 from tests.pages import fake_app
@@ -34,6 +44,14 @@ def test_growth_during_warm_up_is_no_leak():
     result = judged(samples([300, 400, 450, 460, 461, 459, 462, 460, 461]))
     assert result["kept"]
     assert result["memory_mb"]["after_warm_up"] == 460.5 and result["memory_mb"]["end"] == 460.5
+
+
+def test_growth_an_hour_is_counted_from_third_to_third():
+    # 100 rounds in 50 minutes, a MB more in each: two a minute, and the first ten are warm-up.
+    result = {"minutes": 50.0, **judged(samples([460 + n for n in range(100)]))}
+    assert growth_an_hour(result) == pytest.approx(120)
+    few = {"minutes": 4.5, **judged(samples([460 + n for n in range(9)]))}
+    assert growth_an_hour(few) == pytest.approx(120)
 
 
 def test_growth_after_warm_up_is_a_leak():

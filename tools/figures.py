@@ -61,7 +61,8 @@ def soak_figure() -> str:
 def main() -> None:
     (DOCS / "push.svg").write_text(figure("Push, small budget", "metaworld/push"))
     (DOCS / "push-cube.svg").write_text(figure("PushCube, small budget", "maniskill/push-cube"))
-    (DOCS / "soak.svg").write_text(soak_figure())
+    if soaks():
+        (DOCS / "soak.svg").write_text(soak_figure())
 
 
 if __name__ == "__main__":

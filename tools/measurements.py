@@ -11,6 +11,9 @@ from typing import Any
 
 from policy_files import LABELS, ROOT, SINGLES, config_of, evaluation, rate
 
+from madviz.bench.soak import growth_an_hour
+from madviz.evaluation.statistics import SuccessRate, pair
+
 CLASS_RUNS = ("lessons", "pages", "alone")
 """Of results/class: files of ``python -m tests.e2e.class_server``."""
 MEASURED = ("kernel", "all")
@@ -308,14 +311,10 @@ def soak() -> str:
     for found in soaks().values():
         memory, threads = found["memory_mb"], found["threads"]
         before, after = memory["after_warm_up"], memory["end"]
-        # From the middle of the first third after the warm-up to the middle of the last third; the
-        # warm-up is a third, or a tenth of 30 rounds and more (``madviz/bench/soak.py``).
-        count = len(memory["rounds"])
-        hours = found["minutes"] / 60 * (2 / 3 if count < 30 else 9 / 10) * 2 / 3
         lines.append(
             f"| {found['policy']} | {found['workers']} | {found['minutes']:.0f} | "
             f"{found['visits']:,} | {found['touches']:,} | {before:.0f}, {after:.0f} | "
-            f"{(after - before) / hours:+.1f} MB | {threads['after_warm_up']}, {threads['end']} | "
+            f"{growth_an_hour(found):+.1f} MB | {threads['after_warm_up']}, {threads['end']} | "
             f"{found['log_lines']} |"
         )
     return "\n".join(lines) + "\n"
@@ -329,8 +328,6 @@ def machine() -> str:
 def site_success() -> str:
     """Success that `madviz bench site` counted in a browser, from results/site, beside Python's on
     the same seeds: one row for each policy and subset that was tried."""
-    from madviz.evaluation.statistics import SuccessRate, pair
-
     lines = [
         "| policy | cameras | in the browser | in Python | only browser, only Python | p |",
         "|---|---|---|---|---|---|",

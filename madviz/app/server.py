@@ -51,7 +51,7 @@ class ExploreConfig:
 
     policy: PolicyName | None = None
     """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served. By
-    default the first that fits."""
+    default MAD on hammer, or the first that fits."""
     task: TaskName | None = None
     """Offer only policies of this task, for example metaworld/hammer or, one of your own,
     module:factory."""

@@ -166,10 +166,20 @@ def rounds(crowd: Crowd, seconds: float) -> Iterator[Sample]:
         done += 1
 
 
+def warm_up(rounds: int) -> int:
+    """Rounds that are not judged: a third, or a tenth where there are 30 and more."""
+    return rounds // (3 if rounds < 30 else 10)
+
+
+def hours_between(rounds: int, minutes: float) -> float:
+    """From the middle of the first third after the warm-up to the middle of the last third."""
+    return minutes / 60 * (1 - warm_up(rounds) / rounds) * 2 / 3
+
+
 def judged(samples: Sequence[Sample]) -> dict[str, Any]:
-    """First third (an hour: first tenth) warms up; of the rest, the last third is compared with the
-    first. ``kept``: no bound is exceeded."""
-    warm = samples[len(samples) // (3 if len(samples) < 30 else 10) :]
+    """After the warm-up the last third is compared with the first. ``kept``: no bound is
+    exceeded."""
+    warm = samples[warm_up(len(samples)) :]
     part = max(1, len(warm) // 3)
     first, last = warm[:part], warm[-part:]
 
@@ -233,13 +243,21 @@ def sample(pid: int) -> Sample:
     return Sample(memory / 1024, threads, len(processes))
 
 
+def growth_an_hour(result: dict[str, Any]) -> float:
+    """MB; the growth after the warm-up, by the hours that it took."""
+    memory = result["memory_mb"]
+    hours = hours_between(len(memory["rounds"]), result["minutes"])
+    return (memory["end"] - memory["after_warm_up"]) / hours
+
+
 def soak_words(result: dict[str, Any]) -> str:
     """The result in a few lines."""
     memory, threads = result["memory_mb"], result["threads"]
     lines = [
         f"{result['visits']} visits, {result['touches']} touches, {result['updates']} updates in "
         f"{result['minutes']:g} min",
-        f"memory {memory['after_warm_up']} -> {memory['end']} MB ({100 * memory['growth']:+.1f} %)",
+        f"memory {memory['after_warm_up']} -> {memory['end']} MB ({100 * memory['growth']:+.1f} %, "
+        f"{growth_an_hour(result):+.1f} MB an hour)",
         f"threads {threads['after_warm_up']} -> {threads['end']}, processes "
         f"{result['processes']['after_warm_up']} -> {result['processes']['end']}",
         f"lines in the log: {result['log_lines']}",

@@ -8,19 +8,16 @@ interval, episode count, definition and seeds. A test can hold a committed card 
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
 import msgspec
 
 from madviz.policies import checkpoint
+from madviz.policies.again import command_again
 from madviz.policies.config import PolicyConfig, TrainingRecord
 from madviz.policies.measured import EvaluationFile, SubsetRow, seeds_of
 from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.system.files import write_bytes
-
-AGAIN = "runs"
-"""Where the commands that make a policy again put it, as ``madviz train`` does by itself."""
 
 
 def write_card(folder: str | Path) -> Path:
@@ -118,20 +115,11 @@ def _inputs(config: PolicyConfig) -> str:
     return "\n".join(lines)
 
 
-def train_again(command: str, name: str) -> str:
-    """``command`` with a place for its policy where it overwrites none: runs/NAME."""
-    words = shlex.split(command)
-    if "--out" in words:
-        place = words.index("--out")
-        del words[place : place + 2]
-    return shlex.join([*words, "--out", f"{AGAIN}/{name}"])
-
-
 def _training(training: TrainingRecord, name: str) -> str:
     """Whatever the recipe wrote down; the command first, alone on its line, to be copied."""
     lines = ["## How it was trained", ""]
     if training.command is not None:
-        lines += [f"    {train_again(training.command, name)}", ""]
+        lines += [f"    {command_again(training, name)}", ""]
     for key, value in msgspec.to_builtins(training).items():
         if key != "command":
             lines.append(f"- {_title(key)}: {_plain(value)}")

@@ -17,13 +17,13 @@ from madviz.errors import UserError
 from madviz.evaluation.evaluate import evaluate, write_measured
 from madviz.evaluation.store import Store
 from madviz.policies import checkpoint
-from madviz.policies.card import AGAIN
+from madviz.policies.again import RUNS
 from madviz.policies.measured import EvaluationFile, seeds_of
 from madviz.policies.seeds import FIRST_REPORTING, REPORTING
 from madviz.system.streams import say
 
 EPISODES = 100
-STORE = Path(AGAIN) / "reporting.sqlite"
+STORE = Path(RUNS) / "reporting.sqlite"
 """Finished episodes; it can be removed once all policies are evaluated."""
 
 

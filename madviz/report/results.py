@@ -33,7 +33,7 @@ from madviz.system.files import write_bytes, written_to
 from madviz.system.numbers import Count, ThreadsOrNone
 
 SHIPPED = (Path("checkpoints"), Path("results"))
-"""Policies with weights, and those with figures only; the page goes into the last."""
+"""Policies with weights, and those without; the page goes into the last."""
 
 
 @dataclass(frozen=True)

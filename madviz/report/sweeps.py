@@ -7,11 +7,11 @@ with the same options share a grid.
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 from madviz.evaluation.evidence import Evidence
+from madviz.policies.again import words_again
 
 FIRST_LINE = "# Written by `madviz report`. Trains and evaluates the policies of a table again:"
 AXES = ("task", "method", "setting", "recipe", "seed")
@@ -59,18 +59,15 @@ def is_sweep_of_a_table(file: Path) -> bool:
 
 def _entry(evidence: Evidence) -> tuple[tuple[str, ...], Options]:
     """Task, method, setting, recipe and seed of a training; its other options as TOML."""
-    words = shlex.split(evidence.command)
+    words = words_again(evidence.config.training)
     named: dict[str, list[str]] = {}
     for word in words[words.index("train") + 1 :]:
         if word.startswith("--"):
             named[word[2:]] = []
         else:
             named[list(named)[-1]].append(word)
-    for own in (*AXES, "out", "resume"):
+    for own in AXES:
         named.pop(own, None)
-    training = evidence.config.training
-    if training.finished is False and training.steps:  # As long as it got, not as was asked for.
-        named |= {name: [str(training.steps)] for name in named if name.endswith(".steps")}
     axes = (
         evidence.config.task,
         evidence.config.method,

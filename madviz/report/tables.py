@@ -6,7 +6,7 @@ camera's cell from the policy that has this camera, and has no cell for all came
 Only equal budgets are compared: a task's rows are those of one budget of updates, give or take a
 tenth, the one that most of them have. An average takes equally many trainings and episodes of every
 task, the first ones that all of its rows have, so that a task with more of them does not pull it
-towards itself.
+towards itself. A difference of two rows takes the episodes that these two have.
 
 Imitation and reinforcement learning never share a table, and neither do reporting seeds and
 development seeds: where one policy has development seeds only, all others are taken on theirs.
@@ -15,7 +15,7 @@ development seeds: where one policy has development seeds only, all others are t
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from madviz.envs.registry import METAWORLD_TASKS
@@ -55,9 +55,19 @@ class ResultTable:
         """The policies in its rows."""
         return [each for _, row in self.rows for each in row.evidence]
 
-    def average(self, label: str) -> Row | None:
-        """The row of ``label`` over all its tasks; None where it has none."""
-        return next((row for row in self.averages if row.label == label), None)
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Of its averages, in their order."""
+        return tuple(row.label for row in self.averages)
+
+    def pair(self, first: str, second: str) -> tuple[Row, Row] | None:
+        """Two rows over the tasks that both have, with equally many episodes of each: those that
+        these two have, whatever a third one lacks. None where they share no task."""
+        tasks = [{task for task, row in self.rows if row.label == one} for one in (first, second)]
+        both = tasks[0] & tasks[1]
+        rows = [(task, row) for task, row in self.rows if task in both]
+        rows = [(task, row) for task, row in rows if row.label in (first, second)]
+        return (_average(first, rows), _average(second, rows)) if both else None
 
 
 def build(layout: Layout, evidence: Sequence[Evidence]) -> list[ResultTable]:
@@ -102,12 +112,8 @@ def _table(
             row = _row(label, columns, members)
             if row.cells:
                 rows.append((task, row))
-    shared = _shared_seeds(rows)
-    averages = [
-        _row(label, columns, [e for name, e in mine if name == label], shared).equal_trainings()
-        for label in labels
-    ]
-    return ResultTable(layout, suite, columns, mean_of, tuple(rows), tuple(averages), imitation)
+    averages = tuple(_average(label, rows) for label in labels)
+    return ResultTable(layout, suite, columns, mean_of, tuple(rows), averages, imitation)
 
 
 def _comparable(
@@ -137,6 +143,18 @@ def _columns(layout: Layout, mine: Sequence[Evidence]) -> tuple[tuple[str, ...],
     return ("all", *streams), ("all", *streams)
 
 
+def _average(label: str, rows: Sequence[tuple[str, Row]]) -> Row:
+    """The row of ``label`` over its tasks, with episodes that all of ``rows`` have."""
+    seeds, whole = _shared_seeds(rows), Row(label)
+    for task, row in rows:
+        if row.label == label:
+            for column, cell in row.cells.items():
+                kept = {unit: success for unit, success in cell.items() if unit[2] in seeds[task]}
+                whole.cells.setdefault(column, {}).update(kept)
+            whole.evidence += row.evidence
+    return whole.equal_trainings()
+
+
 def _shared_seeds(rows: Sequence[tuple[str, Row]]) -> dict[str, set[int]]:
     """By task, seeds that all of its rows have in every column: the first ones, equally many for
     each task."""
@@ -149,13 +167,8 @@ def _shared_seeds(rows: Sequence[tuple[str, Row]]) -> dict[str, set[int]]:
     return {task: set(sorted(seeds)[:least]) for task, seeds in shared.items()}
 
 
-def _row(
-    label: str,
-    columns: Sequence[str],
-    members: Sequence[Evidence],
-    seeds: Mapping[str, set[int]] | None = None,
-) -> Row:
-    """``seeds``: by task, the only episodes that count; None: all of them."""
+def _row(label: str, columns: Sequence[str], members: Sequence[Evidence]) -> Row:
+    """Of the policies of one task."""
     row = Row(label)
     for each in members:
         counts = False
@@ -164,8 +177,6 @@ def _row(
             alone = len(each.config.streams) == 1 and column == "all" and "third_b" in columns
             found = None if alone else each.of(column)
             for seed, success in (found or {}).items():
-                if seeds is not None and seed not in seeds.get(each.config.task, ()):
-                    continue
                 cell, unit = row.cells.setdefault(column, {}), (each.config.task, each.seed, seed)
                 counts |= unit not in cell
                 cell.setdefault(unit, success)

@@ -1,0 +1,37 @@
+"""The command that trains a policy again."""
+
+from __future__ import annotations
+
+import pytest
+
+from madviz.policies.again import command_again, words_again
+from madviz.policies.config import TrainingRecord
+
+PLAIN = "madviz train --task toy/reach"
+
+
+def again(command: str, **facts: object) -> str:
+    return command_again(TrainingRecord(command=command, **facts), "toy")
+
+
+def test_it_overwrites_no_policy() -> None:
+    once = f"{PLAIN} --out checkpoints/toy --light.alpha 0.2 --resume"
+    assert again(once) == f"{PLAIN} --light.alpha 0.2 --out runs/toy"
+    assert again(PLAIN) == f"{PLAIN} --out runs/toy"
+    assert command_again(TrainingRecord(command=PLAIN), "a b") == f"{PLAIN} --out 'runs/a b'"
+
+
+@pytest.mark.parametrize(("finished", "steps"), [(False, 90), (True, 150), (None, 150)])
+def test_a_stopped_training_is_repeated_as_long_as_it_got(finished, steps) -> None:
+    asked = f"{PLAIN} --vectorised.steps 150 --vectorised.workers 4"
+    expected = f"{PLAIN} --vectorised.steps {steps} --vectorised.workers 4 --out runs/toy"
+    assert again(asked, steps=90, finished=finished) == expected
+
+
+def test_rounds_are_no_steps() -> None:
+    asked = f"{PLAIN} --light.rounds 3"
+    assert again(asked, environment_steps=90, finished=False) == f"{asked} --out runs/toy"
+
+
+def test_a_config_without_a_command_has_none() -> None:
+    assert words_again(TrainingRecord()) == []
