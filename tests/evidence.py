@@ -31,6 +31,7 @@ def write_policy(
     episodes: int = 100,
     first_seed: int = 5000,
     streams: tuple[str, ...] | None = None,
+    camera: str = "",
     folder: str | None = None,
 ) -> Path:
     """A folder whose subsets succeed at exactly ``rates``, on seeds drawn by chance."""
@@ -55,6 +56,7 @@ def write_policy(
         "horizon": 100,
         "action_repeat": 2,
         "merge": merge,
+        "camera": camera,
         "reward_scale": 1.0,
         "networks": NETWORKS,
         "training": {

@@ -77,14 +77,16 @@ def test_list_says_beside_its_name_that_a_policy_is_broken(
 
 @odd_json
 @odd_file
-def test_figures_without_weights_may_be_broken_too(
+def test_rates_without_weights_may_be_broken_too(
     name: str, content: str, three: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.move(tmp_path / "checkpoints", tmp_path / "results" / "tables")
     (tmp_path / "results" / "tables" / "mvd" / name).write_text(content)
-    assert cli.main(["list"]) == 0
+    assert cli.main(["list", "--all"]) == 0
     printed = capsys.readouterr().out
-    assert "all 0.95 (n=100)   no weights" in printed and " broken: " in printed
+    assert (
+        "all      0.95 [0.89, 0.98] n=100, development seeds" in printed and " broken: " in printed
+    )
 
 
 @odd_json

@@ -16,6 +16,8 @@ from madviz.evaluation.evidence import read_evidence
 from madviz.evaluation.statistics import pair
 from madviz.evaluation.store import EpisodeResult, ResultKey, Store
 from madviz.plots import figures
+from madviz.policies.checkpoint import save_policy
+from tests.checkpoints import make_agent, make_config
 from tests.evidence import rates, write_policy
 
 GOOD, BAD = rates(0.95, 0.9, 0.85, 0.8), rates(0.9, 0.2, 0.1, 0.0)
@@ -82,6 +84,13 @@ def test_one_policy_is_nothing_to_compare(two: tuple[str, str]) -> None:
         run_compare(CompareConfig(two[:1]))
     with pytest.raises(UserError, match="unknown policy 'no-such-policy'"):
         run_compare(CompareConfig((two[0], "no-such-policy")))
+
+
+def test_a_policy_that_was_not_evaluated_is_named_with_the_command(tmp_path: Path) -> None:
+    evaluated = write_policy(tmp_path, GOOD)
+    fresh = save_policy(tmp_path / "fresh", make_agent(), make_config())
+    with pytest.raises(UserError, match=f"run `madviz eval --policy {fresh} --card`"):
+        run_compare(CompareConfig((str(evaluated), str(fresh))))
 
 
 @pytest.mark.parametrize(

@@ -158,7 +158,7 @@ METHODS: dict[str, Method] = {
         page_words="MAD: trained on all cameras and each one alone.",
     ),
     "merged-only": Method(
-        "all streams summed and nothing else: the baseline that was never disentangled",
+        "all streams summed, trained on the sum only",
         subsets=_nothing,
         weights=_merged_only,
         page_words="Merged Only: trained on all cameras together only.",

@@ -255,8 +255,14 @@ def shipped_evaluation(policy: str | Path, name: str = EVALUATION) -> Evaluation
 
 
 def own_evaluation(folder: PolicyFolder, name: str = EVALUATION) -> EvaluationFile:
-    """The file ``name`` of a policy folder. Raises UserError if it measured other weights."""
+    """The file ``name`` of a policy folder. Raises UserError if there is none, or if it measured
+    other weights."""
     file = folder.path / name
+    if not file.is_file():
+        raise UserError(
+            f"{file}: expected an evaluation, found no such file; run "
+            f"`madviz eval --policy {folder.path} --card`"
+        )
     evaluation = as_evaluation(read_json(file), file)
     if evaluation["digest"] != folder.spec.digest:
         raise UserError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict
@@ -13,8 +13,10 @@ from madviz.envs.registry import SETTINGS, known_tasks
 from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.policies.config import PolicyConfig, read_config
-from madviz.policies.measured import SubsetRow, as_evaluation
+from madviz.policies.measured import EvaluationFile, as_evaluation, seeds_of
 from madviz.system.files import read_json
+
+NO_POLICY = "policies: none found"
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,8 @@ class ListConfig:
 
     json: str | None = None
     """Write the list to this file; ``-`` is standard output, and then nothing else goes there."""
+    all: bool = False
+    """Also list policies without weights, of which only success rates are here."""
 
 
 class RateRow(TypedDict):
@@ -49,6 +53,8 @@ class PolicyRow(TypedDict):
     digest: str
     success: dict[str, RateRow]
     """By subset; empty where it was not evaluated."""
+    seeds: str
+    """What the seeds of its episodes serve, ``reporting`` or another use; '' as above."""
     weights: bool
     """Whether it can act; else only what was measured is here."""
 
@@ -100,8 +106,7 @@ def list_policies() -> tuple[list[PolicyRow], list[BrokenRow]]:
         try:
             folder = checkpoint.describe(path)
             shipped = checkpoint.shipped_evaluation(path)
-            subsets = shipped["subsets"] if shipped else {}
-            policies.append(_row(name, path, folder.config, folder.spec.digest, subsets, True))
+            policies.append(_row(name, path, folder.config, folder.spec.digest, shipped, True))
         except UserError as error:
             broken.append({"name": name, "path": str(path), "error": str(error)})
     return policies, broken
@@ -116,7 +121,7 @@ def list_measured() -> tuple[list[PolicyRow], list[BrokenRow]]:
             config, _ = read_config(path / checkpoint.CONFIG)
             file = path / checkpoint.EVALUATION
             measured = as_evaluation(read_json(file), file)
-            rows.append(_row(name, path, config, measured["digest"], measured["subsets"], False))
+            rows.append(_row(name, path, config, measured["digest"], measured, False))
         except UserError as error:
             broken.append({"name": name, "path": str(path), "error": str(error)})
     return rows, broken
@@ -152,11 +157,11 @@ def _row(
     path: Path,
     config: PolicyConfig,
     digest: str,
-    subsets: Mapping[str, SubsetRow],
+    measured: EvaluationFile | None,
     weights: bool,
 ) -> PolicyRow:
     success: dict[str, RateRow] = {}
-    for subset, row in subsets.items():
+    for subset, row in measured["subsets"].items() if measured else ():
         success[subset] = {"success": row["success"], "n": row["n"], "ci95": row["ci95"]}
     return {
         "name": name,
@@ -171,23 +176,49 @@ def _row(
         "trained_subsets": list(config.trained_subsets),
         "digest": digest,
         "success": success,
+        "seeds": seeds_of(measured) if measured else "",
         "weights": weights,
     }
 
 
 def catalogue(listed: dict[str, Any]) -> str:
-    """The list as lines; a policy's line carries its success on all cameras, if it was measured."""
-    lines = [f"{word}: {', '.join(listed[word])}" for word in ("tasks", "settings", "methods")]
-    lines.append("policies:" if listed["policies"] else "policies: none found")
-    for policy in [*listed["policies"], *listed["without_weights"]]:
-        whole = policy["success"].get("all")
-        rate = f"all {whole['success']:.2f} (n={whole['n']})" if whole else "not evaluated"
-        weights = "" if policy["weights"] else "   no weights"
-        lines.append(f"  {policy['name']:44} {policy['task']:24} {rate}{weights}")
-    lines += [f"  {each['name']:44} broken: {each['error']}" for each in listed["broken"]]
+    """The list as lines; a policy's line carries its success with all its cameras, if it was
+    measured."""
+    lines = ["tasks:", *_by_suite(listed["tasks"]), "settings, and what a policy sees in them:"]
+    lines += [f"  {name:17} {', '.join(SETTINGS[name].streams)}" for name in listed["settings"]]
+    lines.append("methods:")
+    lines += [f"  {name:17} {about['summary']}" for name, about in listed["methods"].items()]
+    policies, bare = listed["policies"], listed["without_weights"]
+    lines.append("policies, and their success with all their cameras:" if policies else NO_POLICY)
+    lines += [_policy_line(policy) for policy in policies]
+    if listed["all"]:
+        lines.append("without weights, success rates only:")
+        lines += [_policy_line(policy) for policy in bare]
+    elif bare:
+        lines.append(f"{len(bare)} more have no weights here: `madviz list --all`")
+    lines += [f"  {each['name']:45} broken: {each['error']}" for each in listed["broken"]]
     return "\n".join(lines)
+
+
+def _by_suite(tasks: Sequence[str]) -> list[str]:
+    suites: dict[str, list[str]] = {}
+    for task in tasks:
+        suites.setdefault(task.partition("/")[0], []).append(task)
+    return [f"  {', '.join(names)}" for names in suites.values()]
+
+
+def _policy_line(policy: PolicyRow) -> str:
+    """Single Camera's whole view is its one camera, which the line names in place of ``all``."""
+    whole = policy["success"].get("all")
+    if whole is None:
+        return f"  {policy['name']:45} not evaluated"
+    low, high = whole["ci95"]
+    return (
+        f"  {policy['name']:45} {policy['camera'] or 'all':8} {whole['success']:.2f} "
+        f"[{low:.2f}, {high:.2f}] n={whole['n']}, {policy['seeds']} seeds"
+    )
 
 
 def run_list(config: ListConfig) -> dict[str, Any]:
     """What ``madviz list --json`` writes."""
-    return dict(list_everything())
+    return {**list_everything(), "all": config.all}
