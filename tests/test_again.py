@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from madviz.policies.again import command_again, words_again
@@ -10,7 +12,7 @@ from madviz.policies.config import TrainingRecord
 PLAIN = "madviz train --task toy/reach"
 
 
-def again(command: str, **facts: object) -> str:
+def again(command: str, **facts: Any) -> str:
     return command_again(TrainingRecord(command=command, **facts), "toy")
 
 

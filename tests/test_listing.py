@@ -23,8 +23,8 @@ def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checkpoint, "measured_folders", lambda: found)
 
 
-def words(**options: bool) -> str:
-    return catalogue(run_list(ListConfig(**options)))
+def words(config: ListConfig | None = None) -> str:
+    return catalogue(run_list(config or ListConfig()))
 
 
 @pytest.mark.usefixtures("bare")
@@ -32,7 +32,7 @@ def test_policies_without_weights_are_counted_and_listed_on_demand() -> None:
     few = words()
     assert "policies: none found" in few
     assert few.endswith("2 more have no weights here: `madviz list --all`")
-    lines = words(all=True).splitlines()
+    lines = words(ListConfig(all=True)).splitlines()
     mad, single = lines[lines.index("without weights, success rates only:") + 1 :]
     assert mad.split() == [
         "metaworld-hammer-mad-light", "all", "0.95", "[0.89,", "0.98]", "n=100,", "development",
