@@ -218,6 +218,5 @@ table(["cameras", "norm of the sum", "norm of the mean"], rows)
 # A mean does not make the norms alike: it reverses their order. Three features that point in
 # different directions shrink when they are averaged, so now the single cameras have large norms
 # and all together a small one. The norm still depends on the number of cameras. And something is
-# lost: with a sum, a camera adds the same term in every subset; with a mean, it counts for a
-# third as soon as two others join. The paper's sum keeps a single camera's feature exactly what
-# that camera's own policy would get.
+# lost: with a mean, a camera counts for a third as soon as two others join. With a sum, it adds
+# the same term in every subset, alone or beside others.
