@@ -22,7 +22,7 @@ from madviz.app.toolkit import theme
 from madviz.app.users import MOST_WAITING, Limits, Users
 from madviz.app.viser_patches import patch_sender
 from madviz.envs.custom import allow_task
-from madviz.envs.registry import TaskName, check_task
+from madviz.envs.registry import TaskName, check_task, shared_imports
 from madviz.errors import UserError
 from madviz.evaluation.live import Evaluator, Tally
 from madviz.evaluation.store import Store
@@ -175,13 +175,16 @@ def open_app(config: ExploreConfig) -> App:
     limit_heaps()
     # Python threads take turns of 5 ms by default; a click crosses three on its way back.
     sys.setswitchinterval(0.001)
-    prepare("madviz.app.session_maker")
     allow_task(config.task)
     trust(config.policy, config.trust)
     choices = policy_choices(config.task)
     script, given = saved_episode(config)
     named = with_wire(config.policy or "", config.wire)
     name = next(iter(given), None) or named or first_choice(choices, config.task)
+    if not given and checkpoint.is_folder(name):
+        given = {name: described(name)}
+    # A policy of one's own takes its time to load; the fork server starts beside it.
+    prepare("madviz.app.session_maker", *(shared_imports(given[name].task) if given else ()))
     given = given or {name: described(name)}
     references = References()
     for reference, spec in given.items():

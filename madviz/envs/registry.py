@@ -62,6 +62,8 @@ class Suite:
     """``module:class`` of its ``SuiteEnvironment``."""
     stock: str = ""
     """``module:class`` that draws its tasks as the simulator's users do, to be measured against."""
+    shared: tuple[str, ...] = ()
+    """Modules that take seconds to import and survive a fork: processes can share them."""
 
     def load(self) -> SuiteEnvironment:
         """The class of its environments."""
@@ -78,6 +80,7 @@ SUITES = {
         MANISKILL_TASKS,
         "madviz.envs.maniskill.environment:ManiSkill",
         "madviz.envs.maniskill.stock:ManiSkillStock",
+        shared=("mani_skill.envs.tasks.tabletop",),
     ),
     "toy": Suite(("reach",), "madviz.envs.toy:ToyReach"),
 }
@@ -250,6 +253,12 @@ def make_env(
         return custom.make_own(task, render_profile, cameras)
     suite, name = task.split("/")
     return SUITES[suite].load()(name, render_profile, cameras)
+
+
+def shared_imports(task: str) -> tuple[str, ...]:
+    """What processes that simulate ``task`` can share, see ``Suite.shared``."""
+    suite = SUITES.get(task.partition("/")[0])
+    return suite.shared if suite else ()
 
 
 def stock_frames(task: str, size: int) -> Any:
