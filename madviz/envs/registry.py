@@ -63,7 +63,8 @@ class Suite:
     stock: str = ""
     """``module:class`` that draws its tasks as the simulator's users do, to be measured against."""
     shared: tuple[str, ...] = ()
-    """Modules that take seconds to import and survive a fork: processes can share them."""
+    """Modules that take seconds to import and open no device, so that a process can be forked after
+    it; simulations then share them."""
 
     def load(self) -> SuiteEnvironment:
         """The class of its environments."""

@@ -220,5 +220,5 @@ def _policy_line(policy: PolicyRow) -> str:
 
 
 def run_list(config: ListConfig) -> dict[str, Any]:
-    """What ``madviz list --json`` writes."""
+    """What ``madviz list --json`` writes; ``all``: whether the text names ``without_weights``."""
     return {**list_everything(), "all": config.all}
