@@ -6,11 +6,14 @@ python tools/figures.py
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 from measurements import soaks
 from policy_files import LABELS, SINGLES, methods
 
+from madviz.bench.soak import warm_up
 from madviz.plots.figures import Bar, bars, curves
 from madviz.plots.styles import styles
 from madviz.report.rows import Row
@@ -47,15 +50,19 @@ def _bar(row: Row, group: str) -> Bar | None:
 
 
 def soak_figure() -> str:
-    """SVG text: the server's memory after each round of each piece, when nobody visited."""
-    series = {
-        f"{stem}: {found['policy']}, {found['workers']} workers": found["memory_mb"]["rounds"]
-        for stem, found in soaks().items()
-    }
+    """SVG text: the server's memory after each round of each piece, when nobody visited, against
+    what it was after the warm-up; the rounds of that are left out."""
+    series = {stem: _changes(found["memory_mb"]) for stem, found in soaks().items()}
     colours = {name: style.colour for name, style in styles(list(series)).items()}
     last = max(len(rounds) for rounds in series.values()) - 1
-    title = "Memory while nobody visits (MB)"
+    title = "Change of memory since the warm-up, while nobody visits (MB)"
     return curves(title, series, colours, {}, last, height=220, unit="round")
+
+
+def _changes(memory: dict[str, Any]) -> list[float]:
+    rounds = memory["rounds"]
+    first = warm_up(len(rounds))
+    return [math.nan] * first + [one - memory["after_warm_up"] for one in rounds[first:]]
 
 
 def main() -> None:
