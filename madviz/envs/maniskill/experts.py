@@ -10,8 +10,7 @@ kinematics fails for large steps near the arm's reach (x = 0.17 m with the hand 
 targets are approached in small steps. The gripper cannot be turned; its fingers open along x.
 
 Poking needs a tool: the cube has to go where the arm cannot reach. The peg lies along x and is too
-long to be grasped that way, so the fingers press on it from above and drag it: rubber on peg holds
-1.15 times the pressure, peg on table only 0.3 times.
+long to be grasped that way, so the hand pushes its near end (its tail) along x.
 """
 
 from __future__ import annotations
@@ -31,20 +30,14 @@ STEP = 0.1
 """Metres of tool point motion that an action of 1 asks for."""
 ABOVE = 0.08
 """Metres over an object at which the gripper travels to it."""
-ON_PEG = 0.0365
-"""Metres from the peg's middle up to the tool point when the finger tips touch the peg."""
-PRESS = -0.1
-"""The downward action that holds the peg by friction and does not tilt the hand."""
-REST_HEIGHT = 0.085
-"""Metres over the table at which the hand that has poked waits."""
-BEHIND = 0.075
-"""Metres behind the peg's middle where the fingers press."""
-FURTHEST = 0.18
-"""Metres of x that the tool point reaches while it presses."""
 AT_FLANK = 0.035
 """Metres in y from the peg's middle to the tool point when the open fingers touch its flank."""
-POKE_REACH = 0.14
-"""Metres from the peg's middle to the cube's when they touch."""
+HALF_PEG, HALF_CUBE = 0.12, 0.02
+"""Metres from the peg's middle to its ends, and from the cube's to its faces."""
+TOUCHING = 0.06
+"""Metres in x from the tool point to the peg's tail when the open front finger touches it."""
+ROOM = 0.025
+"""Metres between front finger and tail from which the hand moves sideways behind the peg."""
 IN_HAND = 0.006
 """Metres of the tool point above a grasped sphere's middle."""
 CALM = 0.4
@@ -135,50 +128,72 @@ def _place(simulation: Any) -> Array:
 
 
 def _poke(simulation: Any) -> Array:
-    """Lines the peg up with the cube where it must, drags it, and takes the hand off.
+    """Lines the peg up with the cube where it must, and pushes its tail until the cube is there.
 
-    What a student can follow decides the shape. It is off by a centimetre in all it sees, so
-    nothing here hangs on one: a cube that sits up to 27 mm aside is still pushed 0.1 m by all of 91
-    pegs, so only 22 mm send the hand beside the peg, from where it makes 8 mm of them; and which of
-    the two is under way shows in where the hand is. Fingers that slip along the peg press again
-    from where they are, as far as the arm's reach has room for it. And a hand that should stop
-    while it presses creeps on and takes the cube along; one that lifts has stopped."""
+    What a student can follow decides the shape: it is off by a centimetre in all it sees, so
+    nothing here hangs on one. A cube that sits up to 22 mm aside is still pushed; otherwise the
+    hand goes beside the peg, from where it makes 8 mm of them, and which of the two is under way
+    shows in where the hand is. The push is over with 3 of the 5 centimetres that count as success
+    still left over, and then the hand draws back 2 cm and stays: its errors no longer move the
+    peg, and the actions around there are all nearly zero. With normal noise of 0.15 on every action
+    but the last five, 55 of 60 episodes succeed. A script that pressed on the peg from above and
+    dragged it did so in 43 of 60, and most failures of its students were a cube in its place and a
+    hand that could not tell whether to rest or to press again."""
     tool, peg = position(simulation.agent.tcp), position(simulation.peg)
     cube, goal = position(simulation.cube), position(simulation.goal_region)
-    left = (goal - cube)[0]
-    if left < 0 or np.hypot(*(goal - cube)[:2]) < 0.035:
-        return _towards(np.array([0, 0, REST_HEIGHT - tool[2]]), OPEN, 0.4)
-    aside = cube[1] - peg[1]
-    low = tool[2] < 0.045
-    beside = low or abs(peg - tool)[1] > 0.03
+    yaw = _yaw(simulation.peg)
+    tail = peg - [HALF_PEG * np.cos(yaw), HALF_PEG * np.sin(yaw), 0]
+    left, aside = (goal - cube)[0], (cube - peg)[1]
+    low, room = tool[2] < 0.05, tail[0] - TOUCHING - tool[0]
+    if left < 0.03:
+        return _towards(np.array([min(room - 0.02, 0), 0, 0]), OPEN, 0.4)
+    if low and room > -0.015:
+        return _push_tail(cube, peg, left, yaw, np.array([room, (tail - tool)[1], 0.03 - tool[2]]))
+    beside = low and abs(peg - tool)[1] > 0.03
     if cube[0] - peg[0] > 0.17 and abs(aside) > (0.008 if beside else 0.022):
         return _line_up(tool, peg, aside)
+    behind = np.array([room - ROOM, (tail - tool)[1], 0.03 - tool[2]])
+    if beside:  # Along the peg, at a distance from it.
+        clear = peg[1] + 0.06 * np.sign((tool - peg)[1])
+        return _towards(np.array([behind[0], clear - tool[1], behind[2]]), OPEN)
     if low:
         return np.array([0, 0, 1, OPEN])
-    error = peg + [-BEHIND, 0, ON_PEG] - tool
-    needed = goal[0] - 0.03 - POKE_REACH - FURTHEST  # Behind the peg's middle, to get there.
-    if not np.clip(needed - BEHIND, -0.1, -0.02) < error[0] < 0.025 or abs(error[1]) > 0.02:
-        if error[2] > -0.01:  # The fingers are on the peg and would take it along.
-            return np.array([0, 0, 0.6, OPEN])
-        return _towards(error + [0, 0, 0.4 * ABOVE], OPEN)
-    if error[2] < -0.006:
-        return _towards(error, OPEN, 0.4)
-    gap = max(cube[0] - peg[0] - POKE_REACH, 0)
-    speed = np.clip(gap + left - 0.03, 0.035, 0.05)
-    limit = 0.4 if tool[0] < FAR_OUT else FAR_OUT_LIMIT if tool[0] < 0.12 else 0.2
-    drag = _towards(np.array([speed, 0, 0]), OPEN, limit)
-    drag[2] = PRESS
-    return drag
+    if np.hypot(*behind[:2]) > 0.025:
+        return _towards(behind + [0, 0, 0.06], OPEN)
+    return _towards(behind, OPEN, 0.8)
+
+
+def _push_tail(cube: Array, peg: Array, left: float, yaw: float, error: Array) -> Array:
+    """From behind the peg: into line with its tail, and forwards.
+
+    ``error`` (3,) metres: from the front finger to the tail in x and y, and to the height at which
+    it pushes. A peg turned by ``yaw`` is turned back by pushing beside the middle of its tail. The
+    last ``left`` metres of the cube go slower and slower, because it slides on: 27 mm from 0.4 m/s.
+    """
+    room, across, up = error
+    if abs(across) > 0.015:
+        if room < ROOM - 0.012:  # A finger that moves sideways here would take the tail along.
+            return _towards(np.array([min(room - ROOM, -0.02), 0, up]), OPEN, 0.8)
+        return _towards(np.array([room - ROOM, across, up]), OPEN, 0.8)
+    gap = max((cube - peg)[0] - HALF_PEG - HALF_CUBE, 0)
+    speed = np.clip(gap + 0.5 * (left - 0.01), 0.02, 0.06)
+    return _towards(np.array([speed, across + np.clip(0.3 * yaw, -0.02, 0.02), up]), OPEN, 0.5)
+
+
+def _yaw(thing: Any) -> float:
+    """Radians by which an actor that stands upright is turned about z."""
+    w, _, _, z = np.asarray(thing.pose.q[0], float)
+    return float(2 * np.arctan2(z, w))
 
 
 def _line_up(tool: Array, peg: Array, aside: float) -> Array:
     """Pushes the peg sideways by ``aside`` metres. The open fingers touch its flank at two places,
-    so that it does not turn."""
+    so that it turns little."""
     behind = np.sign(aside) * (peg - tool)[1]
     error = peg - [0, np.sign(aside) * 0.06, 0] - tool
     if tool[2] < 0.045 and behind > 0.02:
         reach = np.sign(aside) * max(behind - AT_FLANK, 0) + aside
-        return _towards(np.array([error[0], reach, error[2]]), OPEN, 0.4, 0.8)
+        return _towards(np.array([error[0], reach, error[2]]), OPEN, 0.6, 1.0)
     if behind > 0.045 and abs(error[0]) < 0.03:
         return _towards(error, OPEN)
     if tool[2] < 0.07:
