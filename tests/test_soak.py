@@ -22,6 +22,7 @@ from madviz.bench.soak import (
     SoakConfig,
     growth_an_hour,
     judged,
+    rounds,
     sample,
     settled,
     soak,
@@ -83,7 +84,7 @@ def server(monkeypatch):
 
         monkeypatch.setattr("madviz.bench.soak.serving", serving)
         if crowd is not None:
-            monkeypatch.setattr("madviz.bench.soak.rounds", lambda here, seconds: crowd(here))
+            monkeypatch.setattr("madviz.bench.soak.rounds", lambda here, *_: crowd(here))
 
     return replace
 
@@ -120,6 +121,21 @@ def test_a_soak_whose_visitors_saw_nothing_has_not_passed(server):
     assert "TOO FEW PICTURES FOR A SOAK: 19 pictures came in 20 visits" in soak_words(result)
 
 
+def test_rounds_are_as_long_as_asked_unless_the_time_is_too_short_for_nine():
+    class Hurried:
+        def __init__(self) -> None:
+            self.lengths: list[float] = []
+
+        def round(self, seconds: float) -> Sample:
+            self.lengths.append(seconds)
+            return Sample(300.0, 20, 1)
+
+    for seconds, longest, length in ((0.09, 60.0, 0.01), (0.09, 0.005, 0.005)):
+        crowd = Hurried()
+        assert len(list(rounds(crowd, seconds, longest))) >= 9  # pyright: ignore[reportArgumentType]
+        assert crowd.lengths == pytest.approx([length] * len(crowd.lengths))
+
+
 def test_a_sample_counts_threads_and_memory():
     # In a process of its own: this one may put a block where an earlier test has freed one.
     grows = (
@@ -148,6 +164,7 @@ def test_settling_waits_for_a_thread_that_has_not_ended():
     thread = threading.Timer(2.5, lambda: None)
     thread.start()
     assert settled(os.getpid()).threads == calm + 1  # Nothing is known of what there should be.
+    assert settled(os.getpid(), calm, 0.1).threads == calm + 1  # It waits no longer than it may.
     assert settled(os.getpid(), calm).threads == calm and not thread.is_alive()
 
 

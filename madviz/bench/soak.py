@@ -1,10 +1,10 @@
 """``madviz soak``: visitors come, touch controls and go, for an hour; the server must not grow.
 
-A server in a process of its own, visitors without browsers (``bench/visitor.py``), rounds of 20 s.
-In a round visitors come and go and touch controls at random, by a seed; one more of them may come
-than there are simulations, so some watch and take over. After each round everybody leaves, and what
-is still there is written down: memory and threads of the server and its children, and how many
-processes that is.
+A server in a process of its own, visitors without browsers (``bench/visitor.py``), rounds of 20 s
+(``--round-seconds``: more where a simulation takes long to open). In a round visitors come and go
+and touch controls at random, by a seed; one more of them may come than there are simulations, so
+some watch and take over. After each round everybody leaves, and what is still there is written
+down: memory and threads of the server and its children, and how many processes that is.
 
     round   1    2    3  │  4    5    6    7    8    9   10   11
             warm-up      │  first ─                     last ───   of 11 rounds a third is warm-up
@@ -36,16 +36,16 @@ from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyName
 from madviz.system.numbers import Count, Range, Seed, ThreadsOrNone
 
-ROUND = 20.0
-"""Seconds; shorter where that would make fewer than ``FEWEST`` rounds."""
 FEWEST = 9
+"""Rounds; where the time is too short for them, they are shorter."""
 MOST_GROWTH = 0.02
 POOL = 4
 """Threads that viser's pool for callbacks may have started late: it grows to its busiest moment."""
 IMPATIENT = 0.2
 """Share of those who leave although they have not seen a picture yet."""
 SETTLING = 20.0
-"""Seconds that visitors who left may take to disappear."""
+"""Seconds that visitors who left may take to disappear; longer rounds allow as long as themselves,
+because a simulation that is being opened ends only when it is open."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,9 @@ class SoakConfig:
     """Processes that measure success in the background."""
     seed: Seed = 0
     """Of what the visitors do at random."""
+    round_seconds: Annotated[float, Range(0, 3600, above=True)] = 20.0
+    """After so long everybody leaves and what is left is counted. Take several times as long as the
+    first picture takes: who leaves before it has tried nothing."""
 
 
 class Sample(NamedTuple):
@@ -95,7 +98,7 @@ class Crowd:
         finally:
             for visitor in here:
                 self._leave(visitor)
-        left = settled(self._pid, self._calm)
+        left = settled(self._pid, self._calm, max(SETTLING, seconds))
         self._calm = left.threads
         return left
 
@@ -126,7 +129,7 @@ def soak(config: SoakConfig) -> dict[str, Any]:
         samples: list[Sample] = []
         trouble = ""
         try:
-            for one in rounds(crowd, 60 * config.minutes):
+            for one in rounds(crowd, 60 * config.minutes, config.round_seconds):
                 samples.append(one)
         except UserError as error:  # Nothing answers any more.
             trouble = str(error)
@@ -146,6 +149,7 @@ def soak(config: SoakConfig) -> dict[str, Any]:
         "workers": config.workers,
         "minutes": config.minutes,
         "seed": config.seed,
+        "round_seconds": config.round_seconds,
         "visits": crowd.visits,
         "touches": crowd.touches,
         "updates": crowd.updates,
@@ -157,9 +161,9 @@ def soak(config: SoakConfig) -> dict[str, Any]:
     }
 
 
-def rounds(crowd: Crowd, seconds: float) -> Iterator[Sample]:
+def rounds(crowd: Crowd, seconds: float, longest: float) -> Iterator[Sample]:
     """Rounds until the time is over, ``FEWEST`` at least."""
-    length = min(ROUND, seconds / FEWEST)
+    length = min(longest, seconds / FEWEST)
     end, done = time.monotonic() + seconds, 0
     while done < FEWEST or time.monotonic() < end:
         yield crowd.round(length)
@@ -208,12 +212,12 @@ def judged(samples: Sequence[Sample]) -> dict[str, Any]:
     }
 
 
-def settled(pid: int, calm: int | None = None) -> Sample:
+def settled(pid: int, calm: int | None = None, longest: float = SETTLING) -> Sample:
     """What is left of ``pid`` and its children once their threads have been the same for 1 s, and
     no more than ``calm`` if that is known: on a busy machine a simulator that is being opened takes
-    seconds before it notices that nobody needs it any more. Waits for ``SETTLING`` at most."""
+    seconds before it notices that nobody needs it any more. Waits ``longest`` seconds at most."""
     seen, since = sample(pid), time.monotonic()
-    deadline = since + SETTLING
+    deadline = since + longest
     most = math.inf if calm is None else calm
     while time.monotonic() < deadline:
         if time.monotonic() - since >= 1.0 and seen.threads <= most:
@@ -267,6 +271,6 @@ def soak_words(result: dict[str, Any]) -> str:
     if not result["served"]:
         lines.append(
             f"TOO FEW PICTURES FOR A SOAK: {result['updates']} pictures came in {result['visits']} "
-            "visits; run it with nothing else running"
+            "visits; run it with nothing else running, or with longer rounds (--round-seconds)"
         )
     return "\n".join(lines)
