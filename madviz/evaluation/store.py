@@ -24,6 +24,8 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from madviz.system.files import cache_folder
+
 T = TypeVar("T")
 
 MEMORY = ":memory:"
@@ -75,8 +77,7 @@ class ResultKey:
 
 def default_path() -> Path:
     """``$XDG_CACHE_HOME/madviz/results.sqlite``; ``~/.cache`` if the variable is not set."""
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(cache) / "madviz" / "results.sqlite"
+    return cache_folder() / "results.sqlite"
 
 
 class Store:

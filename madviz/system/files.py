@@ -123,6 +123,11 @@ def new_folder(out: Path) -> Iterator[Path]:
         shutil.rmtree(part, ignore_errors=True)
 
 
+def cache_folder() -> Path:
+    """``$XDG_CACHE_HOME/madviz``; in ``~/.cache`` if the variable is not set."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "madviz"
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """Gives ``path`` this content, as ``replacing`` does."""
     with replacing(path) as part:

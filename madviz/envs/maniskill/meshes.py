@@ -15,14 +15,12 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from madviz.envs.decimation import TRIANGLES, decimate
-from madviz.system.files import write_bytes
+from madviz.system.files import cache_folder, write_bytes
 from madviz.types import Array
 
 CREASE = 40.0
@@ -77,7 +75,7 @@ def lighter(mesh: Mesh, textured: bool) -> Mesh:
     digest = hashlib.sha256(f"{_FORMAT} {TRIANGLES} {CREASE}".encode())
     digest.update(mesh[0].tobytes())
     digest.update(mesh[1].tobytes())
-    path = cache_folder() / f"{digest.hexdigest()[:32]}.npz"
+    path = cache_folder() / "meshes" / f"{digest.hexdigest()[:32]}.npz"
     try:
         with np.load(path, allow_pickle=False) as cached:
             return cached["vertices"], cached["triangles"], cached["normals"], cached["uvs"]
@@ -93,12 +91,6 @@ def lighter(mesh: Mesh, textured: bool) -> Mesh:
     except OSError:
         pass  # A home that cannot be written costs the same seconds next time.
     return made
-
-
-def cache_folder() -> Path:
-    """``$XDG_CACHE_HOME/madviz/meshes``; ``~/.cache`` if the variable is not set."""
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(cache) / "madviz" / "meshes"
 
 
 def shade(vertices: Array, triangles: Array) -> Mesh:

@@ -6,9 +6,10 @@ without loading a mesh, and a simulation that is never looked at loads none at a
 
 Cameras are free and placed by pose before every picture; each camera and size has one component.
 ManiSkill's own sensors would all be drawn in every step, which a page that answers between two
-pictures cannot use. The shader pack is ManiSkill's default for observations, ``minimal``: no
-shadows, 8-bit colour, and positions in whole millimetres that fit 16 bits. So depth has steps of
-1 mm, ends at 32.8 m for the ground far away, and reads 0 where nothing is; that becomes ``FAR``.
+pictures cannot use. The shader pack is ManiSkill's default for observations, ``minimal``, less a
+table that nothing here needs (``shaders.py``): no shadows, 8-bit colour, and positions in whole
+millimetres that fit 16 bits. So depth has steps of 1 mm, ends at 32.8 m for the ground far away,
+and reads 0 where nothing is; that becomes ``FAR``.
 
 The profiles share all of this. ``fast`` draws lighter meshes, ``full`` the stock ones.
 """
@@ -23,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from madviz.envs.maniskill.bodies import ManiSkillBodies
 from madviz.envs.maniskill.meshes import lighten
+from madviz.envs.maniskill.shaders import STOCK, shader_pack
 from madviz.envs.maniskill.tasks import build
 from madviz.errors import UserError
 from madviz.types import Array, CameraSpec, View
@@ -89,9 +91,9 @@ class DrawnCopy:
         import sapien
         from mani_skill.render import PREBUILT_SHADER_CONFIGS, set_shader_pack
 
-        set_shader_pack(
-            PREBUILT_SHADER_CONFIGS["minimal"]
-        )  # What cameras made next will draw with.
+        # What cameras made next will draw with: its picture formats, then our copy of its shaders.
+        set_shader_pack(PREBUILT_SHADER_CONFIGS[STOCK])
+        sapien.render.set_camera_shader_dir(shader_pack(self._scene))
         camera = sapien.render.RenderCameraComponent(size, size)
         camera.near, camera.far = NEAR, FAR
         entity = sapien.Entity()
