@@ -132,9 +132,10 @@ def test_our_scripts_hold_where_metaworlds_fail(task: str, seed: int) -> None:
     assert success_at_the_end(task, seed)
 
 
-@pytest.mark.parametrize("task", ["assembly", "hand-insert", "pick-place-wall"])
+@pytest.mark.parametrize("task", ["assembly", "hand-insert", "pick-place", "pick-place-wall"])
 def test_our_scripts_survive_the_errors_a_student_makes(task: str) -> None:
-    """Under this noise Meta-World's scripts succeeded in 42 to 46 % of 24 episodes."""
+    """Under this noise Meta-World's scripts succeeded in 42 to 46 % of 24 episodes, that of
+    pick-place in 29 of 40."""
     env, rng = MetaWorld(task), np.random.default_rng(1)
     for seed in range(7000, 7004):
         now = env.reset(seed)

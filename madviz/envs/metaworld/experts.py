@@ -1,8 +1,8 @@
 """The scripted experts: ours where Meta-World's own do not hold success to the last step.
 
-The scripts know the object's true position. Meta-World's serve four tasks well, except that they
+The scripts know the object's true position. Meta-World's serve three tasks well, except that they
 go on after the goal is reached and may spoil it by the last step; they are therefore held still
-while the task's own condition is true. For the other eleven, ``scripts.py`` has ours. Either
+while the task's own condition is true. For the other twelve, ``scripts.py`` has ours. Either
 way the action depends on the present state alone, so it can also label the states of a student,
 which is what the light recipe asks of it."""
 

@@ -11,7 +11,8 @@ scene: fingers open and far from the object mean "go there", closed around it me
 
 A script that succeeds without noise may teach badly, as a student is off by a little at every
 decision. With normal noise of 0.3 on every action, Meta-World's scripts of assembly, hand-insert
-and pick-place-wall succeed in 42 to 46 % of 24 episodes, ours in all of them.
+and pick-place-wall succeed in 42 to 46 % of 24 episodes, ours in all of them; that of pick-place in
+29 of 40, ours in 39.
 """
 
 from __future__ import annotations
@@ -212,6 +213,12 @@ def hand_insert(scene: Scene) -> Array:
     """Carries the cube over the hole and lowers it, the hand going in with it."""
     far = float(np.linalg.norm((scene.object - scene.goal)[:2]))
     return scene.bring(scene.goal + [0.0, 0.0, 0.12 if far > 0.02 else 0.0])
+
+
+@script("pick-place")
+def pick_place(scene: Scene) -> Array:
+    """Carries the puck to its place in the air."""
+    return scene.bring(scene.goal)
 
 
 @script("pick-place-wall")
