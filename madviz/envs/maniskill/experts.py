@@ -133,12 +133,12 @@ def _poke(simulation: Any) -> Array:
     What a student can follow decides the shape: it is off by a centimetre in all it sees, so
     nothing here hangs on one. A cube that sits up to 22 mm aside is still pushed; otherwise the
     hand goes beside the peg, from where it makes 8 mm of them, and which of the two is under way
-    shows in where the hand is. The push is over with 3 of the 5 centimetres that count as success
-    still left over, and then the hand draws back 2 cm and stays: its errors no longer move the
-    peg, and the actions around there are all nearly zero. With normal noise of 0.15 on every action
-    but the last five, 55 of 60 episodes succeed. A script that pressed on the peg from above and
-    dragged it did so in 43 of 60, and most failures of its students were a cube in its place and a
-    hand that could not tell whether to rest or to press again."""
+    shows in where the hand is. The push ends 3 cm before the goal, of 5 cm that success allows, and
+    the hand draws back by 2 cm and stays: there its errors do not move the peg, and all actions are
+    nearly zero. With normal noise of 0.15 on every action but the last five, 55 of 60 episodes
+    succeed. A script that pressed on the peg from above and dragged it did so in 43 of 60, and most
+    failures of its students were a cube in its place and a hand that could not tell whether to rest
+    or to press again."""
     tool, peg = position(simulation.agent.tcp), position(simulation.peg)
     cube, goal = position(simulation.cube), position(simulation.goal_region)
     yaw = _yaw(simulation.peg)
