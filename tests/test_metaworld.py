@@ -158,6 +158,26 @@ def test_a_hand_comes_to_rest_where_the_scripts_think_it_will() -> None:
     assert np.allclose(env.observation[:3], expected, atol=0.006)
 
 
+def test_a_hand_comes_down_on_an_object_as_through_a_funnel() -> None:
+    """2 cm beside the grasp, a little above, it goes down; a rule that went up there, as it was not
+    within 12 mm, taught students to hover. Further away it goes to half the height, or the whole.
+    """
+    observation = np.zeros(39)
+    observation[[3, 21]] = 1.0  # Open fingers, at rest.
+
+    def rise(aside: float, above: float) -> float:
+        observation[[0, 2, 18, 20]] = aside, above, aside, above
+        action = pick(Scene(observation), np.zeros(3), hover=0.1)
+        assert action is not None and action[3] == -1  # Open until it is there.
+        return float(action[2])
+
+    assert rise(0.019, 0.03) < -0.9
+    assert rise(0.035, 0.04) > 0 > rise(0.035, 0.06)
+    assert rise(0.06, 0.09) > 0 > rise(0.06, 0.11)
+    observation[3] = 0.5  # Closed fingers stay above the object until they are open.
+    assert rise(0.0, 0.05) > 0
+
+
 def test_a_hand_that_still_closes_does_not_lift() -> None:
     observation = np.zeros(39)
     observation[[2, 3, 20, 21]] = 0.05, 0.6, 0.05, 0.67  # Over the object, fingers moving.

@@ -66,17 +66,21 @@ def pick(scene: Scene, grasp: Array, hover: float = 0.1, slack: float = 0.03) ->
 
     grasp (3,) is where the hand closes; hover the height from which it comes down; slack how far
     a closed hand may be from ``grasp`` and still count as holding.
+
+    The hand comes down as through a funnel: at 5 cm aside it is ``hover`` above, at 3.5 cm half of
+    that, within 2 cm it goes straight down and closes. A script that goes down only within 12 mm
+    succeeds without fail too, and teaches students, who see no better than a centimetre, to hover.
     """
     gap = scene.hand - grasp
     aside, above = float(np.linalg.norm(gap[:2])), float(gap[2])
     if scene.opening < OPEN and aside < slack and abs(above) < slack:
         return scene.go(grasp, 1.0) if scene.closing > 0.01 else None
-    if aside > 0.012 + 0.1 * max(0.0, above - 0.05):
-        return scene.go(grasp + [0.0, 0.0, hover], -1.0)
-    if above > 0.012:
-        ready = scene.opening > 0.6 or above < 0.03  # Closed fingers would come down on the object.
-        return scene.go(grasp + [0.0, 0.0, 0.0 if ready else 0.06], -1.0)
-    return scene.go(grasp, 1.0)
+    if aside < 0.02 and above < 0.012:
+        return scene.go(grasp, 1.0)
+    height = hover * min(max(aside - 0.02, 0.0) / 0.03, 1.0)
+    if scene.opening < 0.6 and above > 0.03:  # Closed fingers would come down on the object.
+        height = max(height, 0.06)
+    return scene.go(grasp + [0.0, 0.0, height], -1.0)
 
 
 def script(
