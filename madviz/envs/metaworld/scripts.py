@@ -61,15 +61,22 @@ class Scene:
         return self.go(self.hand + target - self.object, effort, gain)
 
 
+def funnel(aside: float, height: float, within: float) -> float:
+    """How high to be, in metres, when coming down on something ``aside`` metres away: 0 as far out
+    as ``within``, from there growing to ``height`` over the next 0.03. With 0.1 and 0.02: 0 at
+    2 cm, 0.05 at 3.5 cm, 0.1 from 5 cm on.
+
+    A script that goes down within 12 mm and up beyond them is right without fail, and teaches
+    students, who see no better than a centimetre, to hover.
+    """
+    return height * min(max(aside - within, 0.0) / 0.03, 1.0)
+
+
 def pick(scene: Scene, grasp: Array, hover: float = 0.1, slack: float = 0.03) -> Array | None:
     """(4,) the next action towards holding the object, or None once it is held.
 
     grasp (3,) is where the hand closes; hover the height from which it comes down; slack how far
     a closed hand may be from ``grasp`` and still count as holding.
-
-    The hand comes down as through a funnel: at 5 cm aside it is ``hover`` above, at 3.5 cm half of
-    that, within 2 cm it goes straight down and closes. A script that goes down only within 12 mm
-    succeeds without fail too, and teaches students, who see no better than a centimetre, to hover.
     """
     gap = scene.hand - grasp
     aside, above = float(np.linalg.norm(gap[:2])), float(gap[2])
@@ -77,7 +84,7 @@ def pick(scene: Scene, grasp: Array, hover: float = 0.1, slack: float = 0.03) ->
         return scene.go(grasp, 1.0) if scene.closing > 0.01 else None
     if aside < 0.02 and above < 0.012:
         return scene.go(grasp, 1.0)
-    height = hover * min(max(aside - 0.02, 0.0) / 0.03, 1.0)
+    height = funnel(aside, hover, within=0.02)
     if scene.opening < 0.6 and above > 0.03:  # Closed fingers would come down on the object.
         height = max(height, 0.06)
     return scene.go(grasp + [0.0, 0.0, height], -1.0)
@@ -198,15 +205,14 @@ def assembly(scene: Scene) -> Array:
     """Lifts the wrench by the end of its handle, brings its ring over the peg, then lowers it. The
     wrench hangs down from the hand a little: the ring is found by its whole turn, not only its yaw.
 
-    It comes down as through a funnel, from 0.06 m beside the peg on. A script that went down within
-    12 mm and up beyond them was right without fail, and taught students, who see no better than a
-    centimetre, to hover over the peg; the ring slides onto it from further away than that.
+    It comes down as through a funnel, from 0.06 m beside the peg on: the ring slides onto it from
+    further away than 12 mm.
     """
     w, x, y, z = scene.quaternion
     along = -np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
     ring = scene.object - 0.13 * along
     aside = float(np.linalg.norm((ring - scene.goal)[:2]))
-    target = scene.goal + [0.0, 0.0, 0.1 * min(max(aside / 0.03 - 1, 0.0), 1.0) - 0.05]
+    target = scene.goal + [0.0, 0.0, funnel(aside, 0.1, within=0.03) - 0.05]
     if aside > 0.05 and ring[2] < scene.goal[2] + 0.02:
         target[:2] = ring[:2]
     return scene.go(scene.hand + target - ring, 1.0)
