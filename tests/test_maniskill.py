@@ -182,6 +182,23 @@ def test_an_expert_survives_the_errors_a_student_makes(task: str, quiet: int) ->
     assert successes >= 4
 
 
+@pytest.mark.parametrize(("left", "rests"), [(0.045, True), (0.07, False)])
+def test_a_poking_hand_that_has_drawn_back_rests_unless_much_is_left(
+    left: float, rests: bool
+) -> None:
+    """A student that sees the cube a centimetre off would push again and again, and no arm that
+    moves succeeds."""
+    env = ManiSkill("poke-cube")
+    now = env.reset(7001)
+    while not now.success:
+        now = env.step(env.expert())
+    cube, goal = env.simulation.cube, env.simulation.goal_region
+    short = cube.pose.sp
+    short.p = [position(goal)[0] - left, *short.p[1:]]
+    cube.set_pose(short)
+    assert (np.abs(env.expert()[:3]).max() == 0) == rests
+
+
 def test_two_simulators_that_open_at_once_do_not_mix_their_meshes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
