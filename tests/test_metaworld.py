@@ -7,7 +7,7 @@ import pytest
 
 from madviz.envs import shapes
 from madviz.envs.metaworld.environment import MetaWorld
-from madviz.envs.metaworld.scripts import RUN_ON, Scene, pick
+from madviz.envs.metaworld.scripts import RUN_ON, SCRIPTS, Scene, pick
 from madviz.envs.registry import METAWORLD_TASKS, make_env
 
 
@@ -184,6 +184,16 @@ def test_a_hand_that_still_closes_does_not_lift() -> None:
     assert pick(Scene(observation), np.array([0, 0, 0.05])) is not None
     observation[21] = 0.6
     assert pick(Scene(observation), np.array([0, 0, 0.05])) is None
+
+
+@pytest.mark.parametrize(("off", "action"), [(0.015, 0.0), (0.03, 0.35)])
+def test_a_puck_that_is_within_2_cm_of_its_place_is_kept_still(off: float, action: float) -> None:
+    """3 cm off, the script makes 1 cm of them, at a gain of 0.7 and 2 cm a decision: 0.35."""
+    observation = np.zeros(39)
+    observation[[3, 21]] = 0.5  # Closed fingers, at rest.
+    observation[[2, 20]] = 0.32  # The hand, around a puck that hangs 2 cm below it.
+    observation[6], observation[38] = 0.3, 0.3 + off
+    assert np.allclose(SCRIPTS["pick-place"](Scene(observation)), [0, 0, action, 1])
 
 
 @pytest.mark.slow
