@@ -28,6 +28,8 @@ FAR_OUT, FAR_OUT_LIMIT = 0.06, 0.3
 """Metres of x from which on the action outwards stays at the limit: near the arm's reach."""
 STEP = 0.1
 """Metres of tool point motion that an action of 1 asks for."""
+GAIN = 1.3
+"""Metres asked for over metres wanted: the controller moves less than an action asks for."""
 ABOVE = 0.08
 """Metres over an object at which the gripper travels to it."""
 AT_FLANK = 0.035
@@ -60,7 +62,7 @@ class ManiSkillExpert:
         return action
 
 
-def _towards(error: Array, gripper: float, limit: float = 1.0, gain: float = 1.3) -> Array:
+def _towards(error: Array, gripper: float, limit: float = 1.0, gain: float = GAIN) -> Array:
     """The action that closes ``error`` (3,), metres; its longest component is at most ``limit``,
     and its direction stays."""
     motion = gain * error / STEP
@@ -167,7 +169,7 @@ def _poke(simulation: Any) -> Array:
         clear = peg[1] + 0.06 * np.sign((tool - peg)[1])
         fastest = [1.0 if away[1] > 0.045 else 0.3, 0.5, 1.0]
         error = np.array([behind[0], clear - tool[1], behind[2]])
-        return np.append(np.clip(1.3 * error / STEP, np.negative(fastest), fastest), OPEN)
+        return np.append(np.clip(GAIN * error / STEP, np.negative(fastest), fastest), OPEN)
     if low:
         return np.array([0, 0, 1, OPEN])
     if np.hypot(*behind[:2]) > 0.025:

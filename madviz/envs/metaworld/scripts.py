@@ -227,8 +227,8 @@ def hand_insert(scene: Scene) -> Array:
 
 @script("pick-place")
 def pick_place(scene: Scene) -> Array:
-    """Carries the puck to within 2 cm of its place in the air, of 7 that success allows, and keeps
-    still there: how far away a place in the air is, one picture tells no better."""
+    """Carries the puck to within 2 cm of its place in the air, and keeps still there. Success
+    allows 7 cm, and one picture does not tell well how far away a place in the air is."""
     left = scene.goal - scene.object
     far = float(np.linalg.norm(left))
     return scene.bring(scene.object + left * max(far - 0.02, 0.0) / max(far, 1e-9))
