@@ -15,14 +15,9 @@ from madviz.app.connection import _forgive, is_too_late
 from madviz.app.panel import CROSSED, Assign, apply
 from madviz.app.panels.cameras import CamerasPanel
 from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
-from madviz.app.panels.policy import (
-    PolicyChoice,
-    PolicyPanel,
-)
+from madviz.app.panels.policy import PolicyChoice, PolicyPanel, status_html
 from madviz.app.panels.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
-from madviz.app.panels.success import (
-    SuccessPanel,
-)
+from madviz.app.panels.success import SuccessPanel
 from madviz.app.panels.words import WordsPanel
 from madviz.app.rates import SuccessRates
 from madviz.app.scene.scene import ScenePanel
@@ -213,6 +208,18 @@ def test_subsets_say_how_far_their_actions_are_apart():
 def test_a_policy_that_breaks_shows_where():
     html = subsets_html(frame_with(policy=NanPolicy("toy-nan")))
     assert html.count("cannot act on this") == 3
+
+
+def test_the_goal_is_written_out_and_whether_it_is_met():
+    frame = frame_with()
+    goal = f">Goal: {frame.world.env.success}</div>"
+    for fields, words in (
+        ({"success": True}, "✔ Goal met now</div>"),
+        ({"success": False, "success_any": True}, "✘ Goal not met now, but it was</div>"),
+        ({"success": False, "success_any": False}, "✘ Goal not met now, nor before</div>"),
+    ):
+        html = status_html(with_world(frame, **fields))
+        assert words in html and goal in html
 
 
 def test_labels_and_squares():

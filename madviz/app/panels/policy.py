@@ -248,15 +248,13 @@ def _progress(frame: Frame) -> str:
 
 
 def _goal(frame: Frame) -> str:
+    """Whether the goal is met, and below it what the goal is: on at most two lines."""
     met = "✔ Goal met now" if frame.world.success else "✘ Goal not met now"
     ever = (
         "" if frame.world.success else ", but it was" if frame.world.success_any else ", nor before"
     )
     goal = escape(frame.world.env.success)
-    return (
-        '<div style="overflow:hidden;text-overflow:ellipsis;white-space:nowrap" '
-        f'title="{goal}">{met}{ever} <span class="dim">({goal})</span></div>'
-    )
+    return f'<div>{met}{ever}</div><div class="dim two-lines" title="{goal}">Goal: {goal}</div>'
 
 
 def _action(frame: Frame) -> str:
