@@ -108,6 +108,7 @@ def test_what_was_measured_before_a_server_died_is_kept(server):
         "Traceback: the reason", "no page to visit", "the server ended by itself"
     ]  # fmt: skip
     assert "the server has not grown" in soak_words(result)
+    assert result["minutes"] < 1, "it ran for less than the five minutes asked"
 
 
 def test_a_soak_whose_visitors_saw_nothing_has_not_passed(server):

@@ -127,12 +127,13 @@ def soak(config: SoakConfig) -> dict[str, Any]:
     with tempfile.TemporaryFile("w+") as log, serving(words, log) as (url, process):
         crowd = Crowd(url, process.pid, config.visitors, config.seed)
         samples: list[Sample] = []
-        trouble = ""
+        trouble, begun = "", time.monotonic()
         try:
             for one in rounds(crowd, 60 * config.minutes, config.round_seconds):
                 samples.append(one)
         except UserError as error:  # Nothing answers any more.
             trouble = str(error)
+        minutes = (time.monotonic() - begun) / 60  # Fewer than asked, where the server died.
         died = process.poll() is not None
         log.seek(0)
         errors = [line.rstrip() for line in log if line.strip()]
@@ -147,7 +148,7 @@ def soak(config: SoakConfig) -> dict[str, Any]:
         "schema": 1,
         "policy": config.policy,
         "workers": config.workers,
-        "minutes": config.minutes,
+        "minutes": minutes,
         "seed": config.seed,
         "round_seconds": config.round_seconds,
         "visits": crowd.visits,
@@ -259,7 +260,7 @@ def soak_words(result: dict[str, Any]) -> str:
     memory, threads = result["memory_mb"], result["threads"]
     lines = [
         f"{result['visits']} visits, {result['touches']} touches, {result['updates']} updates in "
-        f"{result['minutes']:g} min",
+        f"{result['minutes']:.1f} min",
         f"memory {memory['after_warm_up']} -> {memory['end']} MB ({100 * memory['growth']:+.1f} %, "
         f"{growth_an_hour(result):+.1f} MB an hour)",
         f"threads {threads['after_warm_up']} -> {threads['end']}, processes "
