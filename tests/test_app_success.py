@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import traceback
 from collections.abc import Hashable
 from html import escape
@@ -70,6 +71,16 @@ def test_success_bars_tell_shipped_from_measured(server):
     panel = SuccessPanel(server.gui, frame, rates, visitor=1)
     apply(panel.update(frame))
     panel.remove()
+
+
+def test_a_ninth_bar_makes_all_of_them_lower_so_that_the_panel_needs_no_scrolling():
+    pairs = ("first+third_a", "first+third_b", "third_a+third_b")
+    rates = SuccessRates(lambda spec: {name: {"success": 1.0, "n": 100} for name in pairs})
+    frozen = SetCamera("third_b", CameraState("rgb", Occlusion("freeze")))
+    for frame, count in ((frame_with(), 8), (frame_with(frozen), 9)):
+        heights = re.findall(r'class="rate.*?height:(\d+)px', bars_html(frame, rates))
+        assert len(heights) == count
+        assert sum(map(int, heights)) <= 160, "pixels that are left in a window 800 high"
 
 
 def test_rates_tell_their_listeners_only_news():

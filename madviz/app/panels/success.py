@@ -205,7 +205,7 @@ def bars_html(frame: Frame, rates: SuccessRates) -> str:
     own = [bar_rows(side, rates) for side in sides]
     conditions = list(dict.fromkeys(row for rows in own for row in rows))
     conditions.sort(key=lambda row: row.subset == "none")
-    height = 15 if len(sides) == 2 else 20 if len(conditions) < 10 else 17
+    height = 15 if len(sides) == 2 else 20 if len(conditions) < 9 else 17
     rows = [
         _bar_row(side, condition, rates, "" if len(sides) == 1 else "AB"[index], height)
         for condition in conditions
