@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from madviz.bench.places import in_picture
 from madviz.envs import shapes
 from madviz.envs.metaworld.environment import MetaWorld
 from madviz.envs.metaworld.scripts import RUN_ON, SCRIPTS, Scene, pick
@@ -143,6 +144,18 @@ def test_our_scripts_survive_the_errors_a_student_makes(task: str) -> None:
             noise = rng.normal(0, 0.3, 4) * [1, 1, 1, 0]
             now = env.step(np.clip(env.expert() + noise, -1, 1).astype(np.float32))
         assert now.success, seed
+
+
+@pytest.mark.parametrize("seed", [7000, 7001])
+def test_the_camera_on_the_hand_sees_the_box_before_the_peg_is_pushed_in(seed: int) -> None:
+    """In front of the hole it does not, and the box stands elsewhere in every episode."""
+    env, seen = MetaWorld("peg-insert-side"), 0
+    now = env.reset(seed)
+    edge = env.observation[36:39] + [0.07, 0, 0.07]  # Of the box's top, above the hole.
+    while not now.success:
+        seen += int(in_picture(env.pose("first"), edge[None])[0])
+        now = env.step(env.expert())
+    assert seen > 2
 
 
 def test_a_hand_comes_to_rest_where_the_scripts_think_it_will() -> None:

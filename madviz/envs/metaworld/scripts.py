@@ -36,7 +36,7 @@ WALL = 0.75
 PEG_LIFT_X, PEG_FRONT_X = 0.1, 0.03
 """Where the peg goes up before it flies to the box, and where it comes down in front of it."""
 PEG_OUT_Z, PEG_BACK_Z = 0.28, 0.235
-"""How high it flies to the box, which ends at 0.21, and back from it."""
+"""How high it is on the way to the box, which is 0.2 high, and on the way back."""
 
 
 Script = Callable[["Scene"], Array]
@@ -165,18 +165,18 @@ def peg_insert_side(scene: Scene) -> Array:
     """
     (x, y, z), hole = scene.object, scene.goal + [0.0, 0.0, 0.01]
     aside, above_box = abs(float(y - hole[1])), float(hole[0]) + 0.14
-    if z > PEG_OUT_Z - 0.025:
+    if z > PEG_OUT_Z - 0.025:  # Out, and down to the way back once it is in line with the hole.
         if x < above_box + 0.03 and aside < 0.008:
             return scene.bring(np.array([x + 0.02, hole[1], PEG_BACK_Z]))
         return scene.bring(np.array([above_box, hole[1], PEG_OUT_Z]))
-    if z < 0.11 and x < PEG_LIFT_X - 0.03:
+    if z < 0.11 and x < PEG_LIFT_X - 0.03:  # Picked up too near the box: away from it, and up.
         return scene.bring(np.array([PEG_LIFT_X, y, 0.06]))
     if x > PEG_LIFT_X - 0.035:
         return scene.bring(np.array([max(x, PEG_LIFT_X), y, PEG_OUT_Z + 0.02]))
     slack = 0.01 if x > hole[0] + 0.2 else 0.03  # Once in the hole, the peg stays there.
     if aside < slack and z < hole[2] + slack:
         return scene.bring(hole + [0.13, 0.0, 0.0])
-    if x < PEG_FRONT_X - 0.03:
+    if x < PEG_FRONT_X - 0.03:  # Back, above the box or along it.
         return scene.bring(np.array([PEG_FRONT_X, y, z if z < 0.2 else PEG_BACK_Z]))
     return scene.bring(np.array([PEG_FRONT_X, hole[1], hole[2]]))
 
