@@ -34,7 +34,7 @@ WALL = 0.75
 """Where the wall of pick-place-wall stands, along y."""
 
 PEG_LIFT_X, PEG_FRONT_X = 0.1, 0.03
-"""Where the peg goes up before it flies to the box, and where it comes down in front of it."""
+"""Where the peg goes up before it is carried to the box, and where it comes down in front of it."""
 PEG_OUT_Z, PEG_BACK_Z = 0.28, 0.235
 """How high it is on the way to the box, which is 0.2 high, and on the way back."""
 
@@ -158,9 +158,9 @@ def soccer(scene: Scene) -> Array:
 def peg_insert_side(scene: Scene) -> Array:
     """Carries the peg over the box, comes back with it and pushes it in along x.
 
-    In front of the hole the camera on the hand does not see the box, so from that camera alone
-    nobody knows where along y the hole is. Above the box it does, and coming back keeps y. As a
-    student remembers nothing, each leg has a place of its own: up at ``PEG_LIFT_X``, out at
+    In front of the hole the camera on the hand does not see the box, so from that camera alone a
+    policy cannot know where along y the hole is. Above the box it can, and coming back keeps y. A
+    student remembers nothing, so each leg has a place of its own: up at ``PEG_LIFT_X``, out at
     ``PEG_OUT_Z``, back at ``PEG_BACK_Z``, down at ``PEG_FRONT_X``.
     """
     (x, y, z), hole = scene.object, scene.goal + [0.0, 0.0, 0.01]
