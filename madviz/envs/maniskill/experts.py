@@ -45,7 +45,8 @@ IN_HAND = 0.006
 CALM = 0.4
 """Radians a second of the arm's quickest joint at which a hand is nearly at rest."""
 SINKING = 0.15
-"""Limit of the action downwards, by which a sphere is lowered into the bin."""
+"""Limit of an action's z while a sphere is lowered into the bin: it sinks at 0.11 to 0.12 m/s, and
+without the limit at 0.3."""
 GRIPPER_IS_OPEN = 0.035
 """Metres of one finger; 0.04 is all the way."""
 
@@ -113,10 +114,11 @@ def _place(simulation: Any) -> Array:
     for a few millimetres, and the bin needs none.
 
     What it does need is a hand that is nearly at rest and a slow way down. A sphere that meets a
-    wall while it is held, or leaves a moving hand, begins to spin about its vertical axis. In the
-    bin it touches the ground at one point, where nothing stops that spin, and a sphere that spins
+    wall while it is held, or leaves a moving hand, begins to spin. In the bin it touches the
+    ground at one point, where nothing stops a spin about the vertical axis, and a sphere that spins
     does not count as resting. No camera shows it, so no student could cure it. Lowered at full
-    speed, 2 of 200 episodes without noise ended so; lowered slowly, none.
+    speed, 2 of 200 episodes without noise ended so; lowered slowly, none. With normal noise of 0.1
+    on every action 185 of 200 episodes succeed.
     """
     tool, sphere = position(simulation.agent.tcp), position(simulation.obj)
     rest = position(simulation.bin) + [0, 0, 0.0225]  # Half a bottom plus the sphere's radius.
