@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from madviz.app.server import ExploreConfig as ExploreConfig
     from madviz.app.server import explore as explore
-    from madviz.auditing.audit import audit as audit
     from madviz.envs.custom import allow_task as allow_task
     from madviz.envs.registry import make_env as make_env
     from madviz.errors import UserError as UserError
-    from madviz.evaluation.episodes import run_episode as run_episode
-    from madviz.evaluation.evaluate import evaluate as evaluate
+    from madviz.measure.audit.audit import audit as audit
+    from madviz.measure.episodes import run_episode as run_episode
+    from madviz.measure.evaluate import evaluate as evaluate
     from madviz.policies.checkpoint import load_policy as load_policy
     from madviz.policies.checkpoint import save_policy as save_policy
     from madviz.policies.listing import list_policies as list_policies
@@ -35,13 +35,13 @@ __version__ = "0.1.0"
 PUBLIC = {
     "ExploreConfig": "madviz.app.server",
     "allow_task": "madviz.envs.custom",
-    "audit": "madviz.auditing.audit",
-    "evaluate": "madviz.evaluation.evaluate",
+    "audit": "madviz.measure.audit.audit",
+    "evaluate": "madviz.measure.evaluate",
     "explore": "madviz.app.server",
     "list_policies": "madviz.policies.listing",
     "load_policy": "madviz.policies.checkpoint",
     "make_env": "madviz.envs.registry",
-    "run_episode": "madviz.evaluation.episodes",
+    "run_episode": "madviz.measure.episodes",
     "save_policy": "madviz.policies.checkpoint",
     "UserError": "madviz.errors",
 }

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz.envs.registry import SETTINGS
-from madviz.evaluation.statistics import wilson
+from madviz.measure.statistics import wilson
 from madviz.system.files import write_json
 from madviz.types import CameraSpec
 

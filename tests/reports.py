@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from madviz.evaluation.evidence import find_evidence
+from madviz.measure.evidence import find_evidence
 from madviz.report.layouts import LAYOUTS
 from madviz.report.results import ReportConfig, run_report
 from madviz.report.rows import Row

@@ -9,7 +9,7 @@ import pytest
 
 from madviz.envs.registry import SETTINGS
 from madviz.errors import UserError
-from madviz.evaluation.episodes import occlusion_key, relevant
+from madviz.measure.episodes import occlusion_key, relevant
 from madviz.observation.ablation import (
     Ablation,
     CameraState,

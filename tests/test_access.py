@@ -25,8 +25,8 @@ from madviz.app.access import (
 )
 from madviz.app.server import App, ExploreConfig, gate_for
 from madviz.app.users import Limits
-from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
+from madviz.soak.visitor import Visitor
 from madviz.system.hosts import new_token, stays_here
 from tests.pages import fake_app
 

@@ -24,12 +24,12 @@ from madviz.app.rates import SuccessRates
 from madviz.app.refresh import AFTER, FASTEST, Refresh, TimedPanel
 from madviz.app.server import ExploreConfig, explore, first_choice
 from madviz.app.users import Limits, Users
-from madviz.bench.visitor import Visitor
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.session.commands import Pause, SetSpeed
 from madviz.session.frame import Frame
 from madviz.session.session import Session
+from madviz.soak.visitor import Visitor
 from tests.fakes import FakePolicy, policies
 from tests.pages import await_that, browser, choices_of, fake_app
 from tests.sessions import frame_with

@@ -32,8 +32,8 @@ from madviz.app.panels.words import WordsPanel, both_sides, sentence
 from madviz.app.pictures import picture
 from madviz.app.rates import SuccessRates, side_b
 from madviz.envs.registry import make_env
-from madviz.evaluation.live import Request, Tally
-from madviz.evaluation.statistics import SuccessRate
+from madviz.measure.live import Request, Tally
+from madviz.measure.statistics import SuccessRate
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.policies.checkpoint import load_policy
 from madviz.recording.facts import condition_words

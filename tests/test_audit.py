@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 from madviz.analysis.shapley import shapley
-from madviz.auditing import audit as command
-from madviz.auditing.audit import AuditConfig, audit, audit_words, run_audit
-from madviz.auditing.conditions import HOWS, INTACT, Cameras, Played
-from madviz.auditing.page import html, markdown
-from madviz.auditing.plan import AuditPlan
-from madviz.auditing.rule import (
-    VERDICTS,
-)
-from madviz.auditing.words import in_words
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import STEP
 from madviz.errors import Interrupted, UserError
-from madviz.evaluation.statistics import pair
-from madviz.evaluation.store import MEMORY, EpisodeResult, Store
+from madviz.measure.audit import audit as command
+from madviz.measure.audit.audit import AuditConfig, audit, audit_words, run_audit
+from madviz.measure.audit.conditions import HOWS, INTACT, Cameras, Played
+from madviz.measure.audit.page import html, markdown
+from madviz.measure.audit.plan import AuditPlan
+from madviz.measure.audit.rule import (
+    VERDICTS,
+)
+from madviz.measure.audit.words import in_words
+from madviz.measure.statistics import pair
+from madviz.measure.store import MEMORY, EpisodeResult, Store
 from madviz.subsets import every_mask
 from madviz.types import Encoded, PolicySpec, Readout
 

@@ -5,8 +5,8 @@ import re
 import textwrap
 from pathlib import Path
 
-from madviz.auditing.audit import audit
-from madviz.auditing.words import in_words
+from madviz.measure.audit.audit import audit
+from madviz.measure.audit.words import in_words
 from madviz.types import Policy
 
 ROOT = Path(__file__).parent.parent

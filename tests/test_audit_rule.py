@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from madviz.auditing.conditions import Cameras
-from madviz.auditing.plan import AuditPlan
-from madviz.auditing.rule import (
+from madviz.envs.registry import SETTINGS
+from madviz.measure.audit.conditions import Cameras
+from madviz.measure.audit.plan import AuditPlan
+from madviz.measure.audit.rule import (
     LEVEL,
     VERDICTS,
     Look,
@@ -18,9 +19,8 @@ from madviz.auditing.rule import (
     table,
     within,
 )
-from madviz.auditing.words import plan_words
-from madviz.envs.registry import SETTINGS
-from madviz.evaluation.statistics import pair
+from madviz.measure.audit.words import plan_words
+from madviz.measure.statistics import pair
 
 THREE = SETTINGS["three"].streams
 CODES = {name: code for code, name in enumerate(VERDICTS)}

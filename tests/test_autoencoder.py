@@ -14,6 +14,14 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from benchmarks import imagine
+from benchmarks.imagine import (
+    ImagineConfig,
+    bench_imagine,
+    imagine_words,
+    imagined,
+    judged_frames,
+)
 from madviz.agent.autoencoder import (
     LEAST_KEPT,
     AutoencoderConfig,
@@ -30,16 +38,8 @@ from madviz.agent.autoencoder import (
     symlog,
     whole_views,
 )
-from madviz.bench import imagine
-from madviz.bench.imagine import (
-    ImagineConfig,
-    bench_imagine,
-    imagine_words,
-    imagined,
-    judged_frames,
-)
 from madviz.errors import UserError
-from madviz.evaluation.episodes import one_thread
+from madviz.measure.episodes import one_thread
 from madviz.training.autoencoder import (
     AutoencoderTraining,
     mean_pictures,

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from madviz.bench import evaluate as bench_evaluate
-from madviz.bench import live as bench_live
-from madviz.bench.render import Frames, RenderConfig, alternate, bench_render
+from benchmarks import evaluate as bench_evaluate
+from benchmarks import live as bench_live
+from benchmarks.render import Frames, RenderConfig, alternate, bench_render
 from madviz.errors import UserError
-from madviz.evaluation.episodes import Finished, Job, Workers
-from madviz.evaluation.store import EpisodeResult
+from madviz.measure.episodes import Finished, Job, Workers
+from madviz.measure.store import EpisodeResult
 from madviz.training import job
 from madviz.training.job import JobConfig, JobStatus, State
 from madviz.types import Encoded

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from madviz.bench import buffer as module
-from madviz.bench.buffer import BenchBufferConfig, bench_buffer
+from benchmarks import buffer as module
+from benchmarks.buffer import BenchBufferConfig, bench_buffer
 from madviz.errors import UserError
 from madviz.training import buffer_storage
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from madviz.bench import places
-from madviz.bench.places import PlacesConfig, bench_places, in_picture, places_words, ridge
+from benchmarks import places
+from benchmarks.places import PlacesConfig, bench_places, in_picture, places_words, ridge
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.types import Array, CameraPose, Encoded, KnowsPlaces, Readout

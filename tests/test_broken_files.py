@@ -13,8 +13,8 @@ import pytest
 from madviz import cli
 from madviz.app.server import first_choice, policy_choices, shipped_rates
 from madviz.errors import UserError
-from madviz.evaluation.compare import CompareConfig, run_compare
-from madviz.evaluation.evaluate import EvalConfig, run_eval
+from madviz.measure.compare import CompareConfig, run_compare
+from madviz.measure.evaluate import EvalConfig, run_eval
 from madviz.policies import checkpoint
 from madviz.report.results import ReportConfig, report_words, run_report
 from madviz.sweep.sweep import run_sweep, sweep_table
@@ -163,7 +163,7 @@ def test_a_card_over_a_broken_evaluation_is_refused_before_the_work(
 ) -> None:
     (three[0] / "weights.safetensors").write_bytes(b"")
     (three[0] / "evaluation.json").write_text(content)
-    monkeypatch.setattr("madviz.evaluation.evaluate.evaluate", None)
+    monkeypatch.setattr("madviz.measure.evaluate.evaluate", None)
     with pytest.raises(UserError, match="evaluation.json: expected .*; .*restore it"):
         run_eval(EvalConfig("mad", card=True))
     assert (three[0] / "evaluation.json").read_text() == content
@@ -193,13 +193,13 @@ def test_a_card_that_cannot_be_written_loses_no_episode(
     (three[0] / "weights.safetensors").write_bytes(b"")
     document = json.loads((three[0] / "evaluation.json").read_text())
     (three[0] / "evaluation.json").unlink()
-    monkeypatch.setattr("madviz.evaluation.evaluate.evaluate", lambda *_, **__: Measured())
+    monkeypatch.setattr("madviz.measure.evaluate.evaluate", lambda *_, **__: Measured())
     (three[0] / "card.md").mkdir()
     with pytest.raises(UserError, match="^--card .*card.md: expected a file"):
         run_eval(EvalConfig("mad", card=True))
     assert not (three[0] / "evaluation.json").exists()
     (three[0] / "card.md").rmdir()
-    monkeypatch.setattr("madviz.evaluation.evaluate.write_card", no_space)
+    monkeypatch.setattr("madviz.measure.evaluate.write_card", no_space)
     assert cli.main(["eval", "--policy", "mad", "--card"]) == 2
     printed, said = capsys.readouterr()
     assert '"episodes": [' in printed and "all  " in printed

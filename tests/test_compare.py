@@ -11,10 +11,10 @@ import pytest
 
 from madviz import cli
 from madviz.errors import UserError
-from madviz.evaluation.compare import CompareConfig, comparison_table, over_trainings, run_compare
-from madviz.evaluation.evidence import read_evidence
-from madviz.evaluation.statistics import pair
-from madviz.evaluation.store import EpisodeResult, ResultKey, Store
+from madviz.measure.compare import CompareConfig, comparison_table, over_trainings, run_compare
+from madviz.measure.evidence import read_evidence
+from madviz.measure.statistics import pair
+from madviz.measure.store import EpisodeResult, ResultKey, Store
 from madviz.plots import figures
 from madviz.policies.checkpoint import save_policy
 from tests.checkpoints import make_agent, make_config

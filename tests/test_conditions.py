@@ -6,9 +6,9 @@ import pytest
 
 from madviz import cli
 from madviz.errors import UserError
-from madviz.evaluation.compare import CompareConfig, comparison_table, run_compare
-from madviz.evaluation.evaluate import evaluate
-from madviz.evaluation.statistics import pair
+from madviz.measure.compare import CompareConfig, comparison_table, run_compare
+from madviz.measure.evaluate import evaluate
+from madviz.measure.statistics import pair
 from madviz.observation.ablation import Occlusion
 from madviz.observation.grammar import parse_condition, parse_what
 from tests.fakes import AllOrNothing, FakePolicy
@@ -86,7 +86,7 @@ def test_conditions_are_compared_on_the_same_seeds():
 
 
 def test_what_cannot_be_compared_is_refused_before_anything_is_played(monkeypatch):
-    monkeypatch.setattr("madviz.evaluation.conditions.evaluate", None)
+    monkeypatch.setattr("madviz.measure.conditions.evaluate", None)
     with pytest.raises(UserError, match="picky cannot act on 'first'"):
         run_compare(config("all", "first", policy="tests.test_conditions:make_picky"))
     with pytest.raises(UserError, match="expected two or more conditions"):

@@ -10,11 +10,11 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from madviz.bench import crowd
-from madviz.bench.crowd import CrowdConfig, bench_crowd
-from madviz.bench.memory import family, proportional_megabytes
-from madviz.bench.server import await_answer
+from benchmarks import crowd
+from benchmarks.crowd import CrowdConfig, bench_crowd
 from madviz.errors import UserError
+from madviz.soak.memory import family, proportional_megabytes
+from madviz.soak.server import await_answer
 
 PARENT = (
     "import subprocess, sys\n"

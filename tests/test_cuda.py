@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.update import STREAMS, random_batch
 from madviz.agent.agent import Agent
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.objectives import Batch
 from madviz.agent.update import Learner, LearningConfig
 from madviz.agent.update_graph import WARM_UP
-from madviz.bench.update import STREAMS, random_batch
 from madviz.policies.checkpoint import load_policy
 from madviz.training import loop
 from madviz.training.buffer import BufferSpec, ReplayBuffer

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from madviz.evaluation.statistics import wilson
+from madviz.measure.statistics import wilson
 from madviz.training.curve import draw_curve, duration, progress, success_lines
 
 HEADER = (

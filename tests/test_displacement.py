@@ -13,8 +13,8 @@ import pytest
 from madviz import cli
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
-from madviz.evaluation import displace as displace_module
-from madviz.evaluation.displace import (
+from madviz.measure import displace as displace_module
+from madviz.measure.displace import (
     DisplaceConfig,
     Point,
     displace,
@@ -23,9 +23,9 @@ from madviz.evaluation.displace import (
     places,
     run_displace,
 )
-from madviz.evaluation.episodes import Job, Runner
-from madviz.evaluation.evaluate import evaluate
-from madviz.evaluation.statistics import SuccessRate, wilson
+from madviz.measure.episodes import Job, Runner
+from madviz.measure.evaluate import evaluate
+from madviz.measure.statistics import SuccessRate, wilson
 from madviz.observation.displacement import Displacement
 from madviz.types import Encoded, Readout
 from tests.fakes import AllOrNothing, FakePolicy

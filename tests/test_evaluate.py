@@ -17,14 +17,14 @@ from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
-from madviz.evaluation.episodes import Job, Runner, relevant, run_episode
-from madviz.evaluation.evaluate import (
+from madviz.measure.episodes import Job, Runner, relevant, run_episode
+from madviz.measure.evaluate import (
     EvalConfig,
     default_subsets,
     evaluate,
     run_eval,
 )
-from madviz.evaluation.store import MEMORY, Store
+from madviz.measure.store import MEMORY, Store
 from madviz.observation.ablation import Ablation, Occlusion
 from madviz.observation.grammar import parse_occlusions
 from madviz.policies import checkpoint

@@ -12,8 +12,8 @@ import pytest
 from madviz.envs.custom import allow_task, own_tasks
 from madviz.envs.registry import choose, make_env
 from madviz.errors import UserError
-from madviz.evaluation.evaluate import evaluate
 from madviz.examples.own_policy import Finder
+from madviz.measure.evaluate import evaluate
 from madviz.sweep.plan import read_plan
 from madviz.training.config import TrainConfig
 from madviz.training.light import LightConfig

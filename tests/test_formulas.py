@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import binomtest, norm
 
-from madviz.evaluation.formulas import (
+from madviz.measure.formulas import (
     agresti_min,
     detectable,
     hierarchical_bootstrap,

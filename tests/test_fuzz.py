@@ -31,7 +31,6 @@ from madviz.app import connection
 from madviz.app.connection import TAKEN
 from madviz.app.server import App
 from madviz.app.users import Limits
-from madviz.bench.visitor import Visitor
 from madviz.envs.cameras import read_cameras
 from madviz.errors import UserError
 from madviz.observation.grammar import failure_text, parse_failure
@@ -40,6 +39,7 @@ from madviz.policies import checkpoint
 from madviz.policies.checkpoint import describe, shipped_evaluation
 from madviz.policies.listing import ListConfig, catalogue, list_policies, run_list
 from madviz.session.session_reader import parse
+from madviz.soak.visitor import Visitor
 from madviz.system.options import options
 from tests.pages import fake_app
 from tests.test_messages import KINDS, sample

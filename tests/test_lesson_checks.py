@@ -13,7 +13,7 @@ import pytest
 
 from madviz import teaching
 from madviz.errors import UserError
-from madviz.evaluation.statistics import Paired
+from madviz.measure.statistics import Paired
 from madviz.subsets import mask_of, name_of
 from madviz.teaching import checks
 from madviz.teaching.checks import CHECKS, NotYet, judge, lesson_02, table

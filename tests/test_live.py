@@ -19,9 +19,9 @@ import pytest
 from madviz.app.panels.success import bars_html
 from madviz.app.rates import SuccessRates
 from madviz.errors import UserError
-from madviz.evaluation.episodes import Runner, Workers
-from madviz.evaluation.live import Evaluator
-from madviz.evaluation.store import MEMORY, EpisodeResult, Store
+from madviz.measure.episodes import Runner, Workers
+from madviz.measure.live import Evaluator
+from madviz.measure.store import MEMORY, EpisodeResult, Store
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.displacement import Displacement
 from madviz.policies import checkpoint

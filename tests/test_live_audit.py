@@ -8,12 +8,12 @@ import pytest
 from madviz.app.live_audit import AuditStatus, LiveAudit
 from madviz.app.panels.audit import audit_html
 from madviz.app.rates import SuccessRates
-from madviz.auditing.audit import audit
-from madviz.auditing.plan import AuditPlan
 from madviz.errors import UserError
-from madviz.evaluation.episodes import FIRST_SEED, relevant
-from madviz.evaluation.live import Request, Tally
-from madviz.evaluation.store import EpisodeResult
+from madviz.measure.audit.audit import audit
+from madviz.measure.audit.plan import AuditPlan
+from madviz.measure.episodes import FIRST_SEED, relevant
+from madviz.measure.live import Request, Tally
+from madviz.measure.store import EpisodeResult
 from madviz.subsets import name_of
 from tests.fakes import FakePolicy
 from tests.sessions import frame_with
@@ -94,7 +94,7 @@ def test_it_comes_to_what_the_command_comes_to(monkeypatch):
             good = workers.success(request, job.seed - FIRST_SEED)
             yield job, (EpisodeResult(job.subset, job.seed, good, good, 0.0), "")
 
-    monkeypatch.setattr("madviz.auditing.audit.run_anywhere", play)
+    monkeypatch.setattr("madviz.measure.audit.audit.run_anywhere", play)
     assert audit(FakePolicy(), episodes=100) == status.found
 
 

@@ -6,9 +6,9 @@ import pytest
 from madviz.envs.registry import SETTINGS, make_env
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
-from madviz.evaluation.episodes import run_episode
-from madviz.evaluation.evaluate import evaluate
-from madviz.evaluation.mean_picture import EPISODES, FIRST_SEED, PICTURES, mean_pictures
+from madviz.measure.episodes import run_episode
+from madviz.measure.evaluate import evaluate
+from madviz.measure.mean_picture import EPISODES, FIRST_SEED, PICTURES, mean_pictures
 from madviz.observation.ablation import Ablation, Occlusion
 from madviz.observation.grammar import parse_occlusions
 from madviz.observation.streams import StreamStack, stream_frame

@@ -9,7 +9,7 @@ from madviz.analysis.probes import probe, read_row
 from madviz.app.panels.policy import status_html
 from madviz.app.panels.subsets import subsets_html
 from madviz.envs.registry import make_env
-from madviz.evaluation.evaluate import evaluate
+from madviz.measure.evaluate import evaluate
 from madviz.policies.players import player_of
 from madviz.session.commands import Fork, Pause, Play, ReadSubsets, Scrub, SetCamera
 from tests.fakes import Chunked, FakePolicy, Restless

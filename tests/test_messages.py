@@ -19,7 +19,7 @@ from websockets.typing import Subprotocol
 from madviz.app.access import Gate
 from madviz.app.connection import TAKEN
 from madviz.app.server import App
-from madviz.bench.visitor import Visitor
+from madviz.soak.visitor import Visitor
 from tests.pages import fake_app
 
 KINDS: dict[str, type[Message]] = {kind.__name__: kind for kind in Message.get_subclasses()}

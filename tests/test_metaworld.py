@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from madviz.bench.places import in_picture
+from benchmarks.places import in_picture
 from madviz.envs import shapes
 from madviz.envs.metaworld.environment import MetaWorld
 from madviz.envs.metaworld.scripts import RUN_ON, SCRIPTS, Scene, pick

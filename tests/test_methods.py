@@ -26,7 +26,7 @@ from madviz.analysis.probes import probe
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
-from madviz.evaluation.episodes import run_episode
+from madviz.measure.episodes import run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies import checkpoint
 from madviz.policies.listing import list_everything

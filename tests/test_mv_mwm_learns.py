@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from madviz.evaluation.evaluate import evaluate
+from madviz.measure.evaluate import evaluate
 from madviz.training.config import TrainConfig
 from madviz.training.mv_mwm_options import MvMwmConfig
 from madviz.training.train import train

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from benchmarks.naive import NaiveLearner
 from madviz.agent.agent import Agent
 from madviz.agent.methods import METHODS, method
 from madviz.agent.networks import NetworkConfig
@@ -24,7 +25,6 @@ from madviz.agent.objectives import (
     weighted,
 )
 from madviz.agent.update import Draw, Learner, LearningConfig
-from madviz.bench.naive import NaiveLearner
 from madviz.envs.registry import setting
 from madviz.errors import UserError
 

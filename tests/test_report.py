@@ -13,7 +13,7 @@ import pytest
 
 from madviz import cli
 from madviz.errors import UserError
-from madviz.evaluation.evidence import find_evidence, read_evidence
+from madviz.measure.evidence import find_evidence, read_evidence
 from madviz.report.layouts import THREE
 from madviz.report.results import ReportConfig, run_report
 from madviz.report.rows import difference

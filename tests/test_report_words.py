@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from madviz.evaluation.evidence import find_evidence
+from madviz.measure.evidence import find_evidence
 from madviz.policies import checkpoint
 from madviz.report.claims import claims, same, signed, verdict
 from madviz.report.rows import difference

@@ -200,7 +200,7 @@ def test_failures_of_an_episode_in_words() -> None:
 @pytest.fixture(scope="module")
 def hammer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Ten decisions of a bundled policy, with one camera dropped and one occluded."""
-    from madviz.evaluation.episodes import one_thread
+    from madviz.measure.episodes import one_thread
     from madviz.policies.checkpoint import load_policy
 
     os.environ.setdefault("MUJOCO_GL", "egl")

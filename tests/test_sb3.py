@@ -14,7 +14,7 @@ from madviz.app.session_maker import SessionMaker
 from madviz.cli import main
 from madviz.envs.gymnasium_env import MadvizEnv
 from madviz.errors import UserError
-from madviz.evaluation.evaluate import evaluate
+from madviz.measure.evaluate import evaluate
 from madviz.observation.ablation import Occlusion
 from madviz.policies.checkpoint import load_policy
 from madviz.policies.sb3 import VARIABLE, trust

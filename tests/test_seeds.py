@@ -11,16 +11,16 @@ from typing import Any
 import pytest
 import torch
 
+from benchmarks.imagine import ImagineConfig, bench_imagine
 from madviz import cli
 from madviz.agent.agent import Agent
 from madviz.agent.networks import NetworkConfig
-from madviz.bench.imagine import ImagineConfig, bench_imagine
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
-from madviz.evaluation.compare import CompareConfig, run_compare
-from madviz.evaluation.evaluate import EvalConfig, run_eval
-from madviz.evaluation.evidence import find_evidence, read_evidence
+from madviz.measure.compare import CompareConfig, run_compare
+from madviz.measure.evaluate import EvalConfig, run_eval
+from madviz.measure.evidence import find_evidence, read_evidence
 from madviz.policies import checkpoint
 from madviz.policies.config import TrainingRecord, policy_config
 from madviz.policies.seeds import seeds_from, training_seed, use_of
@@ -159,7 +159,7 @@ def test_report_evaluates_on_fresh_seeds_and_moves_the_old_figures(toy: Path) ->
 
 
 def test_an_evaluation_that_was_stopped_goes_on(toy: Path, monkeypatch: Any) -> None:
-    from madviz.evaluation import evaluate
+    from madviz.measure import evaluate
 
     run, seeds = evaluate.Runner.run, []
 

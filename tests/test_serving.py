@@ -14,8 +14,8 @@ from websockets.sync.client import connect
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.evaluation.evaluate import evaluate
 from madviz.examples.own_policy import Finder
+from madviz.measure.evaluate import evaluate
 from madviz.observation.ablation import Occlusion
 from madviz.policies.checkpoint import load_policy
 from madviz.serving.serve import MOST_CLIENTS, PolicyServer, ServeConfig, run_serve

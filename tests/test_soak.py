@@ -14,9 +14,10 @@ from contextlib import contextmanager
 
 import pytest
 
+from benchmarks.live import LiveConfig, watched
 from madviz.app.users import Limits
-from madviz.bench.live import LiveConfig, watched
-from madviz.bench.soak import (
+from madviz.errors import UserError
+from madviz.soak.soak import (
     Crowd,
     Sample,
     SoakConfig,
@@ -28,8 +29,7 @@ from madviz.bench.soak import (
     soak,
     soak_words,
 )
-from madviz.bench.visitor import Visitor
-from madviz.errors import UserError
+from madviz.soak.visitor import Visitor
 from tests.pages import fake_app
 
 
@@ -82,9 +82,9 @@ def server(monkeypatch):
                 process.kill()
                 process.wait()
 
-        monkeypatch.setattr("madviz.bench.soak.serving", serving)
+        monkeypatch.setattr("madviz.soak.soak.serving", serving)
         if crowd is not None:
-            monkeypatch.setattr("madviz.bench.soak.rounds", lambda here, *_: crowd(here))
+            monkeypatch.setattr("madviz.soak.soak.rounds", lambda here, *_: crowd(here))
 
     return replace
 

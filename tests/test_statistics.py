@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binomtest, multinomial
 
 from madviz.errors import UserError
-from madviz.evaluation.statistics import (
+from madviz.measure.statistics import (
     Paired,
     SuccessRate,
     difference_interval,

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import pytest
 
-from madviz.evaluation.store import MEMORY, EpisodeResult, ResultKey, Store, default_path
+from madviz.measure.store import MEMORY, EpisodeResult, ResultKey, Store, default_path
 
 KEY = ResultKey("d1", "toy/reach", "at the last step", "fast", "", "all")
 
@@ -147,7 +147,7 @@ def test_many_threads_write_at_once(store):
 
 def test_many_processes_write_at_once(store):
     code = (
-        "import sys; from madviz.evaluation.store import *\n"
+        "import sys; from madviz.measure.store import *\n"
         "store, first = Store(sys.argv[1]), int(sys.argv[2])\n"
         "key = ResultKey('d1', 'toy/reach', 'at the last step', 'fast', '', 'all')\n"
         "for seed in range(first, first + 50):\n"

@@ -11,7 +11,7 @@ from madviz import teaching
 from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.errors import UserError
-from madviz.evaluation.statistics import pair
+from madviz.measure.statistics import pair
 from madviz.subsets import mask_of
 from madviz.system.files import read_json
 from madviz.teaching import baselines

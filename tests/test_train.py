@@ -17,7 +17,7 @@ import pytest
 
 from madviz import cli
 from madviz.errors import UserError
-from madviz.evaluation.evaluate import evaluate
+from madviz.measure.evaluate import evaluate
 from madviz.policies.checkpoint import load_policy
 from madviz.training.config import TrainConfig, command, identity, resolve
 from madviz.training.light import LightConfig

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks import update as bench
+from benchmarks.update import STREAMS, BenchUpdateConfig, bench_update, contiguous, random_batch
 from madviz.agent import update
 from madviz.agent.agent import Agent
 from madviz.agent.augment import draw_shifts
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.update import Learner, LearningConfig
-from madviz.bench import update as bench
-from madviz.bench.update import STREAMS, BenchUpdateConfig, bench_update, contiguous, random_batch
 
 NETWORKS = NetworkConfig(state_dim=5, action_dim=2, hidden_dim=16)
 BATCH = random_batch(4, 3, NETWORKS)

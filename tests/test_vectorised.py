@@ -16,7 +16,7 @@ import torch
 
 from madviz.envs.toy import CAMERAS, ToyReach
 from madviz.errors import UserError
-from madviz.evaluation.episodes import Stopped, run_episode
+from madviz.measure.episodes import Stopped, run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies.checkpoint import load_policy
 from madviz.training import loop

@@ -30,11 +30,10 @@ from madviz.app.rates import MOST_CONDITIONS, SuccessRates
 from madviz.app.server import App
 from madviz.app.toolkit import download, guarded, one_at_a_time
 from madviz.app.users import Limits
-from madviz.bench.visitor import Visitor
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.evaluation import live
-from madviz.evaluation.live import Evaluator
+from madviz.measure import live
+from madviz.measure.live import Evaluator
 from madviz.observation.ablation import Occlusion
 from madviz.observation.schedule import MOST_FAILURES, parse_schedule
 from madviz.session.commands import Pause, SetCamera
@@ -42,6 +41,7 @@ from madviz.session.frame import Condition
 from madviz.session.live_session import MOST_WAITING
 from madviz.session.process import SessionProcess
 from madviz.session.session import Session
+from madviz.soak.visitor import Visitor
 from tests.fakes import FakePolicy, policies
 from tests.pages import browser, fake_app
 from tests.sessions import BLACK, OFF

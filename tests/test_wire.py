@@ -20,7 +20,7 @@ from madviz.app.panels.policy import status_html
 from madviz.app.panels.subsets import subsets_html
 from madviz.cli import main
 from madviz.errors import Unfinished, UserError
-from madviz.evaluation.evaluate import EvalConfig, evaluate, run_eval
+from madviz.measure.evaluate import EvalConfig, evaluate, run_eval
 from madviz.policies.checkpoint import load_policy
 from madviz.session.commands import Fork, Pause, Play, Scrub, SetCamera
 from madviz.wire.codec import DEEPEST, BadMessage, pack, unpack

@@ -13,8 +13,8 @@ from dataclasses import replace
 import pytest
 
 from madviz.errors import UserError
-from madviz.evaluation.episodes import Job, Runner, Workers
-from madviz.evaluation.evaluate import evaluate, run_jobs
+from madviz.measure.episodes import Job, Runner, Workers
+from madviz.measure.evaluate import evaluate, run_jobs
 from tests.fakes import FakePolicy
 
 
@@ -58,7 +58,7 @@ def test_a_policy_that_kills_every_worker_is_given_up():
 
 def test_workers_end_when_their_parent_is_killed():
     code = (
-        "import multiprocessing, time; from madviz.evaluation.episodes import Job, Workers\n"
+        "import multiprocessing, time; from madviz.measure.episodes import Job, Workers\n"
         "workers = Workers(1)\n"
         "workers.submit(Job('tests.fakes:FakePolicy', 'toy-mad0', 'all', (), 1)).result()\n"
         "print(*(c.pid for c in multiprocessing.active_children()), flush=True); time.sleep(600)"

@@ -13,10 +13,10 @@ from typing import Any
 from measurements import soaks
 from policy_files import LABELS, SINGLES, methods
 
-from madviz.bench.soak import warm_up
 from madviz.plots.figures import Bar, bars, curves
 from madviz.plots.styles import styles
 from madviz.report.rows import Row
+from madviz.soak.soak import warm_up
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 GROUPS = ("all", *SINGLES)

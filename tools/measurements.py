@@ -11,8 +11,8 @@ from typing import Any
 
 from policy_files import LABELS, ROOT, SINGLES, config_of, evaluation, rate
 
-from madviz.bench.soak import growth_an_hour
-from madviz.evaluation.statistics import SuccessRate, pair
+from madviz.measure.statistics import SuccessRate, pair
+from madviz.soak.soak import growth_an_hour
 
 CLASS_RUNS = ("lessons", "pages", "alone")
 """Of results/class: files of ``python -m tests.e2e.class_server``."""

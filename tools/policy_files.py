@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from madviz.evaluation.evidence import find_evidence
+from madviz.measure.evidence import find_evidence
 from madviz.report.layouts import LAYOUTS
 from madviz.report.rows import Row
 from madviz.report.tables import build

@@ -20,7 +20,7 @@ Unlike the authors' code: views are hidden uniformly, and the share of tokens th
 to whole views (a network that was trained on 7 % of the tokens gets worse when it is given more);
 only the newest frame of a stack is drawn; the vectors that mark places and views begin as sines and
 cosines, and are learned; every view counts alike in the loss. The last two are what it took here to
-imagine a hand of a few pixels within minutes (``bench/imagine.py`` has the figures).
+imagine a hand of a few pixels within minutes (``benchmarks/imagine.py`` has the figures).
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """An audit on the page: one for the whole server, whoever started it.
 
-It asks for what ``madviz.auditing`` wants next, one condition after the other, as if it were one
-more visitor: worker processes take turns between it and the others, and what they measured for
+It asks for what ``madviz.measure.audit`` wants next, one condition after the other, as if it were
+one more visitor: worker processes take turns between it and the others, and what they measured for
 anybody counts for all. A thread of its own decides what comes next, so that no page waits for it.
-
-    wanted by the plan ─► SuccessRates.want ─► workers ─► outcomes by seed ─► wanted by the plan
+wanted by the plan ─► SuccessRates.want ─► workers ─► outcomes by seed ─► wanted by the plan
 """
 
 from __future__ import annotations
@@ -15,11 +14,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from madviz.app.rates import SuccessRates
-from madviz.auditing.conditions import Cameras, Played
-from madviz.auditing.plan import AuditPlan
-from madviz.auditing.result import AuditFile, result
 from madviz.errors import UserError
-from madviz.evaluation.episodes import FIRST_SEED
+from madviz.measure.audit.conditions import Cameras, Played
+from madviz.measure.audit.plan import AuditPlan
+from madviz.measure.audit.result import AuditFile, result
+from madviz.measure.episodes import FIRST_SEED
 from madviz.observation.ablation import Ablation
 from madviz.policies.config import definition_of
 from madviz.session.frame import Frame, condition_of

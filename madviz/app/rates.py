@@ -14,8 +14,8 @@ from typing import Any
 
 from madviz.app.session_maker import Reference, own_name
 from madviz.errors import UserError
-from madviz.evaluation.live import Evaluator, Tally
-from madviz.evaluation.statistics import SuccessRate
+from madviz.measure.live import Evaluator, Tally
+from madviz.measure.statistics import SuccessRate
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.frame import Condition, condition_of
 from madviz.types import Array, PolicySpec

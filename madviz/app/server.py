@@ -24,8 +24,8 @@ from madviz.app.viser_patches import patch_sender
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import TaskName, check_task, shared_imports
 from madviz.errors import UserError
-from madviz.evaluation.live import Evaluator, Tally
-from madviz.evaluation.store import Store
+from madviz.measure.live import Evaluator, Tally
+from madviz.measure.store import Store
 from madviz.policies import checkpoint
 from madviz.policies.checkpoint import PolicyName
 from madviz.policies.listing import list_policies

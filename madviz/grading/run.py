@@ -16,8 +16,8 @@ from typing import Any
 
 import nbformat
 
-from madviz.bench.memory import family
 from madviz.errors import printable
+from madviz.soak.memory import family
 
 KEPT = ("PATH", "LANG", "PYTHONPATH", "LD_LIBRARY_PATH", "XDG_DATA_DIRS")
 """What a copy gets of this process's environment."""

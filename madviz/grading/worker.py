@@ -21,9 +21,9 @@ import nbformat
 from nbclient import NotebookClient
 from nbclient.exceptions import DeadKernelError
 
-from madviz.bench.memory import family
 from madviz.errors import printable
 from madviz.grading.inside import MIME
+from madviz.soak.memory import family
 
 STARTUP = 120
 """Seconds for a kernel to start on a busy machine."""

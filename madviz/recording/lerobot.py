@@ -33,7 +33,7 @@ import pyarrow.parquet as pq
 from PIL import Image
 
 from madviz.errors import UserError
-from madviz.evaluation.mean_picture import stack_of
+from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
 from madviz.observation.schedule import Schedule, reached
 from madviz.observation.streams import StreamStack

@@ -26,7 +26,7 @@ from typing import Annotated, Any, Literal, Protocol
 
 from madviz.envs.registry import env_spec, make_env
 from madviz.errors import UserError
-from madviz.evaluation.episodes import one_thread
+from madviz.measure.episodes import one_thread
 from madviz.observation.schedule import (
     ScenarioName,
     Schedule,

@@ -21,8 +21,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from madviz.agent.methods import METHODS
-from madviz.evaluation.compare import over_trainings
-from madviz.evaluation.statistics import Interval
+from madviz.measure.compare import over_trainings
+from madviz.measure.statistics import Interval
 from madviz.report.layouts import MERGES, THREE
 from madviz.report.rows import Difference, Row, difference
 from madviz.report.tables import ALIKE, ResultTable

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from madviz.errors import UserError
-from madviz.evaluation.evaluate import evaluate, write_measured
-from madviz.evaluation.store import Store
+from madviz.measure.evaluate import evaluate, write_measured
+from madviz.measure.store import Store
 from madviz.policies import checkpoint
 from madviz.policies.again import RUNS
 from madviz.policies.measured import EvaluationFile, seeds_of

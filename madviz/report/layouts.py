@@ -13,7 +13,7 @@ from typing import Literal
 
 from madviz.agent.merges import table as merges
 from madviz.agent.methods import METHODS
-from madviz.evaluation.evidence import Evidence
+from madviz.measure.evidence import Evidence
 
 THREE = ("all", "first", "third_a", "third_b")
 MERGES = tuple(name for name, merge in merges.MERGES.items() if not merge.own_loss)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 
-from madviz.evaluation.evidence import Evidence
-from madviz.evaluation.statistics import SuccessRate, mean_interval
+from madviz.measure.evidence import Evidence
+from madviz.measure.statistics import SuccessRate, mean_interval
 from madviz.policies.checkpoint import WEIGHTS
 from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.report import pictures

@@ -7,8 +7,8 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from madviz.evaluation.evidence import Evidence
-from madviz.evaluation.statistics import SuccessRate
+from madviz.measure.evidence import Evidence
+from madviz.measure.statistics import SuccessRate
 from madviz.plots import figures
 from madviz.report.layouts import LAYOUTS, THREE, rank
 from madviz.report.rows import Row

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from madviz.errors import UserError
-from madviz.evaluation.evidence import Evidence, find_evidence
+from madviz.measure.evidence import Evidence, find_evidence
 from madviz.policies.seeds import DEVELOPMENT, REPORTING, use_of
 from madviz.report import pictures
 from madviz.report.evaluate import EPISODES, evaluate_all

@@ -18,8 +18,8 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from madviz.evaluation.evidence import Evidence
-from madviz.evaluation.statistics import (
+from madviz.measure.evidence import Evidence
+from madviz.measure.statistics import (
     Interval,
     SuccessRate,
     difference_interval,

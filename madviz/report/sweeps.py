@@ -10,7 +10,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from madviz.evaluation.evidence import Evidence
+from madviz.measure.evidence import Evidence
 from madviz.policies.again import words_again
 
 FIRST_LINE = "# Written by `madviz report`. Trains and evaluates the policies of a table again:"

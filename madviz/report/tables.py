@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from madviz.envs.registry import METAWORLD_TASKS
-from madviz.evaluation.evidence import Evidence, alike
+from madviz.measure.evidence import Evidence, alike
 from madviz.report.layouts import Layout, rank
 from madviz.report.rows import Row
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from madviz.envs.registry import MANISKILL_TASKS, METAWORLD_TASKS
-from madviz.evaluation.evidence import Evidence
-from madviz.evaluation.statistics import SuccessRate
+from madviz.measure.evidence import Evidence
+from madviz.measure.statistics import SuccessRate
 from madviz.report.layouts import THREE
 from madviz.report.rows import Row
 from madviz.report.tables import usual_alphas

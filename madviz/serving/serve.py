@@ -30,7 +30,7 @@ from websockets.typing import Subprotocol
 
 from madviz.envs.registry import env_spec
 from madviz.errors import UserError
-from madviz.evaluation.episodes import one_thread
+from madviz.measure.episodes import one_thread
 from madviz.policies import checkpoint
 from madviz.serving.episodes import BadLook, ServedEpisodes
 from madviz.system.hosts import new_token, stays_here

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from madviz.evaluation.statistics import Paired, pair
+from madviz.measure.statistics import Paired, pair
 from madviz.observation.ablation import Ablation
 from madviz.session.frame import Outcome, Pair, Side
 from madviz.session.simulation import open_simulation

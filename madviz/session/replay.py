@@ -20,7 +20,7 @@ from typing import Literal, TypedDict
 
 from madviz.envs.registry import make_env, sees
 from madviz.errors import UserError
-from madviz.evaluation.episodes import one_thread
+from madviz.measure.episodes import one_thread
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event, in_order, schedule_words
 from madviz.policies import checkpoint

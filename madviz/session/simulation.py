@@ -24,7 +24,7 @@ from madviz.analysis.imagination import imagined
 from madviz.analysis.probes import Probe, probe, read_row
 from madviz.analysis.saliency import LiveSaliency
 from madviz.errors import UserError
-from madviz.evaluation.mean_picture import stack_of
+from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from madviz.drawing.viewpoint import FOV, first_view, place_and_target
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.evaluation.episodes import one_thread
+from madviz.measure.episodes import one_thread
 from madviz.observation.ablation import Ablation
 from madviz.policies.checkpoint import PolicyFolder, load_policy
 from madviz.session.frame import Frame, SessionPace

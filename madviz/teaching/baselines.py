@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from madviz.evaluation.evaluate import FIRST_SEED, evaluate
-from madviz.evaluation.evidence import find_evidence
+from madviz.measure.evaluate import FIRST_SEED, evaluate
+from madviz.measure.evidence import find_evidence
 from madviz.observation.ablation import Occlusion
 from madviz.policies import checkpoint
 from madviz.report.layouts import BASELINES

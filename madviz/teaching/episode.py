@@ -23,7 +23,7 @@ import numpy as np
 from madviz.analysis.probes import Probe, probe
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.evaluation.mean_picture import stack_of
+from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation, Occlusion, noise_generator
 from madviz.policies.players import player_of
 from madviz.subsets import camera_of, cameras_of, mask_of

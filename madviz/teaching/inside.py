@@ -18,7 +18,7 @@ from madviz.analysis.saliency import Target, saliency
 from madviz.analysis.shapley import ShapleyValues, action_shapley, success_interval
 from madviz.drawing.colours import MERGED_ON_WHITE, colours_on_white, heat
 from madviz.errors import UserError
-from madviz.evaluation.statistics import wilson
+from madviz.measure.statistics import wilson
 from madviz.plots.figures import curves
 from madviz.recording.record import RecordConfig, run_record
 from madviz.subsets import camera_of, mask_of

@@ -18,7 +18,7 @@ from madviz.agent.methods import METHODS, method
 from madviz.agent.networks import NetworkConfig
 from madviz.drawing.colours import heat
 from madviz.errors import UserError
-from madviz.evaluation.mean_picture import mean_pictures
+from madviz.measure.mean_picture import mean_pictures
 from madviz.observation.ablation import Occlusion, OcclusionKind, noise_generator
 from madviz.observation.streams import depth_code
 from madviz.subsets import every_mask, name_of

@@ -21,8 +21,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from madviz.evaluation.evaluate import FIRST_SEED
-from madviz.evaluation.statistics import SuccessRate
+from madviz.measure.evaluate import FIRST_SEED
+from madviz.measure.statistics import SuccessRate
 from madviz.system.files import read_json, write_json
 from madviz.teaching.show import Figure, TextTable, bars, table
 

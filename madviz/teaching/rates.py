@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from madviz.errors import UserError
-from madviz.evaluation.statistics import SuccessRate, pair
+from madviz.measure.statistics import SuccessRate, pair
 from madviz.policies import checkpoint
 from madviz.teaching.show import Figure, TextTable, Words, bars, table
 

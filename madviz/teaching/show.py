@@ -22,7 +22,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from madviz.errors import UserError
-from madviz.evaluation.statistics import wilson
+from madviz.measure.statistics import wilson
 from madviz.plots import figures
 from madviz.types import Array
 

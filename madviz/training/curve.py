@@ -13,7 +13,7 @@ import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from madviz.evaluation.statistics import wilson
+from madviz.measure.statistics import wilson
 from madviz.plots import figures
 from madviz.system.files import write_bytes
 

@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from madviz.errors import UserError
-from madviz.evaluation.episodes import one_thread
+from madviz.measure.episodes import one_thread
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import StreamStack, stream_frame
 from madviz.subsets import camera_of, cameras_of

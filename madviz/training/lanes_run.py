@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from madviz.agent.agent import TorchPolicy
-from madviz.evaluation.store import EpisodeResult
+from madviz.measure.store import EpisodeResult
 from madviz.system.numbers import Count, ThreadsOrNone, Weight
 from madviz.training.plan import TrainingPlan
 from madviz.training.reward_run import RewardRun, RunConfig

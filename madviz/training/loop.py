@@ -13,7 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from madviz.evaluation.episodes import Stopped
+from madviz.measure.episodes import Stopped
 from madviz.training.curve import draw_curve
 from madviz.training.reward_run import RewardRun
 from madviz.training.run_folder import interruptible

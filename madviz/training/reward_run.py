@@ -27,8 +27,8 @@ from torch import Tensor
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.update import generator_state, restore_generator
 from madviz.errors import UserError
-from madviz.evaluation.episodes import one_thread, run_episode
-from madviz.evaluation.store import EpisodeResult
+from madviz.measure.episodes import one_thread, run_episode
+from madviz.measure.store import EpisodeResult
 from madviz.observation.ablation import Ablation
 from madviz.policies.config import TrainingRecord
 from madviz.policies.seeds import FIRST_LEARNING, FIRST_SELECTION

@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 
 from madviz.errors import UserError
-from madviz.evaluation.episodes import Stopped, one_thread, run_episode
-from madviz.evaluation.store import EpisodeResult
+from madviz.measure.episodes import Stopped, one_thread, run_episode
+from madviz.measure.store import EpisodeResult
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.subsets import modality_of

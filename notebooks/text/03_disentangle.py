@@ -23,7 +23,7 @@ import madviz
 from madviz import teaching
 from madviz.agent import objectives
 from madviz.agent.methods import method
-from madviz.evaluation.statistics import pair
+from madviz.measure.statistics import pair
 from madviz.teaching.lessons import subset_table
 from madviz.teaching.show import curves, sheet, source, table
 from madviz.training import light

@@ -17,7 +17,7 @@
 # %%
 import madviz
 from madviz import teaching
-from madviz.evaluation.statistics import Paired, pair, wilson
+from madviz.measure.statistics import Paired, pair, wilson
 from madviz.observation.ablation import Occlusion
 from madviz.teaching.lessons import interval_figure, occlusion_sheet
 from madviz.teaching.show import table

@@ -25,7 +25,7 @@ import json
 
 import madviz
 from madviz import teaching
-from madviz.evaluation.statistics import wilson
+from madviz.measure.statistics import wilson
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.session.commands import SetCamera
 from madviz.session.simulation import Simulation

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from safetensors.numpy import save
 
-from madviz.bench.site import BenchSiteConfig, bench_site, opened, serving
+from benchmarks.site import BenchSiteConfig, bench_site, opened, serving
 from madviz.policies.checkpoint import describe, policy_folders
 from madviz.site.fixtures import fixtures
 from madviz.site.site import SiteConfig, fits, run_site

@@ -11,10 +11,10 @@ from madviz.app.live_audit import AuditStatus, LiveAudit
 from madviz.app.markup import dot, progress_bar
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, WidgetPanel, on_press, place
-from madviz.auditing.conditions import HOWS, AuditCondition, Played
-from madviz.auditing.rule import VERDICTS
-from madviz.auditing.words import in_words, plan_words
 from madviz.drawing.colours import GOOD, NOTE, camera_colours
+from madviz.measure.audit.conditions import HOWS, AuditCondition, Played
+from madviz.measure.audit.rule import VERDICTS
+from madviz.measure.audit.words import in_words, plan_words
 from madviz.session.frame import Frame, NoFrame
 
 EPISODES = ("20", "50", "100")

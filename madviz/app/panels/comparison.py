@@ -11,7 +11,7 @@ from madviz.app.panels.policy import PolicyChoice, offered
 from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import Cell, SyncedInput, WidgetPanel, on_press, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, NOTE
-from madviz.evaluation.statistics import Paired
+from madviz.measure.statistics import Paired
 from madviz.session.commands import Command, Compare
 from madviz.session.comparison import tally
 from madviz.session.frame import Frame

@@ -17,7 +17,7 @@ from madviz.app.panels.subsets import presence, subset_label
 from madviz.app.rates import NOTHING, SuccessRates, side_b
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
-from madviz.evaluation.statistics import SuccessRate
+from madviz.measure.statistics import SuccessRate
 from madviz.session.frame import Condition, Frame, Outcome
 from madviz.subsets import mask_of, name_of, single_streams
 from madviz.types import PolicySpec

@@ -1,7 +1,7 @@
 /**
  * What a count of successes says: Wilson's interval, and rates by policy and condition.
  *
- * The same formula as `madviz/evaluation/statistics.py`. 18 of 20 is 0.90 [0.70, 0.97]: twenty
+ * The same formula as `madviz/measure/statistics.py`. 18 of 20 is 0.90 [0.70, 0.97]: twenty
  * episodes leave a wide interval, and the page never shows a rate without it.
  */
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from madviz.evaluation.statistics import Paired
+from madviz.measure.statistics import Paired
 from madviz.teaching.checks.exercise import exercise, expect, number
 
 

@@ -1,6 +1,6 @@
 """``madviz bench crowd``: how many visitors one machine can take, each with a simulation.
 
-A server in a process of its own, visitors without browsers (``bench/visitor.py``), one number of
+A server in a process of its own, visitors without browsers (``soak/visitor.py``), one number of
 them after the other. Each asks for 10 decisions a second and gets what the machine can give:
 
     visitors         1     2     4     8
@@ -22,10 +22,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from madviz.bench.memory import family, proportional_megabytes
-from madviz.bench.server import serving
-from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
+from madviz.soak.memory import family, proportional_megabytes
+from madviz.soak.server import serving
+from madviz.soak.visitor import Visitor
 from madviz.system.numbers import Count, Rate, ThreadsOrNone, Time
 
 STARTING = 120.0

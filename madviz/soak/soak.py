@@ -1,6 +1,6 @@
 """``madviz soak``: visitors come, touch controls and go, for an hour; the server must not grow.
 
-A server in a process of its own, visitors without browsers (``bench/visitor.py``), rounds of 20 s
+A server in a process of its own, visitors without browsers (``visitor.py``), rounds of 20 s
 (``--round-seconds``: more where a simulation takes long to open). In a round visitors come and go
 and touch controls at random, by a seed; one more of them may come than there are simulations, so
 some watch and take over. After each round everybody leaves, and what is still there is written
@@ -29,11 +29,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from madviz.bench.memory import family, kilobytes
-from madviz.bench.server import serving
-from madviz.bench.visitor import Visitor
 from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyName
+from madviz.soak.memory import family, kilobytes
+from madviz.soak.server import serving
+from madviz.soak.visitor import Visitor
 from madviz.system.numbers import Count, Range, Seed, ThreadsOrNone
 
 FEWEST = 9

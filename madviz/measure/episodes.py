@@ -24,8 +24,8 @@ from typing import Any
 
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.evaluation.mean_picture import stack_of
-from madviz.evaluation.store import EpisodeResult, ResultKey
+from madviz.measure.mean_picture import stack_of
+from madviz.measure.store import EpisodeResult, ResultKey
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.displacement import Displacement, Moves
 from madviz.policies import checkpoint

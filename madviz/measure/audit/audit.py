@@ -17,16 +17,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from madviz.auditing.conditions import HOWS, INTACT, Cameras, How, Played
-from madviz.auditing.page import html, markdown
-from madviz.auditing.plan import AuditPlan
-from madviz.auditing.result import AuditFile, result
-from madviz.auditing.words import in_words, plan_words, planned
 from madviz.envs.registry import TaskName
 from madviz.errors import Interrupted, UserError, saving
-from madviz.evaluation.episodes import FIRST_SEED, Job, Runner, claimed_definition
-from madviz.evaluation.evaluate import adopted, run_anywhere
-from madviz.evaluation.store import MEMORY, Store
+from madviz.measure.audit.conditions import HOWS, INTACT, Cameras, How, Played
+from madviz.measure.audit.page import html, markdown
+from madviz.measure.audit.plan import AuditPlan
+from madviz.measure.audit.result import AuditFile, result
+from madviz.measure.audit.words import in_words, plan_words, planned
+from madviz.measure.episodes import FIRST_SEED, Job, Runner, claimed_definition
+from madviz.measure.evaluate import adopted, run_anywhere
+from madviz.measure.store import MEMORY, Store
 from madviz.policies import checkpoint
 from madviz.policies.config import definition_of
 from madviz.policies.sb3 import trust

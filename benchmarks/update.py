@@ -17,16 +17,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.naive import NaiveLearner
 from madviz.agent.agent import Agent
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.objectives import Batch
 from madviz.agent.update import Learner, LearningConfig, Precision
 from madviz.agent.update_graph import WARM_UP
-from madviz.bench.memory import HERE, kilobytes
-from madviz.bench.naive import NaiveLearner
 from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE
+from madviz.soak.memory import HERE, kilobytes
 from madviz.system.numbers import Count, ThreadsOrNone, Width
 
 

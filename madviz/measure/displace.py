@@ -25,9 +25,9 @@ from typing import Any, Literal
 import numpy as np
 
 from madviz.errors import UserError, saving, unknown
-from madviz.evaluation.episodes import FIRST_SEED, Job, Runner, unsupported
-from madviz.evaluation.evaluate import adopted, run_anywhere
-from madviz.evaluation.statistics import SuccessRate
+from madviz.measure.episodes import FIRST_SEED, Job, Runner, unsupported
+from madviz.measure.evaluate import adopted, run_anywhere
+from madviz.measure.statistics import SuccessRate
 from madviz.observation.displacement import Displacement, along
 from madviz.plots.figures import Line, lines
 from madviz.policies import checkpoint

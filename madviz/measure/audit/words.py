@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from madviz.auditing.result import AuditFile, ConditionRow, DifferenceRow
-from madviz.auditing.rule import LEVEL, MARGIN
-from madviz.evaluation.statistics import SuccessRate
+from madviz.measure.audit.result import AuditFile, ConditionRow, DifferenceRow
+from madviz.measure.audit.rule import LEVEL, MARGIN
+from madviz.measure.statistics import SuccessRate
 
 HOW_WORDS = {
     "dropped": "dropped",

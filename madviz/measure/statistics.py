@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from math import nan
 
 from madviz.errors import UserError
-from madviz.evaluation.formulas import (
+from madviz.measure.formulas import (
     agresti_min,
     hierarchical_bootstrap,
     mcnemar,

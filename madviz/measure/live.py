@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from madviz.errors import UserError
-from madviz.evaluation.episodes import (
+from madviz.measure.episodes import (
     FIRST_SEED,
     GIVE_UP,
     Finished,
@@ -33,8 +33,8 @@ from madviz.evaluation.episodes import (
     claimed_definition,
     relevant,
 )
-from madviz.evaluation.statistics import SuccessRate
-from madviz.evaluation.store import EpisodeResult, Store
+from madviz.measure.statistics import SuccessRate
+from madviz.measure.store import EpisodeResult, Store
 from madviz.observation.ablation import Occlusion
 from madviz.observation.displacement import Displacement, Moves
 from madviz.policies import checkpoint

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from madviz.bench.memory import kilobytes
 from madviz.envs.registry import TaskName, make_env
 from madviz.errors import UserError
+from madviz.soak.memory import kilobytes
 from madviz.system.numbers import Count, StepsOrNone, Width
 from madviz.training.buffer import BufferSpec, ReplayBuffer
 from madviz.training.buffer_storage import TOGETHER

@@ -14,12 +14,12 @@ from typing import Any, NotRequired, TypedDict
 import numpy as np
 
 from madviz.analysis.shapley import shares
-from madviz.auditing.conditions import INTACT, AuditCondition, How, Played, What
-from madviz.auditing.plan import AuditPlan, Outcomes, scale
-from madviz.auditing.rule import VERDICTS, Judgement, Look, table
 from madviz.errors import UserError
-from madviz.evaluation.formulas import agresti_min, holm, mcnemar, newcombe
-from madviz.evaluation.statistics import wilson
+from madviz.measure.audit.conditions import INTACT, AuditCondition, How, Played, What
+from madviz.measure.audit.plan import AuditPlan, Outcomes, scale
+from madviz.measure.audit.rule import VERDICTS, Judgement, Look, table
+from madviz.measure.formulas import agresti_min, holm, mcnemar, newcombe
+from madviz.measure.statistics import wilson
 from madviz.types import Array
 
 

@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from madviz.evaluation.episodes import Occlusions
+from madviz.measure.episodes import Occlusions
 from madviz.observation.ablation import Occlusion
 from madviz.subsets import camera_of, cameras_of, every_mask, name_of
 from madviz.types import Array

@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from madviz.errors import UserError
-from madviz.evaluation.episodes import unsupported
-from madviz.evaluation.evaluate import Evaluation, evaluate
-from madviz.evaluation.statistics import SuccessRate, pair
+from madviz.measure.episodes import unsupported
+from madviz.measure.evaluate import Evaluation, evaluate
+from madviz.measure.statistics import SuccessRate, pair
 from madviz.observation.grammar import parse_condition
 from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of, name_of

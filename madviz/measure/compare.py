@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Any
 
 from madviz.errors import UserError
-from madviz.evaluation.conditions import compare_conditions, conditions_table
-from madviz.evaluation.episodes import FIRST_SEED
-from madviz.evaluation.evidence import Evidence, Outcomes, alike, readable
-from madviz.evaluation.statistics import Interval, interval_over_trainings, mean_interval, pair
-from madviz.evaluation.store import ResultKey, Store
+from madviz.measure.conditions import compare_conditions, conditions_table
+from madviz.measure.episodes import FIRST_SEED
+from madviz.measure.evidence import Evidence, Outcomes, alike, readable
+from madviz.measure.statistics import Interval, interval_over_trainings, mean_interval, pair
+from madviz.measure.store import ResultKey, Store
 from madviz.plots import figures
 from madviz.policies import checkpoint
 from madviz.policies.listing import BrokenRow

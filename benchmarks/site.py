@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 BACKENDS = ("llvmpipe", "swiftshader")
 _LLVMPIPE = ("--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist")
-DRIVER = files("madviz.bench").joinpath("site_driver.js")
+DRIVER = files("benchmarks").joinpath("site_driver.js")
 """Runs in the page, in place of the page's own code, and talks to the site's worker."""
 _PATIENCE = 3_600_000
 """Milliseconds for all episodes of a subset."""

@@ -20,7 +20,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from madviz.errors import Unfinished, UserError, saving, unknown
-from madviz.evaluation.episodes import (
+from madviz.measure.episodes import (
     FIRST_SEED,
     GIVE_UP,
     Finished,
@@ -32,8 +32,8 @@ from madviz.evaluation.episodes import (
     relevant,
     unsupported,
 )
-from madviz.evaluation.statistics import SuccessRate
-from madviz.evaluation.store import EpisodeResult, Store
+from madviz.measure.statistics import SuccessRate
+from madviz.measure.store import EpisodeResult, Store
 from madviz.observation.ablation import Occlusion
 from madviz.observation.grammar import parse_occlusions
 from madviz.policies import checkpoint

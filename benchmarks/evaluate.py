@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 
-from madviz.bench.render import STOCK, Frames
+from benchmarks.render import STOCK, Frames
 from madviz.envs.registry import stock_frames
 from madviz.errors import UserError
-from madviz.evaluation.episodes import FIRST_SEED, Finished, Job, Runner, Workers, one_thread
-from madviz.evaluation.evaluate import run_jobs
+from madviz.measure.episodes import FIRST_SEED, Finished, Job, Runner, Workers, one_thread
+from madviz.measure.evaluate import run_jobs
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of

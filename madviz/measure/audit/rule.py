@@ -35,7 +35,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from madviz.evaluation.formulas import agresti_min, holm, mcnemar, newcombe
+from madviz.measure.formulas import agresti_min, holm, mcnemar, newcombe
 from madviz.types import Array
 
 LEVEL = 0.05

@@ -14,9 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
-from madviz.auditing.conditions import INTACT, Cameras, Played
-from madviz.auditing.rule import LEVEL, Judgement, Look, PairedOutcomes, judged, looks
-from madviz.evaluation.formulas import detectable
+from madviz.measure.audit.conditions import INTACT, Cameras, Played
+from madviz.measure.audit.rule import LEVEL, Judgement, Look, PairedOutcomes, judged, looks
+from madviz.measure.formulas import detectable
 from madviz.types import Array
 
 Outcomes = Mapping[Played, Mapping[int, bool]]

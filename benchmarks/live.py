@@ -6,7 +6,7 @@ the moment when the picture shows that camera dropped (its tile has lost all col
 frame around what is imagined) and the text of the action has changed. The server is a process of
 its own, as a user would start it, at full speed.
 
-What watchers get is timed by visitors without browsers (``bench/visitor.py``): real watchers use
+What watchers get is timed by visitors without browsers (``soak/visitor.py``): real watchers use
 machines of their own, and four browsers on two cores would time each other.
 
     updates_per_s, toggle_ms_p50, toggle_ms_p95, toggle_ms   one browser, scene and curves on
@@ -31,16 +31,16 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from madviz.bench.server import serving
 from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyName
+from madviz.soak.server import serving
 from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 from madviz.system.numbers import Count, CountOrNone, ThreadsOrNone, Time
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-STOPWATCH = files("madviz.bench").joinpath("stopwatch.js")
+STOPWATCH = files("benchmarks").joinpath("stopwatch.js")
 """Runs in the page and takes the times."""
 
 
@@ -86,7 +86,7 @@ def bench_live(config: LiveConfig) -> dict[str, Any]:
 def watched(config: LiveConfig) -> dict[str, Any]:
     """One simulation, its owner and those who watch: what the server sends each of them a second,
     all at once."""
-    from madviz.bench.visitor import Visitor
+    from madviz.soak.visitor import Visitor
 
     words = ["--visitors", "1", "--watchers", str(config.watchers)]
     with serving(options(config, workers=0) + words) as (url, _), ExitStack() as stack:

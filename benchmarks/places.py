@@ -32,8 +32,8 @@ from scipy.spatial.transform import Rotation
 
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.evaluation.episodes import one_thread
-from madviz.evaluation.mean_picture import stack_of
+from madviz.measure.episodes import one_thread
+from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
 from madviz.policies.checkpoint import PolicyName, load_policy
 from madviz.policies.config import check_environment
