@@ -3,7 +3,8 @@
 It asks for what ``madviz.measure.audit`` wants next, one condition after the other, as if it were
 one more visitor: worker processes take turns between it and the others, and what they measured for
 anybody counts for all. A thread of its own decides what comes next, so that no page waits for it.
-wanted by the plan ─► SuccessRates.want ─► workers ─► outcomes by seed ─► wanted by the plan
+
+    wanted by the plan ─► SuccessRates.want ─► workers ─► outcomes by seed ─► wanted by the plan
 """
 
 from __future__ import annotations
