@@ -375,3 +375,12 @@ def test_the_mean_picture_is_of_what_was_seen(undisturbed: tuple[Path, dict[str,
     mean: Tensor = undisturbed[1]["learner"]["agent"]["encoder.autoencoder.mean"]
     assert mean.shape == (3, 3, 84, 84) and 0.1 < mean.mean() < 0.6
     assert (mean[2].std((1, 2)) > 0.01).all()
+
+
+def test_an_update_at_the_papers_sizes() -> None:
+    learner, stretch, _ = learner_and_stretch(
+        replace(TINY, size="paper", imagined_starts=2, horizon=2)
+    )
+    losses = learner.learn_pictures(stretch.frames[-1], stretch.reward[0])
+    losses |= learner.update(stretch)
+    assert all(np.isfinite(loss) for loss in losses.values()) and "actor_loss" in losses

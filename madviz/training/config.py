@@ -116,7 +116,6 @@ def resolve(config: TrainConfig) -> TrainingPlan:
     merge = chosen.merge_for(streams, config.merge)
     drawn_task = DrawnTask(config.task, config.render_profile, cameras, streams)
     options = options_of(config)
-    options.prepare(config.task)
     with closing(drawn_task.build()) as env:
         facts = env.spec
     return TrainingPlan(

@@ -20,7 +20,6 @@ from madviz.system.numbers import Count, ThreadsOrNone, Weight
 from madviz.training.plan import TrainingPlan
 from madviz.training.reward_run import RewardRun, RunConfig
 from madviz.training.run_folder import RunFolder
-from madviz.training.vector_batch import BatchedEnvs
 from madviz.training.vector_envs import VectorEnvs
 from madviz.types import Array, Environment
 
@@ -62,9 +61,9 @@ class LanesRun(RewardRun):
         config: LanesConfig,
         env: Environment,
         folder: RunFolder,
-        envs: VectorEnvs | BatchedEnvs,
+        envs: VectorEnvs,
     ) -> None:
-        """``env`` plays evaluations where ``envs`` cannot, and records demonstrations."""
+        """``env`` records demonstrations, where a recipe has any."""
         super().__init__(plan, config, env, folder, lanes=config.environments)
         self.envs = envs
 
@@ -103,9 +102,7 @@ class LanesRun(RewardRun):
     def play(
         self, policy: TorchPolicy, jobs: list[tuple[Array, int]], stop: Callable[[], bool]
     ) -> list[EpisodeResult]:
-        if isinstance(self.envs, VectorEnvs):
-            return self.envs.play(policy, jobs, stop)
-        return super().play(policy, jobs, stop)
+        return self.envs.play(policy, jobs, stop)
 
     def repeat(self, actions: Array) -> None:
         self.envs.repeat(self.episode_seeds, actions)

@@ -32,7 +32,3 @@ class RecipeOptions(Protocol):
     def threads(self) -> int:
         """Of the learner, where the user does not say how many: one for each core."""
         return os.cpu_count() or 1
-
-    def prepare(self, task: str) -> None:
-        """What must happen before this process simulates anything. Raises UserError where ``task``
-        cannot be simulated as asked."""

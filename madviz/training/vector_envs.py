@@ -12,8 +12,6 @@ seeds and actions alone, and not on how many processes share the work: with 0 wo
 does it all, and the numbers are the same.
 
 The same processes play a policy's evaluations, an episode each at a time, while nothing is learned.
-
-ManiSkill can also simulate many environments on a GPU, without workers: see ``vector_batch``.
 """
 
 from __future__ import annotations

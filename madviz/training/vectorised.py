@@ -18,25 +18,20 @@ is chosen by speed.
 
 On a CUDA device (``--vectorised.device``) updates run there, in bfloat16 where it has it, each as
 one CUDA graph (``agent/update_graph.py``), and the buffer's frames are in its memory
-(``training/buffer_device.py``). ``--vectorised.simulation gpu`` makes all environments one
-simulation of ManiSkill's on it, which is for dozens or hundreds of them
-(``--vectorised.environments``); THAT ONE NEVER RAN: it needs a library that SAPIEN downloads.
+(``training/buffer_device.py``).
 """
 
 from __future__ import annotations
 
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from typing import Literal
 
 from madviz.agent.update import named
-from madviz.envs.maniskill.batch import claim_gpu
 from madviz.training.lanes_run import LanesConfig, LanesRun
 from madviz.training.loop import train_on
 from madviz.training.plan import TrainingPlan
 from madviz.training.reinforcement import ReinforcementConfig, ReinforcementRun
 from madviz.training.run_folder import RunFolder
-from madviz.training.vector_batch import BatchedEnvs, check_batched
 from madviz.training.vector_envs import Board, VectorEnvs
 
 
@@ -44,16 +39,7 @@ from madviz.training.vector_envs import Board, VectorEnvs
 class VectorisedConfig(LanesConfig, ReinforcementConfig):
     """The paper's numbers, and how many environments share the work."""
 
-    simulation: Literal["processes", "gpu"] = "processes"
-    """``gpu``: all in one simulation on a CUDA device, without workers; tasks of ManiSkill alone. A
-    resumed run then goes on nearly, not exactly, as if it had never stopped."""
-
     ONLY_TIME = tuple(dict.fromkeys(LanesConfig.ONLY_TIME + ReinforcementConfig.ONLY_TIME))
-
-    def prepare(self, task: str) -> None:
-        if self.simulation == "gpu":
-            check_batched(task)
-            claim_gpu()
 
 
 class VectorisedRun(LanesRun, ReinforcementRun):
@@ -79,9 +65,6 @@ def train_vectorised(plan: TrainingPlan, config: VectorisedConfig, folder: RunFo
     with ExitStack() as resources:
         env = resources.enter_context(closing(drawn_task.build()))
         board = Board(lanes, drawn_task.streams, facts.state_dim, facts.action_dim)
-        if config.simulation == "gpu":
-            envs = BatchedEnvs(drawn_task, facts, board, lanes)
-        else:
-            envs = VectorEnvs(drawn_task, board, lanes, config.processes())
+        envs = VectorEnvs(drawn_task, board, lanes, config.processes())
         resources.callback(envs.close)
         train_on(VectorisedRun(plan, config, env, folder, envs))
