@@ -21,10 +21,10 @@ import numpy as np
 
 from madviz.envs.registry import TaskName, make_env
 from madviz.errors import UserError
+from madviz.runs.buffer import BufferSpec, ReplayBuffer
+from madviz.runs.buffer_storage import TOGETHER
 from madviz.soak.memory import kilobytes
 from madviz.system.numbers import Count, StepsOrNone, Width
-from madviz.training.buffer import BufferSpec, ReplayBuffer
-from madviz.training.buffer_storage import TOGETHER
 from madviz.types import Array, Environment
 
 PAPER = 500_000

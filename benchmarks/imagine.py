@@ -1,10 +1,11 @@
 """``madviz bench imagine``: does an autoencoder know what a missing camera would see?
 
-Trains a masked autoencoder over views (``agent/autoencoder.py``) on episodes of a task's expert,
-and then hides one camera after the other, as a whole, on frames that it was not trained on. What it
-draws of the hidden camera from the others is compared with what that camera saw, over the pixels
-that move, beside two controls: the camera's mean picture; and the same network that is shown the
-others' pictures *of another episode*, so that it knows how such pictures look and nothing of now.
+Trains a masked autoencoder over views (``world_model/autoencoder.py``) on episodes of a task's
+expert, and then hides one camera after the other, as a whole, on frames that it was not trained on.
+What it draws of the hidden camera from the others is compared with what that camera saw, over the
+pixels that move, beside two controls: the camera's mean picture; and the same network that is shown
+the others' pictures *of another episode*, so that it knows how such pictures look and nothing of
+now.
 
     hidden     from               imagined    mean picture    another episode
     third_b    first, third_a     16.5 dB     10.0 dB         10.0 dB        gain 6.5 dB
@@ -33,29 +34,29 @@ import torch
 from torch import Tensor
 
 from madviz.agent.agent import TorchPolicy
-from madviz.agent.autoencoder import (
-    AutoencoderConfig,
+from madviz.agent.sizes import FEWEST_MOVING
+from madviz.envs.registry import TaskName, make_env
+from madviz.errors import UserError
+from madviz.policies.checkpoint import PolicyName, load_policy
+from madviz.policies.seeds import FIRST_SELECTION, FIRST_TRAINING, seeds_from
+from madviz.runs.demonstrations import Dataset, Driver, record_episode
+from madviz.subsets import every_mask, name_of
+from madviz.system.numbers import Count, Seed
+from madviz.types import Array, Environment
+from madviz.world_model.autoencoder import (
     MultiViewAutoencoder,
     moving,
     newest,
     psnr,
     whole_views,
 )
-from madviz.agent.merges.drawing import DrawingMerge
-from madviz.agent.sizes import FEWEST_MOVING
-from madviz.envs.registry import TaskName, make_env
-from madviz.errors import UserError
-from madviz.policies.checkpoint import PolicyName, load_policy
-from madviz.policies.seeds import FIRST_SELECTION, FIRST_TRAINING, seeds_from
-from madviz.subsets import every_mask, name_of
-from madviz.system.numbers import Count, Seed
-from madviz.training.autoencoder import (
+from madviz.world_model.mv_mae import DrawingMerge
+from madviz.world_model.pretraining import (
     AutoencoderTraining,
     new_autoencoder,
     train_autoencoder,
 )
-from madviz.training.demonstrations import Dataset, Driver, record_episode
-from madviz.types import Array, Environment
+from madviz.world_model.sizes import AutoencoderConfig
 
 ENOUGH = 3.0
 """dB above both controls."""
@@ -110,7 +111,8 @@ def bench_imagine(config: ImagineConfig) -> dict[str, Any]:
 
 def _of_a_policy(config: ImagineConfig, name: str) -> dict[str, Any]:
     policy = load_policy(name)
-    if not isinstance(policy, TorchPolicy) or not isinstance(policy.agent.merge, DrawingMerge):
+    merge = policy.agent.encoder if isinstance(policy, TorchPolicy) else None
+    if not isinstance(merge, DrawingMerge):
         raise UserError(
             f"expected a policy that draws pictures, found {name}; pick one of the methods mv-mae "
             "and mv-mwm (madviz list)"
@@ -119,8 +121,7 @@ def _of_a_policy(config: ImagineConfig, name: str) -> dict[str, Any]:
     _check_streams(spec.streams, spec.task)
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
         judged = recorded(env, spec.streams, _judged_seeds(config, env))
-    model = policy.agent.encoder.autoencoder
-    assert isinstance(model, MultiViewAutoencoder)  # Of every merge that draws.
+    model = merge.autoencoder
     of = {"task": spec.task, "policy": spec.name, "digest": spec.digest}
     return of | {"network": asdict(model.config)} | judgement(config, model, judged)
 

@@ -17,9 +17,10 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import field, is_dataclass, make_dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from madviz import __version__
 from madviz.commands import COMMANDS, GROUPS, OTHERS
@@ -117,7 +118,36 @@ def parse(name: str, words: Sequence[str]) -> Any:
     """The configuration of the command ``name``, filled from ``words``, or the end (``read``)."""
     command = COMMANDS[name]
     config, example = named(command.config), f"madviz {command.example}"
-    return read(config, words, f"madviz {name}", command.summary, example, command.positional)
+    if not command.default:
+        return read(config, words, f"madviz {name}", command.summary, example, command.positional)
+    words = _renamed(config, words)
+    default = named(command.default)(words)
+    narrowed = _narrowed(config, own=_narrowed(type(default.own), **vars(default.own))())
+    filled = read(narrowed, words, f"madviz {name}", command.summary, example, command.positional)
+    return config(**{**vars(filled), "own": type(default.own)(**vars(filled.own))})
+
+
+def _renamed(config: Any, words: Sequence[str]) -> list[str]:
+    """``words`` with options as they are spelled today; prints a note for each that was not."""
+    today, result = config.renamed_options(), []
+    for word in words:
+        old, joined, value = word.partition("=")
+        if old in today:
+            say(f"madviz: {old} is now {today[old]}")
+        result.append(today.get(old, old) + joined + value)
+    return result
+
+
+def _narrowed(config: type, **defaults: Any) -> Any:
+    """``config`` with other ``defaults``, and those that are dataclasses of their own types."""
+    kinds = get_type_hints(config, include_extras=True)
+    changed = [
+        (name, type(value), field(default_factory=lambda value=value: value))
+        if is_dataclass(value)
+        else (name, kinds[name], field(default=value))
+        for name, value in defaults.items()
+    ]
+    return make_dataclass(config.__name__, changed, bases=(config,), frozen=True)
 
 
 def script_of(shell: str) -> str:

@@ -8,12 +8,12 @@ from scipy import stats
 from torch import Tensor
 
 from madviz.agent.agent import Agent, TorchPolicy
-from madviz.agent.merges.mv_mwm import WorldNetworks
 from madviz.agent.networks import NetworkConfig
-from madviz.agent.rssm import Belief
 from madviz.envs.registry import SETTINGS
-from madviz.training.mv_mwm_options import SIZES
 from madviz.types import Array, PolicySpec
+from madviz.world_model.mv_mwm import WorldNetworks
+from madviz.world_model.mv_mwm_options import SIZES
+from madviz.world_model.rssm import Belief
 from tests.test_merges import Weights, layer_norm, linear, perturb, softmax
 
 GROUPS, CLASSES, MEMORY = 4, 4, 16
@@ -22,9 +22,7 @@ GROUPS, CLASSES, MEMORY = 4, 4, 16
 
 STREAMS = SETTINGS["three"].streams
 TINY = SIZES["tiny"]
-NETWORKS = NetworkConfig(
-    6, 2, hidden_dim=8, autoencoder=TINY.autoencoder, world_model=TINY.world_model
-)
+NETWORKS = NetworkConfig(6, 2, hidden_dim=8, own=TINY.own)
 T, L, B = 4, 2, 3
 """Frames, decisions and samples of a window: the stack has two frames."""
 

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from madviz.agent.merges.vib import VibOptions
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
+from madviz.agent.sizes import OwnOptions
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import CAMERAS, ToyReach
-from madviz.training.drawn_task import DrawnTask
-from madviz.training.plan import TrainingPlan
+from madviz.runs.drawn_task import DrawnTask
+from madviz.runs.training_plan import TrainingPlan
 from madviz.types import PolicySpec
+from madviz.world_model.sizes import AutoencoderConfig, MvMaeOptions
 
+OWN = {
+    "vib": VibOptions(bottleneck_dim=6, kl_weight=0.01),
+    "mv-mae": MvMaeOptions(AutoencoderConfig(width=16, layers=1, decoder_layers=1), 2),
+}
+"""Small ones of the methods that have any."""
 THREE = SETTINGS["three"].streams
 
 
@@ -29,7 +37,7 @@ def toy_plan(
         PolicySpec("p", "toy/reach", method, "three", recipe, streams, trained),
         DrawnTask("toy/reach", "fast", CAMERAS, streams),
         replace(ToyReach().spec, horizon=horizon),
-        NetworkConfig(6, 2, hidden_dim=hidden_dim, bottleneck_dim=6),
+        NetworkConfig(6, 2, hidden_dim=hidden_dim, own=OWN.get(method, OwnOptions())),
         METHODS[method].merge,
         seed,
     )

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from madviz.errors import Interrupted
+from madviz.runs.run_folder import RunFolder
 from madviz.training.config import TrainConfig
-from madviz.training.run_folder import RunFolder
 from madviz.training.train import train
 
 

@@ -22,7 +22,10 @@ from benchmarks.imagine import (
     imagined,
     judged_frames,
 )
-from madviz.agent.autoencoder import (
+from madviz.errors import UserError
+from madviz.measure.episodes import one_thread
+from madviz.runs.demonstrations import Dataset, Episode
+from madviz.world_model.autoencoder import (
     LEAST_KEPT,
     AutoencoderConfig,
     MultiViewAutoencoder,
@@ -38,16 +41,12 @@ from madviz.agent.autoencoder import (
     symlog,
     whole_views,
 )
-from madviz.errors import UserError
-from madviz.measure.episodes import one_thread
-from madviz.training.autoencoder import (
+from madviz.world_model.pretraining import (
     AutoencoderTraining,
-    mean_pictures,
     new_autoencoder,
     schedule,
     train_autoencoder,
 )
-from madviz.training.demonstrations import Dataset, Episode
 
 ROOT = Path(__file__).resolve().parent.parent
 SMALL = AutoencoderConfig(patch=14, width=16, layers=1, decoder_layers=1, heads=2)
@@ -107,7 +106,7 @@ def test_what_has_learned_nothing_draws_the_mean():
     model = new_autoencoder(data, TINY, seed=1)
     views = data.views(np.arange(4))
     keep = whole_views(torch.tensor([True, False]), model.tokens_of_a_view, 4)
-    mean = mean_pictures(data)
+    mean = newest(data.usual_views()).mean(0)
     torch.testing.assert_close(model(views, keep).pictures, mean.expand(4, -1, -1, -1, -1))
 
 

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import buffer as module
 from benchmarks.buffer import BenchBufferConfig, bench_buffer
 from madviz.errors import UserError
-from madviz.training import buffer_storage
+from madviz.runs import buffer_storage
 
 
 def test_both_sides_are_measured_on_the_same_frames(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,12 +15,12 @@ from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import StreamStack, stream_frame
+from madviz.runs import buffer as buffer_module
+from madviz.runs import buffer_storage
+from madviz.runs.buffer import BufferSpec, ReplayBuffer
+from madviz.runs.buffer_device import DeviceFrames
+from madviz.runs.buffer_storage import Pack, PlainFrames
 from madviz.subsets import camera_of, cameras_of
-from madviz.training import buffer as buffer_module
-from madviz.training import buffer_storage
-from madviz.training.buffer import BufferSpec, ReplayBuffer
-from madviz.training.buffer_device import DeviceFrames
-from madviz.training.buffer_storage import Pack, PlainFrames
 from madviz.types import Array
 
 STREAMS = ("first.rgb", "first.depth", "third_a.rgb")

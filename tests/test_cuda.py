@@ -22,10 +22,10 @@ from madviz.agent.objectives import Batch
 from madviz.agent.update import Learner, LearningConfig
 from madviz.agent.update_graph import WARM_UP
 from madviz.policies.checkpoint import load_policy
-from madviz.training import loop
-from madviz.training.buffer import BufferSpec, ReplayBuffer
+from madviz.runs import loop
+from madviz.runs.buffer import BufferSpec, ReplayBuffer
+from madviz.runs.run_folder import Event
 from madviz.training.config import TrainConfig
-from madviz.training.run_folder import Event
 from madviz.training.vectorised import VectorisedConfig
 from tests.recipe_runs import last_state
 

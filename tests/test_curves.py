@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from madviz.measure.statistics import wilson
-from madviz.training.curve import draw_curve, duration, progress, success_lines
+from madviz.runs.curve import draw_curve, duration, progress, success_lines
 
 HEADER = (
     "step,env_steps,updates,seconds,seconds_left,episodes,success_all,success_first,critic_loss\n"

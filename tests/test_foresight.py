@@ -8,8 +8,6 @@ import torch
 import viser
 
 from madviz.agent.agent import Agent
-from madviz.agent.imagination import likeliest
-from madviz.agent.merges.mv_mwm import FUNCTIONS
 from madviz.analysis.foresight import DECISIONS, Foresight, can_foresee, foresee, mean_psnr, then
 from madviz.app.panel import apply
 from madviz.app.panels.foresight import ForesightPanel, foresight_html, foresight_words
@@ -18,6 +16,7 @@ from madviz.session.commands import Command, Foresee, Reset, Scrub, SetCamera, S
 from madviz.session.frame import Frame
 from madviz.session.transfer import FrameDecoder, FrameEncoder
 from madviz.types import Array, Encoded, Foresees, Future
+from madviz.world_model.actor_critic import likeliest
 from tests.fakes import FakePolicy
 from tests.mv_mwm import GROUPS, advanced, believed, drawn, make, mlp, net_of, policy_of
 from tests.pages import recorded, use
@@ -98,7 +97,7 @@ def test_a_policy_begins_at_its_belief_and_draws_what_it_predicts() -> None:
     np.testing.assert_allclose(sooner.reward, found.reward[:2], rtol=1e-5)
     with torch.inference_mode():
         net, features = net_of(agent), encoded.private[0]
-        belief = FUNCTIONS.belief(net, FUNCTIONS.present(features, torch.from_numpy(mask))[None])
+        belief = net.belief(net.present(features, torch.from_numpy(mask))[None])
         course = likeliest(net.world, agent.actor, belief, torch.from_numpy(state)[None], 4)
         tokens = net.world.predicted_features(course.feature[3])
         picture = net.autoencoder.draw(tokens, torch.arange(108)[None]).pictures[0]

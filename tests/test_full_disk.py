@@ -12,9 +12,9 @@ import torch
 
 from madviz.errors import UserError
 from madviz.recording.record import RecordConfig, run_record
+from madviz.runs.run_folder import RunFolder
 from madviz.system.files import PART
 from madviz.training.config import TrainConfig
-from madviz.training.run_folder import RunFolder
 from madviz.training.train import train
 
 

@@ -19,10 +19,10 @@ from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
-from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder, record_episode
+from madviz.runs.demonstrations import Dataset, Driver, Episode, Recorder, record_episode
+from madviz.runs.run_folder import RunFolder
 from madviz.training.light import LightConfig, LightRun, imitation_loss, run_rounds, train_light
 from madviz.training.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
-from madviz.training.run_folder import RunFolder
 from madviz.types import Array
 from tests.fakes import random_policy
 from tests.plans import THREE, toy_plan
@@ -86,7 +86,7 @@ def test_imitation_loss_is_the_formula(streams: tuple[str, ...]) -> None:
     method, alpha = METHODS["mad"], 0.3
     masks = torch.from_numpy(method.masks(streams))
     share = torch.from_numpy(method.row_weights(streams, alpha))
-    rows = agent.encode_and_merge(views, masks)[1]
+    rows = agent.encoder.encode_and_merge(views, masks)[1]
     found = imitation_loss(agent, rows, state, label, share).item()
 
     exact = agent.double()
@@ -113,7 +113,7 @@ def test_imitation_reaches_encoder_and_actor_alone() -> None:
     views = torch.randint(0, 256, (2, 3, 9, 84, 84), dtype=torch.uint8)
     masks = torch.from_numpy(METHODS["mad"].masks(THREE))
     share = torch.from_numpy(METHODS["mad"].row_weights(THREE, 0.5))
-    rows = agent.encode_and_merge(views, masks)[1]
+    rows = agent.encoder.encode_and_merge(views, masks)[1]
     imitation_loss(agent, rows, torch.randn(2, 6), torch.rand(2, 2), share).backward()
     touched = {name.split(".")[0] for name, p in agent.named_parameters() if p.grad is not None}
     assert touched == {"encoder", "actor"}

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from madviz.runs.run_folder import RunFolder
 from madviz.training.light import LightRun
 from madviz.training.light_focus import ROUNDS, failures, focused, in_turn, shares
-from madviz.training.run_folder import RunFolder
 from tests.plans import THREE, toy_plan
 from tests.test_light import TINY, InlineRecorder, finish, run_in
 

@@ -19,9 +19,9 @@ from madviz.agent.agent import Agent
 from madviz.agent.networks import Actor, ActorHead, NetworkConfig, read_state
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
+from madviz.runs.demonstrations import Driver, record_episode
 from madviz.training import light
 from madviz.training.config import TrainConfig
-from madviz.training.demonstrations import Driver, record_episode
 from madviz.training.light import LightConfig, LightRun
 from madviz.training.light_losses import check_places, choice_errors, mean_and_std
 from madviz.training.train import train
@@ -120,13 +120,11 @@ def test_late_decisions_are_drawn_more_often_where_asked(tmp_path: Path) -> None
 def test_the_positive_view_of_mvd_is_any(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run, seen = recorded(tmp_path, method="mvd"), set()
 
-    def own_loss(
-        merge: Any, net: Any, now: Any, then: Any, positive: int, precision: Any
-    ) -> Tensor:
+    def own_loss(merge: Any, now: Any, then: Any, positive: int, precision: Any) -> Tensor:
         seen.add(positive)
-        return sum((p.sum() for p in net.parameters()), torch.zeros(()))
+        return sum((p.sum() for p in merge.parameters()), torch.zeros(()))
 
-    monkeypatch.setattr(type(run.agent.merge), "own_loss", own_loss)
+    monkeypatch.setattr(type(run.agent.encoder), "own_loss", own_loss)
     for _ in range(12):
         run.update()
     assert seen == {0, 1, 2}

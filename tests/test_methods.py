@@ -21,7 +21,7 @@ from madviz.agent.merges.table import MERGES
 from madviz.agent.merges.vib import kl_loss
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
-from madviz.agent.sizes import AutoencoderConfig
+from madviz.agent.sizes import OwnOptions
 from madviz.analysis.probes import probe
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
@@ -30,29 +30,27 @@ from madviz.measure.episodes import run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies import checkpoint
 from madviz.policies.listing import list_everything
+from madviz.runs.demonstrations import Driver, Episode, Recorder, record_episode
+from madviz.runs.drawn_task import DrawnTask
+from madviz.runs.run_folder import RunFolder
 from madviz.subsets import every_mask, mask_of
 from madviz.training import light
 from madviz.training.config import TrainConfig, resolve
-from madviz.training.demonstrations import Driver, Episode, Recorder, record_episode
-from madviz.training.drawn_task import DrawnTask
 from madviz.training.light import LightConfig, LightRun
 from madviz.training.paper import PaperConfig
-from madviz.training.run_folder import RunFolder
 from madviz.training.train import train
 from madviz.training.vectorised import VectorisedConfig
 from madviz.types import Environment, PolicySpec
-from tests.plans import toy_plan
+from tests.plans import OWN, toy_plan
 
 STREAMS = SETTINGS["three"].streams
 HORIZON = 4
 LIGHT = LightConfig(
     rounds=2, demonstrations=1, episodes_per_round=4, updates_per_round=2, batch_size=4,
-    hidden_dim=8, critic_updates=2, bottleneck_dim=6, reconstructed=2,
-    autoencoder=AutoencoderConfig(width=16, layers=1, decoder_layers=1),
+    hidden_dim=8, critic_updates=2,
 )  # fmt: skip
 PAPER = PaperConfig(
     steps=8, exploration_steps=5, batch_size=3, hidden_dim=8, eval_every=1000, eval_episodes=1,
-    bottleneck_dim=6,
 )  # fmt: skip
 
 
@@ -85,7 +83,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     def make(task: str, render_profile: str, cameras=()) -> Environment:
         return short_toy()
 
-    monkeypatch.setattr("madviz.training.drawn_task.make_env", make)
+    monkeypatch.setattr("madviz.runs.drawn_task.make_env", make)
     monkeypatch.setattr(light, "Recorder", InlineRecorder)
     before = torch.get_num_threads()
     yield
@@ -93,7 +91,8 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def config(method: str, recipe: str = "light", **changes: Any) -> TrainConfig:
-    whole = TrainConfig("toy/reach", method, recipe, light=LIGHT, paper=PAPER, threads=1)
+    own = OWN.get(method, OwnOptions())
+    whole = TrainConfig("toy/reach", method, recipe, own=own, light=LIGHT, paper=PAPER, threads=1)
     return replace(whole, **changes)
 
 
@@ -265,23 +264,23 @@ def test_a_light_update_is_imitation_and_the_methods_own_loss(
     run.rng = np.random.default_rng(SEED)
     index = np.random.default_rng(SEED).integers(0, 2 * HORIZON, LIGHT.batch_size)
     generator, agent = torch.Generator().manual_seed(0), run.agent
-    noise = agent.noise(LIGHT.batch_size, generator)
+    noise = agent.encoder.noise(LIGHT.batch_size, generator)
     positive = int(torch.randint(3, (), generator=generator))
     losses = stepped(run, monkeypatch)
 
     views, encoder = run.data.views(index), agent.encoder
-    row = agent.rows(agent.encode(views), torch.ones(1, 3), noise)[0]
+    row = agent.encoder.rows(agent.encoder.encode(views), torch.ones(1, 3), noise)[0]
     mean, _ = agent.actor(row, run.data.column("states", index))
     imitation = (torch.tanh(mean) - run.data.column("labels", index)).square().mean()
     if method == "vib":
-        cost = kl_loss(*encoder.gaussian(agent.encode(views)))  # type: ignore[operator]
+        cost = kl_loss(*encoder.gaussian(agent.encoder.encode(views)))  # type: ignore[operator]
         assert losses == pytest.approx({"optimiser": (imitation + 0.01 * cost).item()}, rel=1e-5)
         return
     ends = index % HORIZON == HORIZON - 1
     assert ends.any() and not ends.all()
     following = run.data.views(np.where(ends, index, index + 1))
     keys = torch.stack([encoder.private(following[:, v]) for v in range(3)], 1)  # type: ignore[operator]
-    contrast = contrastive_loss(agent.encode(views), keys, positive)
+    contrast = contrastive_loss(agent.encoder.encode(views), keys, positive)
     expected = {"optimiser": imitation.item(), "contrast": contrast.item()}
     assert losses == pytest.approx(expected, rel=1e-4)
 

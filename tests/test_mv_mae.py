@@ -11,39 +11,39 @@ import torch
 from torch import Tensor
 
 from madviz.agent.agent import Agent, TorchPolicy
-from madviz.agent.autoencoder import autoencoder_loss
-from madviz.agent.merges.mv_mae import FUNCTIONS, QUESTIONS, TokenNetworks
 from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
-from madviz.agent.sizes import AutoencoderConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
+from madviz.runs.demonstrations import Driver, record_episode
+from madviz.runs.run_folder import RunFolder
 from madviz.subsets import every_mask
 from madviz.training import light, light_critic
-from madviz.training.autoencoder import mean_pictures
 from madviz.training.config import TrainConfig, command, resolve
-from madviz.training.demonstrations import Driver, record_episode
 from madviz.training.light import LightConfig, LightRun
-from madviz.training.run_folder import RunFolder
 from madviz.types import PolicySpec
+from madviz.world_model.autoencoder import QUESTIONS, autoencoder_loss, newest
+from madviz.world_model.mv_mae import TokenNetworks
+from madviz.world_model.sizes import AutoencoderConfig, MvMaeOptions
 from tests.plans import toy_plan
 from tests.test_merges import layer_norm, linear, perturb, pictures, softmax, weights
 
 STREAMS = SETTINGS["three"].streams
 SMALL = AutoencoderConfig(width=16, layers=1, decoder_layers=1, heads=2)
-NETWORKS = NetworkConfig(6, 2, hidden_dim=8, autoencoder=SMALL)
+NETWORKS = NetworkConfig(6, 2, hidden_dim=8, own=MvMaeOptions(SMALL, 3))
 LIGHT = LightConfig(
     rounds=2, demonstrations=2, episodes_per_round=1, updates_per_round=2, batch_size=5, shift=0,
-    hidden_dim=8, critic_updates=3, reconstructed=3, autoencoder=SMALL,
+    hidden_dim=8, critic_updates=3,
 )  # fmt: skip
 
 
 def make(end_to_end: bool = False) -> Agent:
     torch.manual_seed(0)
-    agent = Agent(replace(NETWORKS, end_to_end=end_to_end), merge="mv-mae", streams=STREAMS)
+    networks = replace(NETWORKS, own=MvMaeOptions(SMALL, 3, end_to_end))
+    agent = Agent(networks, merge="mv-mae", streams=STREAMS)
     perturb(agent, 0.05)
     return agent
 
@@ -55,7 +55,7 @@ def net_of(agent: Agent) -> TokenNetworks:
 
 def run_of(folder: Path, end_to_end: bool = False) -> LightRun:
     plan = toy_plan("mv-mae")
-    networks = replace(plan.networks, autoencoder=SMALL, end_to_end=end_to_end)
+    networks = replace(plan.networks, own=MvMaeOptions(SMALL, 3, end_to_end))
     run = LightRun(replace(plan, networks=networks), LIGHT, folder)
     run.add([record_episode(ToyReach(), STREAMS, Driver(), seed) for seed in range(2)], 0, [])
     return run
@@ -98,10 +98,10 @@ def read(w: dict, tokens: np.ndarray) -> np.ndarray:
 
 def test_rows_are_the_formula_for_every_subset() -> None:
     agent = make().double().eval()
-    features = agent.encode(pictures())
+    features = agent.encoder.encode(pictures())
     assert features.shape == (2, 3, 36, 16)
     masks = every_mask(3)[:-1]
-    rows, w = agent.rows(features, torch.from_numpy(masks)), weights(agent.encoder)
+    rows, w = agent.encoder.rows(features, torch.from_numpy(masks)), weights(agent.encoder)
     assert rows.shape == (7, 2, QUESTIONS * 16)
     for mask, row in zip(masks, rows, strict=True):
         tokens = features[1, torch.from_numpy(mask)].flatten(0, 1).detach().numpy()
@@ -113,17 +113,17 @@ def test_the_pixels_of_an_absent_stream_change_nothing() -> None:
     agent, views, mask = make().eval(), pictures(), torch.tensor([[True, False, True]])
     other = views.clone()
     other[:, 1] = 255 - other[:, 1]
-    one, two = (agent.encode_and_merge(v, mask)[1] for v in (views, other))
+    one, two = (agent.encoder.encode_and_merge(v, mask)[1] for v in (views, other))
     assert torch.equal(one, two)
     net = net_of(agent)
-    one, two = (FUNCTIONS.imagined(net, agent.encode(v), mask[0]) for v in (views, other))
+    one, two = (net.imagined(net.encode(v), mask[0]) for v in (views, other))
     assert torch.equal(one, two) and one.shape == (2, 3, 3, 84, 84)
 
 
 @pytest.mark.parametrize("end_to_end", [False, True])
 def test_the_actors_loss_reaches_the_autoencoder_only_end_to_end(end_to_end: bool) -> None:
     agent = make(end_to_end)
-    rows = agent.encode_and_merge(pictures(), torch.eye(3))[1]
+    rows = agent.encoder.encode_and_merge(pictures(), torch.eye(3))[1]
     agent.actor(rows, torch.zeros(3, 2, 6))[0].square().sum().backward()
     net = net_of(agent)
     assert all(p.grad is not None for p in net.reader.parameters())
@@ -138,12 +138,12 @@ def test_a_light_update_is_imitation_and_reconstruction(
     run = run_of(tmp_path)
     index = np.random.default_rng(run.plan.seed).integers(0, len(run.data), LIGHT.batch_size)
     views, net = run.data.views(index), net_of(run.agent)
-    assert torch.equal(net.autoencoder.mean, mean_pictures(run.data))
+    assert torch.equal(net.autoencoder.mean, newest(run.data.usual_views()).mean(0))
     generator = torch.Generator().manual_seed(run.plan.seed * 1_000_003)
     drawn = autoencoder_loss(
         net.autoencoder, views[:3], run.data.column("rewards", index[:3]), generator
     )
-    rows = run.agent.encode_and_merge(views, run.masks)[1]
+    rows = run.agent.encoder.encode_and_merge(views, run.masks)[1]
     mean, _ = run.agent.actor(rows, run.data.column("states", index).expand(4, -1, -1))
     errors = (torch.tanh(mean) - run.data.column("labels", index)).square().mean((1, 2))
     imitation = 0.5 * errors[0] + 0.5 * errors[1:].mean()
@@ -189,7 +189,7 @@ def test_rows_that_are_kept_fit_the_same_critic(
 def test_a_policy_imagines_what_is_missing() -> None:
     agent = Agent(NETWORKS, merge="mv-mae", streams=STREAMS)
     mean = torch.rand(3, 3, 84, 84)
-    FUNCTIONS.set_mean(net_of(agent), mean)
+    net_of(agent).autoencoder.mean.copy_(mean)
     policy = policy_of(agent)
     encoded = policy.encode(pictures()[0].numpy(), np.zeros(6, np.float32))
     assert encoded.features.shape == (3, 36 * 16)
@@ -226,9 +226,9 @@ def test_a_saved_policy_imagines_as_before(tmp_path: Path) -> None:
 
 
 def test_the_command_says_the_sizes_that_were_chosen() -> None:
-    small = LightConfig(autoencoder=AutoencoderConfig(layers=2), end_to_end=True)
-    config = TrainConfig("toy/reach", "mv-mae", light=small)
-    assert command(config).endswith("--light.end-to-end --light.autoencoder.layers 2")
+    small = MvMaeOptions(AutoencoderConfig(layers=2), end_to_end=True)
+    config = TrainConfig("toy/reach", "mv-mae", own=small)
+    assert command(config).endswith("--own.autoencoder.layers 2 --own.end-to-end")
     plan = resolve(config)
-    assert plan.networks.autoencoder.layers == 2 and plan.networks.end_to_end
+    assert plan.networks.own == small
     assert plan.spec.name == "toy-reach-mv-mae-light"

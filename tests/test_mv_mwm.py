@@ -11,11 +11,15 @@ import torch
 from torch import Tensor
 
 from madviz.agent.agent import Agent
-from madviz.agent.autoencoder import symlog
-from madviz.agent.merges.mv_mwm import FUNCTIONS
 from madviz.agent.methods import METHODS
-from madviz.agent.rssm import balanced_kl, straight_through
-from madviz.agent.world_model import (
+from madviz.errors import UserError
+from madviz.subsets import every_mask, name_of
+from madviz.types import Array
+from madviz.world_model.autoencoder import symlog
+from madviz.world_model.learner import WorldLearner, drawn_views
+from madviz.world_model.mv_mwm_options import MvMwmConfig
+from madviz.world_model.rssm import balanced_kl, straight_through
+from madviz.world_model.world import (
     FEATURES,
     REWARD,
     STATE,
@@ -23,17 +27,13 @@ from madviz.agent.world_model import (
     symexp,
     world_model_losses,
 )
-from madviz.errors import UserError
-from madviz.subsets import every_mask, name_of
-from madviz.training.mv_mwm_learner import WorldLearner, drawn_views
-from madviz.training.mv_mwm_options import MvMwmConfig
-from madviz.types import Array
 from tests.mv_mwm import (
     CLASSES,
     GROUPS,
     MEMORY,
     NETWORKS,
     STREAMS,
+    TINY,
     B,
     L,
     T,
@@ -60,10 +60,10 @@ from tests.test_merges import pictures, softmax, weights
 def test_the_belief_of_every_subset_is_the_formula() -> None:
     agent = make().double().eval()
     w, views = weights(agent.encoder), pictures()
-    features = agent.encode(views)
+    features = agent.encoder.encode(views)
     assert features.shape == (2, 3, 3, 36, 16)  # B, V, frames, patches, W
     masks = every_mask(3)[:-1]
-    rows = agent.rows(features, torch.from_numpy(masks))
+    rows = agent.encoder.rows(features, torch.from_numpy(masks))
     assert rows.shape == (7, 2, MEMORY + GROUPS * CLASSES)
     for mask, row in zip(masks, rows, strict=True):
         frames = features[1, torch.from_numpy(mask)].detach().numpy()  # (n, frames, 36, W)
@@ -100,7 +100,7 @@ def test_a_policy_keeps_nothing_between_decisions() -> None:
 def test_a_policy_imagines_what_is_missing() -> None:
     agent = Agent(NETWORKS, merge="mv-mwm", streams=STREAMS)
     mean = torch.rand(3, 3, 84, 84)
-    FUNCTIONS.set_mean(net_of(agent), mean)
+    net_of(agent).autoencoder.mean.copy_(mean)
     policy = policy_of(agent)
     found = policy.imagine(
         policy.encode(pictures()[0].numpy(), np.zeros(6, np.float32)), np.array([True, False, True])
@@ -114,9 +114,7 @@ def test_what_is_imagined_is_of_the_newest_frame() -> None:
     net, older, newer = net_of(agent), views.clone(), views.clone()
     older[:, :, :6] = 255 - older[:, :, :6]
     newer[:, :, 6:] = 255 - newer[:, :, 6:]
-    one, two, three = (
-        FUNCTIONS.imagined(net, agent.encode(v), mask) for v in (views, older, newer)
-    )
+    one, two, three = (net.imagined(net.encode(v), mask) for v in (views, older, newer))
     assert torch.equal(one, two) and not torch.equal(one, three)
 
 
@@ -177,7 +175,7 @@ def test_the_balanced_kl_moves_the_prior_faster_and_has_free_nats() -> None:
 
 
 def window(agent: Agent) -> Window:
-    embedding = 8 * NETWORKS.world_model.reader_width
+    embedding = 8 * TINY.own.world_model.reader_width
     return Window(
         present=normal(T, B, embedding),
         features=normal(L + 1, B, 108, 16, seed=3),
@@ -259,7 +257,7 @@ def test_a_sample_is_read_from_its_present_views_alone() -> None:
     present = torch.tensor([[1, 0, 1], [0, 1, 0], [1, 1, 1], [1, 1, 0]]).bool()
     with pytest.MonkeyPatch.context() as patch:
         off = torch.autocast("cpu", enabled=False)
-        patch.setattr("madviz.training.mv_mwm_learner.autocast", lambda: off)
+        patch.setattr("madviz.world_model.learner.autocast", lambda: off)
         patch.setattr(Tensor, "float", lambda self: self)
         found = learner._embedded(tokens, present)
     for t in range(2):

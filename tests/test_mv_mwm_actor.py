@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy import stats
 
-from madviz.agent.imagination import (
+from madviz.world_model.actor_critic import (
     BeliefActor,
     Noise,
     imagine,

@@ -13,10 +13,10 @@ import pytest
 from madviz.errors import UserError
 from madviz.policies.card import card_text
 from madviz.policies.config import read_config
-from madviz.training import loop
-from madviz.training.mv_mwm import MvMwmRun, unlike
-from madviz.training.mv_mwm_options import MvMwmConfig
-from madviz.training.run_folder import Event
+from madviz.runs import loop
+from madviz.runs.run_folder import Event
+from madviz.world_model.mv_mwm_options import MvMwmConfig
+from madviz.world_model.recipe import MvMwmRun, unlike
 from tests.test_mv_mwm_run import SHORT, TINY, assert_same_run, run
 
 

@@ -6,8 +6,8 @@ import pytest
 
 from madviz.measure.evaluate import evaluate
 from madviz.training.config import TrainConfig
-from madviz.training.mv_mwm_options import MvMwmConfig
 from madviz.training.train import train
+from madviz.world_model.mv_mwm_options import MvMwmConfig
 
 
 @pytest.mark.slow

@@ -16,24 +16,24 @@ from torch import Tensor
 
 from madviz import cli
 from madviz.agent.agent import Agent
-from madviz.agent.merges.mv_mwm import FUNCTIONS
 from madviz.agent.methods import METHODS
 from madviz.envs.toy import CAMERAS, ToyReach
 from madviz.errors import UserError
 from madviz.policies.card import card_text
 from madviz.policies.checkpoint import load_policy
+from madviz.runs import loop
+from madviz.runs.buffer import BufferSpec, ReplayBuffer, Stretch
+from madviz.runs.demonstrations import Dataset, Driver, record_episode
+from madviz.runs.drawn_task import newest_frames
+from madviz.runs.run_folder import Event
 from madviz.subsets import every_mask
 from madviz.sweep.sweep import SweepConfig, run_sweep
-from madviz.training import loop
-from madviz.training.buffer import BufferSpec, ReplayBuffer, Stretch
 from madviz.training.config import RECIPES, TrainConfig, identity, resolve
-from madviz.training.demonstrations import Dataset, Driver, record_episode
-from madviz.training.drawn_task import newest_frames
-from madviz.training.mv_mwm import MvMwmRun, beside, demonstrated, unlabelled_before
-from madviz.training.mv_mwm_learner import Labels, WorldLearner
-from madviz.training.mv_mwm_options import MvMwmConfig
-from madviz.training.run_folder import Event
 from madviz.types import Array
+from madviz.world_model.learner import Labels, WorldLearner
+from madviz.world_model.mv_mwm_options import MvMwmConfig
+from madviz.world_model.recipe import MvMwmRun, beside, demonstrated, unlabelled_before
+from madviz.world_model.sizes import MvMwmOptions
 from tests.recipe_runs import last_state
 from tests.test_merges import perturb
 
@@ -109,12 +109,13 @@ def test_the_command_says_what_was_asked_for_and_is_read_again() -> None:
 
 def test_one_option_stands_for_the_papers_sizes() -> None:
     small, paper = (resolve(asked(config=MvMwmConfig(size=s))).networks for s in ("small", "paper"))
-    assert paper.autoencoder.width == 256 and paper.autoencoder.layers == 8
-    assert paper.autoencoder.decoder_layers == 6 and paper.autoencoder.heads == 4
-    world = paper.world_model
+    own = paper.own_as(MvMwmOptions)
+    assert own.autoencoder.width == 256 and own.autoencoder.layers == 8
+    assert own.autoencoder.decoder_layers == 6 and own.autoencoder.heads == 4
+    world = own.world_model
     assert (world.memory, world.groups, world.classes, world.head_layers) == (1024, 32, 32, 4)
     assert (world.reader_width, world.reader_layers, paper.hidden_dim) == (128, 2, 512)
-    assert small.world_model.memory < 1024 and small.hidden_dim == 256
+    assert small.own_as(MvMwmOptions).world_model.memory < 1024 and small.hidden_dim == 256
     assert resolve(asked(config=MvMwmConfig(hidden_dim=99))).networks.hidden_dim == 99
     standard = MvMwmConfig()
     numbers = standard.horizon, standard.mixture, standard.entropy_weight, standard.target_every
@@ -262,16 +263,14 @@ def test_an_imagination_begins_where_the_acting_policy_stands() -> None:
     perturb(learner.net, 0.5)  # So that pictures change a belief.
     with pytest.MonkeyPatch.context() as patch:
         present = torch.ones(6, 3, dtype=torch.bool)
-        patch.setattr("madviz.training.mv_mwm_learner.drawn_views", lambda *_: present)
+        patch.setattr("madviz.world_model.learner.drawn_views", lambda *_: present)
         off = torch.autocast("cpu", enabled=False)
-        patch.setattr("madviz.training.mv_mwm_learner.autocast", lambda: off)
+        patch.setattr("madviz.world_model.learner.autocast", lambda: off)
         patch.setattr(learner, "_uniform", lambda *shape: None)  # The likeliest, as it acts.
         belief, state = learner._starts(learner._window(stretch))
     for step in range(TINY.ahead + 1):
         views = stretch.frames[step : step + 3].permute(1, 2, 0, 3, 4, 5).flatten(2, 3)
-        rows = FUNCTIONS.rows(
-            learner.net, FUNCTIONS.encode(learner.net, views), torch.ones(1, 3), None
-        )
+        rows = learner.net.rows(learner.net.encode(views), torch.ones(1, 3))
         mine = belief.feature.unflatten(0, (TINY.ahead + 1, 6))[step]
         torch.testing.assert_close(mine, rows[0], rtol=1e-4, atol=1e-4)
         assert torch.equal(state.unflatten(0, (-1, 6))[step], stretch.state[step])

@@ -20,7 +20,7 @@ from madviz.agent.merges.mvd import (
     private_loss,
     shared_loss,
 )
-from madviz.agent.merges.vib import BottleneckEncoder, kl_loss
+from madviz.agent.merges.vib import BottleneckEncoder, VibOptions, kl_loss
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.agent.objectives import Batch, critic_losses, td_target
@@ -30,7 +30,7 @@ from madviz.types import Array, PolicySpec
 
 STREAMS = SETTINGS["three"].streams
 B, V, L, Z = 3, 3, 6, 3136
-NETWORKS = NetworkConfig(state_dim=5, action_dim=2, hidden_dim=8, bottleneck_dim=L)
+NETWORKS = NetworkConfig(state_dim=5, action_dim=2, hidden_dim=8, own=VibOptions(L))
 
 
 @pytest.fixture(autouse=True)
@@ -118,7 +118,7 @@ def test_nothing_is_learned_through_keys() -> None:
 def test_two_views_are_drawn_evenly_from_the_present_ones() -> None:
     generator = torch.Generator().manual_seed(0)
     agent, masks = make("mvd"), torch.tensor([[True, True, True], [True, False, True]])
-    keys = [agent.noise(B, generator) for _ in range(600)]
+    keys = [agent.encoder.noise(B, generator) for _ in range(600)]
     pairs = np.stack([drawn(masks, key).numpy() for key in keys if key is not None])
     assert pairs.shape == (600, 2, 2)
     for n, expected in enumerate(([1 / 3, 1 / 3, 1 / 3], [1 / 2, 0, 1 / 2])):
@@ -133,11 +133,11 @@ def test_rows_are_a_shared_part_beside_a_private_part() -> None:
     agent, views = make("mvd"), make_batch().views
     keys = torch.tensor([[0.1, 0.9, 0.5], [0.2, 0.3, 0.8]])
     masks = torch.tensor([[True, True, True], [True, False, True], [True, False, False]])
-    features = agent.encode(views)
-    rows = agent.rows(features, masks, keys)
+    features = agent.encoder.encode(views)
+    rows = agent.encoder.rows(features, masks, keys)
     for row, (i, j) in zip(rows, ((1, 2), (2, 2), (0, 0)), strict=True):
         assert torch.equal(row, torch.cat([features[:, i, :50], features[:, j, 50:]], -1))
-    torch.testing.assert_close(agent.encode_and_merge(views, masks, keys)[1], rows)
+    torch.testing.assert_close(agent.encoder.encode_and_merge(views, masks, keys)[1], rows)
     assert isinstance(agent.actor.trunk, torch.nn.Identity)
 
 
@@ -238,7 +238,7 @@ def test_every_mean_keeps_its_own_log_std() -> None:
     agent, views = make("vib"), make_batch().views
     noise = numbers(B, 2, L, seed=6)
     slots = [outputs(agent, v, views[:, v]) for v in range(V)]
-    features, rows = agent.encode_and_merge(views, torch.ones(1, V), noise)
+    features, rows = agent.encoder.encode_and_merge(views, torch.ones(1, V), noise)
     torch.testing.assert_close(rows[0], representation(slots, noise))
     mean, log_std = bottleneck(agent).gaussian(features)
     for third in (0, 1):
@@ -249,7 +249,7 @@ def test_every_mean_keeps_its_own_log_std() -> None:
 def test_acting_is_on_means_and_a_lone_view_stands_in_for_all() -> None:
     agent, views = make("vib"), make_batch().views
     masks = torch.cat([torch.ones(1, V), torch.eye(V)]).bool()
-    rows = agent.rows(bottleneck(agent).everywhere(views), masks)
+    rows = agent.encoder.rows(bottleneck(agent).encode_to_act(views), masks)
     nothing = torch.zeros(B, 2, L)
     own = [outputs(agent, v, views[:, v]) for v in range(V)]
     torch.testing.assert_close(rows[0], representation(own, nothing))

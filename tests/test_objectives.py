@@ -241,7 +241,7 @@ def test_a_method_without_a_merged_term_explores_on_one_stream_and_mad_on_all() 
         agent.actor.register_forward_hook(lambda _, inputs, __, read=read: read.append(inputs[0]))
         for _ in range(12):
             learner.act_all(batch.views[:1], batch.state[:1])
-        features = agent.encode(batch.views[:1])[0]
+        features = agent.encoder.encode(batch.views[:1])[0]
         rows = [features.sum(0), *features]
         near = [[torch.allclose(x[0], row, rtol=1e-4, atol=1e-5) for row in rows] for x in read]
         seen[name, alpha] = np.array(near).sum(0)
@@ -302,7 +302,7 @@ def test_the_shift_is_the_same_for_all_views_only_if_asked() -> None:
 
 def rows_of(agent: Agent, batch: Batch) -> Tensor:
     masks = torch.from_numpy(METHODS["mad"].masks(STREAMS["three"])).double()
-    return torch.einsum("nv,bvz->nbz", masks, agent.encode(batch.views))
+    return torch.einsum("nv,bvz->nbz", masks, agent.encoder.encode(batch.views))
 
 
 def reached(agent: Agent) -> set[str]:

@@ -20,11 +20,12 @@ from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
 from madviz.policies.seeds import use_of
-from madviz.training import loop, reinforcement
+from madviz.runs import loop
+from madviz.runs.reward_run import SuiteNumbers
+from madviz.runs.run_folder import Event, RunFolder
+from madviz.training import reinforcement
 from madviz.training.config import RECIPES, TrainConfig, resolve
 from madviz.training.paper import PaperConfig, PaperRun, train_paper
-from madviz.training.reward_run import SuiteNumbers
-from madviz.training.run_folder import Event, RunFolder
 from madviz.training.train import train
 from madviz.training.vectorised import VectorisedConfig
 from madviz.types import Array, Environment
@@ -46,7 +47,7 @@ def short_toy(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         env.spec = replace(env.spec, horizon=HORIZON, action_repeat=2)
         return env
 
-    monkeypatch.setattr("madviz.training.drawn_task.make_env", make)
+    monkeypatch.setattr("madviz.runs.drawn_task.make_env", make)
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -123,9 +124,7 @@ def test_the_defaults_are_the_papers_table() -> None:
     assert (config.batch_size, config.buffer_capacity, config.hidden_dim) == (256, 500_000, 1024)
     assert (config.alpha, config.learning_rate, config.target_rate) == (0.8, 5e-4, 0.01)
     assert config.temperature == 0.1 and config.eval_episodes == 20
-    learning = config.learning()
-    assert (learning.alpha, learning.learning_rate, learning.target_rate) == (0.8, 5e-4, 0.01)
-    assert learning.same_shift_for_views and not config.shift_when_acting
+    assert config.same_shift_for_views and not config.shift_when_acting
 
 
 def test_what_differs_between_suites_follows_from_the_task_unless_an_option_says_it() -> None:

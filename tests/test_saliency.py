@@ -10,6 +10,7 @@ import torch
 
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.vib import VibOptions
 from madviz.agent.networks import Encoder, NetworkConfig, Trunk
 from madviz.analysis import saliency as module
 from madviz.analysis.saliency import LiveSaliency, saliency
@@ -18,7 +19,7 @@ from madviz.types import PolicySpec
 from tests.fakes import FakePolicy
 
 STREAMS = ("first", "third_a", "third_b")
-NETWORKS = NetworkConfig(state_dim=6, action_dim=3, hidden_dim=16, bottleneck_dim=8)
+NETWORKS = NetworkConfig(state_dim=6, action_dim=3, hidden_dim=16, own=VibOptions(8))
 ALL = np.ones(3, bool)
 STATE = np.linspace(-1, 1, 6).astype(np.float32)
 

@@ -19,10 +19,10 @@ from madviz import cli
 from madviz.errors import UserError
 from madviz.measure.evaluate import evaluate
 from madviz.policies.checkpoint import load_policy
+from madviz.runs.run_folder import Event, changes
+from madviz.runs.training_plan import TrainingPlan
 from madviz.training.config import TrainConfig, command, identity, resolve
 from madviz.training.light import LightConfig
-from madviz.training.plan import TrainingPlan
-from madviz.training.run_folder import Event, changes
 from madviz.training.train import train
 
 TINY = LightConfig(

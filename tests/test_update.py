@@ -86,7 +86,7 @@ def test_acting_draws_from_the_policy_on_all_streams() -> None:
     drawn = np.concatenate([learner.act_all(BATCH.views[:1], BATCH.state[:1]) for _ in range(300)])
     assert drawn.shape == (300, 2) and drawn.dtype == np.float32 and (np.abs(drawn) <= 1).all()
     with torch.no_grad():
-        merged = learner.agent.encode(BATCH.views[:1]).sum(1)
+        merged = learner.agent.encoder.encode(BATCH.views[:1]).sum(1)
         mean, log_std = learner.agent.actor(merged, BATCH.state[:1])
     before_tanh = np.arctanh(drawn.astype(np.float64))
     error, spread = before_tanh.mean(0) - mean[0].numpy(), log_std.exp()[0].numpy()

@@ -19,11 +19,11 @@ from madviz.errors import UserError
 from madviz.measure.episodes import Stopped, run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies.checkpoint import load_policy
-from madviz.training import loop
+from madviz.runs import loop
+from madviz.runs.drawn_task import DrawnTask
+from madviz.runs.run_folder import Event
+from madviz.runs.vector_envs import Board, VectorEnvs
 from madviz.training.config import TrainConfig, resolve
-from madviz.training.drawn_task import DrawnTask
-from madviz.training.run_folder import Event
-from madviz.training.vector_envs import Board, VectorEnvs
 from madviz.training.vectorised import VectorisedConfig
 from tests.fakes import FakePolicy
 from tests.recipe_runs import last_state

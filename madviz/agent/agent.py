@@ -15,9 +15,7 @@ import torch
 from jaxtyping import Bool, Float, Shaped, UInt8
 from torch import Tensor, nn
 
-from madviz.agent.merges.base import MergeFunctions, Noise
-from madviz.agent.merges.drawing import DrawingMerge, ForeseeingMerge
-from madviz.agent.merges.table import MERGES, merge_functions
+from madviz.agent.merges.table import MERGES, merge_class
 from madviz.agent.networks import Actor, Critic, NetworkConfig
 from madviz.errors import UserError
 from madviz.subsets import name_of
@@ -25,7 +23,9 @@ from madviz.types import Array, Encoded, Future, PolicySpec, Readout
 
 
 class Agent(nn.Module):
-    """Encoder, actor, two critics, its target, and the temperature. There is no target encoder."""
+    """The encoder, which is a merge, actor, twin critic, its target, and the temperature.
+
+    There is no target encoder."""
 
     def __init__(
         self,
@@ -34,43 +34,16 @@ class Agent(nn.Module):
         merge: str = "sum",
         streams: tuple[str, ...] = (),
     ) -> None:
-        """``merge`` is a row of ``MERGES``; the networks of some are built for their ``streams``.
-        Raises UserError for an unknown merge."""
+        """``merge`` is a row of ``MERGES``; the networks of some are built for their ``streams``,
+        and of some with ``config.own``. Raises UserError for an unknown merge."""
         super().__init__()
-        self.config, self.merge_name, self.streams = config, merge, streams
-        self.encoder = self.merge.networks(config, streams)
-        self.actor, self.critic = self.merge.heads(config, streams)
+        self.config = config
+        self.merge_name = merge
+        self.streams = streams
+        self.encoder = merge_class(merge)(config, streams)
+        self.actor, self.critic = self.encoder.heads(config)
         self.target = copy.deepcopy(self.critic).requires_grad_(False)
         self.log_temperature = nn.Parameter(torch.tensor(float(np.log(temperature))))
-
-    @property
-    def merge(self) -> MergeFunctions:
-        """The functions of this agent's merge; by name, so that an agent can go to a worker."""
-        return merge_functions(self.merge_name)
-
-    def encode(self, views: UInt8[Tensor, "B V C H W"]) -> Float[Tensor, "B ..."]:
-        """Pixels to features: (B, V, Z) for a sum, else the merge's own layout."""
-        return self.merge.encode(self.encoder, views)
-
-    def rows(
-        self, features: Float[Tensor, "B ..."], masks: Shaped[Tensor, "N V"], noise: Noise = None
-    ) -> Float[Tensor, "N B ..."]:
-        """What the heads read under each subset; ``masks`` are 0 and 1."""
-        return self.merge.rows(self.encoder, features, masks, noise)
-
-    def encode_and_merge(
-        self,
-        views: UInt8[Tensor, "B V C H W"],
-        masks: Shaped[Tensor, "N V"],
-        noise: Noise = None,
-    ) -> tuple[Tensor, Float[Tensor, "N B ..."]]:
-        """``encode`` and ``rows`` in one, for learning: features, and the rows from them. A merge
-        that draws its views encodes no others, and its rows are all the features there are."""
-        return self.merge.encode_and_merge(self.encoder, views, masks, noise)
-
-    def noise(self, batch: int, generator: torch.Generator) -> Noise:
-        """The random tensor of ``rows`` for ``batch`` samples; None if the merge has none."""
-        return self.merge.noise(self.config, self.streams, batch, generator)
 
     def scale_state(self, mean: tuple[float, ...], spread: tuple[float, ...]) -> None:
         """From now on the heads read the state minus ``mean`` in units of ``spread``; both are as
@@ -99,10 +72,11 @@ class TorchPolicy:
     def encode(self, views: UInt8[Array, "V C H W"], state: Shaped[Array, " S"]) -> Encoded:
         """Every stream through the networks, once. ``private`` holds the merge's own features and
         its noise, where the rows of ``features`` are not all there is."""
-        agent, merge = self.agent, self.agent.merge
-        pictures = torch.from_numpy(views)[None]
-        features, noise = merge.encode_to_act(agent.encoder, pictures), merge.noise_to_act(pictures)
-        shown = merge.feature_of_each(agent.encoder, features, self.spec.streams)[0]
+        merge = self.agent.encoder
+        pictures = torch.from_numpy(views)[None]  # (1, V, C, H, W)
+        features = merge.encode_to_act(pictures)
+        noise = merge.noise_to_act(pictures)
+        shown = merge.feature_of_each(features)[0]  # (V, Z)
         private = None if shown.shape == features.shape[1:] and noise is None else (features, noise)
         return Encoded(shown.float().numpy(), np.asarray(state, np.float32), private)
 
@@ -115,42 +89,44 @@ class TorchPolicy:
             if not self.supports(mask):
                 raise self._cannot(mask)
         features, noise = encoded.private or (torch.from_numpy(encoded.features)[None], None)
-        rows = self.agent.rows(features, torch.from_numpy(masks), noise)[:, 0]
-        state = torch.from_numpy(encoded.state).expand(len(rows), -1)
-        action = torch.tanh(self.agent.actor(rows, state)[0])
+        merge = self.agent.encoder
+        rows = merge.rows(features, torch.from_numpy(masks), noise)[:, 0]  # (N, Z)
+        state = torch.from_numpy(encoded.state).expand(len(rows), -1)  # (N, S)
+        action = torch.tanh(self.agent.actor(rows, state)[0])  # (N, A)
         q = torch.minimum(*self.agent.critic(rows, state, action)) / self._reward_scale
-        return Readout(self.agent.merge.merged_feature(rows).numpy(), action.numpy(), q.numpy())
+        return Readout(merge.merged_feature(rows).numpy(), action.numpy(), q.numpy())
 
     @property
     def imagines(self) -> bool:
         """Whether it can draw what a missing camera would see."""
-        return isinstance(self.agent.merge, DrawingMerge)
+        return self.agent.encoder.draws
 
     @torch.inference_mode()
     def imagine(self, encoded: Encoded, mask: Bool[Array, " V"]) -> UInt8[Array, "V H W 3"]:
         """The newest frame of every stream, drawn from those in ``mask`` alone. Raises UserError
         where the policy does not support ``mask`` or does not draw (``imagines``)."""
-        merge = self._drawing()
+        self._must_draw()
         if not self.supports(mask):
             raise self._cannot(mask)
         features, _ = encoded.private
-        return _bytes(merge.imagined(self.agent.encoder, features, torch.from_numpy(mask))[0])
+        return _bytes(self.agent.encoder.imagined(features, torch.from_numpy(mask))[0])
 
     def mean_pictures(self) -> UInt8[Array, "V H W 3"]:
-        """Of every stream in training. Raises UserError for a policy that does not draw."""
-        return _bytes(self._drawing().mean_pictures(self.agent.encoder))
+        """The mean picture of every stream in training. Raises UserError for a policy that does
+        not draw."""
+        self._must_draw()
+        return _bytes(self.agent.encoder.mean_pictures())
 
     @property
     def foresees(self) -> bool:
         """Whether it can go on without pictures, in a world model of its own."""
-        return isinstance(self.agent.merge, ForeseeingMerge)
+        return self.agent.encoder.foresees
 
     @torch.inference_mode()
     def foresee(self, encoded: Encoded, mask: Bool[Array, " V"], decisions: int) -> Future:
         """The likeliest course of the next ``decisions``, begun from the streams in ``mask`` alone.
         Raises UserError where the policy does not support ``mask`` or has no world model."""
-        merge = self.agent.merge
-        if not isinstance(merge, ForeseeingMerge):
+        if not self.foresees:
             raise UserError(
                 f"expected a policy with a world model, found {self.spec.name}, whose merge "
                 f"{self.agent.merge_name!r} has none; pick one of the method mv-mwm"
@@ -158,20 +134,19 @@ class TorchPolicy:
         if not self.supports(mask):
             raise self._cannot(mask)
         features, _ = encoded.private
-        state = torch.from_numpy(encoded.state)[None]
-        net, actor = self.agent.encoder, self.agent.actor
-        found = merge.foreseen(net, actor, features, torch.from_numpy(mask), state, decisions)
-        reward, action = found.reward[:, 0].numpy(), found.action[:, 0].numpy()
-        return Future(_bytes(found.pictures[:, 0]), reward / self._reward_scale, action)
-
-    def _drawing(self) -> DrawingMerge:
-        merge = self.agent.merge
-        if isinstance(merge, DrawingMerge):
-            return merge
-        raise UserError(
-            f"expected a policy that draws pictures, found {self.spec.name}, whose merge "
-            f"{self.agent.merge_name!r} does not; pick one of the methods mv-mae and mv-mwm"
+        state = torch.from_numpy(encoded.state)[None]  # (1, S)
+        course = self.agent.encoder.foreseen(
+            self.agent.actor, features, torch.from_numpy(mask), state, decisions
         )
+        reward = course.reward[:, 0].numpy() / self._reward_scale
+        return Future(_bytes(course.pictures[:, 0]), reward, course.action[:, 0].numpy())
+
+    def _must_draw(self) -> None:
+        if not self.imagines:
+            raise UserError(
+                f"expected a policy that draws pictures, found {self.spec.name}, whose merge "
+                f"{self.agent.merge_name!r} does not; pick one of the methods mv-mae and mv-mwm"
+            )
 
     def supports(self, mask: Array) -> bool:
         """Whether there is a place for every stream, and the merge can do without the absent."""

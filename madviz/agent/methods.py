@@ -30,7 +30,7 @@ from typing import Literal
 
 import numpy as np
 
-from madviz.agent.merges.table import MERGES, SEVERAL_STREAMS, Merge, Needs
+from madviz.agent.merges.table import MERGES, SEVERAL_STREAMS, MergeFacts, Needs
 from madviz.errors import UserError, unknown
 from madviz.subsets import every_mask, mad_subsets, mask_of, name_of, single_streams
 from madviz.types import Array
@@ -136,7 +136,7 @@ def _every_other_subset(streams: Streams) -> Streams:
     return tuple(name_of(mask, streams) for mask in every_mask(len(streams))[1:-1])
 
 
-def _merging(name: str, merge: Merge) -> Method:
+def _merging(name: str, merge: MergeFacts) -> Method:
     """Merged Only with another merge: the paper's comparison of merges, MVD and VIB."""
     return Method(
         merge.summary if merge.own_loss else f"{merge.summary}, without disentanglement",

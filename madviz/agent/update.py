@@ -44,6 +44,7 @@ from madviz.agent.objectives import (
 )
 from madviz.agent.update_graph import Draw, GraphedUpdate
 from madviz.errors import UserError
+from madviz.system.numbers import Rate, Share
 from madviz.types import Array
 
 LOSSES = ("critic_loss", "actor_loss", "temperature", "entropy")
@@ -55,18 +56,17 @@ Precision = Literal["auto", "float32", "bfloat16"]
 class LearningConfig:
     """How an agent learns from a batch; the defaults are the paper's."""
 
-    alpha: float = 0.8
+    alpha: Share = 0.8
     """Weight of the merged term; 1 - alpha is shared by the singular terms."""
-    learning_rate: float = 5e-4
-    """Of four separate Adams: encoder, actor, critic, temperature."""
-    target_rate: float = 0.01
+    learning_rate: Rate = 5e-4
+    """Four separate Adams share this rate: encoder, actor, critic, temperature."""
+    target_rate: Share = 0.01
     """Share of the critic in its target's moving average, per update."""
     same_shift_for_views: bool = True
-    """The paper shifts all views of a sample alike; its code draws a shift per view."""
+    """Shift all views of a sample alike (the paper), or each on its own (its code)."""
     precision: Precision = "auto"
-    """Of matrix products: bfloat16 where the device has instructions for it, else float32."""
-    kl_weight: float = 10.0
-    """VIB's beta, on a mean over dimensions: 10 / 3136 for every nat of a view's Gaussian."""
+    """Matrix products in updates: the paper has float32; ``auto`` takes bfloat16 where the device
+    has instructions for it."""
 
 
 class Learner:
@@ -84,10 +84,9 @@ class Learner:
         self.config = config or LearningConfig()
         self.method = method
         self.optimisers = optimisers(agent, self.config.learning_rate)
-        if agent.merge.own_optimiser:
-            encoder = agent.encoder.parameters()
-            self.optimisers[agent.merge.own_optimiser] = torch.optim.Adam(
-                encoder, lr=self.config.learning_rate, fused=True
+        if agent.encoder.own_optimiser:
+            self.optimisers[agent.encoder.own_optimiser] = torch.optim.Adam(
+                agent.encoder.parameters(), lr=self.config.learning_rate, fused=True
             )
         self.weights = method.weights(self.config.alpha)
         self._device = next(agent.parameters()).device
@@ -111,9 +110,10 @@ class Learner:
         shifts = draw_shifts(self._rng, shape, same)
         target_noise = torch.randn(self._reads, batch, actions, generator=self._noise)
         actor_noise = torch.randn(rows, batch, actions, generator=self._noise)
-        noise = (self.agent.noise(batch, self._noise), self.agent.noise(batch, self._noise))
+        merge = self.agent.encoder
+        noise = (merge.noise(batch, self._noise), merge.noise(batch, self._noise))
         own_loss = None
-        if self.agent.merge.own_optimiser:
+        if merge.own_optimiser:
             own_loss = (draw_shifts(self._rng, shape, same), int(self._rng.integers(count)))
         return Draw(shifts, target_noise, actor_noise, noise, own_loss)
 
@@ -129,38 +129,37 @@ class Learner:
 
     def _new_graph(self) -> GraphedUpdate | None:
         # A merge's own loss chooses a view by number: a graph would always take the same.
-        on_cuda = self._device.type == "cuda" and not self.agent.merge.own_optimiser
+        on_cuda = self._device.type == "cuda" and not self.agent.encoder.own_optimiser
         return GraphedUpdate(self._step_all, self._device) if on_cuda else None
 
     def _step_all(self, batch: Batch, draw: Draw) -> Tensor:
+        agent = self.agent
         as_stored = batch
         batch = self._shifted(batch, draw.shifts)
-        target = self._target(batch, draw)
+        target = self._target(batch, draw)  # (R, B)
         with self._autocast():
-            noise = draw.merge_noise[0]
-            features, rows = self.agent.encode_and_merge(batch.views, self._masks, noise)
-            critic = weighted(
-                critic_losses(self.agent, rows, batch.state, batch.action, target), self.weights
-            )
-        penalty = self.agent.merge.penalty(self.agent.encoder, features)
-        loss = critic if penalty is None else critic + self.config.kl_weight * penalty
-        self._step(loss, "critic", "encoder")
+            features, rows = agent.encoder.encode_and_merge(
+                batch.views, self._masks, draw.merge_noise[0]
+            )  # (B, V, Z), (N, B, Z)
+            losses = critic_losses(agent, rows, batch.state, batch.action, target)  # (N,)
+            critic = weighted(losses, self.weights)
+        penalty = agent.encoder.penalty(features)
+        self._step(critic if penalty is None else critic + penalty, "critic", "encoder")
         with self._autocast():
-            noise, reads = draw.actor_noise.to(self._device), rows[: self._reads]
-            losses, log_prob = actor_losses(self.agent, rows, batch, noise, reads)
+            # The features are those from before the step above, the critic is the one after it.
+            noise = draw.actor_noise.to(self._device)  # (N, B, A)
+            losses, log_prob = actor_losses(agent, rows, batch, noise, rows[: self._reads])
             actor = weighted(losses, self.weights)
         self._step(actor, "actor")
-        temperature = weighted(temperature_losses(self.agent, log_prob), self.weights)
+        temperature = weighted(temperature_losses(agent, log_prob), self.weights)
         self._step(temperature, "temperature")
         with torch.no_grad():
-            self._average(
-                list(self.agent.target.parameters()), list(self.agent.critic.parameters()), 0
-            )
+            self._average(list(agent.target.parameters()), list(agent.critic.parameters()), 0)
         if draw.own_loss is not None:
             self._own_step(as_stored, *draw.own_loss)
         with torch.no_grad():
-            entropy = -log_prob[0].mean()
-            return torch.stack([critic, actor, self.agent.log_temperature.exp(), entropy])
+            entropy = -log_prob[0].mean()  # of the merged row
+            return torch.stack([critic, actor, agent.log_temperature.exp(), entropy])
 
     @torch.inference_mode()
     def act_all(self, views: Tensor, state: Tensor) -> Array:
@@ -170,8 +169,10 @@ class Learner:
         rows, drawn anew at every decision.
         """
         row = 0 if 0 in self._trained else int(self._rng.choice(self._trained))
-        drawn, mask = self.agent.noise(len(views), self._noise), self._masks[row : row + 1]
-        merged = self.agent.encode_and_merge(views.to(self._device), mask, drawn)[1][0]
+        merge = self.agent.encoder
+        drawn = merge.noise(len(views), self._noise)
+        mask = self._masks[row : row + 1]  # (1, V)
+        merged = merge.encode_and_merge(views.to(self._device), mask, drawn)[1][0]  # (L, Z)
         mean, log_std = self.agent.actor(merged, state.to(self._device))
         noise = torch.randn(mean.shape, generator=self._noise).to(self._device)
         return squash(mean, log_std, noise)[0].float().cpu().numpy()
@@ -214,18 +215,18 @@ class Learner:
 
     def _own_step(self, batch: Batch, both: Array, positive: int) -> None:
         """The merge's own loss, on pictures that are shifted anew."""
-        agent, batch = self.agent, self._shifted(batch, both)
-        loss = agent.merge.own_loss(
-            agent.encoder, batch.views, batch.next_views, positive, self._autocast
-        )
-        self._step(loss, agent.merge.own_optimiser)
+        merge = self.agent.encoder
+        batch = self._shifted(batch, both)
+        loss = merge.own_loss(batch.views, batch.next_views, positive, self._autocast)
+        self._step(loss, merge.own_optimiser)
 
     @torch.no_grad()
     def _target(self, batch: Batch, draw: Draw) -> Tensor:
         with self._autocast():
-            masks = self._masks[: self._reads]
-            noise = draw.merge_noise[1]
-            _, reads = self.agent.encode_and_merge(batch.next_views, masks, noise)
+            masks = self._masks[: self._reads]  # (R, V)
+            _, reads = self.agent.encoder.encode_and_merge(
+                batch.next_views, masks, draw.merge_noise[1]
+            )  # (R, B, Z)
             return td_target(self.agent, reads, batch, draw.target_noise.to(self._device))
 
     def _step(self, loss: Tensor, *names: str) -> None:

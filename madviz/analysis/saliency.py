@@ -49,7 +49,7 @@ def saliency(
     if target not in get_args(Target):
         raise unknown("saliency target", target, list(get_args(Target)))
     agent = getattr(policy, "agent", None)
-    if agent is None or not hasattr(agent, "merge") or not policy.supports(mask):
+    if agent is None or not hasattr(agent, "encoder") or not policy.supports(mask):
         return None
     import torch
     from captum.attr import NoiseTunnel, Saliency
@@ -71,13 +71,13 @@ def _number(
     """(B, V, C, H, W) floating pixels -> (B,): the policy's own way from pixels to ``target``."""
     import torch
 
-    noise = agent.merge.noise_to_act(pictures)
+    noise = agent.encoder.noise_to_act(pictures)
     present = torch.from_numpy(np.asarray(mask, bool))[None]
     known = torch.from_numpy(np.asarray(state, np.float32))
 
     def number(pixels: Any) -> Any:
-        features = agent.merge.encode_to_act(agent.encoder, pixels)
-        rows = agent.rows(features, present, noise)[0]
+        features = agent.encoder.encode_to_act(pixels)
+        rows = agent.encoder.rows(features, present, noise)[0]
         states = known.expand(len(rows), -1)
         action = torch.tanh(agent.actor(rows, states)[0])
         if target == "action":

@@ -25,9 +25,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from madviz.agent.merges.table import MERGES
+from madviz.agent.sizes import NetworkConfig
 from madviz.envs.custom import allow_task
 from madviz.errors import UserError, perhaps
-from madviz.policies.config import PolicyConfig, check_config, digest, read_config
+from madviz.policies.config import (
+    PolicyConfig,
+    check_config,
+    digest,
+    networks_of,
+    read_config,
+)
 from madviz.policies.measured import EvaluationFile, as_evaluation
 from madviz.policies.sb3 import is_sb3, load_sb3
 from madviz.system.files import read_json, write_bytes, write_json
@@ -178,12 +185,13 @@ def load_policy(policy: str | Path) -> Policy:
 
     if config.merge not in MERGES:
         raise UserError(f"{path / CONFIG}: unknown merge {config.merge!r}; known: {list(MERGES)}")
-    agent = _agent(path, config, weights)
+    networks = networks_of(config, text, path / CONFIG)
+    agent = _agent(path, config, networks, weights)
     spec = config.spec(digest(hashlib.sha256(weights).hexdigest(), text))
     return TorchPolicy(spec, agent, config.reward_scale)
 
 
-def _agent(path: Path, config: PolicyConfig, weights: bytes) -> Agent:
+def _agent(path: Path, config: PolicyConfig, networks: NetworkConfig, weights: bytes) -> Agent:
     import torch
     from safetensors import SafetensorError
     from safetensors.torch import load
@@ -193,7 +201,7 @@ def _agent(path: Path, config: PolicyConfig, weights: bytes) -> Agent:
     try:
         # Without memory at first: shapes are known before anything is initialised or allocated.
         with torch.device("meta"):
-            agent = Agent(config.networks, merge=config.merge, streams=config.streams)
+            agent = Agent(networks, merge=config.merge, streams=config.streams)
     except (ValueError, RuntimeError) as error:
         raise UserError(f"{path / CONFIG}: networks that cannot be built: {error}") from error
     try:

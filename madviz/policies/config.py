@@ -22,7 +22,7 @@ import os
 import platform
 import shlex
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,7 +30,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.table import MERGES, own_options
 from madviz.agent.sizes import NetworkConfig
 from madviz.errors import UserError, unknown
 from madviz.observation.streams import IMAGE_SIZE
@@ -40,6 +40,8 @@ from madviz.system.typed import typed
 from madviz.types import CameraSpec, EnvSpec, PolicySpec
 
 FORMAT = 1
+OTHER_MERGES = ("bottleneck_dim", "autoencoder", "end_to_end", "world_model")
+"""Sizes that older files hold under ``networks`` for every merge, whatever their own one is."""
 FIX = "restore the file or retrain"
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
@@ -130,8 +132,11 @@ class PolicyConfig(msgspec.Struct, kw_only=True, frozen=True, omit_defaults=True
         )
 
     def document(self) -> Document:
-        """What config.json holds."""
-        return msgspec.to_builtins(self)
+        """What config.json holds: the own sizes of a merge stand beside those of all."""
+        document = msgspec.to_builtins(self)
+        own = document["networks"].pop("own")
+        document["networks"] |= {n: own[n] for n in _own_sizes(self.merge) if n in own}
+        return document
 
 
 def definition_of(env: EnvSpec) -> str:
@@ -182,6 +187,19 @@ def read_config(file: Path) -> tuple[PolicyConfig, str]:
     return _checked(document, file), canonical(document)
 
 
+def networks_of(config: PolicyConfig, text: str, where: Path) -> NetworkConfig:
+    """The sizes of all networks, the own ones of a merge included, which ``read_config`` leaves
+    out: their type is in the merge's file, which may load torch. ``text`` is that of
+    ``read_config``. Raises UserError for sizes of another type."""
+    holds_own = msgspec.defstruct("HoldsOwn", [("networks", own_options(config.merge))])
+    holder: Any = typed(json.loads(text), holds_own, where, FIX)
+    return replace(config.networks, own=holder.networks)
+
+
+def _own_sizes(merge: str) -> tuple[str, ...]:
+    return MERGES[merge].sizes if merge in MERGES else ()
+
+
 def check_config(config: PolicyConfig, where: Path) -> Document:
     """What config.json holds. Raises UserError for a config that could not be read again."""
     document = config.document()
@@ -218,9 +236,10 @@ def _checked(document: Document, where: Path) -> PolicyConfig:
         shlex.split(config.training.command or "")
     except ValueError as error:
         raise UserError(f"{where}: expected a command line, found {error}; {FIX}") from error
-    sizes = [field.name for field in fields(NetworkConfig)]
+    sizes = [field.name for field in fields(NetworkConfig) if field.name != "own"]
+    sizes += _own_sizes(config.merge)
     for name in typed(document["networks"], dict[str, object], where, FIX):
-        if name not in sizes:
+        if name not in (*sizes, *OTHER_MERGES):
             raise UserError(
                 f"{where}: networks that cannot be built: {unknown('size', name, sizes)}"
             )

@@ -38,9 +38,9 @@ from madviz.observation.ablation import Ablation
 from madviz.observation.schedule import Schedule, reached
 from madviz.observation.streams import StreamStack
 from madviz.policies.players import player_of
+from madviz.runs.demonstrations import slow_noise
 from madviz.session.frame import untouched
 from madviz.system.files import new_folder, write_json
-from madviz.training.demonstrations import slow_noise
 from madviz.types import Array, Environment, Policy
 
 FILE_BYTES = 100 * 2**20

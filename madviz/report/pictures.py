@@ -14,7 +14,7 @@ from madviz.report.layouts import LAYOUTS, THREE, rank
 from madviz.report.rows import Row
 from madviz.report.tables import SUITES, ResultTable
 from madviz.report.threshold import WEAK, Verdict
-from madviz.training.curve import success_lines
+from madviz.runs.curve import success_lines
 
 DIFFERENCES: tuple[Callable[[Evidence], str], ...] = (
     lambda each: each.config.recipe,

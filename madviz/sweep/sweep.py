@@ -29,6 +29,7 @@ from typing import Any, Literal, Protocol
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from madviz.runs.curve import duration
 from madviz.sweep.plan import SweepPlan, read_plan
 from madviz.sweep.run import (
     Run,
@@ -43,7 +44,6 @@ from madviz.sweep.run import (
 from madviz.system.numbers import Threads, check_numbers
 from madviz.system.signals import terminable
 from madviz.system.streams import say
-from madviz.training.curve import duration
 
 BUSY_SECONDS = 2.0
 """How long a run that another process works on is left alone."""

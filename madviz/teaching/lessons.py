@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from madviz.agent.agent import Agent, TorchPolicy
-from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.table import MERGES, own_options
 from madviz.agent.methods import METHODS, method
 from madviz.agent.networks import NetworkConfig
 from madviz.drawing.colours import heat
@@ -110,7 +110,8 @@ def untrained(name: str, streams: tuple[str, ...] = ("first", "third_a", "third_
         streams=streams,
         trained_subsets=chosen.trained_subsets(streams),
     )
-    config = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=64, bottleneck_dim=64)
+    own = own_options(chosen.merge).of_recipe("light")
+    config = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=64, own=own)
     with torch.random.fork_rng():
         torch.manual_seed(0)
         return TorchPolicy(spec, Agent(config, merge=chosen.merge, streams=streams))

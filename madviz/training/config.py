@@ -2,55 +2,55 @@
 
     TrainConfig -- resolve --> TrainingPlan --> a recipe
 
-A new recipe is a file, its options (``options.RecipeOptions``) as a field of ``TrainConfig``, and
-a row of ``RECIPES``.
+The fields of ``TrainConfig`` are the table of recipes: one line with a recipe's options
+(``runs/recipe_options.py``), its name and its function. A method's own options are in ``own``.
 """
 
 from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
-from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.table import MERGES, own_options
 from madviz.agent.methods import METHODS, Method, method
+from madviz.agent.sizes import NetworkConfig, OwnOptions
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import SETTINGS, RenderProfile, TaskName, choose
 from madviz.errors import UserError, unknown
+from madviz.runs.drawn_task import DrawnTask
+from madviz.runs.recipe_options import RecipeOptions
+from madviz.runs.run_folder import RunFolder
+from madviz.runs.training_plan import TrainingPlan
 from madviz.subsets import camera_of
 from madviz.system.numbers import Seed, Threads
 from madviz.system.options import OneOf, Only
-from madviz.training.drawn_task import DrawnTask
 from madviz.training.light import LightConfig, train_light
-from madviz.training.mv_mwm import MvMwmConfig, train_mv_mwm
-from madviz.training.options import RecipeOptions
 from madviz.training.paper import PaperConfig, train_paper
-from madviz.training.plan import TrainingPlan
-from madviz.training.run_folder import RunFolder
 from madviz.training.vectorised import VectorisedConfig, train_vectorised
 from madviz.types import CameraSpec, EnvSpec, PolicySpec
+from madviz.world_model.mv_mwm_options import MvMwmConfig
+from madviz.world_model.recipe import train_mv_mwm
+from madviz.world_model.sizes import AutoencoderConfig
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """A way to train."""
+    """A way to train; it annotates the field of ``TrainConfig`` that has its options."""
 
-    options: str
-    """The field of ``TrainConfig`` with its own options."""
+    name: str
     train: Callable[[TrainingPlan, Any, RunFolder], None]
     """Trains a plan with those options, in a folder."""
+    options: str = ""
+    """The name of that field."""
 
 
-RECIPES = {
-    "light": Recipe("light", train_light),
-    "paper": Recipe("paper", train_paper),
-    "paper-vectorised": Recipe("vectorised", train_vectorised),
-    "mv-mwm": Recipe("mv_mwm", train_mv_mwm),
-}
+RECIPES: dict[str, Recipe] = {}
+"""Every recipe by name: read off the fields of ``TrainConfig``, below it."""
 
 
 @dataclass(frozen=True)
@@ -90,12 +90,68 @@ class TrainConfig:
     """Of the learner; by default 1 for ``light``, whose recorder uses the other core, one per core
     for ``paper``, one per core without a worker for the others. Sums are split between threads, so
     another number is another run."""
-    light: Annotated[LightConfig, Only("recipe", "light")] = field(default_factory=LightConfig)
-    paper: Annotated[PaperConfig, Only("recipe", "paper")] = field(default_factory=PaperConfig)
-    vectorised: Annotated[VectorisedConfig, Only("recipe", "paper-vectorised")] = field(
-        default_factory=VectorisedConfig
+    own: OwnOptions = field(default_factory=OwnOptions)
+    """The method's own options, for the methods that have any: ``VibOptions``, ``MvMaeOptions``."""
+    light: Annotated[LightConfig, Recipe("light", train_light), Only("recipe", "light")] = field(
+        default_factory=LightConfig
     )
-    mv_mwm: Annotated[MvMwmConfig, Only("recipe", "mv-mwm")] = field(default_factory=MvMwmConfig)
+    paper: Annotated[PaperConfig, Recipe("paper", train_paper), Only("recipe", "paper")] = field(
+        default_factory=PaperConfig
+    )
+    vectorised: Annotated[
+        VectorisedConfig,
+        Recipe("paper-vectorised", train_vectorised),
+        Only("recipe", "paper-vectorised"),
+    ] = field(default_factory=VectorisedConfig)
+    mv_mwm: Annotated[MvMwmConfig, Recipe("mv-mwm", train_mv_mwm), Only("recipe", "mv-mwm")] = (
+        field(default_factory=MvMwmConfig)
+    )
+
+    @staticmethod
+    def renamed_options() -> dict[str, str]:
+        """Older spellings of options -> today's: a method's own were once those of recipes."""
+        names = ["bottleneck-dim", "kl-weight"]
+        renamed = {f"--{s}.{n}": f"--own.{n}" for s in ("paper", "vectorised") for n in names}
+        sizes = [size.name.replace("_", "-") for size in fields(AutoencoderConfig)]
+        names += ["reconstructed", "end-to-end", "no-end-to-end", "autoencoder.no-view-masking"]
+        names += [f"autoencoder.{size}" for size in sizes]
+        return renamed | {f"--light.{name}": f"--own.{name}" for name in names}
+
+
+def _recipes() -> Iterator[Recipe]:
+    for name, kind in get_type_hints(TrainConfig, include_extras=True).items():
+        for note in getattr(kind, "__metadata__", ()):
+            if isinstance(note, Recipe):
+                yield replace(note, options=name)
+
+
+RECIPES.update({recipe.name: recipe for recipe in _recipes()})
+
+
+def default_config(words: Sequence[str]) -> TrainConfig:
+    """What a command line is read into: ``own`` has the options of the method that ``words``
+    choose, with the defaults of their recipe, so that a reader of types finds these options."""
+    chosen = {"--method": "mad", "--merge": "", "--recipe": "light"}
+    for word, following in zip(words, [*words, ""][1:], strict=True):
+        option, joined, value = word.partition("=")
+        if option in chosen:
+            chosen[option] = value if joined else following
+    row = METHODS.get(chosen["--method"])
+    merge = chosen["--merge"] or (row.merge if row else "")
+    own = _default_own(merge, chosen["--recipe"])
+    for option in (word.partition("=")[0] for word in words):
+        option = TrainConfig.renamed_options().get(option, option)
+        if option.startswith("--own.") and type(own) is OwnOptions:
+            having = [name for name in MERGES if own_options(name).of_recipe("") != own]
+            raise UserError(
+                f"expected {option:.60} with a method that has options of its own "
+                f"({', '.join(having)}), found it with {chosen['--method']!r}; leave it out"
+            )
+    return TrainConfig(own=own)
+
+
+def _default_own(merge: str, recipe: str) -> OwnOptions:
+    return own_options(merge).of_recipe(recipe) if merge in MERGES else OwnOptions()
 
 
 def resolve(config: TrainConfig) -> TrainingPlan:
@@ -131,12 +187,29 @@ def resolve(config: TrainConfig) -> TrainingPlan:
         ),
         drawn_task,
         facts,
-        options.networks(facts, _state_columns(config, facts)),
+        _networks(config, options, facts, merge),
         merge,
         config.seed,
         camera,
         command(config),
     )
+
+
+def _networks(
+    config: TrainConfig, options: RecipeOptions, facts: EnvSpec, merge: str
+) -> NetworkConfig:
+    """The sizes of all networks: the recipe's, and the method's own as they are asked for."""
+    networks = options.networks(facts, _state_columns(config, facts))
+    kind, asked = own_options(merge), config.own
+    if type(asked) not in (OwnOptions, kind):
+        raise UserError(
+            f"expected the own options of the merge {merge!r}, which are "
+            f"{'none' if kind is OwnOptions else kind.__name__}, found {type(asked).__name__}; "
+            "leave them out, or pick their method"
+        )
+    if type(asked) is OwnOptions and type(networks.own) is OwnOptions:
+        asked = _default_own(merge, config.recipe)
+    return networks if type(asked) is OwnOptions else replace(networks, own=asked)
 
 
 def options_of(config: TrainConfig) -> RecipeOptions:
@@ -216,6 +289,8 @@ def command(config: TrainConfig) -> str:
     section = RECIPES[config.recipe].options
     asked = getattr(config, section), getattr(default, section)
     words += _changed(section.replace("_", "-"), *asked)
+    if type(config.own) is not OwnOptions:
+        words += _changed("own", config.own, type(config.own).of_recipe(config.recipe))
     return shlex.join(words)
 
 

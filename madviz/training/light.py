@@ -40,14 +40,14 @@ from torch import Tensor
 
 from madviz.agent.agent import TorchPolicy, autocast
 from madviz.agent.augment import random_shift
-from madviz.agent.merges.drawing import DrawingMerge
 from madviz.agent.networks import read_state
 from madviz.agent.update import generator_state, restore_generator
 from madviz.policies.config import TrainingRecord
 from madviz.policies.seeds import training_seed
+from madviz.runs.demonstrations import Dataset, Driver, Episode, Recorder
+from madviz.runs.run_folder import RunFolder, interruptible
+from madviz.runs.training_plan import TrainingPlan
 from madviz.subsets import mask_of
-from madviz.training.autoencoder import mean_pictures
-from madviz.training.demonstrations import Dataset, Driver, Episode, Recorder
 from madviz.training.light_critic import REWARD_SCALE, fit_critic
 from madviz.training.light_focus import Outcomes, failures, focused, in_turn, shares
 from madviz.training.light_losses import PlacesHead as PlacesHead
@@ -55,8 +55,6 @@ from madviz.training.light_losses import check_places, mean_and_std
 from madviz.training.light_losses import imitation_loss as imitation_loss
 from madviz.training.light_losses import row_errors as row_errors
 from madviz.training.light_options import LightConfig as LightConfig
-from madviz.training.plan import TrainingPlan
-from madviz.training.run_folder import RunFolder, interruptible
 from madviz.types import Array
 
 
@@ -80,10 +78,9 @@ class LightRun:
         self.optimisers = {
             "optimiser": torch.optim.Adam(learned, lr=config.learning_rate, fused=True)
         }
-        if agent.merge.own_optimiser:
-            encoder = agent.encoder.parameters()
-            self.optimisers[agent.merge.own_optimiser] = torch.optim.Adam(
-                encoder, lr=config.learning_rate, fused=True
+        if agent.encoder.own_optimiser:
+            self.optimisers[agent.encoder.own_optimiser] = torch.optim.Adam(
+                agent.encoder.parameters(), lr=config.learning_rate, fused=True
             )
         total = config.demonstrations + (config.rounds - 1) * config.episodes_per_round
         self.data = Dataset(streams, total, plan.env.horizon)
@@ -145,8 +142,8 @@ class LightRun:
         """What depends on how pictures, states and places vary in the first episodes."""
         config, index = self.config, np.arange(self.config.demonstrations * self.data.horizon)
         for agent in (self.agent, self.average):
-            if isinstance(agent.merge, DrawingMerge):
-                agent.merge.set_mean(agent.encoder, mean_pictures(self.data, index))
+            if agent.encoder.draws:
+                agent.encoder.set_mean(self.data.usual_views(index))
         if config.standard_state:
             read = read_state(self.plan.networks, self.data.column("states", index))
             for agent in (self.agent, self.average):
@@ -174,11 +171,13 @@ class LightRun:
         index = self.drawn()
         # Of this update alone, so that a resumed run draws the same.
         generator = torch.Generator().manual_seed(self.plan.seed * 1_000_003 + self.updates)
-        noise = self.agent.noise(config.batch_size, generator)
-        views = random_shift(self.data.views(index), self.rng, pad=config.shift)
-        state, label = self.data.column("states", index), self.data.column("labels", index)
+        merge = self.agent.encoder
+        noise = merge.noise(config.batch_size, generator)
+        views = random_shift(self.data.views(index), self.rng, pad=config.shift)  # (B, V, C, H, W)
+        state = self.data.column("states", index)  # (B, S)
+        label = self.data.column("labels", index)  # (B, A)
         with autocast():
-            features, merged = self.agent.encode_and_merge(views, self.masks, noise)
+            features, merged = merge.encode_and_merge(views, self.masks, noise)  # ..., (N, B, Z)
             gripper = config.gripper_loss
             loss = imitation_loss(self.agent, merged, state, label, self.weights, gripper)
             total = loss
@@ -186,10 +185,10 @@ class LightRun:
                 places = self.data.column("places", index)
                 errors = self.places.row_errors(self.agent.actor, merged, state, places)
                 total = total + config.position_weight * (errors * self.weights).sum()
-        penalty = self.agent.merge.penalty(self.agent.encoder, features)
-        self._step("optimiser", total if penalty is None else total + config.kl_weight * penalty)
-        if self.agent.merge.own_optimiser:
-            self._step(self.agent.merge.own_optimiser, self._own_loss(index, generator))
+        penalty = merge.penalty(features)
+        self._step("optimiser", total if penalty is None else total + penalty)
+        if merge.own_optimiser:
+            self._step(merge.own_optimiser, self._own_loss(index, generator))
         decay = min(config.average, (1 + self.updates) / (10 + self.updates))
         with torch.no_grad():
             pairs = zip(self.average.parameters(), self.agent.parameters(), strict=True)
@@ -209,19 +208,19 @@ class LightRun:
     def _own_loss(self, index: Array, generator: torch.Generator) -> Tensor:
         """The merge's: on pictures as they were recorded, if it draws them; else on freshly shifted
         ones, where the last decision of an episode has no next one and is its own."""
-        merge, encoder = self.agent.merge, self.agent.encoder
-        if isinstance(merge, DrawingMerge):
-            index = index[: self.config.reconstructed]
+        merge = self.agent.encoder
+        if merge.draws:
+            index = index[: merge.reconstructed]
             views, reward = self.data.views(index), self.data.column("rewards", index)
             with autocast():
-                return merge.reconstruction_loss(encoder, views, reward, generator)
+                return merge.reconstruction_loss(views, reward, generator)
         horizon, shift = self.data.horizon, self.config.shift
         following = np.minimum(index + 1, index - index % horizon + horizon - 1)
         now, then = (
             random_shift(self.data.views(i), self.rng, pad=shift) for i in (index, following)
         )
         positive = int(torch.randint(now.shape[1], (), generator=generator))
-        return merge.own_loss(encoder, now, then, positive, autocast)
+        return merge.own_loss(now, then, positive, autocast)
 
     def _step(self, name: str, loss: Tensor) -> None:
         config, optimiser = self.config, self.optimisers[name]

@@ -23,7 +23,7 @@ from madviz.agent.merges.base import Noise
 from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import Method
 from madviz.agent.objectives import critic_losses, weighted
-from madviz.training.demonstrations import Dataset
+from madviz.runs.demonstrations import Dataset
 from madviz.types import Array
 
 REWARD_SCALE = 0.05
@@ -72,7 +72,7 @@ def fit_critic(
     losses = []
     for _ in range(updates):
         rows = rng.integers(0, len(index), _BATCH)
-        drawn = agent.noise(_BATCH, generator)
+        drawn = agent.encoder.noise(_BATCH, generator)
         next_value = _value(agent, features[ahead[rows]], state[ahead[rows]], reads, drawn)
         y = torch.from_numpy(sums[rows]) + torch.from_numpy(discount[rows]) * next_value
         with autocast():
@@ -107,9 +107,9 @@ def _encode(agent: Agent, data: Dataset, index: Array, masks: Tensor) -> Tensor:
     chunks = []
     for start in range(0, len(index), 64):
         with autocast():
-            features = agent.encode(data.views(index[start : start + 64]))
+            features = agent.encoder.encode(data.views(index[start : start + 64]))
             if MERGES[agent.merge_name].costly_rows:
-                features = agent.rows(features, masks).transpose(0, 1)
+                features = agent.encoder.rows(features, masks).transpose(0, 1)
             chunks.append(features)
     return torch.cat(chunks)
 
@@ -119,4 +119,4 @@ def _rows(agent: Agent, features: Tensor, masks: Tensor, noise: Noise) -> Tensor
     it holds rows."""
     if MERGES[agent.merge_name].costly_rows:
         return features[:, : len(masks)].transpose(0, 1)
-    return agent.rows(features, masks, noise)
+    return agent.encoder.rows(features, masks, noise)

@@ -6,11 +6,11 @@ options below, which are off. What else was tried is in ``results/tried.json``, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
-from madviz.agent.networks import NetworkConfig
-from madviz.agent.sizes import AutoencoderConfig
+from madviz.agent.sizes import NetworkConfig
+from madviz.runs.recipe_options import RecipeOptions
 from madviz.system.numbers import (
     Count,
     CountOrNone,
@@ -21,7 +21,6 @@ from madviz.system.numbers import (
     Weight,
     Width,
 )
-from madviz.training.options import RecipeOptions
 from madviz.types import EnvSpec
 
 
@@ -86,16 +85,6 @@ class LightConfig(RecipeOptions):
     """Gradient steps of the critic at the end."""
     workers: Threads = 1
     """Recording processes."""
-    bottleneck_dim: Width = 64
-    """VIB alone: numbers in the Gaussian of a third-person view (the paper has 3136)."""
-    kl_weight: Weight = 0.01
-    """VIB alone: weight of the bottleneck's cost, a mean over its numbers."""
-    reconstructed: Width = 32
-    """MV-MAE alone: time steps that the autoencoder draws in a gradient step."""
-    end_to_end: bool = False
-    """MV-MAE alone: whether the actor's loss reaches the autoencoder, too."""
-    autoencoder: AutoencoderConfig = field(default_factory=AutoencoderConfig)
-    """MV-MAE alone."""
 
     ONLY_TIME = ("workers",)
 
@@ -114,9 +103,6 @@ class LightConfig(RecipeOptions):
             env.action_dim,
             feature_dim=self.feature_dim,
             hidden_dim=self.hidden_dim,
-            bottleneck_dim=self.bottleneck_dim,
             state_columns=state_columns,
             state_changes=env.state_changes if self.standard_state and not state_columns else (),
-            autoencoder=self.autoencoder,
-            end_to_end=self.end_to_end,
         )

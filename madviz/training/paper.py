@@ -17,12 +17,12 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass
 
+from madviz.runs.drawn_task import newest_frames
+from madviz.runs.loop import train_on
+from madviz.runs.run_folder import RunFolder
+from madviz.runs.training_plan import TrainingPlan
 from madviz.system.numbers import Count
-from madviz.training.drawn_task import newest_frames
-from madviz.training.loop import train_on
-from madviz.training.plan import TrainingPlan
 from madviz.training.reinforcement import ReinforcementConfig, ReinforcementRun
-from madviz.training.run_folder import RunFolder
 from madviz.types import Array
 
 

@@ -14,39 +14,25 @@ import torch
 
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.augment import random_shift
-from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
-from madviz.agent.update import LOSSES, Learner, LearningConfig, Precision
+from madviz.agent.networks import NetworkConfig
+from madviz.agent.update import LOSSES, Learner, LearningConfig
 from madviz.policies.config import TrainingRecord
-from madviz.system.numbers import Rate, Share, Weight, Width
-from madviz.training.reward_run import RewardRun, RunConfig
+from madviz.runs.reward_run import RewardRun, RunConfig
+from madviz.system.numbers import Rate, Width
 from madviz.types import Array, Encoded, EnvSpec, PolicySpec
 
 
 @dataclass(frozen=True)
-class ReinforcementConfig(RunConfig):
+class ReinforcementConfig(LearningConfig, RunConfig):
     """What the recipes with the paper's losses have; the defaults are the paper's numbers."""
 
     hidden_dim: Width = 1024
     """Width of the heads' hidden layers."""
-    bottleneck_dim: Width = FEATURE_SIZE
-    """VIB alone: numbers in the Gaussian of a third-person view."""
-    kl_weight: Weight = 10.0
-    """VIB alone: beta, the weight of the bottleneck's cost, a mean over its numbers."""
     temperature: Rate = 0.1
-    """Of the entropy bonus, at the start; learned from then on."""
-    alpha: Share = 0.8
-    """Weight of the merged term; 1 - alpha is shared by the singular terms."""
-    learning_rate: Rate = 5e-4
-    """Of four separate Adams."""
-    target_rate: Share = 0.01
-    """Share of the critic in its target's moving average, per update."""
-    same_shift_for_views: bool = True
-    """Shift all views of a sample alike (the paper), or each on its own (its code)."""
+    """Weight of the entropy bonus at the start; learned from then on."""
     shift_when_acting: bool = False
     """Also shift what the policy acts on, in training and in evaluations while it trains (as the
     code does, in all evaluations). The policy that is saved does not."""
-    precision: Precision = "auto"
-    """Of matrix products in updates; the paper has float32."""
     buffer_on_host: bool = False
     """Where the networks learn on a CUDA device: keep frames in the computer's memory all the same.
     Otherwise they are in the device's, unpacked."""
@@ -58,23 +44,11 @@ class ReinforcementConfig(RunConfig):
             env.state_dim,
             env.action_dim,
             hidden_dim=self.hidden_dim,
-            bottleneck_dim=self.bottleneck_dim,
             state_columns=state_columns,
         )
 
     def frames_device(self) -> str:
         return "cpu" if self.buffer_on_host or self.buffer_on_disk else self.torch_device()
-
-    def learning(self) -> LearningConfig:
-        """The part an update needs."""
-        return LearningConfig(
-            alpha=self.alpha,
-            learning_rate=self.learning_rate,
-            target_rate=self.target_rate,
-            same_shift_for_views=self.same_shift_for_views,
-            precision=self.precision,
-            kl_weight=self.kl_weight,
-        )
 
 
 class ReinforcementRun(RewardRun):
@@ -87,7 +61,7 @@ class ReinforcementRun(RewardRun):
     def new_learner(self) -> Learner:
         plan, config = self.plan, self.config
         agent = plan.new_agent(config.temperature).to(config.torch_device())
-        return Learner(agent, plan.method, plan.spec.streams, config.learning(), plan.seed)
+        return Learner(agent, plan.method, plan.spec.streams, config, plan.seed)
 
     def record(self) -> TrainingRecord:
         alpha = self.plan.method.alpha_of(self.config.alpha)

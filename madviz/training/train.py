@@ -3,7 +3,7 @@
     light              minutes on two cores, by imitating an expert   training/light.py
     paper              the paper's losses, one environment            training/paper.py
     paper-vectorised   the same losses over many environments         training/vectorised.py
-    mv-mwm             an actor-critic in a world model's imagination training/mv_mwm.py
+    mv-mwm             an actor-critic in a world model's imagination world_model/recipe.py
 
 The folder given with --out is a policy folder from the first checkpoint on: explore it, evaluate
 it, copy it to checkpoints/. Ctrl-C finishes the round, saves, and says how to go on."""
@@ -18,12 +18,12 @@ from pathlib import Path
 import torch
 
 from madviz.errors import Interrupted, signal_of
+from madviz.runs.run_folder import Event, RunFolder, alone_in, not_written
+from madviz.runs.training_plan import TrainingPlan
 from madviz.system.numbers import check_numbers
 from madviz.system.processes import reuse_large_blocks
 from madviz.system.streams import say
 from madviz.training.config import RECIPES, TrainConfig, identity, learner_threads, resolve
-from madviz.training.plan import TrainingPlan
-from madviz.training.run_folder import Event, RunFolder, alone_in, not_written
 
 
 def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) -> Path:

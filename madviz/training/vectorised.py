@@ -18,7 +18,7 @@ is chosen by speed.
 
 On a CUDA device (``--vectorised.device``) updates run there, in bfloat16 where it has it, each as
 one CUDA graph (``agent/update_graph.py``), and the buffer's frames are in its memory
-(``training/buffer_device.py``).
+(``runs/buffer_device.py``).
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
 from madviz.agent.update import named
-from madviz.training.lanes_run import LanesConfig, LanesRun
-from madviz.training.loop import train_on
-from madviz.training.plan import TrainingPlan
+from madviz.runs.lanes_run import LanesConfig, LanesRun
+from madviz.runs.loop import train_on
+from madviz.runs.run_folder import RunFolder
+from madviz.runs.training_plan import TrainingPlan
+from madviz.runs.vector_envs import Board, VectorEnvs
 from madviz.training.reinforcement import ReinforcementConfig, ReinforcementRun
-from madviz.training.run_folder import RunFolder
-from madviz.training.vector_envs import Board, VectorEnvs
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from madviz.agent.merges.base import MergeFunctions, Noise, Streams, each_stream
+from madviz.agent.merges.base import Merge, Noise, Streams, each_stream
 from madviz.agent.networks import FEATURE_MAP, FEATURE_SIZE, Encoder, NetworkConfig, orthogonal
 
 HEADS = 4
@@ -22,12 +22,12 @@ _NEVER = -1e9
 """A score that softmax turns to 0. Minus infinity would give NaN where a view is all alone."""
 
 
-class CrossAttention(nn.Module):
+class CrossAttention(Merge):
     """The shared CNN, and attention from every view to the others."""
 
-    def __init__(self, frame_stack: int) -> None:
-        super().__init__()
-        self.cnn = Encoder(frame_stack)
+    def __init__(self, config: NetworkConfig, streams: Streams) -> None:
+        super().__init__(config, streams)
+        self.cnn = Encoder(config.frame_stack)
         width = FEATURE_MAP[0]
         self.norm = nn.LayerNorm(width)
         self.query, self.key, self.value, self.out = (
@@ -35,15 +35,20 @@ class CrossAttention(nn.Module):
         )
         orthogonal(self)
 
-    def rows(self, features: Tensor, masks: Tensor) -> Tensor:
-        """(B, V, Z), (N, V) bool -> (N, B, Z)."""
+    def encode(self, views: Tensor) -> Tensor:
+        return each_stream(self.cnn, views)
+
+    def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
+        """(B, V, Z), (N, V) -> (N, B, Z)."""
         count, places = features.shape[1], FEATURE_SIZE // FEATURE_MAP[0]
         tokens = features.unflatten(-1, (FEATURE_MAP[0], places)).transpose(-1, -2)
+        # tokens: (B, V, 49, 64)
         seen = self.norm(tokens).flatten(1, 2)  # (B, V * 49, 64)
         query, key, value = (split_heads(part(seen)) for part in (self.query, self.key, self.value))
         masks = masks.bool()
         others = masks[:, None, :] & ~torch.eye(count, dtype=torch.bool, device=masks.device)
         allowed = others.repeat_interleave(places, 1).repeat_interleave(places, 2)
+        # allowed: (N, V * 49, V * 49), whether a place may ask another
         answers = torch.stack([attend(query, key, value, one) for one in allowed])
         answers = self.out(answers).unflatten(2, (count, places))  # (N, B, V, 49, 64)
         answered = others.any(-1)[:, None, :, None, None]
@@ -65,17 +70,3 @@ def attend(query: Tensor, key: Tensor, value: Tensor, allowed: Tensor) -> Tensor
 def split_heads(x: Tensor) -> Tensor:
     """(B, T, heads * d) -> (B, heads, T, d)."""
     return x.unflatten(-1, (HEADS, -1)).transpose(1, 2)
-
-
-class Attention(MergeFunctions):
-    def networks(self, config: NetworkConfig, streams: Streams) -> CrossAttention:
-        return CrossAttention(config.frame_stack)
-
-    def encode(self, net: CrossAttention, views: Tensor) -> Tensor:
-        return each_stream(net.cnn, views)
-
-    def rows(self, net: CrossAttention, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
-        return net.rows(features, masks)
-
-
-FUNCTIONS = Attention()

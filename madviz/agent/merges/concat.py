@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from torch import Tensor
 
-from madviz.agent.merges.base import Heads, MergeFunctions, Noise, Streams, wide_heads
+from madviz.agent.merges.base import Heads, Noise, SharedCnn, wide_heads
 from madviz.agent.networks import FEATURE_SIZE, NetworkConfig
 
 
@@ -15,12 +13,11 @@ def concatenated(features: Tensor, masks: Tensor) -> Tensor:
     return features.flatten(1).expand(len(masks), -1, -1)
 
 
-class Concat(MergeFunctions):
-    def heads(self, config: NetworkConfig, streams: Streams) -> Heads:
-        return wide_heads(config, len(streams) * FEATURE_SIZE)
+class Concat(SharedCnn):
+    """See the file."""
 
-    def rows(self, net: Any, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
+    def heads(self, config: NetworkConfig) -> Heads:
+        return wide_heads(config, len(self.streams) * FEATURE_SIZE)
+
+    def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
         return concatenated(features, masks)
-
-
-FUNCTIONS = Concat()

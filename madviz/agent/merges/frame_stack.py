@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from torch import Tensor
 
-from madviz.agent.merges.base import MergeFunctions, Noise, Streams
+from madviz.agent.merges.base import Noise, SharedCnn, Streams
 from madviz.agent.networks import FEATURE_SIZE, Encoder, NetworkConfig
 
 
@@ -15,19 +13,18 @@ def stacked_pixels(cnn: Encoder, views: Tensor) -> Tensor:
     return cnn(views.flatten(1, 2))
 
 
-class FrameStack(MergeFunctions):
-    def networks(self, config: NetworkConfig, streams: Streams) -> Encoder:
-        return Encoder(config.frame_stack * len(streams))
+class FrameStack(SharedCnn):
+    """See the file."""
 
-    def encode(self, net: Encoder, views: Tensor) -> Tensor:
-        return stacked_pixels(net, views)
+    def __init__(self, config: NetworkConfig, streams: Streams) -> None:
+        super().__init__(config, streams, config.frame_stack * len(streams))
 
-    def rows(self, net: Any, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
-        return features.expand(len(masks), -1, -1)
+    def encode(self, views: Tensor) -> Tensor:
+        return stacked_pixels(self, views)  # (B, Z)
 
-    def feature_of_each(self, net: Any, features: Tensor, streams: Streams) -> Tensor:
+    def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
+        return features.expand(len(masks), -1, -1)  # (N, B, Z); every mask is the full one
+
+    def feature_of_each(self, features: Tensor) -> Tensor:
         """No stream has a feature of its own: a page shows nothing for it."""
-        return features.new_zeros(len(features), len(streams), FEATURE_SIZE)
-
-
-FUNCTIONS = FrameStack()
+        return features.new_zeros(len(features), len(self.streams), FEATURE_SIZE)

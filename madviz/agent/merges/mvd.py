@@ -30,7 +30,7 @@ from torch.nn import functional as F
 
 from madviz.agent.merges.base import (
     Heads,
-    MergeFunctions,
+    Merge,
     Noise,
     Precision,
     Streams,
@@ -56,18 +56,6 @@ class HalfEncoder(nn.Module):
         return self.trunk(self.cnn(pixels))
 
 
-class TwoPartEncoder(nn.Module):
-    """The shared and the private encoder."""
-
-    def __init__(self, config: NetworkConfig) -> None:
-        super().__init__()
-        self.shared, self.private = HalfEncoder(config), HalfEncoder(config)
-
-    def forward(self, pixels: Tensor) -> Tensor:
-        """(B, C, H, W) -> (B, 100): shared, then private."""
-        return torch.cat([self.shared(pixels), self.private(pixels)], -1)
-
-
 def split(features: Tensor) -> tuple[Tensor, Tensor]:
     """(..., 100) -> shared and private, (..., 50) each."""
     shared, private = features.chunk(2, -1)
@@ -91,17 +79,6 @@ def draw_rows(features: Tensor, masks: Tensor, keys: Noise) -> Tensor:
     shared, private = split(features)
     i, j = drawn(masks, keys)
     return torch.cat([shared[:, i], private[:, j]], -1).transpose(0, 1)
-
-
-def drawn_pixels(net: TwoPartEncoder, views: Tensor, masks: Tensor, keys: Noise) -> Tensor:
-    """``draw_rows`` from (B, V, C, H, W) pixels: only the two views that were drawn are encoded."""
-    assert keys is not None
-    pairs = drawn(masks, keys).T.tolist()
-    rows = [
-        [each_stream(net.shared, views[:, [i]]), each_stream(net.private, views[:, [j]])]
-        for i, j in pairs
-    ]
-    return torch.stack([torch.cat(row, -1)[:, 0] for row in rows])
 
 
 def shared_loss(anchor: Tensor, positive: Tensor, private: Tensor) -> Tensor:
@@ -143,30 +120,45 @@ def _similarity(a: Tensor, b: Tensor) -> Tensor:
     return F.cosine_similarity(a, b, dim=-1) / TEMPERATURE
 
 
-class Mvd(MergeFunctions):
+class TwoPartEncoder(Merge):
+    """The shared and the private encoder."""
+
     own_optimiser = "contrast"
 
-    def networks(self, config: NetworkConfig, streams: Streams) -> TwoPartEncoder:
-        return TwoPartEncoder(config)
+    def __init__(self, config: NetworkConfig, streams: Streams) -> None:
+        super().__init__(config, streams)
+        self.shared = HalfEncoder(config)
+        self.private = HalfEncoder(config)
 
-    def heads(self, config: NetworkConfig, streams: Streams) -> Heads:
+    def heads(self, config: NetworkConfig) -> Heads:
         return wide_heads(config, 2 * config.feature_dim, projected=False)
 
-    def rows(self, net: TwoPartEncoder, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
+    def forward(self, pixels: Tensor) -> Tensor:
+        """(B, C, H, W) -> (B, 100): shared, then private."""
+        return torch.cat([self.shared(pixels), self.private(pixels)], -1)
+
+    def encode(self, views: Tensor) -> Tensor:
+        return each_stream(self, views)  # (B, V, 100)
+
+    def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
         return draw_rows(features, masks, noise)
 
     def encode_and_merge(
-        self, net: TwoPartEncoder, views: Tensor, masks: Tensor, noise: Noise
+        self, views: Tensor, masks: Tensor, noise: Noise = None
     ) -> tuple[Tensor, Tensor]:
         """Views that were not drawn are not encoded: the rows are all the features there are."""
-        rows = drawn_pixels(net, views, masks, noise)
-        return rows, rows
+        assert noise is not None
+        rows = []
+        for i, j in drawn(masks, noise).T.tolist():
+            shared = each_stream(self.shared, views[:, [i]])  # (B, 1, 50)
+            private = each_stream(self.private, views[:, [j]])
+            rows.append(torch.cat([shared, private], -1)[:, 0])  # (B, 100)
+        merged = torch.stack(rows)  # (N, B, 100)
+        return merged, merged
 
-    def noise(
-        self, config: NetworkConfig, streams: Streams, batch: int, generator: torch.Generator
-    ) -> Tensor:
+    def noise(self, batch: int, generator: torch.Generator) -> Tensor:
         """(2, V) uniform: the keys of ``drawn``, one draw for the whole batch."""
-        return torch.rand(2, len(streams), generator=generator)
+        return torch.rand(2, len(self.streams), generator=generator)
 
     def noise_to_act(self, views: Tensor) -> Tensor:
         """An episode stays a function of its seed, and a draw still changes from step to step. The
@@ -174,22 +166,14 @@ class Mvd(MergeFunctions):
         """
         sums = views.sum((0, 2, 3, 4), dtype=torch.int64).tolist()
         keys = [np.random.default_rng(seed).random(2, np.float32) for seed in enumerate(sums)]
-        return torch.from_numpy(np.stack(keys, 1))
+        return torch.from_numpy(np.stack(keys, 1))  # (2, V)
 
     def own_loss(
-        self,
-        net: TwoPartEncoder,
-        views: Tensor,
-        next_views: Tensor,
-        positive: int,
-        precision: Precision,
+        self, views: Tensor, next_views: Tensor, positive: int, precision: Precision
     ) -> Tensor:
         with precision():
-            features = self.encode(net, views)
+            features = self.encode(views)
         # Keys carry no gradient, and no context with gradients may meet what was made without.
         with torch.no_grad(), precision():
-            following = each_stream(net.private, next_views)
+            following = each_stream(self.private, next_views)
         return contrastive_loss(features, following, positive)
-
-
-FUNCTIONS = Mvd()

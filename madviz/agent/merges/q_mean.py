@@ -16,12 +16,10 @@ the view is present and 0 where it is not.
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
-from madviz.agent.merges.base import Heads, MergeFunctions, Noise, Streams
+from madviz.agent.merges.base import Heads, Noise, SharedCnn
 from madviz.agent.networks import Actor, ActorHead, Critic, CriticHead, NetworkConfig
 
 
@@ -84,15 +82,14 @@ def _per_view(x: Tensor, present: Tensor) -> Tensor:
     return x.unsqueeze(-2).expand(*present.shape, x.shape[-1])
 
 
-class QMean(MergeFunctions):
-    def heads(self, config: NetworkConfig, streams: Streams) -> Heads:
+class QMean(SharedCnn):
+    """See the file."""
+
+    def heads(self, config: NetworkConfig) -> Heads:
         return PerViewActor(config), PerViewCritic(config)
 
-    def rows(self, net: Any, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
+    def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
         return pack(features, masks)
 
     def merged_feature(self, rows: Tensor) -> Tensor:
         return mean_feature(rows)
-
-
-FUNCTIONS = QMean()

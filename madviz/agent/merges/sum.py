@@ -8,12 +8,10 @@ features have the same size, so one actor reads both.
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
-from madviz.agent.merges.base import MergeFunctions, Noise
+from madviz.agent.merges.base import Noise, SharedCnn
 
 
 def merge_sum(features: Tensor, masks: Tensor) -> Tensor:
@@ -21,9 +19,8 @@ def merge_sum(features: Tensor, masks: Tensor) -> Tensor:
     return torch.einsum("nv,bvz->nbz", masks.to(features.dtype), features)
 
 
-class Sum(MergeFunctions):
-    def rows(self, net: Any, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
+class Sum(SharedCnn):
+    """See the file."""
+
+    def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
         return merge_sum(features, masks)
-
-
-FUNCTIONS = Sum()

@@ -12,59 +12,41 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from madviz.agent.merges.attention import attend, split_heads
-from madviz.agent.merges.base import (
-    Heads,
-    MergeFunctions,
-    Noise,
-    Streams,
-    each_stream,
-    wide_heads,
-)
+from madviz.agent.merges.base import Heads, Merge, Noise, Streams, each_stream, wide_heads
 from madviz.agent.networks import FEATURE_SIZE, Encoder, NetworkConfig, orthogonal
 
 TOKEN = 128
 """Numbers in a view's token."""
 
 
-class ViewTransformer(nn.Module):
+class ViewTransformer(Merge):
     """The shared CNN, and one transformer layer over one token per view."""
 
-    def __init__(self, frame_stack: int, views: int) -> None:
-        super().__init__()
-        self.cnn = Encoder(frame_stack)
+    def __init__(self, config: NetworkConfig, streams: Streams) -> None:
+        super().__init__(config, streams)
+        self.cnn = Encoder(config.frame_stack)
         self.project = nn.Linear(FEATURE_SIZE, TOKEN)
-        self.place = nn.Parameter(0.02 * torch.randn(views, TOKEN))
+        self.place = nn.Parameter(0.02 * torch.randn(len(streams), TOKEN))
         self.norm1, self.norm2 = nn.LayerNorm(TOKEN), nn.LayerNorm(TOKEN)
         self.query, self.key, self.value, self.out = (nn.Linear(TOKEN, TOKEN) for _ in range(4))
         self.widen, self.narrow = nn.Linear(TOKEN, 2 * TOKEN), nn.Linear(2 * TOKEN, TOKEN)
         orthogonal(self)
 
-    def rows(self, features: Tensor, masks: Tensor) -> Tensor:
-        """(B, V, Z), (N, V) bool -> (N, B, 128)."""
-        tokens = self.project(features) + self.place
+    def heads(self, config: NetworkConfig) -> Heads:
+        return wide_heads(config, TOKEN)
+
+    def encode(self, views: Tensor) -> Tensor:
+        return each_stream(self.cnn, views)
+
+    def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
+        """(B, V, Z), (N, V) -> (N, B, 128)."""
+        tokens = self.project(features) + self.place  # (B, V, 128)
         seen = self.norm1(tokens)
         query, key, value = (split_heads(part(seen)) for part in (self.query, self.key, self.value))
         masks = masks.bool()
         allowed = masks[:, None, :].expand(-1, masks.shape[1], -1)
         answers = torch.stack([attend(query, key, value, one) for one in allowed])
-        x = tokens + self.out(answers)
+        x = tokens + self.out(answers)  # (N, B, V, 128)
         x = x + self.narrow(F.gelu(self.widen(self.norm2(x))))
         present = masks.to(x.dtype)[:, None, :, None]
         return (x * present).sum(2) / present.sum(2).clamp(min=1)
-
-
-class Vit(MergeFunctions):
-    def networks(self, config: NetworkConfig, streams: Streams) -> ViewTransformer:
-        return ViewTransformer(config.frame_stack, len(streams))
-
-    def heads(self, config: NetworkConfig, streams: Streams) -> Heads:
-        return wide_heads(config, TOKEN)
-
-    def encode(self, net: ViewTransformer, views: Tensor) -> Tensor:
-        return each_stream(net.cnn, views)
-
-    def rows(self, net: ViewTransformer, features: Tensor, masks: Tensor, noise: Noise) -> Tensor:
-        return net.rows(features, masks)
-
-
-FUNCTIONS = Vit()

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 from madviz.agent.agent import TorchPolicy
 from madviz.measure.store import EpisodeResult
+from madviz.runs.reward_run import RewardRun, RunConfig
+from madviz.runs.run_folder import RunFolder
+from madviz.runs.training_plan import TrainingPlan
+from madviz.runs.vector_envs import VectorEnvs
 from madviz.system.numbers import Count, ThreadsOrNone, Weight
-from madviz.training.plan import TrainingPlan
-from madviz.training.reward_run import RewardRun, RunConfig
-from madviz.training.run_folder import RunFolder
-from madviz.training.vector_envs import VectorEnvs
 from madviz.types import Array, Environment
 
 

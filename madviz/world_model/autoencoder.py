@@ -33,12 +33,15 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from madviz.agent.sizes import MOVING
-from madviz.agent.sizes import AutoencoderConfig as AutoencoderConfig
+from madviz.world_model.sizes import AutoencoderConfig
 
 LEAST_KEPT = 0.3
 """Share of the tokens of visible views that is kept at least, where not all are."""
 REWARD_WEIGHT = 0.01
-"""Of the squared error of the reward's symlog, beside the pictures'."""
+"""Weight of the squared error of the reward's symlog, beside the pictures'."""
+QUESTIONS = 8
+HEADS = 4
+"""Questions that a policy or a world model asks the tokens, and heads that attend to them."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +138,30 @@ class MultiViewAutoencoder(nn.Module):
     def forward(self, views: UInt8[Tensor, "B V C H W"], keep: Int[Tensor, "B K"]) -> Drawn:
         """What is drawn where the tokens ``keep`` are seen."""
         return self.draw(self.features(self.tokens(views, keep)), keep)
+
+
+class TokenReader(nn.Module):
+    """Learned questions to tokens: attention whose queries are parameters.
+
+    However many tokens there are, as many numbers come out, so any set of views can be read:
+    K tokens of 128 numbers --8 questions, 4 heads--> 8 x 128 = 1024 numbers.
+    """
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.questions = nn.Parameter(torch.randn(QUESTIONS, width))
+        self.key, self.value = nn.Linear(width, width), nn.Linear(width, width)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """(B, K, W) -> (B, 8 W)."""
+        query = self.questions.to(tokens.dtype).expand(len(tokens), -1, -1)
+        query, key, value = map(_split, (query, self.key(tokens), self.value(tokens)))
+        return F.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(1)
+
+
+def _split(x: Tensor) -> Tensor:
+    """(B, K, W) -> (B, heads, K, W / heads)."""
+    return x.unflatten(-1, (HEADS, -1)).transpose(1, 2)
 
 
 def _layers(config: AutoencoderConfig, count: int) -> nn.TransformerEncoder:

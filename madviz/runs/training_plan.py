@@ -15,8 +15,8 @@ from madviz.agent.methods import Method, method
 from madviz.agent.networks import NetworkConfig
 from madviz.policies.checkpoint import save_policy
 from madviz.policies.config import TrainingRecord, policy_config
-from madviz.training.drawn_task import DrawnTask
-from madviz.training.run_folder import RunFolder
+from madviz.runs.drawn_task import DrawnTask
+from madviz.runs.run_folder import RunFolder
 from madviz.types import EnvSpec, PolicySpec
 
 

@@ -33,10 +33,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from madviz.agent.autoencoder import symlog
-from madviz.agent.rssm import Belief, Rssm, balanced_kl, joined, mlp
 from madviz.agent.sizes import NetworkConfig
-from madviz.agent.token_reader import QUESTIONS, TokenReader
+from madviz.world_model.autoencoder import QUESTIONS, TokenReader, symlog
+from madviz.world_model.rssm import Belief, Rssm, balanced_kl, joined, mlp
+from madviz.world_model.sizes import MvMwmOptions
 
 BALANCE, FREE = 0.8, 0.1
 """Share of the KL that moves the prior, and nats that cost nothing: the paper's."""
@@ -66,10 +66,11 @@ class Window:
 class WorldModel(nn.Module):
     """See the module."""
 
-    def __init__(self, config: NetworkConfig, tokens: int) -> None:
+    def __init__(self, config: NetworkConfig, options: MvMwmOptions, tokens: int) -> None:
         """For an autoencoder of ``tokens`` tokens, those of all views."""
         super().__init__()
-        sizes, width = config.world_model, config.autoencoder.width
+        sizes = options.world_model
+        width = options.autoencoder.width
         self.shape = (tokens, width)
         self.narrow = nn.Linear(width, sizes.reader_width)
         layers = [_layer(sizes.reader_width) for _ in range(sizes.reader_layers)]

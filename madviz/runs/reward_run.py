@@ -32,12 +32,12 @@ from madviz.measure.store import EpisodeResult
 from madviz.observation.ablation import Ablation
 from madviz.policies.config import TrainingRecord
 from madviz.policies.seeds import FIRST_LEARNING, FIRST_SELECTION
+from madviz.runs.buffer import BufferSpec, ReplayBuffer
+from madviz.runs.recipe_options import RecipeOptions
+from madviz.runs.run_folder import RunFolder
+from madviz.runs.training_plan import TrainingPlan
 from madviz.subsets import mask_of, single_streams
 from madviz.system.numbers import CountOrNone, Share, Steps, Width
-from madviz.training.buffer import BufferSpec, ReplayBuffer
-from madviz.training.options import RecipeOptions
-from madviz.training.plan import TrainingPlan
-from madviz.training.run_folder import RunFolder
 from madviz.types import Array, Environment
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from typing import ClassVar, Protocol
 
-from madviz.agent.networks import NetworkConfig
+from madviz.agent.sizes import NetworkConfig
 from madviz.types import EnvSpec
 
 

@@ -30,9 +30,9 @@ from madviz.measure.episodes import Stopped, one_thread, run_episode
 from madviz.measure.store import EpisodeResult
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import IMAGE_SIZE
+from madviz.runs.drawn_task import DrawnTask, newest_frames
 from madviz.subsets import modality_of
 from madviz.system.processes import set_up_worker
-from madviz.training.drawn_task import DrawnTask, newest_frames
 from madviz.types import Array, Environment, Policy, TimeStep
 
 LISTEN_SECONDS = 0.5

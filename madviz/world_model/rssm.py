@@ -31,7 +31,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from madviz.agent.sizes import WorldModelConfig
+from madviz.world_model.sizes import WorldModelConfig
 
 
 @dataclass(frozen=True)

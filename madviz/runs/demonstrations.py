@@ -29,16 +29,19 @@ from madviz.errors import UserError
 from madviz.measure.episodes import one_thread
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import StreamStack, stream_frame
+from madviz.runs.drawn_task import DrawnTask
 from madviz.subsets import camera_of, cameras_of
 from madviz.system.files import replacing
 from madviz.system.processes import set_up_worker
-from madviz.training.drawn_task import DrawnTask
 from madviz.types import Array, Environment, KnowsPlaces, Policy
 
 COLUMNS = ("states", "actions", "labels", "rewards", "places")
 """What an episode holds of every decision besides its frames."""
 LASTING = 0.8
 """Share of the added noise that stays from one decision to the next: half of it for 3 decisions."""
+
+USUAL = 512
+"""Decisions whose pictures show what is usual."""
 
 
 @dataclass(frozen=True)
@@ -178,6 +181,12 @@ class Dataset:
                 frames = np.broadcast_to(frames, (*frames.shape[:2], 3, *frames.shape[3:]))
             stacks.append(frames.reshape(len(index), 3 * length, *frames.shape[3:]))
         return torch.from_numpy(np.stack(stacks, 1))
+
+    def usual_views(self, index: Array | None = None) -> Tensor:
+        """(B, V, 3, H, W) of about ``USUAL`` evenly spaced decisions of those in ``index``, or of
+        all: what is usual there."""
+        index = np.arange(len(self)) if index is None else index
+        return self.views(index[:: max(1, len(index) // USUAL)], 1)
 
     def column(self, name: str, index: Array) -> Tensor:
         """Rows of one of ``COLUMNS``."""

@@ -31,8 +31,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from madviz.agent.networks import ActorHead, CriticHead, NetworkConfig, read_state
-from madviz.agent.rssm import Belief, mlp
-from madviz.agent.world_model import WorldModel
+from madviz.world_model.rssm import Belief, mlp
+from madviz.world_model.sizes import WorldModelConfig
+from madviz.world_model.world import WorldModel
 
 LEAST_STD = 0.1
 """Of an action's distribution, before it is cut off."""
@@ -43,10 +44,10 @@ _EDGE = 1e-6
 class BeliefActor(ActorHead):
     """Belief and state to a truncated normal over actions."""
 
-    def __init__(self, config: NetworkConfig) -> None:
+    def __init__(self, config: NetworkConfig, sizes: WorldModelConfig) -> None:
         super().__init__()
         self.config = config
-        self.mlp = _head(config, 2 * config.action_dim)
+        self.mlp = _head(config, sizes, 2 * config.action_dim)
 
     def forward(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """(..., Z), (..., S) -> (..., A) each: the middle before tanh, and the log of the standard
@@ -58,10 +59,10 @@ class BeliefActor(ActorHead):
 class BeliefCritic(CriticHead):
     """Belief and state to their value; it does not look at the action."""
 
-    def __init__(self, config: NetworkConfig) -> None:
+    def __init__(self, config: NetworkConfig, sizes: WorldModelConfig) -> None:
         super().__init__()
         self.config = config
-        self.mlp = _head(config, 1)
+        self.mlp = _head(config, sizes, 1)
         nn.init.zeros_(self.mlp[-1].weight)  # type: ignore[arg-type]
 
     def value(self, feature: Tensor, state: Tensor) -> Tensor:
@@ -73,9 +74,8 @@ class BeliefCritic(CriticHead):
         return value, value
 
 
-def _head(config: NetworkConfig, outputs: int) -> nn.Sequential:
+def _head(config: NetworkConfig, sizes: WorldModelConfig, outputs: int) -> nn.Sequential:
     """From belief and state, side by side, to ``outputs`` numbers."""
-    sizes = config.world_model
     inputs = sizes.feature + config.state_inputs
     return mlp(inputs, config.hidden_dim, sizes.head_layers, outputs)
 

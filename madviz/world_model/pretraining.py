@@ -1,6 +1,6 @@
 """Trains the masked autoencoder over views on recorded frames.
 
-Every update draws which tokens are kept (``agent/autoencoder.drawn_tokens``): of one view or of
+Every update draws which tokens are kept (``autoencoder.drawn_tokens``): of one view or of
 several, whole or in part. The rate rises over a twentieth of the updates and falls as a cosine.
 What is learned is a function of the frames, the configuration and the seed.
 """
@@ -13,24 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from madviz.agent.agent import autocast
-from madviz.agent.autoencoder import (
-    AutoencoderConfig,
-    MultiViewAutoencoder,
-    autoencoder_loss,
-    newest,
-)
+from madviz.runs.demonstrations import Dataset
 from madviz.system.numbers import Rate, Steps, Width
-from madviz.training.demonstrations import Dataset
-from madviz.types import Array
+from madviz.world_model.autoencoder import MultiViewAutoencoder, autoencoder_loss, newest
+from madviz.world_model.sizes import AutoencoderConfig
 
 WARM_UP = 0.05
 """Share of the updates in which the rate rises."""
-MEAN_OF = 512
-"""Frames that the mean picture of a camera is taken over."""
 
 
 @dataclass(frozen=True)
@@ -45,19 +36,13 @@ class AutoencoderTraining:
     """AdamW's, at its highest."""
 
 
-def mean_pictures(data: Dataset, index: Array | None = None) -> Float[Tensor, "V 3 H W"]:
-    """The mean picture of every view, over about ``MEAN_OF`` evenly spaced decisions of those in
-    ``index``, or of all."""
-    index = np.arange(len(data)) if index is None else index
-    return newest(data.views(index[:: max(1, len(index) // MEAN_OF)], 1)).mean(0)
-
-
 def new_autoencoder(
     data: Dataset, config: AutoencoderConfig, seed: int, frame_stack: int = 3
 ) -> MultiViewAutoencoder:
     """One that has learned nothing and draws the mean pictures of ``data``."""
     torch.manual_seed(seed)
-    return MultiViewAutoencoder(config, 3 * frame_stack, mean_pictures(data))
+    mean = newest(data.usual_views()).mean(0)  # (V, 3, H, W)
+    return MultiViewAutoencoder(config, 3 * frame_stack, mean)
 
 
 def train_autoencoder(

@@ -29,21 +29,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from madviz.agent.autoencoder import newest
 from madviz.errors import UserError
 from madviz.policies.config import TrainingRecord
 from madviz.policies.seeds import FIRST_SELECTION, training_seed
-from madviz.training.autoencoder import MEAN_OF
-from madviz.training.buffer import Stretch
-from madviz.training.demonstrations import Dataset, Driver, record_episode
-from madviz.training.lanes_run import LanesRun
-from madviz.training.loop import train_on
-from madviz.training.mv_mwm_learner import Labels, WorldLearner
-from madviz.training.mv_mwm_options import SIZES, MvMwmConfig
-from madviz.training.plan import TrainingPlan
-from madviz.training.run_folder import RunFolder
-from madviz.training.vector_envs import Board, VectorEnvs
+from madviz.runs.buffer import Stretch
+from madviz.runs.demonstrations import Dataset, Driver, record_episode
+from madviz.runs.lanes_run import LanesRun
+from madviz.runs.loop import train_on
+from madviz.runs.run_folder import RunFolder
+from madviz.runs.training_plan import TrainingPlan
+from madviz.runs.vector_envs import Board, VectorEnvs
+from madviz.world_model.learner import Labels, WorldLearner
+from madviz.world_model.mv_mwm_options import SIZES, MvMwmConfig
 
+FIRST_PICTURES = 256
+"""Decisions that the mean picture of a camera is taken over."""
 DEMONSTRATED = 4
 """One of so many stretches of a batch is an expert's, where there are demonstrations."""
 _SMOOTHING = 0.02
@@ -52,7 +52,7 @@ _SMOOTHING = 0.02
 
 def unlike(config: MvMwmConfig) -> str:
     """What differs from the authors' code, for the card."""
-    weights = SIZES[config.size].autoencoder.moving_weight > 0
+    weights = SIZES[config.size].own.autoencoder.moving_weight > 0
     return (
         "beliefs are rebuilt from nothing over a frame stack, without the actions in between, so "
         "that a policy keeps no memory; the world model is trained on short stretches, too, and "
@@ -114,7 +114,7 @@ class MvMwmRun(LanesRun):
         if self.step < max(needed, min(self.plan.env.horizon * lanes, config.exploration_steps)):
             return
         if not self.drawn:
-            self.learner.net.autoencoder.mean.copy_(self._mean_pictures())
+            self.learner.net.set_mean(self._first_pictures())
         self.learner.set_learning_rates(self.step / config.steps)
         explored = min(1.0, self.step / config.exploration_steps)
         while self.drawn < int(config.pretraining * explored):
@@ -146,9 +146,10 @@ class MvMwmRun(LanesRun):
         self._note(self.learner.update(stretch, labels, imagines))
         self.updates += 1
 
-    def _mean_pictures(self) -> Tensor:
-        index = self.buffer.draw(MEAN_OF // 2, self.rng)
-        return newest(self.buffer.stretch(index, 1).frames[-1]).mean(0)
+    def _first_pictures(self) -> Tensor:
+        """(B, V, 3, H, W) of some decisions so far."""
+        index = self.buffer.draw(FIRST_PICTURES, self.rng)
+        return self.buffer.stretch(index, 1).frames[-1]
 
     def _note(self, losses: dict[str, float]) -> None:
         """Takes new losses into the running means that are reported."""

@@ -14,9 +14,9 @@ import time
 from collections.abc import Callable
 
 from madviz.measure.episodes import Stopped
-from madviz.training.curve import draw_curve
-from madviz.training.reward_run import RewardRun
-from madviz.training.run_folder import interruptible
+from madviz.runs.curve import draw_curve
+from madviz.runs.reward_run import RewardRun
+from madviz.runs.run_folder import interruptible
 
 PROGRESS_SECONDS = 20
 """Between lines that say how far a run is."""

@@ -10,35 +10,38 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from madviz.agent.networks import NetworkConfig
-from madviz.agent.sizes import AutoencoderConfig, WorldModelConfig
+from madviz.agent.sizes import NetworkConfig
+from madviz.runs.lanes_run import LanesConfig
 from madviz.system.numbers import Count, CountOrNone, Rate, Share, Steps, Weight, Width
-from madviz.training.lanes_run import LanesConfig
 from madviz.types import EnvSpec
+from madviz.world_model.sizes import AutoencoderConfig, MvMwmOptions, WorldModelConfig
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Of all networks."""
+    """Those of all networks."""
 
-    autoencoder: AutoencoderConfig
-    world_model: WorldModelConfig
+    own: MvMwmOptions
     hidden_dim: int
     """Width of the hidden layers of actor and critic."""
 
 
 SIZES = {
     "tiny": Sizes(
-        AutoencoderConfig(width=16, layers=1, decoder_layers=1, heads=2),
-        WorldModelConfig(memory=16, groups=4, classes=4, hidden=16, reader_width=8, head_layers=1),
+        MvMwmOptions(
+            AutoencoderConfig(width=16, layers=1, decoder_layers=1, heads=2),
+            WorldModelConfig(
+                memory=16, groups=4, classes=4, hidden=16, reader_width=8, head_layers=1
+            ),
+        ),
         16,
     ),
-    "small": Sizes(
-        AutoencoderConfig(width=64, layers=2, decoder_layers=1), WorldModelConfig(), 256
-    ),
+    "small": Sizes(MvMwmOptions(AutoencoderConfig(width=64, layers=2, decoder_layers=1)), 256),
     "paper": Sizes(
-        AutoencoderConfig(width=256, layers=8, decoder_layers=6, moving_weight=0.0),
-        WorldModelConfig(1024, 32, 32, 1024, reader_layers=2, reader_width=128, head_layers=4),
+        MvMwmOptions(
+            AutoencoderConfig(width=256, layers=8, decoder_layers=6, moving_weight=0.0),
+            WorldModelConfig(1024, 32, 32, 1024, reader_layers=2, reader_width=128, head_layers=4),
+        ),
         512,
     ),
 }
@@ -111,6 +114,5 @@ class MvMwmConfig(LanesConfig):
             env.action_dim,
             hidden_dim=self.hidden_dim or sizes.hidden_dim,
             state_columns=state_columns,
-            autoencoder=sizes.autoencoder,
-            world_model=sizes.world_model,
+            own=sizes.own,
         )

@@ -31,17 +31,17 @@ from torch import Tensor
 from madviz.agent.objectives import Batch
 from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE
-from madviz.subsets import modality_of
-from madviz.system.files import replacing
-from madviz.training import buffer_storage
-from madviz.training.buffer_device import DeviceFrames
-from madviz.training.buffer_storage import (
+from madviz.runs import buffer_storage
+from madviz.runs.buffer_device import DeviceFrames
+from madviz.runs.buffer_storage import (
     EXPECTED_SHARE,
     FrameStore,
     Pack,
     PackedFrames,
     PlainFrames,
 )
+from madviz.subsets import modality_of
+from madviz.system.files import replacing
 from madviz.types import Array
 
 

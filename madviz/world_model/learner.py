@@ -22,8 +22,9 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor, nn
 
 from madviz.agent.agent import Agent, autocast
-from madviz.agent.autoencoder import autoencoder_loss, symlog
-from madviz.agent.imagination import (
+from madviz.runs.buffer import Stretch
+from madviz.types import Array
+from madviz.world_model.actor_critic import (
     BeliefActor,
     BeliefCritic,
     Noise,
@@ -34,12 +35,11 @@ from madviz.agent.imagination import (
     lambda_returns,
     reached,
 )
-from madviz.agent.merges.mv_mwm import WorldNetworks
-from madviz.agent.rssm import Belief
-from madviz.agent.world_model import REWARD, Window, world_model_losses
-from madviz.training.buffer import Stretch
-from madviz.training.mv_mwm_options import MvMwmConfig
-from madviz.types import Array
+from madviz.world_model.autoencoder import autoencoder_loss, symlog
+from madviz.world_model.mv_mwm import WorldNetworks
+from madviz.world_model.mv_mwm_options import MvMwmConfig
+from madviz.world_model.rssm import Belief
+from madviz.world_model.world import REWARD, Window, world_model_losses
 
 LARGEST = {"pictures": 1.0, "world": 100.0, "actor": 100.0, "critic": 100.0}
 """Norms that gradients are cut to: the paper's 100, and 1 for the autoencoder."""
@@ -116,7 +116,7 @@ class WorldLearner:
         self.agent.train()
         window = self._window(_moved(stretch, self._device))
         frames, batch = window.present.shape[:2]
-        groups = self.agent.config.world_model.groups
+        groups = self.net.world.rssm.config.groups
         noise = self._uniform(frames + len(window.action), batch, groups)
         losses = world_model_losses(self.net.world, window, noise, self.config.kl_weight)
         total = torch.stack(list(losses.values())).sum()
@@ -174,7 +174,7 @@ class WorldLearner:
         count = len(window.state)
         stack = len(window.present) - count + 1
         frames = torch.stack([window.present[t : t + count].flatten(0, 1) for t in range(stack)])
-        noise = self._uniform(*frames.shape[:2], self.agent.config.world_model.groups)
+        noise = self._uniform(*frames.shape[:2], self.net.world.rssm.config.groups)
         return self.net.world.rssm.observe(frames, noise), window.state.flatten(0, 1)
 
     def subsample(self, belief: Belief, state: Tensor) -> tuple[Belief, Tensor]:
@@ -235,7 +235,7 @@ class WorldLearner:
         """(L, V, C, H, W) uint8 and (L, S) to drawn actions (L, A), on all views."""
         self.agent.eval()
         mask = torch.ones(1, views.shape[1], dtype=torch.bool, device=self._device)
-        belief = self.agent.encode_and_merge(views.to(self._device), mask)[1][0]
+        belief = self.net.encode_and_merge(views.to(self._device), mask)[1][0]
         noise = self._uniform(len(views), self.agent.config.action_dim)
         return act(self.actor, belief, state.to(self._device), noise)[0].cpu().numpy()
 
@@ -261,7 +261,7 @@ class WorldLearner:
     def _noise(self, batch: int) -> Noise:
         config, horizon = self.agent.config, self.config.horizon
         action = self._uniform(horizon, batch, config.action_dim)
-        return Noise(action, self._uniform(horizon, batch, config.world_model.groups))
+        return Noise(action, self._uniform(horizon, batch, self.net.world.rssm.config.groups))
 
     def _step(self, name: str, loss: Tensor) -> None:
         optimiser, parameters = self.optimisers[name], list(self.parts[name].parameters())
