@@ -22,7 +22,7 @@ from madviz.agent.objectives import Batch
 from madviz.agent.update import Learner, LearningConfig
 from madviz.agent.update_graph import WARM_UP
 from madviz.policies.checkpoint import load_policy
-from madviz.runs import loop
+from madviz.runs import reward_run
 from madviz.runs.buffer import BufferSpec, ReplayBuffer
 from madviz.runs.run_folder import Event
 from madviz.training.config import TrainConfig
@@ -138,7 +138,7 @@ def test_a_run_on_a_device_stops_and_goes_on(
         if event["kind"] == "progress" and event["step"] == 66:
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(loop, "PROGRESS_SECONDS", 0)
+    monkeypatch.setattr(reward_run, "PROGRESS_SECONDS", 0)
     config = VectorisedConfig(
         steps=120, exploration_steps=40, batch_size=8, hidden_dim=8, eval_every=50,
         eval_episodes=1, environments=2, workers=1,

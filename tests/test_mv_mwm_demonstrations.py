@@ -13,10 +13,13 @@ import pytest
 from madviz.errors import UserError
 from madviz.policies.card import card_text
 from madviz.policies.config import read_config
-from madviz.runs import loop
+from madviz.runs import reward_run
+from madviz.runs.demonstrations import Dataset
 from madviz.runs.run_folder import Event
+from madviz.runs.training_plan import TrainingPlan
+from madviz.world_model import recipe
 from madviz.world_model.mv_mwm_options import MvMwmConfig
-from madviz.world_model.recipe import MvMwmRun, unlike
+from madviz.world_model.recipe import unlike
 from tests.test_mv_mwm_run import SHORT, TINY, assert_same_run, run
 
 
@@ -31,7 +34,7 @@ def test_a_run_with_demonstrations_goes_on_with_the_same_ones(
         if event["kind"] == "progress" and event["step"] == 54:
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(loop, "PROGRESS_SECONDS", 0)
+    monkeypatch.setattr(reward_run, "PROGRESS_SECONDS", 0)
     stopped = run(tmp_path / "run", config, listener=interrupt)
     assert stopped["step"] == 54 and stopped["updates"] < whole["updates"]
     assert_same_run(run(tmp_path / "run", config, resume=True), whole)
@@ -47,16 +50,16 @@ def test_a_run_with_demonstrations_goes_on_with_the_same_ones(
 def test_a_small_batch_has_a_demonstration_of_the_expert_alone(
     size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain, runs = MvMwmRun.demonstrate, []
+    plain, kept = recipe.recorded, []
 
-    def demonstrate(self: MvMwmRun) -> None:
-        plain(self)
-        runs.append(self)
+    def recorded(plan: TrainingPlan, count: int) -> Dataset:
+        kept.append(plain(plan, count))
+        return kept[0]
 
-    monkeypatch.setattr(MvMwmRun, "demonstrate", demonstrate)
+    monkeypatch.setattr(recipe, "recorded", recorded)
     state = run(tmp_path, replace(SHORT, demonstrations=1, batch_size=size, update_ratio=0.5))
     assert np.isfinite(list(state["losses"].values())).all() and state["losses"]["cloning_loss"] > 0
-    data, every = runs[0].demonstrations, np.arange(25)
+    data, every = kept[0], np.arange(25)
     done, asked_for = data.column("actions", every), data.column("labels", every)
     assert np.array_equal(done, asked_for), "without noise"
 

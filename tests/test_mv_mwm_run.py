@@ -21,7 +21,7 @@ from madviz.envs.toy import CAMERAS, ToyReach
 from madviz.errors import UserError
 from madviz.policies.card import card_text
 from madviz.policies.checkpoint import load_policy
-from madviz.runs import loop
+from madviz.runs import reward_run
 from madviz.runs.buffer import BufferSpec, ReplayBuffer, Stretch
 from madviz.runs.demonstrations import Dataset, Driver, record_episode
 from madviz.runs.drawn_task import newest_frames
@@ -32,7 +32,7 @@ from madviz.training.config import RECIPES, TrainConfig, identity, resolve
 from madviz.types import Array
 from madviz.world_model.learner import Labels, WorldLearner
 from madviz.world_model.mv_mwm_options import MvMwmConfig
-from madviz.world_model.recipe import MvMwmRun, beside, demonstrated, unlabelled_before
+from madviz.world_model.recipe import beside, demonstrated, unlabelled_before
 from madviz.world_model.sizes import MvMwmOptions
 from tests.recipe_runs import last_state
 from tests.test_merges import perturb
@@ -306,7 +306,7 @@ def test_the_schedule(undisturbed: tuple[Path, dict[str, Any]]) -> None:
     assert state["learner"]["updates"] == 3, "while exploring the world model learned alone"
     rows = curve(folder)
     assert [row["step"] for row in rows] == ["0", "50", "80"]
-    for name in (*MvMwmRun.LOSSES, "success_all", "success_first", "success_third_b"):
+    for name in (*WorldLearner.loss_names, "success_all", "success_first", "success_third_b"):
         assert np.isfinite(float(rows[-1][name])), name
     for name, rate in (("pictures", TINY.autoencoder_rate), ("actor", TINY.heads_rate)):
         found = state["learner"]["optimisers"][name]["param_groups"][0]["lr"]
@@ -348,7 +348,7 @@ def test_a_stopped_run_goes_on_and_ends_the_same(
         if event["kind"] == kind and event["step"] == step:
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(loop, "PROGRESS_SECONDS", 0)
+    monkeypatch.setattr(reward_run, "PROGRESS_SECONDS", 0)
     state = run(tmp_path / "run", listener=interrupt)
     assert state["step"] == step and state["updates"] == updates
     assert state["between_episodes"] == (kind == "curve")

@@ -20,12 +20,12 @@ from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
 from madviz.policies.seeds import use_of
-from madviz.runs import loop
-from madviz.runs.reward_run import SuiteNumbers
+from madviz.runs import reward_run
+from madviz.runs.recipe_options import SuiteNumbers
 from madviz.runs.run_folder import Event, RunFolder
-from madviz.training import reinforcement
+from madviz.training import paper
 from madviz.training.config import RECIPES, TrainConfig, resolve
-from madviz.training.paper import PaperConfig, PaperRun, train_paper
+from madviz.training.paper import PaperConfig, advance, evaluated, new_run, player, train_paper
 from madviz.training.train import train
 from madviz.training.vectorised import VectorisedConfig
 from madviz.types import Array, Environment
@@ -142,18 +142,18 @@ def test_a_run_takes_its_tasks_numbers(tmp_path: Path) -> None:
     config = replace(TINY, eval_every=None, eval_episodes=0)
     env = ToyReach()
     env.spec = replace(env.spec, horizon=HORIZON)
-    training = PaperRun(plan, config, env, RunFolder(tmp_path, config, False, None))
-    training.evaluate(lambda: False)
+    training = new_run(plan, config, RunFolder(tmp_path, config, False, None))
+    training.evaluate(evaluated(training), player(env), lambda: False)
     assert training.evaluate_at == 20_000
     for _ in range(HORIZON + 1):
-        training.advance()
+        advance(training, env)
     stored = training.buffer.batch(np.arange(HORIZON)).discount.tolist()
     assert stored == pytest.approx([0.8] * (HORIZON - 1) + [0])
 
 
 def test_every_reset_draws_a_scene_that_serves_nothing_else(tmp_path: Path) -> None:
     plan = toy_plan(recipe="paper", streams=("first", "third_a"), horizon=HORIZON, hidden_dim=8)
-    training = PaperRun(plan, TINY, ToyReach(), RunFolder(tmp_path, TINY, False, None))
+    training = new_run(plan, TINY, RunFolder(tmp_path, TINY, False, None))
     seeds = training.draw_seeds(5000)
     assert use_of(seeds) == "reinforcement learning" and len(set(seeds)) == 5000
     assert max(seeds) < 2**31
@@ -170,7 +170,7 @@ def test_both_recipes_learn_on_a_device_and_in_float32(
     moved = Agent.to
     monkeypatch.setattr(Agent, "to", lambda agent, device: (asked.append(device), moved(agent))[1])
     plan = toy_plan(recipe="paper", streams=("first", "third_a"), horizon=HORIZON, hidden_dim=8)
-    training = PaperRun(plan, TINY, ToyReach(), RunFolder(tmp_path, TINY, False, None))
+    training = new_run(plan, TINY, RunFolder(tmp_path, TINY, False, None))
     assert asked == ["cuda"] and not training.learner.low_precision
 
 
@@ -209,7 +209,7 @@ def test_ctrl_c_saves_in_mid_episode(whole_run: Path, tmp_path: Path) -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(loop, "PROGRESS_SECONDS", 0)
+        patch.setattr(reward_run, "PROGRESS_SECONDS", 0)
         run(tmp_path / "run", listener=interrupt)
     state, _ = final(tmp_path / "run")
     assert state["step"] == 21 and not state["between_episodes"]
@@ -244,9 +244,9 @@ def stored_discounts(tmp_path: Path, config: PaperConfig) -> list[float]:
     env = ToyReach()
     env.spec = replace(env.spec, horizon=3)
     plan = toy_plan(recipe="paper", streams=("first", "third_a"), horizon=3, hidden_dim=8)
-    training = PaperRun(plan, config, env, RunFolder(tmp_path, config, False, None))
+    training = new_run(plan, config, RunFolder(tmp_path, config, False, None))
     for _ in range(6):
-        training.advance()
+        advance(training, env)
     return training.buffer.batch(np.array([0, 1, 2, 4, 5, 6])).discount.tolist()
 
 
@@ -255,13 +255,13 @@ def test_a_run_explores_uniformly_and_begins_with_the_temperature_asked_for(tmp_
     plan = toy_plan(recipe="paper", streams=("first", "third_a"), horizon=HORIZON, hidden_dim=8)
     env = ToyReach()
     env.spec = replace(env.spec, horizon=HORIZON)
-    training = PaperRun(plan, config, env, RunFolder(tmp_path, config, False, None))
+    training = new_run(plan, config, RunFolder(tmp_path, config, False, None))
     assert training.learner.agent.log_temperature.exp().item() == pytest.approx(0.37)
     done: list[Array] = []
     step = env.step
     env.step = lambda action: (done.append(action), step(action))[1]  # type: ignore[method-assign]
     for _ in range(600):
-        training.advance()
+        advance(training, env)
     actions = np.array(done)
     assert actions.shape == (600, 2) and (np.abs(actions) <= 1).all()
     np.testing.assert_allclose(np.quantile(actions, [0.1, 0.5, 0.9]), [-0.8, 0, 0.8], atol=0.1)
@@ -280,7 +280,7 @@ def test_shifting_when_acting_is_a_switch(tmp_path: Path, monkeypatch: pytest.Mo
         seen.append(same_for_views)
         return views
 
-    monkeypatch.setattr(reinforcement, "random_shift", shift)
+    monkeypatch.setattr(paper, "random_shift", shift)
     monkeypatch.setattr(Learner, "update", lambda learner, batch: {})
     short = replace(TINY, steps=12, eval_every=1000)
     run(tmp_path / "off", short)

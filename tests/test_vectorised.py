@@ -19,7 +19,7 @@ from madviz.errors import UserError
 from madviz.measure.episodes import Stopped, run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies.checkpoint import load_policy
-from madviz.runs import loop
+from madviz.runs import reward_run
 from madviz.runs.drawn_task import DrawnTask
 from madviz.runs.run_folder import Event
 from madviz.runs.vector_envs import Board, VectorEnvs
@@ -164,7 +164,7 @@ def test_a_stopped_run_goes_on_in_mid_episode_and_ends_the_same(
         if event["kind"] == "progress" and event["step"] == 66:
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(loop, "PROGRESS_SECONDS", 0)
+    monkeypatch.setattr(reward_run, "PROGRESS_SECONDS", 0)
     state = run(tmp_path / "run", listener=interrupt)
     assert state["step"] == 66 and not state["between_episodes"]
     state = run(tmp_path / "run", replace(TINY, workers=1), resume=True)

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -71,6 +71,8 @@ class LearningConfig:
 
 class Learner:
     """An agent in training: its method, optimisers and generators."""
+
+    loss_names: ClassVar[tuple[str, ...]] = LOSSES
 
     def __init__(
         self,

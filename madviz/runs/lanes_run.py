@@ -5,23 +5,26 @@
 
 On a CPU the order of everything is fixed, so a run is a function of its configuration and seed and
 of the learner's threads, whatever the number of workers. What learns, and how much, is a recipe's
-own (``vectorised``, ``mv_mwm``).
+own (``vectorised``, ``world_model/recipe.py``).
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 from madviz.agent.agent import TorchPolicy
-from madviz.measure.store import EpisodeResult
-from madviz.runs.reward_run import RewardRun, RunConfig
-from madviz.runs.run_folder import RunFolder
+from madviz.policies.config import TrainingRecord
+from madviz.runs.recipe_options import RunConfig
+from madviz.runs.reward_run import RewardRun
+from madviz.runs.run_folder import interruptible
 from madviz.runs.training_plan import TrainingPlan
-from madviz.runs.vector_envs import VectorEnvs
+from madviz.runs.vector_envs import Board, VectorEnvs
 from madviz.system.numbers import Count, ThreadsOrNone, Weight
-from madviz.types import Array, Environment
+from madviz.types import Array
 
 
 @dataclass(frozen=True)
@@ -50,59 +53,68 @@ class LanesConfig(RunConfig):
         return max(1, (os.cpu_count() or 1) - self.processes())
 
 
-class LanesRun(RewardRun):
-    """See the module. A recipe adds ``learn``."""
+@contextmanager
+def lanes_of(plan: TrainingPlan, config: LanesConfig) -> Iterator[VectorEnvs]:
+    """The environments of a run, until it is over."""
+    facts, lanes = plan.env, config.environments
+    board = Board(lanes, plan.spec.streams, facts.state_dim, facts.action_dim)
+    with closing(VectorEnvs(plan.drawn_task, board, lanes, config.processes())) as envs:
+        yield envs
 
-    config: LanesConfig
 
-    def __init__(
-        self,
-        plan: TrainingPlan,
-        config: LanesConfig,
-        env: Environment,
-        folder: RunFolder,
-        envs: VectorEnvs,
-    ) -> None:
-        """``env`` records demonstrations, where a recipe has any."""
-        super().__init__(plan, config, env, folder, lanes=config.environments)
-        self.envs = envs
+def train_in_lanes(
+    run: RewardRun[Any, Any],
+    envs: VectorEnvs,
+    act: Callable[[], Array],
+    learn: Callable[[], None],
+    policy: Callable[[], TorchPolicy],
+    record: Callable[[], TrainingRecord],
+) -> None:
+    """From the folder's last state, if it has one, to the end of the run or a Ctrl-C.
 
-    def learn(self) -> None:
-        """The updates that the decisions so far ask for."""
-        raise NotImplementedError
+    ``act`` gives the actions (L, A) of all lanes, ``learn`` makes the updates that are due,
+    ``policy`` is evaluated, and ``record`` says how it came about.
+    """
+    run.resume(envs.repeat)
+    with interruptible(run.folder) as stop:
+        while True:
+            if run.evaluation_due():
+                run.evaluate(policy(), envs.play, stop.is_set)
+            if run.save_due(stop.is_set()):
+                run.save(record())
+            if run.finished or stop.is_set():
+                break
+            with run.busy():
+                advance(run, envs, act, learn)
+        # Not where somebody stopped it: the last evaluation may still be due.
+        if run.finished and not stop.is_set():
+            run.folder.finish()
 
-    def advance(self) -> None:
-        """A decision in every lane; updates that are due are made while the lanes take theirs."""
-        lanes = range(self.envs.lanes)
-        if self.between_episodes:
-            self._begin()
-        exploring = self.step < self.config.exploration_steps
-        actions = self.explore(self.envs.lanes) if exploring else self.act()
-        self.envs.send(actions)
-        try:
-            self.learn()
-        finally:
-            self.envs.receive()  # Whatever happened, no answer may be left in a pipe.
-        board = self.envs.board
-        last = bool(board["last"].all())
-        discount = self.discount_of(last)
+
+def advance(
+    run: RewardRun[Any, Any],
+    envs: VectorEnvs,
+    act: Callable[[], Array],
+    learn: Callable[[], None],
+) -> None:
+    """A decision in every lane; updates that are due are made while the lanes take theirs."""
+    lanes = range(envs.lanes)
+    if run.between_episodes:
+        run.episode_seeds = run.draw_seeds(envs.lanes)
+        run.episodes += envs.lanes
+        envs.reset(run.episode_seeds)
         for lane in lanes:
-            reward, state = float(board["reward"][lane, 0]), board["state"][lane]
-            self.buffer.add(actions[lane], reward, discount, state, self.envs.frames(lane))
-        self.step += len(lanes)
-        self.between_episodes = last
-
-    def _begin(self) -> None:
-        self.episode_seeds = self.draw_seeds(self.envs.lanes)
-        self.episodes += self.envs.lanes
-        self.envs.reset(self.episode_seeds)
-        for lane in range(self.envs.lanes):
-            self.buffer.begin(self.envs.board["state"][lane], self.envs.frames(lane))
-
-    def play(
-        self, policy: TorchPolicy, jobs: list[tuple[Array, int]], stop: Callable[[], bool]
-    ) -> list[EpisodeResult]:
-        return self.envs.play(policy, jobs, stop)
-
-    def repeat(self, actions: Array) -> None:
-        self.envs.repeat(self.episode_seeds, actions)
+            run.buffer.begin(envs.board["state"][lane], envs.frames(lane))
+    actions = run.explore(envs.lanes) if run.exploring else act()  # (L, A)
+    envs.send(actions)
+    try:
+        learn()
+    finally:
+        envs.receive()  # Whatever happened, no answer may be left in a pipe.
+    last = bool(envs.board["last"].all())
+    discount = run.discount_of(last)
+    for lane in lanes:
+        reward, state = float(envs.board["reward"][lane, 0]), envs.board["state"][lane]
+        run.buffer.add(actions[lane], reward, discount, state, envs.frames(lane))
+    run.step += envs.lanes
+    run.between_episodes = last

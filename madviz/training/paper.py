@@ -16,14 +16,59 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass
+from typing import TypeVar
 
+import numpy as np
+import torch
+
+from madviz.agent.agent import Agent, TorchPolicy
+from madviz.agent.augment import random_shift
+from madviz.agent.sizes import NetworkConfig
+from madviz.agent.update import Learner, LearningConfig
+from madviz.measure.episodes import one_thread, run_episode
+from madviz.measure.store import EpisodeResult
+from madviz.observation.ablation import Ablation
 from madviz.runs.drawn_task import newest_frames
-from madviz.runs.loop import train_on
-from madviz.runs.run_folder import RunFolder
+from madviz.runs.recipe_options import RunConfig
+from madviz.runs.reward_run import Play, RewardRun, Stop
+from madviz.runs.run_folder import RunFolder, interruptible
 from madviz.runs.training_plan import TrainingPlan
-from madviz.system.numbers import Count
-from madviz.training.reinforcement import ReinforcementConfig, ReinforcementRun
-from madviz.types import Array
+from madviz.system.numbers import Count, Rate, Width
+from madviz.types import Array, Encoded, Environment, EnvSpec, PolicySpec
+
+HOW = "reinforcement learning from scratch, by the paper's schedule"
+
+
+@dataclass(frozen=True)
+class ReinforcementConfig(LearningConfig, RunConfig):
+    """What the recipes with the paper's losses have; the defaults are the paper's numbers."""
+
+    hidden_dim: Width = 1024
+    """Width of the heads' hidden layers."""
+    temperature: Rate = 0.1
+    """Weight of the entropy bonus at the start; learned from then on."""
+    shift_when_acting: bool = False
+    """Also shift what the policy acts on, in training and in evaluations while it trains (as the
+    code does, in all evaluations). The policy that is saved does not."""
+    buffer_on_host: bool = False
+    """Where the networks learn on a CUDA device: keep frames in the computer's memory all the same.
+    Otherwise they are in the device's, unpacked."""
+
+    ONLY_TIME = (*RunConfig.ONLY_TIME, "buffer_on_host")
+
+    def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
+        return NetworkConfig(
+            env.state_dim,
+            env.action_dim,
+            hidden_dim=self.hidden_dim,
+            state_columns=state_columns,
+        )
+
+    def frames_device(self) -> str:
+        return "cpu" if self.buffer_on_host or self.buffer_on_disk else self.torch_device()
+
+
+Reinforcement = TypeVar("Reinforcement", bound=ReinforcementConfig)
 
 
 @dataclass(frozen=True)
@@ -34,38 +79,6 @@ class PaperConfig(ReinforcementConfig):
     """Decisions between updates."""
 
 
-class PaperRun(ReinforcementRun):
-    """One decision at a time."""
-
-    SCHEDULE = "by the paper's schedule"
-    config: PaperConfig
-
-    def advance(self) -> None:
-        """One decision, with the update that is due before it."""
-        config, streams = self.config, self.plan.spec.streams
-        exploring = self.step < config.exploration_steps
-        if self.between_episodes:
-            self.episode_seeds = self.draw_seeds(1)
-            self.episodes += 1
-            now = self.env.reset(self.episode_seeds[0])
-            self.buffer.begin(now.state, newest_frames(self.env, streams))
-        if not exploring and self.step % config.update_every == 0:
-            self.losses = self.learner.update(self.buffer.sample(config.batch_size, self.rng))
-            self.updates += 1
-        action = self.explore() if exploring else self.act()[0]
-        now = self.env.step(action)
-        discount = self.discount_of(now.last)
-        frames = newest_frames(self.env, streams)
-        self.buffer.add(action, now.reward, discount, now.state, frames)
-        self.step += 1
-        self.between_episodes = now.last
-
-    def repeat(self, actions: Array) -> None:
-        self.env.reset(self.episode_seeds[0])
-        for action in actions[:, 0]:
-            self.env.step(action)
-
-
 def train_paper(plan: TrainingPlan, config: PaperConfig, folder: RunFolder) -> None:
     """Trains by the paper's recipe, from the folder's last state on if it has one.
 
@@ -73,4 +86,94 @@ def train_paper(plan: TrainingPlan, config: PaperConfig, folder: RunFolder) -> N
     machine cannot do.
     """
     with closing(plan.drawn_task.build()) as env:
-        train_on(PaperRun(plan, config, env, folder))
+        run = new_run(plan, config, folder)
+        run.resume(lambda seeds, actions: repeat(env, seeds, actions))
+        with interruptible(folder) as stop:
+            while True:
+                if run.evaluation_due():
+                    run.evaluate(evaluated(run), player(env), stop.is_set)
+                if run.save_due(stop.is_set()):
+                    run.save(run.record(HOW))
+                if run.finished or stop.is_set():
+                    break
+                with run.busy():
+                    advance(run, env)
+            # Not where somebody stopped it: the last evaluation may still be due.
+            if run.finished and not stop.is_set():
+                folder.finish()
+
+
+def advance(run: RewardRun[Learner, PaperConfig], env: Environment) -> None:
+    """One decision, with the update that is due before it."""
+    streams = run.plan.spec.streams
+    if run.between_episodes:
+        run.episode_seeds = run.draw_seeds(1)
+        run.episodes += 1
+        now = env.reset(run.episode_seeds[0])
+        run.buffer.begin(now.state, newest_frames(env, streams))
+    if not run.exploring and run.step % run.config.update_every == 0:
+        run.losses = run.learner.update(run.buffer.sample(run.config.batch_size, run.rng))
+        run.updates += 1
+    action = run.explore() if run.exploring else act(run)[0]  # (A,)
+    now = env.step(action)
+    discount = run.discount_of(now.last)
+    run.buffer.add(action, now.reward, discount, now.state, newest_frames(env, streams))
+    run.step += 1
+    run.between_episodes = now.last
+
+
+def new_run(
+    plan: TrainingPlan, config: Reinforcement, folder: RunFolder, lanes: int = 1
+) -> RewardRun[Learner, Reinforcement]:
+    """A run with the paper's losses, before its first decision."""
+    agent = plan.new_agent(config.temperature).to(config.torch_device())
+    learner = Learner(agent, plan.method, plan.spec.streams, config, plan.seed)
+    return RewardRun(plan, config, folder, learner, lanes)
+
+
+def act(run: RewardRun[Learner, Reinforcement]) -> Array:
+    """(L, A): what the policy draws in every lane."""
+    views, state = run.buffer.newest()  # (L, V, C, H, W), (L, S)
+    if run.config.shift_when_acting:
+        views = random_shift(views, run.rng, run.config.same_shift_for_views)
+    return run.learner.act_all(views, state)
+
+
+def evaluated(run: RewardRun[Learner, Reinforcement]) -> TorchPolicy:
+    """The policy that is evaluated."""
+    spec, agent = run.plan.spec, run.acting_agent()
+    if run.config.shift_when_acting:
+        return _ShiftingPolicy(spec, agent, run.config.same_shift_for_views)
+    return TorchPolicy(spec, agent)
+
+
+def player(env: Environment) -> Play:
+    """Plays evaluations in ``env``, one episode after the other."""
+
+    def play(policy: TorchPolicy, jobs: list[tuple[Array, int]], stop: Stop) -> list[EpisodeResult]:
+        with one_thread():
+            return [run_episode(policy, env, mask, Ablation(), seed, stop) for mask, seed in jobs]
+
+    return play
+
+
+def repeat(env: Environment, seeds: list[int], actions: Array) -> None:
+    """Puts the running episode where ``actions`` (age, 1, A) led it."""
+    env.reset(seeds[0])
+    for action in actions[:, 0]:
+        env.step(action)
+
+
+class _ShiftingPolicy(TorchPolicy):
+    """The code's policy, in evaluations while it trains: every view it acts on is shifted.
+    ``same``: all views of a time step by the same pixels."""
+
+    def __init__(self, spec: PolicySpec, agent: Agent, same: bool) -> None:
+        super().__init__(spec, agent)
+        self._same = same
+
+    def encode(self, views: Array, state: Array) -> Encoded:
+        # Drawn from the picture itself, so that an episode stays a function of its seed.
+        rng = np.random.default_rng(int(views.sum(dtype=np.int64)))
+        moved = random_shift(torch.from_numpy(views)[None], rng, self._same)
+        return super().encode(moved[0].numpy(), state)

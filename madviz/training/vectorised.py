@@ -23,16 +23,17 @@ one CUDA graph (``agent/update_graph.py``), and the buffer's frames are in its m
 
 from __future__ import annotations
 
-from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from functools import partial
 
-from madviz.agent.update import named
-from madviz.runs.lanes_run import LanesConfig, LanesRun
-from madviz.runs.loop import train_on
+from madviz.agent.update import Learner, named
+from madviz.runs.lanes_run import LanesConfig, lanes_of, train_in_lanes
+from madviz.runs.reward_run import RewardRun
 from madviz.runs.run_folder import RunFolder
 from madviz.runs.training_plan import TrainingPlan
-from madviz.runs.vector_envs import Board, VectorEnvs
-from madviz.training.reinforcement import ReinforcementConfig, ReinforcementRun
+from madviz.training.paper import ReinforcementConfig, act, evaluated, new_run
+
+HOW = "reinforcement learning from scratch, with the paper's losses over many environments"
 
 
 @dataclass(frozen=True)
@@ -42,29 +43,27 @@ class VectorisedConfig(LanesConfig, ReinforcementConfig):
     ONLY_TIME = tuple(dict.fromkeys(LanesConfig.ONLY_TIME + ReinforcementConfig.ONLY_TIME))
 
 
-class VectorisedRun(LanesRun, ReinforcementRun):
-    """A run with the paper's losses whose decisions are made in all lanes at once."""
-
-    SCHEDULE = "with the paper's losses over many environments"
-    config: VectorisedConfig
-
-    def learn(self) -> None:
-        """As many updates as the decisions before this one ask for."""
-        since, losses = self.step - self.config.exploration_steps, None
-        while since > 0 and self.updates < int(since * self.config.update_ratio):
-            losses = self.learner.step(self.buffer.sample(self.config.batch_size, self.rng))
-            self.updates += 1
-        if losses is not None:
-            self.losses = named(losses)
-
-
 def train_vectorised(plan: TrainingPlan, config: VectorisedConfig, folder: RunFolder) -> None:
     """Trains from the folder's last state on, if it has one; Ctrl-C saves after the decision at
     hand. Raises UserError for what the machine cannot do."""
-    drawn_task, facts, lanes = plan.drawn_task, plan.env, config.environments
-    with ExitStack() as resources:
-        env = resources.enter_context(closing(drawn_task.build()))
-        board = Board(lanes, drawn_task.streams, facts.state_dim, facts.action_dim)
-        envs = VectorEnvs(drawn_task, board, lanes, config.processes())
-        resources.callback(envs.close)
-        train_on(VectorisedRun(plan, config, env, folder, envs))
+    with lanes_of(plan, config) as envs:
+        run = new_run(plan, config, folder, envs.lanes)
+        train_in_lanes(
+            run,
+            envs,
+            act=partial(act, run),
+            learn=partial(learn, run),
+            policy=partial(evaluated, run),
+            record=partial(run.record, HOW),
+        )
+
+
+def learn(run: RewardRun[Learner, VectorisedConfig]) -> None:
+    """As many updates as the decisions before this one ask for."""
+    since = run.step - run.config.exploration_steps
+    losses = None
+    while since > 0 and run.updates < int(since * run.config.update_ratio):
+        losses = run.learner.step(run.buffer.sample(run.config.batch_size, run.rng))
+        run.updates += 1
+    if losses is not None:
+        run.losses = named(losses)  # Waits for a GPU once, not after every update.

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -56,6 +56,23 @@ class Labels:
 
 class WorldLearner:
     """An agent of the merge ``mv-mwm`` in training: its optimisers and its generator."""
+
+    loss_names: ClassVar[tuple[str, ...]] = (
+        "autoencoder_loss",
+        "model_loss",
+        "features_loss",
+        "reward_loss",
+        "reward_explained",
+        "state_loss",
+        "ahead_loss",
+        "kl",
+        "actor_loss",
+        "critic_loss",
+        "imagined_return",
+        "imagined_reward",
+        "entropy",
+        "cloning_loss",
+    )
 
     def __init__(self, agent: Agent, config: MvMwmConfig, gamma: float, seed: int = 0) -> None:
         self.agent, self.config, self.gamma = agent.train(), config, gamma

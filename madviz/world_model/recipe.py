@@ -20,28 +20,29 @@ written: THAT NEVER RAN.
 
 from __future__ import annotations
 
-from contextlib import ExitStack, closing
+from contextlib import closing
 from dataclasses import fields
-from typing import Any
 
 import msgspec
 import numpy as np
 import torch
 from torch import Tensor
 
+from madviz.agent.agent import TorchPolicy
 from madviz.errors import UserError
 from madviz.policies.config import TrainingRecord
 from madviz.policies.seeds import FIRST_SELECTION, training_seed
 from madviz.runs.buffer import Stretch
 from madviz.runs.demonstrations import Dataset, Driver, record_episode
-from madviz.runs.lanes_run import LanesRun
-from madviz.runs.loop import train_on
+from madviz.runs.lanes_run import lanes_of, train_in_lanes
+from madviz.runs.reward_run import RewardRun
 from madviz.runs.run_folder import RunFolder
 from madviz.runs.training_plan import TrainingPlan
-from madviz.runs.vector_envs import Board, VectorEnvs
+from madviz.types import Array
 from madviz.world_model.learner import Labels, WorldLearner
 from madviz.world_model.mv_mwm_options import SIZES, MvMwmConfig
 
+SCHEDULE = "in the imagination of a world model"
 FIRST_PICTURES = 256
 """Decisions that the mean picture of a camera is taken over."""
 DEMONSTRATED = 4
@@ -65,51 +66,22 @@ def unlike(config: MvMwmConfig) -> str:
     )
 
 
-class MvMwmRun(LanesRun):
+class MvMwmRun(RewardRun[WorldLearner, MvMwmConfig]):
     """A run of the recipe; see the module."""
 
-    SCHEDULE = "in the imagination of a world model"
-    LOSSES = (
-        "autoencoder_loss",
-        "model_loss",
-        "features_loss",
-        "reward_loss",
-        "reward_explained",
-        "state_loss",
-        "ahead_loss",
-        "kl",
-        "actor_loss",
-        "critic_loss",
-        "imagined_return",
-        "imagined_reward",
-        "entropy",
-        "cloning_loss",
-    )
-    config: MvMwmConfig
-    learner: WorldLearner
     demonstrations: Dataset | None = None
 
-    def new_learner(self) -> WorldLearner:
-        agent = self.plan.new_agent().to(self.config.torch_device())
-        self.drawn = 0
-        """Updates that the autoencoder made."""
-        return WorldLearner(agent, self.config, self.numbers.discount, self.plan.seed)
-
-    def demonstrate(self) -> None:
-        """Records the demonstrations that are asked for, the same at every call."""
-        count, streams = self.config.demonstrations, self.plan.spec.streams
-        if not count:
-            return
-        self.demonstrations = Dataset(streams, count, self.plan.env.horizon)
-        for number in range(count):
-            seed = training_seed(self.plan.seed, number)
-            expert = Driver(noise_share=0.0)
-            self.demonstrations.add(record_episode(self.env, streams, expert, seed))
+    def __init__(self, plan: TrainingPlan, config: MvMwmConfig, folder: RunFolder) -> None:
+        agent = plan.new_agent().to(config.torch_device())
+        gamma = config.numbers_of(plan.spec.task).discount
+        learner = WorldLearner(agent, config, gamma, plan.seed)
+        super().__init__(plan, config, folder, learner, config.environments)
 
     def learn(self) -> None:
         """The updates that are due: those of a pretraining while exploring, and of all four
         networks from then on."""
-        config, lanes = self.config, self.envs.lanes
+        config = self.config
+        lanes = config.environments
         needed = config.ahead * lanes  # Before that no lane has a stretch to draw.
         if self.step < max(needed, min(self.plan.env.horizon * lanes, config.exploration_steps)):
             return
@@ -157,26 +129,39 @@ class MvMwmRun(LanesRun):
             before = self.losses.get(name, loss)
             self.losses[name] = before + _SMOOTHING * (loss - before)
 
-    def record(self) -> TrainingRecord:
-        record, count, facts = super().record(), self.config.demonstrations, self.plan.env
-        differs = f". Unlike the authors' code: {unlike(self.config)}"
+    def act(self) -> Array:
+        """(L, A): what the policy draws in every lane."""
+        return self.learner.act_all(*self.buffer.newest())
+
+    def policy(self) -> TorchPolicy:
+        """The policy that is evaluated."""
+        return TorchPolicy(self.plan.spec, self.acting_agent())
+
+    def described(self) -> TrainingRecord:
+        """How the policy came about."""
+        count, facts = self.config.demonstrations, self.plan.env
+        differs = f"{SCHEDULE}. Unlike the authors' code: {unlike(self.config)}"
         if not count:
-            return msgspec.structs.replace(record, how=f"{record.how}{differs}")
+            return self.record(f"reinforcement learning from scratch, {differs}")
         how = f"reinforcement learning and imitation of {count} episodes of a scripted expert"
+        record = self.record(f"{how}, {differs}")
         return msgspec.structs.replace(
             record,
-            how=f"{how}, {self.SCHEDULE}{differs}",
             expert_demonstrations=count,
             environment_steps=self.env_steps + count * facts.horizon * facts.action_repeat,
             seeds=f"{record.seeds}, demonstrations below {FIRST_SELECTION}",
         )
 
-    def state(self) -> dict[str, Any]:
-        return super().state() | {"drawn": self.drawn}
 
-    def restore(self, state: dict[str, Any]) -> None:
-        super().restore(state)
-        self.drawn = state["drawn"]
+def recorded(plan: TrainingPlan, count: int) -> Dataset:
+    """The demonstrations that are asked for, the same at every call."""
+    streams = plan.spec.streams
+    data = Dataset(streams, count, plan.env.horizon)
+    with closing(plan.drawn_task.build()) as env:
+        for number in range(count):
+            seed = training_seed(plan.seed, number)
+            data.add(record_episode(env, streams, Driver(noise_share=0.0), seed))
+    return data
 
 
 def demonstrated(
@@ -218,7 +203,7 @@ def train_mv_mwm(plan: TrainingPlan, config: MvMwmConfig, folder: RunFolder) -> 
     """Trains from the folder's last state on, if it has one; Ctrl-C saves after the decision at
     hand. Raises UserError for what the machine cannot do, for a batch too small for
     demonstrations, and for stretches that no episode has or the buffer does not hold."""
-    drawn_task, facts, lanes = plan.drawn_task, plan.env, config.environments
+    facts, lanes = plan.env, config.environments
     if config.demonstrations and config.batch_size < 2:
         raise UserError(
             "expected an --mv-mwm.batch-size of 2 or more, for a demonstration and what was "
@@ -237,11 +222,8 @@ def train_mv_mwm(plan: TrainingPlan, config: MvMwmConfig, folder: RunFolder) -> 
             f"environments have {config.ahead} decisions in a row there, found "
             f"{config.buffer_capacity}"
         )
-    with ExitStack() as resources:
-        env = resources.enter_context(closing(drawn_task.build()))
-        board = Board(lanes, drawn_task.streams, facts.state_dim, facts.action_dim)
-        envs = VectorEnvs(drawn_task, board, lanes, config.processes())
-        resources.callback(envs.close)
-        run = MvMwmRun(plan, config, env, folder, envs)
-        run.demonstrate()
-        train_on(run)
+    with lanes_of(plan, config) as envs:
+        run = MvMwmRun(plan, config, folder)
+        if config.demonstrations:
+            run.demonstrations = recorded(plan, config.demonstrations)
+        train_in_lanes(run, envs, run.act, run.learn, run.policy, run.described)
