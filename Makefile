@@ -71,15 +71,15 @@ pictures: setup-dev
 	$(BIN)/python tools/fill_figures.py
 
 bench: setup-dev
-	$(BIN)/madviz bench render --json results/bench/render.json
-	$(BIN)/madviz bench render --suite maniskill --json results/bench/render-maniskill.json
-	$(BIN)/madviz bench live --json results/bench/live.json
-	$(BIN)/madviz bench live --training --json results/bench/live-training.json
-	$(BIN)/madviz bench live --policy toy-reach-mv-mwm-mv-mwm --workers 0 --json results/bench/live-imagined.json
-	$(BIN)/madviz bench crowd --json results/bench/crowd.json
-	$(BIN)/madviz bench update --json results/bench/update.json
-	$(BIN)/madviz bench buffer --json results/bench/buffer.json
-	$(BIN)/madviz bench evaluate --workers 2 --json results/bench/evaluate.json
+	$(BIN)/python -m benchmarks render --json results/bench/render.json
+	$(BIN)/python -m benchmarks render --suite maniskill --json results/bench/render-maniskill.json
+	$(BIN)/python -m benchmarks live --json results/bench/live.json
+	$(BIN)/python -m benchmarks live --training --json results/bench/live-training.json
+	$(BIN)/python -m benchmarks live --policy toy-reach-mv-mwm-mv-mwm --workers 0 --json results/bench/live-imagined.json
+	$(BIN)/python -m benchmarks crowd --json results/bench/crowd.json
+	$(BIN)/python -m benchmarks update --json results/bench/update.json
+	$(BIN)/python -m benchmarks buffer --json results/bench/buffer.json
+	$(BIN)/python -m benchmarks evaluate --workers 2 --json results/bench/evaluate.json
 	$(BIN)/python tools/fill_figures.py
 
 clean:
