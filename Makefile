@@ -2,7 +2,9 @@
 # make site    write the explorer as static files to build/site, and serve it at http://127.0.0.1:8000
 # make notebooks   the lessons in JupyterLab (notebooks/README.md)
 # make student-copies   copies of the lessons without outputs and solutions, in build/class
-# make test    set up the same, then the fast and the real-browser tests
+# make test    set up the same, then the fast and the real-browser tests; lists the slowest twenty
+# make style   formatting, import rules and types, in about a minute
+# make check   the same, and the documentation's links
 # make docs    the documentation as a site in build/docs
 # make dist    a wheel and a source archive in dist/
 # make figures  evaluate every policy on the reporting seeds (hours; goes on where it was stopped),
@@ -18,7 +20,7 @@ PYTHON ?= python3
 POLICY ?= metaworld-hammer-mad-light
 BIN    := .venv/bin
 
-.PHONY: notebooks student-copies help demo site setup setup-dev test test-slow check docs figures pictures dist bench clean
+.PHONY: notebooks student-copies help demo site setup setup-dev test test-slow style check docs figures pictures dist bench clean
 
 help:
 	@sed -n '/^$$/q; s/^# \{0,1\}//p' Makefile
@@ -41,19 +43,21 @@ student-copies: .venv/notebooks.stamp
 	$(BIN)/python tools/student_copies.py
 
 test: setup-dev .venv/node.stamp
-	$(BIN)/python -m pytest -m "not slow and not e2e" -n 2 --dist worksteal
-	$(BIN)/python -m pytest -m "e2e and not slow"
+	$(BIN)/python -m pytest -m "not slow and not e2e" -n 2 --dist worksteal --durations=20
+	$(BIN)/python -m pytest -m "e2e and not slow" --durations=20
 
 test-slow: setup-dev
 	$(BIN)/python -m pytest -m slow
 
-check: .venv/dev.stamp .venv/node.stamp
+check: style
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+
+style: .venv/dev.stamp .venv/node.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/pyright
 	.venv/node/node_modules/.bin/tsc -p madviz/site/jsconfig.json
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 docs: .venv/dev.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
@@ -71,15 +75,15 @@ pictures: setup-dev
 	$(BIN)/python tools/fill_figures.py
 
 bench: setup-dev
-	$(BIN)/madviz bench render --json results/bench/render.json
-	$(BIN)/madviz bench render --suite maniskill --json results/bench/render-maniskill.json
-	$(BIN)/madviz bench live --json results/bench/live.json
-	$(BIN)/madviz bench live --training --json results/bench/live-training.json
-	$(BIN)/madviz bench live --policy toy-reach-mv-mwm-mv-mwm --workers 0 --json results/bench/live-imagined.json
-	$(BIN)/madviz bench crowd --json results/bench/crowd.json
-	$(BIN)/madviz bench update --json results/bench/update.json
-	$(BIN)/madviz bench buffer --json results/bench/buffer.json
-	$(BIN)/madviz bench evaluate --workers 2 --json results/bench/evaluate.json
+	$(BIN)/python -m benchmarks render --json results/bench/render.json
+	$(BIN)/python -m benchmarks render --suite maniskill --json results/bench/render-maniskill.json
+	$(BIN)/python -m benchmarks live --json results/bench/live.json
+	$(BIN)/python -m benchmarks live --training --json results/bench/live-training.json
+	$(BIN)/python -m benchmarks live --policy toy-reach-mv-mwm-mv-mwm --workers 0 --json results/bench/live-imagined.json
+	$(BIN)/python -m benchmarks crowd --json results/bench/crowd.json
+	$(BIN)/python -m benchmarks update --json results/bench/update.json
+	$(BIN)/python -m benchmarks buffer --json results/bench/buffer.json
+	$(BIN)/python -m benchmarks evaluate --workers 2 --json results/bench/evaluate.json
 	$(BIN)/python tools/fill_figures.py
 
 clean:

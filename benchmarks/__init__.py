@@ -1,1 +1,1 @@
-"""Measurements: speed ratios, the live page in a real browser, the soak."""
+"""Benchmarks: speed ratios, the live page in a real browser, what features and pictures hold."""

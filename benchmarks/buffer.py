@@ -1,4 +1,4 @@
-"""``bench buffer``: the replay buffer packed and plain, filled with the same real frames.
+"""``benchmarks buffer``: the replay buffer packed and plain, filled with the same real frames.
 
 Both hold the same transitions and give the same batches, to the bit; that is checked. Compared are
 the bytes of a transition and how long a batch takes to be put together, the two sides in turns:

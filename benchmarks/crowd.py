@@ -1,4 +1,4 @@
-"""``madviz bench crowd``: how many visitors one machine can take, each with a simulation.
+"""``benchmarks crowd``: how many visitors one machine can take, each with a simulation.
 
 A server in a process of its own, visitors without browsers (``soak/visitor.py``), one number of
 them after the other. Each asks for 10 decisions a second and gets what the machine can give:
@@ -9,7 +9,7 @@ them after the other. Each asks for 10 decisions a second and gets what the mach
     MB            1145  1450  2061  3257    proportional: what processes share counts once
 
 Simulations all have other seeds' pictures, and the visitors only look; what a click costs is the
-matter of ``bench live``.
+matter of ``benchmarks live``.
 """
 
 from __future__ import annotations

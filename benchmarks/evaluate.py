@@ -1,4 +1,4 @@
-"""``bench evaluate``: episodes a minute by worker processes, in one process, and drawn as stock.
+"""``benchmarks evaluate``: episodes a minute in worker processes, in one process, drawn as stock.
 
 An evaluation is drawing and little else: a decision of hammer takes 15 to 20 ms, 13 of which go
 into three pictures. So three ways to run the same policy are compared:

@@ -1,4 +1,4 @@
-"""``madviz bench imagine``: does an autoencoder know what a missing camera would see?
+"""``benchmarks imagine``: does an autoencoder know what a missing camera would see?
 
 Trains a masked autoencoder over views (``world_model/autoencoder.py``) on episodes of a task's
 expert, and then hides one camera after the other, as a whole, on frames that it was not trained on.

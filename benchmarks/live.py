@@ -229,10 +229,10 @@ def opened(url: str, chromium: str | None) -> Iterator[Page]:
     try:
         from playwright.sync_api import Error, sync_playwright
     except ImportError as error:
-        raise UserError("bench live needs Playwright: pip install playwright") from error
+        raise UserError("benchmarks live needs Playwright: pip install playwright") from error
     chromium = chromium or find_browser()
     if chromium is None:
-        raise UserError("bench live needs a browser: apt-get install chromium")
+        raise UserError("benchmarks live needs a browser: apt-get install chromium")
     with sync_playwright() as playwright:
         try:
             browser = playwright.chromium.launch(

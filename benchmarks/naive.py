@@ -1,4 +1,4 @@
-"""MAD's update as one would first write it down from the paper: the reference of ``bench``.
+"""MAD's update as one would first write it down: the reference of ``benchmarks update``.
 
 One view after the other goes through a contiguous float32 CNN, after a shift by ``grid_sample``;
 the merged and every singular feature go through actor and critic one by one, and each loss is added

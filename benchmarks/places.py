@@ -1,4 +1,4 @@
-"""``madviz bench places``: can one read from a camera's feature where the task's objects are?
+"""``benchmarks places``: can one read from a camera's feature where the task's objects are?
 
 The problem: a policy that fails on one camera alone may have been trained too little, or what
 decides may not be in that camera's picture. A success rate does not tell the two apart.

@@ -130,10 +130,10 @@ def opened(url: str, backend: str) -> Iterator[Page]:
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as error:
-        raise UserError("bench site needs Playwright: pip install playwright") from error
+        raise UserError("benchmarks site needs Playwright: pip install playwright") from error
     chromium = find_browser()
     if chromium is None:
-        raise UserError("bench site needs a browser: apt-get install chromium")
+        raise UserError("benchmarks site needs a browser: apt-get install chromium")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=browser_flags(backend))
         page = browser.new_page()

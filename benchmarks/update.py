@@ -1,4 +1,4 @@
-"""``bench update``: one full update of MAD, ours against the naive one, alternating in one run.
+"""``benchmarks update``: one full update of MAD, ours and the naive one by turns in one run.
 
 Both learn from the same transitions, in memory already, with the same random numbers and as many
 threads; what is timed is shift, encoding, losses, four optimisers' steps and the target's average.

@@ -15,15 +15,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import field, is_dataclass, make_dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 from madviz import __version__
-from madviz.commands import COMMANDS, GROUPS, OTHERS
+from madviz.commands import COMMANDS, MOVED, OTHERS, Command
 from madviz.errors import Interrupted, NotWritten, Unfinished, UserError, saving, signal_of, unknown
 from madviz.system.command_line import completion, read
 from madviz.system.files import pretty, write_json, written_to
@@ -32,15 +31,20 @@ from madviz.system.signals import terminable
 from madviz.system.streams import open_standard_streams, say, telling
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Runs one command; the exit code."""
+def main(
+    words: Sequence[str] | None = None,
+    commands: Mapping[str, Command] = COMMANDS,
+    prog: str = "madviz",
+) -> int:
+    """Runs one command of the table ``commands``, whose program is started by ``prog``; returns the
+    exit code."""
     open_standard_streams()
     if sys.platform == "linux":
         # MuJoCo reads this while it is imported, and its own default needs a display.
         os.environ.setdefault("MUJOCO_GL", "egl")
     try:
         with terminable():
-            return run(sys.argv[1:] if words is None else words)
+            return run(sys.argv[1:] if words is None else words, commands, prog)
     except UserError as error:
         say(f"madviz: {error}")
         return 2
@@ -57,33 +61,33 @@ def main(words: Sequence[str] | None = None) -> int:
         return 2
 
 
-def run(words: Sequence[str], group: str = "") -> int:
-    """Runs the command that the first word names, within ``group`` if one is given. Raises
-    UserError for an unknown one."""
+def run(words: Sequence[str], commands: Mapping[str, Command], prog: str) -> int:
+    """Runs the command that the first word names; returns the exit code. Raises UserError for an
+    unknown one."""
     first, rest = (words[0], words[1:]) if words else ("", ())
     if first in ("", "-h", "--help"):
         if not first:
-            say(usage(group))
+            say(usage(commands, prog))
             return 2
         with telling():
-            print(usage(group))
+            print(usage(commands, prog))
         return 0
-    if first == "--version" and not group:
+    if first == "--version":
         with telling():
             print(f"madviz {__version__}")
         return 0
-    if first == "--completion" and not group:
+    if first == "--completion" and commands is COMMANDS:
         with telling():
             print(script_of(rest[0] if rest else ""))
         return 0
-    if first not in summaries(group):
-        raise unknown("benchmark" if group else "command", first, list(summaries(group)))
-    if first in GROUPS and not group:
-        return run(rest, first)
-    name = f"{group} {first}".strip()
-    command = COMMANDS[name]
+    if first in MOVED and commands is COMMANDS:
+        raise UserError(f"{first} has moved: {MOVED[first]} {rest[0] if rest else '--help'}")
+    if first not in commands:
+        raise unknown("command", first, list(commands))
+    command = commands[first]
     try:
-        config, work = parse(name, rest), named(command.work)
+        config = parse(first, rest, commands, prog)
+        work = named(command.work)
         check_numbers(config)
         in_words = named(command.words) if command.words else None
     except KeyboardInterrupt as stopped:
@@ -97,65 +101,29 @@ def named(reference: str) -> Any:
     return getattr(import_module(module), name)
 
 
-def summaries(group: str = "") -> dict[str, str]:
-    """What can follow ``madviz``, or ``madviz bench``, and what each of it does."""
-    lines = {name: command.summary for name, command in COMMANDS.items()}
-    if group:
-        start = f"{group} "
-        return {n.removeprefix(start): line for n, line in lines.items() if n.startswith(start)}
-    return {name: line for name, line in lines.items() if " " not in name} | GROUPS
-
-
-def usage(group: str = "") -> str:
-    """A line for every command."""
-    prog = f"madviz {group}".strip()
+def usage(commands: Mapping[str, Command], prog: str) -> str:
+    """A line for every command, and the options of ``madviz`` itself."""
     lines = [f"usage: {prog} COMMAND [options]     ({prog} COMMAND --help lists them)", ""]
-    lines += [f"  {name:9} {summary}" for name, summary in summaries(group).items()]
-    return "\n".join(lines if group else [*lines, "", *OTHERS])
+    lines += [f"  {name:9} {command.summary}" for name, command in commands.items()]
+    return "\n".join([*lines, "", *OTHERS] if commands is COMMANDS else lines)
 
 
-def parse(name: str, words: Sequence[str]) -> Any:
+def parse(
+    name: str,
+    words: Sequence[str],
+    commands: Mapping[str, Command] = COMMANDS,
+    prog: str = "madviz",
+) -> Any:
     """The configuration of the command ``name``, filled from ``words``, or the end (``read``)."""
-    command = COMMANDS[name]
-    config, example = named(command.config), f"madviz {command.example}"
-    if not command.default:
-        return read(config, words, f"madviz {name}", command.summary, example, command.positional)
-    words = _renamed(config, words)
-    default = named(command.default)(words)
-    narrowed = _narrowed(config, own=_narrowed(type(default.own), **vars(default.own))())
-    filled = read(narrowed, words, f"madviz {name}", command.summary, example, command.positional)
-    return config(**{**vars(filled), "own": type(default.own)(**vars(filled.own))})
-
-
-def _renamed(config: Any, words: Sequence[str]) -> list[str]:
-    """``words`` with options as they are spelled today; prints a note for each that was not."""
-    today, result = config.renamed_options(), []
-    for word in words:
-        old, joined, value = word.partition("=")
-        if old in today:
-            say(f"madviz: {old} is now {today[old]}")
-        result.append(today.get(old, old) + joined + value)
-    return result
-
-
-def _narrowed(config: type, **defaults: Any) -> Any:
-    """``config`` with other ``defaults``, and those that are dataclasses of their own types."""
-    kinds = get_type_hints(config, include_extras=True)
-    changed = [
-        (name, type(value), field(default_factory=lambda value=value: value))
-        if is_dataclass(value)
-        else (name, kinds[name], field(default=value))
-        for name, value in defaults.items()
-    ]
-    return make_dataclass(config.__name__, changed, bases=(config,), frozen=True)
+    command = commands[name]
+    example = f"{prog} {command.example}"
+    config = named(command.config)
+    return read(config, words, f"{prog} {name}", command.summary, example, command.positional)
 
 
 def script_of(shell: str) -> str:
     """The script by which ``shell`` completes what follows ``madviz``."""
-    configs: dict[str, Any] = {}
-    for name, command in COMMANDS.items():
-        group, _, alone = name.rpartition(" ")
-        (configs.setdefault(group, {}) if group else configs)[alone] = named(command.config)
+    configs = {name: named(command.config) for name, command in COMMANDS.items()}
     return completion(shell, "madviz", configs)
 
 

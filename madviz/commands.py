@@ -34,7 +34,6 @@ class Command:
     that are not given, and the class of each group of options. '' takes the class's own."""
 
 
-PRETTY = "madviz.system.files:pretty"
 COMMANDS: dict[str, Command] = {
     "explore": Command(
         "Serves the page: a policy at work, and cameras to take away from it.",
@@ -156,77 +155,12 @@ COMMANDS: dict[str, Command] = {
         words="madviz.soak.soak:soak_words",
         ok=itemgetter("ok"),
     ),
-    "bench render": Command(
-        "A three-view frame against the simulator's stock settings.",
-        "bench render --suite metaworld",
-        config="benchmarks.render:RenderConfig",
-        work="benchmarks.render:bench_render",
-        words=PRETTY,
-    ),
-    "bench live": Command(
-        "The page in a real browser: updates a second, and how long a toggle takes.",
-        "bench live --seconds 10 --toggles 30",
-        config="benchmarks.live:LiveConfig",
-        work="benchmarks.live:bench_live",
-        words=PRETTY,
-    ),
-    "bench crowd": Command(
-        "Visitors with a simulation each: decisions a second, cores, memory.",
-        "bench crowd --visitors 1 4 8",
-        config="benchmarks.crowd:CrowdConfig",
-        work="benchmarks.crowd:bench_crowd",
-        words=PRETTY,
-    ),
-    "bench imagine": Command(
-        "What a masked autoencoder draws of a camera that is missing, against two controls.",
-        "bench imagine --task toy/reach --training.updates 2000",
-        config="benchmarks.imagine:ImagineConfig",
-        work="benchmarks.imagine:bench_imagine",
-        words="benchmarks.imagine:imagine_words",
-    ),
-    "bench places": Command(
-        "Where the task's objects are, read from each camera's feature, against two controls.",
-        "bench places --policy metaworld-hammer-mad-light",
-        config="benchmarks.places:PlacesConfig",
-        work="benchmarks.places:bench_places",
-        words="benchmarks.places:places_words",
-    ),
-    "bench update": Command(
-        "One training update against a straightforward implementation.",
-        "bench update --batch-size 64 --hidden-dim 512",
-        config="benchmarks.update:BenchUpdateConfig",
-        work="benchmarks.update:bench_update",
-        words=PRETTY,
-    ),
-    "bench buffer": Command(
-        "The replay buffer packed against plain: bytes per transition, time for a batch.",
-        "bench buffer --decisions 400 --rounds 5",
-        config="benchmarks.buffer:BenchBufferConfig",
-        work="benchmarks.buffer:bench_buffer",
-        words=PRETTY,
-    ),
-    "bench evaluate": Command(
-        "Episodes a minute of an evaluation, against a plain loop and a stock one.",
-        "bench evaluate --episodes 8 --workers 2",
-        config="benchmarks.evaluate:BenchEvaluateConfig",
-        work="benchmarks.evaluate:bench_evaluate",
-        words=PRETTY,
-    ),
-    "bench site": Command(
-        "A site in a real browser: megabytes, decisions a second, success by subset.",
-        "bench site --site build/site --episodes 20",
-        config="benchmarks.site:BenchSiteConfig",
-        work="benchmarks.site:bench_site",
-        words=PRETTY,
-    ),
 }
-"""A name of two words is a command of a group."""
 OTHERS = (
     "  --version   prints the version",
     "  --completion bash|fish|zsh   prints a script that completes commands, options and names:",
     "      madviz --completion bash > ~/.local/share/bash-completion/completions/madviz",
 )
 """The options of ``madviz`` itself."""
-GROUPS = {
-    "bench": "Measures: bench render, live, crowd, imagine, places, update, buffer, evaluate, site."
-}
+MOVED = {"bench": "in a clone of the repository, run python -m benchmarks"}
+"""Names that were commands once, and what to run instead."""

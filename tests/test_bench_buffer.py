@@ -1,4 +1,4 @@
-"""``bench buffer`` on the toy, small enough to be a test; times are not judged."""
+"""``benchmarks buffer`` on the toy, small enough to be a test; times are not judged."""
 
 from __future__ import annotations
 

@@ -62,11 +62,6 @@ def test_an_installed_wheel_reads_every_script_and_style(installed: Path):
     assert list(map(int, lengths)) == [len((FOLDER / name).read_text("utf-8")) for name in FILES]
 
 
-def test_an_installed_wheel_has_the_script_of_the_benchmark(installed: Path):
-    place = Path("madviz", "bench", "stopwatch.js")
-    assert (installed / place).read_bytes() == (ROOT / place).read_bytes()
-
-
 def test_every_script_is_sent_to_a_page_and_runs_once():
     client = Client()
     equip(client)  # type: ignore[arg-type]

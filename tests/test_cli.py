@@ -17,6 +17,8 @@ from typing import Any, get_type_hints
 
 import pytest
 
+from benchmarks.__main__ import BENCHMARKS, PROGRAM
+from benchmarks.__main__ import main as benchmark
 from madviz import cli
 from madviz.agent.merges.table import MERGES
 from madviz.agent.methods import METHODS
@@ -26,6 +28,9 @@ from madviz.policies.checkpoint import policy_folders
 from madviz.policies.listing import ListConfig
 from madviz.training.config import RECIPES
 from tests.mistakes import refused
+
+TABLES = {"madviz": cli.COMMANDS, PROGRAM: BENCHMARKS}
+ROWS = [(prog, name) for prog, table in TABLES.items() for name in table]
 
 
 def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -41,8 +46,8 @@ def test_help_names_every_command_and_loads_next_to_nothing() -> None:
         "print(*{'torch', 'viser', 'mujoco', 'tyro'} & set(sys.modules), file=sys.stderr)"
     )
     asked = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    for name in [*cli.COMMANDS, "bench"]:
-        assert " " in name or f"\n  {name} " in asked.stdout
+    for name in cli.COMMANDS:
+        assert f"\n  {name} " in asked.stdout
     assert asked.stderr.strip() == ""
 
 
@@ -51,31 +56,33 @@ def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None
     assert capsys.readouterr().out == f"madviz {version('madviz')}\n"
 
 
-@pytest.mark.parametrize("command", cli.COMMANDS)
-def test_every_line_of_the_table_names_what_exists(command: str) -> None:
-    line = cli.COMMANDS[command]
-    assert is_dataclass(cli.named(line.config)) and callable(cli.named(line.work))
-    assert not line.words or callable(cli.named(line.words))
+@pytest.mark.parametrize(("prog", "name"), ROWS)
+def test_every_line_of_the_table_names_what_exists(prog: str, name: str) -> None:
+    command = TABLES[prog][name]
+    assert is_dataclass(cli.named(command.config)) and callable(cli.named(command.work))
+    assert not command.words or callable(cli.named(command.words))
 
 
-@pytest.mark.parametrize("command", cli.COMMANDS)
+@pytest.mark.parametrize(("prog", "name"), ROWS)
 def test_every_command_explains_its_options(
-    command: str, capsys: pytest.CaptureFixture[str]
+    prog: str, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        cli.main([*command.split(), "--help"])
+        cli.main([name, "--help"], TABLES[prog], prog)
     printed = capsys.readouterr().out
-    assert ended.value.code == 0 and f"usage: madviz {command}" in printed
-    assert cli.COMMANDS[command].summary in printed
-    assert f"Example:\n  madviz {cli.COMMANDS[command].example}\n" in printed
+    command = TABLES[prog][name]
+    assert ended.value.code == 0 and f"usage: {prog} {name}" in printed
+    assert command.summary in printed
+    assert f"Example:\n  {prog} {command.example}\n" in printed
 
 
-@pytest.mark.parametrize("command", cli.COMMANDS)
-def test_every_example_is_a_command_that_can_be_read(command: str) -> None:
-    example = cli.COMMANDS[command].example
-    assert example.startswith(f"{command} ")
-    config = cli.parse(command, example.removeprefix(command).split())
-    assert type(config) is cli.named(cli.COMMANDS[command].config)
+@pytest.mark.parametrize(("prog", "name"), ROWS)
+def test_every_example_is_a_command_that_can_be_read(prog: str, name: str) -> None:
+    command = TABLES[prog][name]
+    first, *words = command.example.split()
+    assert first == name
+    config = cli.parse(name, words, TABLES[prog], prog)
+    assert type(config) is cli.named(command.config)
 
 
 def printed_by(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -133,7 +140,6 @@ def test_the_shell_completes_commands_options_and_names(tmp_path: Path) -> None:
     script.write_text(cli.script_of("bash"))
     expected = {
         ("tra",): "train",
-        ("bench", "upd"): "update",
         ("train", "--reci"): "--recipe",
         ("train", "--method", "singu"): "singular-only",
     }
@@ -167,9 +173,9 @@ def without_words(config: Any) -> list[str]:
     return found + [name for group in kinds.values() for name in without_words(group)]
 
 
-@pytest.mark.parametrize("command", cli.COMMANDS)
-def test_every_option_has_a_line_of_help(command: str) -> None:
-    assert without_words(cli.named(cli.COMMANDS[command].config)) == []
+@pytest.mark.parametrize(("prog", "name"), ROWS)
+def test_every_option_has_a_line_of_help(prog: str, name: str) -> None:
+    assert without_words(cli.named(TABLES[prog][name].config)) == []
 
 
 def test_without_a_command_the_usage_is_an_error() -> None:
@@ -180,12 +186,23 @@ def test_without_a_command_the_usage_is_an_error() -> None:
 def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["wurst"]) == 2
     assert capsys.readouterr().err == (
-        "madviz: unknown command 'wurst'; known: audit, bench, compare, displace, doctor, eval, "
+        "madviz: unknown command 'wurst'; known: audit, compare, displace, doctor, eval, "
         "explore, grade, list, record, replay, report, serve, site, soak, sweep, train\n"
     )
-    assert cli.main(["bench", "wurst"]) == 2
+    assert benchmark(["wurst"]) == 2
     known = "known: buffer, crowd, evaluate, imagine, live, places, render, site, update"
     assert known in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["bench"], ["bench", "live", "--json", "-"]])
+def test_a_command_that_has_moved_says_where(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words) == 2
+    name = "live" if len(words) > 1 else "--help"
+    assert capsys.readouterr().err == (
+        f"madviz: bench has moved: in a clone of the repository, run python -m benchmarks {name}\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -222,8 +239,11 @@ def test_an_unknown_task_lists_the_known_ones(tmp_path: Path) -> None:
 
 
 def test_missing_opengl_is_one_line_that_points_to_the_doctor(tmp_path: Path) -> None:
-    words = ("bench", "render", "--rounds", "1")
-    asked = run(*words, MUJOCO_GL="egl", __EGL_VENDOR_LIBRARY_DIRS=str(tmp_path))
+    command = [sys.executable, "-m", "benchmarks", "render", "--rounds", "1"]
+    environment = {"MUJOCO_GL": "egl", "__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path)}
+    asked = subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, **environment}
+    )
     assert asked.returncode == 2 and asked.stdout == ""
     assert "MUJOCO_GL=egl" in asked.stderr and "madviz doctor" in asked.stderr
     assert asked.stderr.count("\n") == 1

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import pytest
 
+from benchmarks.__main__ import BENCHMARKS, PROGRAM
 from madviz import cli
 from madviz.report.threshold import TWENTY
 from madviz.system.typed import typed
@@ -43,15 +44,22 @@ def commands() -> Iterator[Written]:
                     yield Written(page.name, line, mark)
 
 
-def of_madviz(line: str) -> list[str]:
-    """The words after ``madviz``; none for another program."""
+TABLES = {"madviz": cli.COMMANDS, "benchmarks": BENCHMARKS}
+"""The commands of each module that is run here."""
+
+
+def of_ours(line: str) -> tuple[str, list[str]]:
+    """The module that a command runs, a key of ``TABLES``, and the words after it; '' for another
+    program."""
     words = shlex.split(line)
     while words and "=" in words[0]:
         del words[0]
-    return words[1:] if words and words[0] == "madviz" else []
+    if words and words[0] == "madviz":
+        return "madviz", words[1:]
+    return ("benchmarks", words[3:]) if words[:3] == PROGRAM.split() else ("", [])
 
 
-MADVIZ = [each for each in commands() if of_madviz(each.line)]
+OURS = [each for each in commands() if of_ours(each.line)[0]]
 
 
 def test_readme_is_read_in_one_sitting() -> None:
@@ -87,21 +95,20 @@ def test_what_was_tried_is_said_of_tasks() -> None:
     assert found.keys() <= set(TWENTY)
 
 
-@pytest.mark.parametrize("written", MADVIZ, ids=[f"{c.page}: {c.line}" for c in MADVIZ])
+@pytest.mark.parametrize("written", OURS, ids=[f"{c.page}: {c.line}" for c in OURS])
 def test_a_command_in_the_text_can_be_read(written: Written) -> None:
     """Also those that are not run: every command and option exists."""
-    words = of_madviz(written.line)
-    name = " ".join(words[:2]) if words[0] in cli.GROUPS else words[0]
+    module, (name, *words) = of_ours(written.line)
     if name.startswith("-") or "--help" in words:
         return
-    cli.parse(name, words[len(name.split()) :])
+    cli.parse(name, words, TABLES[module])
 
 
 def test_what_is_not_run_says_why() -> None:
     for written in commands():
         assert re.fullmatch(r"(|slow|not run: .{6,})", written.mark), written
-        if not of_madviz(written.line):
-            assert written.mark.startswith("not run: "), f"{written}: only madviz is run here"
+        if not of_ours(written.line)[0]:
+            assert written.mark.startswith("not run: "), f"{written}: this program is not run here"
 
 
 def runs(written: Written, folder: Path) -> None:
@@ -109,7 +116,8 @@ def runs(written: Written, folder: Path) -> None:
     if not (folder / "checkpoints").exists():
         (folder / "checkpoints").symlink_to(ROOT / "checkpoints")
         (folder / "results").symlink_to(ROOT / "results")
-    line = [sys.executable, "-m", "madviz", *of_madviz(written.line)]
+    module, words = of_ours(written.line)
+    line = [sys.executable, "-m", module, *words]
     path = os.pathsep.join([str(ROOT), str(folder)])
     done = subprocess.run(
         line, cwd=folder, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}
@@ -117,8 +125,8 @@ def runs(written: Written, folder: Path) -> None:
     assert done.returncode == 0, f"{written.line}\n{done.stdout}{done.stderr}"
 
 
-QUICK = [each for each in MADVIZ if not each.mark]
-SLOW = {page.name: [c for c in MADVIZ if c.page == page.name] for page in PAGES}
+QUICK = [each for each in OURS if not each.mark]
+SLOW = {page.name: [c for c in OURS if c.page == page.name] for page in PAGES}
 
 
 @pytest.mark.parametrize("written", QUICK, ids=[f"{c.page}: {c.line}" for c in QUICK])

@@ -26,6 +26,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from viser.infra._messages import wire_field_names
 
+from benchmarks.__main__ import BENCHMARKS
+from benchmarks.__main__ import main as benchmark
 from madviz import cli
 from madviz.app import connection
 from madviz.app.connection import TAKEN
@@ -200,6 +202,7 @@ def policy_folder(both: tuple[Any, Any], folder: Path) -> None:
 
 
 COMMANDS = {name: cli.named(command.config) for name, command in cli.COMMANDS.items()}
+COMMANDS |= {f"benchmarks {n}": cli.named(command.config) for n, command in BENCHMARKS.items()}
 
 
 @st.composite
@@ -220,7 +223,7 @@ def every_option(words: list[str]) -> None:
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
         try:
-            code = cli.main(words)
+            code = benchmark(words[1:]) if words[0] == "benchmarks" else cli.main(words)
         except SystemExit as ended:
             code = ended.code
     assert code in (0, 1, 2), words

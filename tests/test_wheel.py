@@ -35,6 +35,7 @@ def test_a_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
         if path.is_file() and "__pycache__" not in path.parts
     }
     assert sorted(files - held) == []
+    assert {name.split("/")[0] for name in held if "dist-info" not in name} == {"madviz"}
     assert wheel.stat().st_size < 10_000_000
 
 

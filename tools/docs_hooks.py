@@ -21,6 +21,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 import madviz
+from benchmarks.__main__ import PROGRAM
 from madviz.training.config import RECIPES, TrainConfig
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -43,10 +44,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def help_of(*words: str) -> str:
-    """What ``madviz WORDS --help`` prints, 100 columns wide and without colours."""
+def help_of(*words: str, module: str = "madviz") -> str:
+    """What ``python -m MODULE WORDS --help`` prints, 100 columns wide and without colours."""
     environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
-    command = [sys.executable, "-m", "madviz", *words, "--help"]
+    command = [sys.executable, "-m", module, *words, "--help"]
     printed = subprocess.run(
         command, capture_output=True, text=True, check=True, env=environment, cwd=ROOT
     )
@@ -62,6 +63,7 @@ def commands(usage: str) -> list[str]:
 def command_line() -> str:
     """Markdown with the help of every command and of every benchmark."""
     whole = help_of()
+    usage = help_of(module="benchmarks")
     parts = [
         "# Command line",
         "Made from `--help` when these pages are built, so the policies are those of the "
@@ -82,9 +84,9 @@ def command_line() -> str:
                     asked.index(f"╭─ {RECIPES[recipe].options.replace('_', '-')} options") :
                 ]
                 parts.append(f"### Options of the recipe {recipe}\n\n```text\n{own}\n```")
-        if name == "bench":
-            for each in commands(described):
-                parts.append(f"### madviz bench {each}\n\n```text\n{help_of(name, each)}\n```")
+    parts.append(f"## Benchmarks\n\nFrom a clone of the repository.\n\n```text\n{usage}\n```")
+    for name in commands(usage):
+        parts.append(f"### {PROGRAM} {name}\n\n```text\n{help_of(name, module='benchmarks')}\n```")
     return "\n\n".join(parts) + "\n"
 
 

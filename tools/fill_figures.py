@@ -28,7 +28,7 @@ BLOCK = re.compile(rf"({START}(\S+) -->\n)(?:(?!{START}).)*?(<!-- end -->)", re.
 WEAK = 0.70
 """A single camera below this success rate is named as weak."""
 LACKING = {("maniskill/poke-cube", "first"): " (it does not see the goal)"}
-"""What ``madviz bench places`` says of a weak camera, by task and camera."""
+"""What ``python -m benchmarks places`` says of a weak camera, by task and camera."""
 
 
 def count(found: Evaluation) -> str:
@@ -90,7 +90,7 @@ def findings() -> str:
         f"carries the peg over the box first, where that camera sees the box, and it has "
         f"{rate(evaluation('metaworld-peg-insert-side-mad-light'), 'first')}. *Limit:* one "
         f"training each; other options differ too "
-        f"([places](docs/benchmarks.md#madviz-bench-places)).\n"
+        f"([places](docs/benchmarks.md#places)).\n"
         f"4. **From rewards alone, MAD learns to act from one camera too.** {from_rewards()}; "
         f"these two do not differ measurably. *Limit:* one training each, at a "
         f"fifth of the paper's decisions.\n"

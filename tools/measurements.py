@@ -96,13 +96,13 @@ BENCHMARKS = (
 
 
 def benchmarks() -> str:
-    """What `madviz bench` measured, from results/bench: a row for each of ``BENCHMARKS``."""
+    """What benchmarks measured, from results/bench: a row for each of ``BENCHMARKS``."""
     folder = ROOT / "results" / "bench"
     lines = ["| benchmark | measured |", "|---|---|"]
     for name, part, command, words in BENCHMARKS:
         found = json.loads((folder / f"{name}.json").read_text())
         said = words.format(**(found[part] if part else found))
-        lines.append(f"| `madviz bench {command}` | {re.sub(r'[][]', '', said)} |")
+        lines.append(f"| `python -m benchmarks {command}` | {re.sub(r'[][]', '', said)} |")
     return "\n".join(lines) + f"\n\nOn {machine()}.\n"
 
 
@@ -194,7 +194,7 @@ def kernel_memory() -> str:
 
 
 def imagine() -> str:
-    """What `madviz bench imagine` measured, from results/imagine: one row for each camera that is
+    """What `benchmarks imagine` measured, from results/imagine: one row for each camera that is
     hidden while all others are seen."""
     lines = [
         "| task | network | hidden | imagined | worst frame | mean | another episode | gain | "
@@ -228,7 +228,7 @@ def view_masking() -> str:
 
 
 def _one_hidden(found: dict[str, Any]) -> list[dict[str, Any]]:
-    """The rows of a result of `madviz bench imagine` in which all other cameras are seen."""
+    """The rows of a result of `benchmarks imagine` in which all other cameras are seen."""
     most = max(row["from"].count("+") for row in found["rows"])
     return [row for row in found["rows"] if row["from"].count("+") == most]
 
@@ -276,7 +276,7 @@ def site_speed() -> str:
 
 
 def places() -> str:
-    """What `madviz bench places` read from features of policies with a weak camera, from
+    """What `benchmarks places` read from features of policies with a weak camera, from
     results/places, beside the success of each camera alone."""
     lines = [
         "| policy | camera | success alone | place | in its picture | from its feature | "
@@ -326,7 +326,7 @@ def machine() -> str:
 
 
 def site_success() -> str:
-    """Success that `madviz bench site` counted in a browser, from results/site, beside Python's on
+    """Success that `benchmarks site` counted in a browser, from results/site, beside Python's on
     the same seeds: one row for each policy and subset that was tried."""
     lines = [
         "| policy | cameras | in the browser | in Python | only browser, only Python | p |",

@@ -27,7 +27,7 @@ viser also lets messages that concern the scene, and all that come after them, w
 picture is drawn, unless the page is hidden. Those that only move or change what is there find the
 page hidden while they are taken in: a camera that is switched off just then does not wait.
 
-What both are worth, on two cores without a GPU (``madviz bench live``, one run each): 29.0 updates
+What both are worth, on two cores without a GPU (``benchmarks live``, one run each): 29.0 updates
 a second and 121 ms until 95 % of the switches show with them; 24.4 and 135 ms without.
 """
 

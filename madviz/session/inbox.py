@@ -3,7 +3,7 @@
 The problem: a click that goes from thread to thread waits for each of them to get a core and
 Python's interpreter lock. On two cores, with a browser and a simulator at full speed on them, most
 of these waits take 0.1 ms, but one in twenty takes 70 to 400 ms. They were half of the slowest
-switches of ``madviz bench live``.
+switches of ``benchmarks live``.
 
 The idea: whoever hears the visitor writes to the pipe, and the simulating thread reads it.
 

@@ -1,6 +1,6 @@
 """ManiSkill drawn as its users draw it: the task's own sensors under its own settings.
 
-It is here to be measured against, see ``madviz bench render --task maniskill/push-cube``. Same
+It is here to be measured against, see ``benchmarks render --task maniskill/push-cube``. Same
 task, same size, sensors at the same places; colour only, where ours reads colour and depth.
 """
 

@@ -1,6 +1,6 @@
 """Meta-World drawn as its users draw it: ``mujoco.Renderer`` under the model's own flags.
 
-It is here to be measured against, see ``madviz bench render``. Same task, same size, the model's
+It is here to be measured against, see ``benchmarks render``. Same task, same size, the model's
 own cameras moved to the same places; colour only, where ours reads colour and depth.
 """
 
