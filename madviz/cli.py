@@ -24,9 +24,7 @@ from typing import Any
 from madviz import __version__
 from madviz.commands import COMMANDS, GROUPS, OTHERS
 from madviz.errors import Interrupted, NotWritten, Unfinished, UserError, saving, signal_of, unknown
-from madviz.system.command_line import completion, read
 from madviz.system.files import pretty, write_json, written_to
-from madviz.system.numbers import check_numbers
 from madviz.system.signals import terminable
 from madviz.system.streams import open_standard_streams, say, telling
 
@@ -83,7 +81,6 @@ def run(words: Sequence[str], group: str = "") -> int:
     command = COMMANDS[name]
     try:
         config, work = parse(name, rest), named(command.work)
-        check_numbers(config)
         in_words = named(command.words) if command.words else None
     except KeyboardInterrupt as stopped:
         raise Interrupted("", signal_of(stopped)) from stopped
@@ -116,12 +113,18 @@ def usage(group: str = "") -> str:
 def parse(name: str, words: Sequence[str]) -> Any:
     """The configuration of the command ``name``, filled from ``words``, or the end (``read``)."""
     command = COMMANDS[name]
-    config, example = named(command.config), f"madviz {command.example}"
-    return read(config, words, f"madviz {name}", command.summary, example, command.positional)
+    description = f"{command.summary}\n\nExample:\n  madviz {command.example}"
+    default = named(command.default)(words) if command.default else None
+    config = named(command.config)
+    from madviz.system.command_line import read  # With tyro, which madviz --help does without.
+
+    return read(config, words, f"madviz {name}", description, command.positional, default)
 
 
 def script_of(shell: str) -> str:
     """The script by which ``shell`` completes what follows ``madviz``."""
+    from madviz.system.command_line import completion
+
     configs: dict[str, Any] = {}
     for name, command in COMMANDS.items():
         group, _, alone = name.rpartition(" ")

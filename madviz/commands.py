@@ -29,6 +29,9 @@ class Command:
     """Whether the result is a success: exit code 0, or 1."""
     positional: bool = False
     """Whether what has no default is given without its name: ``madviz sweep FILE``."""
+    default: str = ""
+    """The function that makes a ``config`` of the words after the command: the values of options
+    that are not given, and the class of each group of options. '' takes the class's own."""
 
 
 PRETTY = "madviz.system.files:pretty"

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import MISSING, fields
 from pathlib import Path
+from typing import Annotated, get_args, get_origin
 
 import pytest
 
 from madviz import cli
 from madviz.errors import UserError
-from madviz.system.numbers import check_numbers, ranges
+from madviz.system.numbers import Range, check_numbers
+from madviz.system.options import bare, notes, options
 from madviz.training.config import TrainConfig
 from madviz.training.light import LightConfig
 from madviz.training.train import train
@@ -17,20 +21,42 @@ from tests.mistakes import refused
 ODD = {"-1": -1.0, "0": 0.0, "nan": float("nan"), "inf": float("inf"), "1" + 30 * "0": 1e30}
 
 
+def ranges(config: type) -> Iterator[tuple[str, type, Range | None]]:
+    """Every number that ``config``, a dataclass, has: option, int or float, range."""
+    for option, kind, _ in options(config):
+        choices = (kind,) if get_origin(kind) is Annotated else (kind, *get_args(kind))
+        for choice in choices:
+            if bare(choice) in (int, float):
+                yield option, bare(choice), next(notes(choice, Range), None)
+
+
 @pytest.mark.parametrize("command", cli.COMMANDS)
 def test_every_number_is_refused_outside_its_range(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for option, kind, allowed in ranges(cli.named(cli.COMMANDS[command].config)):
+    config = cli.named(cli.COMMANDS[command].config)
+    for option, kind, allowed in ranges(config):
         assert allowed is not None, f"{command} {option}: an option without a range"
-        for text, value in ODD.items():
-            if allowed.low <= value <= allowed.high and not (allowed.above and value == 0):
-                continue
-            for words in ([option, text], [f"{option}={text}"]):
-                wanted = "a whole number" if kind is int else "a number"
-                found = f"{allowed.high}, found {text}"
-                line = refused([*command.split(), *words], found, capsys)
-                assert line.startswith(f"madviz: {option}: expected {wanted} ")
+        assert allowed.kind is kind
+        wanted = "a whole number" if kind is int else "a number"
+        outside = [text for text, value in ODD.items() if not allowed.holds(value)]
+        for text in outside:
+            with pytest.raises(ValueError, match=f"^expected {wanted} .*, found {text}$"):
+                allowed.instance_from_str([text])
+        for words in ([option, outside[0]], [f"{option}={outside[-1]}"]):
+            found = f"{allowed.high}, found {words[-1].removeprefix(f'{option}=')}"
+            line = refused([*command.split(), *needed(config), *words], found, capsys)
+            assert line.startswith(f"madviz: {option}: expected {wanted} ")
+
+
+def needed(config: type) -> list[str]:
+    """Words for the options without a default: those that are given by their place, and others."""
+    names = [f.name for f in fields(config) if f.default is f.default_factory is MISSING]
+    positional = any(
+        cli.COMMANDS[name].positional and cli.named(cli.COMMANDS[name].config) is config
+        for name in cli.COMMANDS
+    )
+    return [word for name in names for word in (["x"] if positional else [f"--{name}", "x"])]
 
 
 def test_every_value_of_an_option_counts(capsys: pytest.CaptureFixture[str]) -> None:
