@@ -24,9 +24,7 @@ from typing import Any
 from madviz import __version__
 from madviz.commands import COMMANDS, MOVED, OTHERS, Command
 from madviz.errors import Interrupted, NotWritten, Unfinished, UserError, saving, signal_of, unknown
-from madviz.system.command_line import completion, read
 from madviz.system.files import pretty, write_json, written_to
-from madviz.system.numbers import check_numbers
 from madviz.system.signals import terminable
 from madviz.system.streams import open_standard_streams, say, telling
 
@@ -88,7 +86,6 @@ def run(words: Sequence[str], commands: Mapping[str, Command], prog: str) -> int
     try:
         config = parse(first, rest, commands, prog)
         work = named(command.work)
-        check_numbers(config)
         in_words = named(command.words) if command.words else None
     except KeyboardInterrupt as stopped:
         raise Interrupted("", signal_of(stopped)) from stopped
@@ -116,13 +113,18 @@ def parse(
 ) -> Any:
     """The configuration of the command ``name``, filled from ``words``, or the end (``read``)."""
     command = commands[name]
-    example = f"{prog} {command.example}"
+    description = f"{command.summary}\n\nExample:\n  {prog} {command.example}"
+    default = named(command.default)(words) if command.default else None
     config = named(command.config)
-    return read(config, words, f"{prog} {name}", command.summary, example, command.positional)
+    from madviz.system.command_line import read  # With tyro, which madviz --help does without.
+
+    return read(config, words, f"{prog} {name}", description, command.positional, default)
 
 
 def script_of(shell: str) -> str:
     """The script by which ``shell`` completes what follows ``madviz``."""
+    from madviz.system.command_line import completion
+
     configs = {name: named(command.config) for name, command in COMMANDS.items()}
     return completion(shell, "madviz", configs)
 

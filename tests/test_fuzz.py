@@ -212,7 +212,7 @@ def command_lines(draw: st.DrawFn) -> list[str]:
     words = name.split()
     for _ in range(draw(st.integers(0, 4))):
         other = draw(st.sampled_from([name, name, name, *sorted(COMMANDS)]))
-        known = [f"--{option.lstrip('-')}" for option, _ in options(COMMANDS[other])]
+        known = [f"--{option.lstrip('-')}" for option, *_ in options(COMMANDS[other])]
         word = draw(st.one_of(st.sampled_from(known), TEXTS))
         value = draw(st.one_of(NUMBERS.map(str), TEXTS, st.sampled_from(["all", "mad", "None"])))
         words += draw(st.sampled_from([[word, value], [f"{word}={value}"], [word]]))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import MISSING, fields
 from pathlib import Path
+from typing import Annotated, get_args, get_origin
 
 import pytest
 
@@ -11,7 +13,8 @@ from benchmarks.__main__ import BENCHMARKS, main
 from madviz import cli
 from madviz.commands import Command
 from madviz.errors import UserError
-from madviz.system.numbers import check_numbers, ranges
+from madviz.system.numbers import Range, check_numbers
+from madviz.system.options import bare, notes, options
 from madviz.training.config import TrainConfig
 from madviz.training.light import LightConfig
 from madviz.training.train import train
@@ -26,6 +29,15 @@ ROWS = [
 """Name, command and the program's ``main``."""
 
 
+def ranges(config: type) -> Iterator[tuple[str, type, Range | None]]:
+    """Every number that ``config``, a dataclass, has: option, int or float, range."""
+    for option, kind, _ in options(config):
+        choices = (kind,) if get_origin(kind) is Annotated else (kind, *get_args(kind))
+        for choice in choices:
+            if bare(choice) in (int, float):
+                yield option, bare(choice), next(notes(choice, Range), None)
+
+
 @pytest.mark.parametrize(("name", "command", "program"), ROWS)
 def test_every_number_is_refused_outside_its_range(
     name: str,
@@ -33,16 +45,28 @@ def test_every_number_is_refused_outside_its_range(
     program: Callable[[Sequence[str]], int],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for option, kind, allowed in ranges(cli.named(command.config)):
+    config = cli.named(command.config)
+    for option, kind, allowed in ranges(config):
         assert allowed is not None, f"{name} {option}: an option without a range"
-        for text, value in ODD.items():
-            if allowed.low <= value <= allowed.high and not (allowed.above and value == 0):
-                continue
-            for words in ([option, text], [f"{option}={text}"]):
-                wanted = "a whole number" if kind is int else "a number"
-                found = f"{allowed.high}, found {text}"
-                line = refused([name, *words], found, capsys, program)
-                assert line.startswith(f"madviz: {option}: expected {wanted} ")
+        assert allowed.kind is kind
+        wanted = "a whole number" if kind is int else "a number"
+        outside = [text for text, value in ODD.items() if not allowed.holds(value)]
+        for text in outside:
+            with pytest.raises(ValueError, match=f"^expected {wanted} .*, found {text}$"):
+                allowed.instance_from_str([text])
+        for words in ([option, outside[0]], [f"{option}={outside[-1]}"]):
+            found = f"{allowed.high}, found {words[-1].removeprefix(f'{option}=')}"
+            line = refused([name, *needed(command), *words], found, capsys, program)
+            assert line.startswith(f"madviz: {option}: expected {wanted} ")
+
+
+def needed(command: Command) -> list[str]:
+    """Words for the options without a default: those that are given by their place, and others."""
+    config = cli.named(command.config)
+    names = [f.name for f in fields(config) if f.default is f.default_factory is MISSING]
+    return [
+        word for name in names for word in (["x"] if command.positional else [f"--{name}", "x"])
+    ]
 
 
 def test_every_value_of_an_option_counts(capsys: pytest.CaptureFixture[str]) -> None:

@@ -42,6 +42,14 @@ OWN = ("--policy", "madviz.examples.own_policy:make")
         (("eval", *OWN, "--occlude", "first=black", "first=blur"), "found 'first' twice"),
         (("soak", "--minutes", "nan"), "--minutes: expected a number above 0"),
         (("soak", "--minutes", "inf"), "--minutes: expected a number above 0"),
+        (("eval", "--episodes", "5"), "expected --policy, found nothing; --help explains"),
+        (("sweep",), "expected file, found nothing; --help explains"),
+        (("list", "odd"), "unexpected word odd; --help lists all"),
+        (("list", "-x"), "unknown option -x; --help lists all"),
+        (("eval", *OWN, "--seed"), "--seed: expected a value after it"),
+        (("soak", "--minutes", "--visitors", "2"), "--minutes: expected a value after it"),
+        (("train", "--threads", "many"), "--threads: expected a whole number from 1 to 256, found"),
+        (("list", "--json"), "--json: expected a value after it"),
     ],
 )
 def test_odd_words_are_refused_in_one_line(

@@ -104,44 +104,47 @@ def probe(
     masks: Bool[Array, "N V"] | None = None,
     only: int | None = None,
 ) -> Probe:
-    """Reads every subset of ``encoded`` that ``policy`` supports, in one pass; or the row ``only``
-    and no other. Where that is not supported, the first that is."""
+    """Reads every subset of ``encoded`` that ``policy`` supports, in one pass. With ``only``, reads
+    that row alone; where the policy does not support it, the first row that it does."""
     if masks is None:
-        masks = every_mask(len(policy.spec.streams))
-    supported = np.array([policy.supports(mask) for mask in masks], bool)
+        masks = every_mask(len(policy.spec.streams))  # (N, V)
+    supported = np.array([policy.supports(mask) for mask in masks], bool)  # (N,)
     known = supported
     if only is not None:
         row = only if supported[only] else int(np.argmax(supported))
-        known = np.arange(len(masks)) == row
-    readout = policy.read(encoded, masks[known])
+        known = np.arange(len(masks)) == row  # (N,) with one True
+    readout = policy.read(encoded, masks[known])  # One row for each True in ``known``.
     return Probe(encoded.features, masks, supported, _spread(readout, known), known)
 
 
-def read_row(found: Probe, policy: Policy, encoded: Encoded, row: int) -> Probe:
-    """``found`` and ``row``, which costs a pass where it is not known yet and can be read."""
-    if found.known[row] or not found.supported[row]:
-        return found
-    more = probe(policy, encoded, found.masks, row)
+def read_row(before: Probe, policy: Policy, encoded: Encoded, row: int) -> Probe:
+    """``before`` and ``row``, which costs a pass where it is not known yet and can be read."""
+    if before.known[row] or not before.supported[row]:
+        return before
+    read = policy.read(encoded, before.masks[row : row + 1])  # Its tables have one row.
 
-    def joined(before: Array, new: Array) -> Array:
-        after = before.copy()
-        after[row] = new[row]
-        return after
+    def with_row(table: Array, values: Array) -> Array:
+        table = table.copy()
+        table[row] = values[0]
+        return table
 
-    old, new = found.readout, more.readout
     readout = Readout(
-        joined(old.merged, new.merged), joined(old.action, new.action), joined(old.q, new.q)
+        with_row(before.readout.merged, read.merged),  # (N, Z)
+        with_row(before.readout.action, read.action),  # (N, A)
+        with_row(before.readout.q, read.q),  # (N,)
     )
-    return replace(found, readout=readout, known=found.known | more.known)
+    known = before.known.copy()
+    known[row] = True
+    return replace(before, readout=readout, known=known)
 
 
-def _spread(readout: Readout, known: Array) -> Readout:
+def _spread(readout: Readout, known: Bool[Array, " N"]) -> Readout:
     """Puts the rows that were read into their places among all N, NaN elsewhere."""
     if known.all():
         return readout
 
     def fill(values: Array) -> Array:
-        spread = np.full((len(known), *values.shape[1:]), np.nan, np.float32)
+        spread = np.full((len(known), *values.shape[1:]), np.nan, np.float32)  # (N, ...)
         spread[known] = values
         return spread
 

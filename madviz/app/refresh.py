@@ -58,22 +58,32 @@ class Refresh:
         """What has to change on the page at ``now``, in seconds. Ends early where ``interrupted``
         says that somebody waits for a newer frame."""
         touched = (frame.world.change, frame.world.policy, frame.pace.phase, frame.pace.error)
-        urgent, self._touched = touched != self._touched, touched
-        waiting = [timed for timed in self.panels if timed.number != frame.pace.number]
+        urgent = touched != self._touched  # Somebody has touched something since the last frame.
+        self._touched = touched
         if urgent:
-            for timed in self.panels:
-                soon = now + AFTER - timed.interval(frame)
-                timed.updated = soon if frame.pace.speed is not None else max(timed.updated, soon)
+            self._hasten(frame, now)
         changes = []
-        for timed in waiting:
-            if not (urgent and timed.period <= FASTEST) and now < timed.due(frame):
+        for timed in self.panels:
+            shown = timed.number == frame.pace.number
+            watched = urgent and timed.period <= FASTEST
+            if shown or (now < timed.due(frame) and not watched):
                 continue
             if interrupted() and not urgent:
                 break
             changes += timed.panel.update(frame)
-            settled = not getattr(timed.panel, "unsettled", False)
-            timed.updated, timed.number = now, frame.pace.number if settled else 0
+            timed.updated = now
+            # A panel that is not finished shows the same frame again when it is due.
+            unfinished = getattr(timed.panel, "unsettled", False)
+            timed.number = 0 if unfinished else frame.pace.number
         return changes
+
+    def _hasten(self, frame: Frame, now: float) -> None:
+        """Makes every panel due in ``AFTER`` seconds, or, at full speed, when it was due anyway if
+        that is later."""
+        for timed in self.panels:
+            soon = now + AFTER - timed.interval(frame)
+            at_full_speed = frame.pace.speed is None
+            timed.updated = max(timed.updated, soon) if at_full_speed else soon
 
     def wait(self, frame: Frame, now: float) -> float | None:
         """In how many seconds a panel that does not show ``frame`` yet is due; None: all do."""

@@ -30,7 +30,7 @@ MeanPictures = Mapping[str, Array]
 
 
 def no_mean_pictures() -> MeanPictures:
-    """Where nobody knows them. Raises UserError."""
+    """Raises UserError: nobody knows the mean pictures here."""
     raise UserError("expected mean pictures of the cameras, found none here; choose black or noise")
 
 
@@ -42,8 +42,8 @@ def depth_code(depth: Array, depth_range: tuple[float, float]) -> Array:
 
 
 def stream_frame(view: View, stream: str, env: EnvSpec, size: int = IMAGE_SIZE) -> Array:
-    """What ``stream`` takes from its camera's view: (H, W, 3) colour or (H, W, 1) coded depth, H
-    and W being ``size``."""
+    """The part of its camera's view that ``stream`` takes: (H, W, 3) colour or (H, W, 1) coded
+    depth, H and W being ``size``."""
     if modality_of(stream) == "depth":
         frame = depth_code(view.depth, env.camera(camera_of(stream)).depth_range)
     else:
@@ -76,35 +76,40 @@ class StreamStack:
     means: Callable[[], MeanPictures] = no_mean_pictures
     """Asked when a camera sends its mean picture."""
     _frames: list[dict[str, Array]] = field(default_factory=list)
-    """The newest ``length`` + 1 sets of frames; the extra one is what ``freeze`` holds on to."""
+    """The newest ``length`` + 1 steps, frames (H, W, C) by stream, as they arrived; ``freeze``
+    holds on to the extra one."""
     _seen: list[dict[str, Array]] = field(default_factory=list)
-    """What cameras saw before anything happened to it, newest last; as far back as a delay goes."""
+    """The same frames before an occlusion was applied, newest last; as far back as a delay goes."""
     _noise_key: tuple[int, int] = (0, 0)
+    """Seed and step: noise is the same however often a frame arrives again."""
 
     def push(self, views: dict[str, View], ablation: Ablation, seed: int, step: int) -> None:
         """Takes the views of one step. Cameras absent from ``views`` arrive black; at ``step`` 0
         the stack is filled with the first frame."""
         black = np.zeros((self.size, self.size, 3), np.uint8)
-        seen = {
-            stream: stream_frame(views[camera_of(stream)], stream, self.env, self.size)
-            if camera_of(stream) in views
-            else black
-            for stream in self.streams
-        }
+        seen = {}
+        for stream in self.streams:
+            view = views.get(camera_of(stream))
+            seen[stream] = stream_frame(view, stream, self.env, self.size) if view else black
         if step == 0:
-            self._frames, self._seen = [], []
+            self._frames = []
+            self._seen = []
         self._seen = [*self._seen, seen][-LATEST - 1 :]
         self._noise_key = (seed, step)
-        arrived = self._arrived(self._frames[-1] if self._frames else None, ablation)
-        self._frames = [*self._frames, arrived] if self._frames else [arrived] * (self.length + 1)
-        self._frames = self._frames[-self.length - 1 :]
+        if self._frames:
+            arrived = self._arrived(self._frames[-1], ablation)
+            self._frames = [*self._frames, arrived][-self.length - 1 :]
+        else:
+            # An episode has no past yet: its first frame stands for all of it.
+            self._frames = [self._arrived(None, ablation)] * (self.length + 1)
 
     def replace_last(self, ablation: Ablation) -> None:
         """Lets the newest frames arrive again, under another ablation."""
         first = self._noise_key[1] == 0
-        arrived = self._arrived(None if first else self._frames[-2], ablation)
-        before = [arrived] * self.length if first else self._frames[:-1]
-        self._frames = [*before, arrived]
+        if first:
+            self._frames = [self._arrived(None, ablation)] * (self.length + 1)
+        else:
+            self._frames = [*self._frames[:-1], self._arrived(self._frames[-2], ablation)]
 
     def replace_view(self, camera: str, view: View) -> None:
         """Exchanges what ``camera`` saw last, as if it had always been so; ``replace_last`` lets it
@@ -114,7 +119,7 @@ class StreamStack:
         self._seen = [*self._seen[:-1], {**self._seen[-1], **fresh}]
 
     def snapshot(self) -> tuple:
-        """What ``restore`` needs to stand here again; pictures are shared, not copied."""
+        """The state that ``restore`` returns to; pictures are shared, not copied."""
         return tuple(self._frames), tuple(self._seen), self._noise_key
 
     def restore(self, saved: tuple) -> None:
@@ -132,14 +137,17 @@ class StreamStack:
         stacks = [
             np.concatenate([to_channels(frames[stream]) for frames in self._frames[1:]])
             for stream in self.streams
-        ]
+        ]  # V of (3 x length, H, W); the oldest of the length + 1 steps is left out
         return np.stack(stacks)
 
     def _arrived(self, before: dict[str, Array] | None, ablation: Ablation) -> dict[str, Array]:
+        """The newest frames after their occlusions. ``before`` arrived the step before."""
         arrived = {}
         for stream in self.streams:
             occlusion = ablation.camera(camera_of(stream)).occlusion
-            frame = self._seen[max(-1 - occlusion.late, -len(self._seen))][stream]
+            # A delayed camera sends what it saw some steps ago; at first, its oldest frame.
+            steps_back = min(occlusion.late, len(self._seen) - 1)
+            frame = self._seen[-1 - steps_back][stream]  # (H, W, C)
             if occlusion.kind == "mean":
                 frame = self.means()[stream]
             # A lost frame is lost in colour and depth together; grains of noise are not shared.

@@ -80,9 +80,9 @@ class RecordConfig:
     """Which episode of the saved session, from 1; by default the last."""
     steps: Count | None = None
     """Decisions to record; by default all there are."""
-    tile: Annotated[int, Range(84, 1024)] = 252
+    tile: Annotated[int, Range(int, 84, 1024)] = 252
     """Pixels that a camera's picture is wide in a film."""
-    fps: Annotated[float, Range(0.5, 120)] = 10.0
+    fps: Annotated[float, Range(float, 0.5, 120)] = 10.0
     """Decisions in a second of film."""
     keep: Path | None = None
     """Also write the episode as a saved session, for `madviz replay`."""

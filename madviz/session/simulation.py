@@ -39,6 +39,10 @@ from madviz.subsets import every_mask, row_of
 from madviz.types import Array, Encoded, Environment, Policy, ResetsInPieces, TimeStep, View
 
 
+def _nothing() -> None:
+    """Called between two cameras where nobody waits for them."""
+
+
 class Simulation:
     """See the module. Belongs to the thread that created ``env``."""
 
@@ -126,16 +130,22 @@ class Simulation:
         mask = self.ablation.mask(self.policy.spec.streams)
         return foresee(self.policy, self._encoded, mask, self.now.step, str(self.condition))
 
-    def begin(self, seed: int, between: Callable[[], None] = lambda: None) -> None:
-        """Starts the episode of ``seed``; camera settings stay. ``between`` as in ``step``: until
-        the first pictures are drawn it meets the last step of the episode before."""
-        env, between = self.env, between if self._recent else lambda: None
-        in_pieces = isinstance(env, ResetsInPieces)
-        time_step = env.reset_in_pieces(seed, between) if in_pieces else env.reset(seed)
-        first = self._seen(time_step, 0, between)
-        self.episode, self.seed = self.episode + 1, seed
+    def begin(self, seed: int, between: Callable[[], None] = _nothing) -> None:
+        """Starts the episode of ``seed``; camera settings stay. ``between`` is called as in
+        ``step``, and meets the last step of the episode before."""
+        # Before the very first episode there is no step that commands could touch.
+        pause = between if self._recent else _nothing
+        if isinstance(self.env, ResetsInPieces):
+            time_step = self.env.reset_in_pieces(seed, pause)
+        else:
+            time_step = self.env.reset(seed)
+        first = self._seen(time_step, 0, pause)
+        # The new episode begins here: until now a command met the old one.
+        self.episode += 1
+        self.seed = seed
         self._playing.begin(self.policy, seed)
-        self.record, self.change = EpisodeRecord(success_any=time_step.success), None
+        self.record = EpisodeRecord(success_any=time_step.success)
+        self.change = None
         self._recent.clear()
         self._actions = []
         self.journal.begin(self.policy.spec, self.env.spec, seed, self.ablation)
@@ -179,23 +189,24 @@ class Simulation:
     def set_camera(self, command: SetCamera, preview: bool = False) -> None:
         """Another state for one camera, seen at once. Raises UserError for an unknown camera."""
         self.env.spec.camera(command.camera)
-        before, old = self.ablation, self._reading()
+        before = self.ablation
+        old_condition, old_action, old_q = self._reading()
         self.ablation = before.replace(command.camera, command.state)
         if self.ablation.occlusions() != before.occlusions():
             self._stack.replace_last(self.ablation)
             self._read()
             if preview:
                 self._stack.replace_last(self._settled)
-        new = self._reading()
+        condition, action, q = self._reading()
         self.change = Change(
             command.camera,
             before.cameras.get(command.camera, untouched(self.policy.spec)),
             command.state,
-            condition_before=old[0],
-            condition_after=new[0],
-            action_change=float(np.linalg.norm(new[1] - old[1])),
-            q_before=old[2],
-            q_after=new[2],
+            condition_before=old_condition,
+            condition_after=condition,
+            action_change=float(np.linalg.norm(action - old_action)),
+            q_before=old_q,
+            q_after=q,
         )
         if not preview:
             self._settled = self.ablation
@@ -206,23 +217,25 @@ class Simulation:
         stack stay. Raises UserError for an unknown camera. Not in the middle of a step."""
         name = command.camera
         self.env.spec.camera(name)
-        before, old = self.ablation, self._reading()
+        before = self.ablation
+        old_condition, old_action, old_q = self._reading()
         self.ablation = self._settled = before.move(name, command.move)
         if self.ablation.moves == before.moves:
             return
         self._place(name)
         self._draw_again(name)
-        new, state = self._reading(), before.cameras.get(name, untouched(self.policy.spec))
+        condition, action, q = self._reading()
+        state = before.cameras.get(name, untouched(self.policy.spec))
         to = self.ablation.moves.get(name)
         self.change = Change(
             camera=name,
             before=state,
             after=state,
-            condition_before=old[0],
-            condition_after=new[0],
-            action_change=float(np.linalg.norm(new[1] - old[1])),
-            q_before=old[2],
-            q_after=new[2],
+            condition_before=old_condition,
+            condition_after=condition,
+            action_change=float(np.linalg.norm(action - old_action)),
+            q_before=old_q,
+            q_after=q,
             moved=f"moved: {to.words()}" if to else "is back in its place",
         )
         self.journal.camera(self.now.step, command)

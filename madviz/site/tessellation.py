@@ -42,7 +42,7 @@ class Mesh:
 
 
 def joined(parts: list[Mesh]) -> Mesh:
-    """Several as one."""
+    """One mesh of several."""
     starts = np.cumsum([0, *(len(part.positions) for part in parts)])
     return Mesh(
         np.concatenate([part.positions for part in parts]),
@@ -77,12 +77,12 @@ def mesh(model: mujoco.MjModel, number: int) -> Mesh:
     more than 37 degrees (a cosine below 0.8): MuJoCo's rule for sharp edges."""
     vertex, face = model.mesh_vertadr[number], model.mesh_faceadr[number]
     normal, count = model.mesh_normaladr[number], model.mesh_facenum[number]
-    faces = model.mesh_face[face : face + count]
-    corners = model.mesh_vert[vertex + faces].astype(float)
+    faces = model.mesh_face[face : face + count]  # (m, 3)
+    corners = model.mesh_vert[vertex + faces].astype(float)  # (m, corner, xyz)
     normals = model.mesh_normal[normal + model.mesh_facenormal[face : face + count]].astype(float)
-    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # (m, 3)
     flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12)
-    sharp = (normals * flat[:, None]).sum(-1) < 0.8
+    sharp = (normals * flat[:, None]).sum(-1) < 0.8  # (m, corner)
     normals = np.where(sharp[..., None], flat[:, None], normals)
     return _indexed(corners.reshape(-1, 3), normals.reshape(-1, 3))
 
@@ -92,8 +92,8 @@ def plane(size: Array) -> Mesh:
     if size[0] <= 0 or size[1] <= 0:
         raise UserError("expected planes with ends, found one without")
     x, y = (_lines(size[axis], size[2]) for axis in (0, 1))
-    u, v = np.meshgrid(x, y, indexing="ij")
-    places = np.stack([u, v, np.zeros_like(u)], -1)
+    u, v = np.meshgrid(x, y, indexing="ij")  # (rows, columns)
+    places = np.stack([u, v, np.zeros_like(u)], -1)  # (rows, columns, 3)
     quads = np.stack([places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:]], 2)
     return _quads(quads.reshape(-1, 4, 3), lambda p: np.broadcast_to([0.0, 0, 1], p.shape))
 
@@ -117,7 +117,9 @@ def box(quads: int) -> Mesh:
             # The other two axes in the order that makes the quads face outwards.
             first, second = ((axis + 1) % 3, (axis + 2) % 3)[::sign]
             places = np.empty((*u.shape, 3))
-            places[..., axis], places[..., first], places[..., second] = sign, u, v
+            places[..., axis] = sign
+            places[..., first] = u
+            places[..., second] = v
             corners = [places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:]]
             normal = np.eye(3)[axis] * sign
             parts.append(
@@ -151,19 +153,23 @@ def tube(slices: int, stacks: int) -> Mesh:
 
 
 def capsule(slices: int, stacks: int, size: Array) -> Mesh:
-    """``size`` is radius, radius, half of the length without its round ends... with MuJoCo's
-    proportions: the ends' height is the mean radius."""
-    radius = (size[0] + size[1]) / 2
-    angles = np.linspace(0, np.pi / 2, stacks // 2 + 1)
-    top = _turned(np.cos(angles), np.sin(angles), slices, lambda p: p)
-    bottom = _turned(np.cos(angles)[::-1], -np.sin(angles)[::-1], slices, lambda p: p)
-    length = size[2] / radius
-    ends = np.array([size[0], size[1], radius])
+    """A tube with half a sphere at each end. ``size`` (3,) is the radius along x, that along y, and
+    half of the length of the tube."""
+    # MuJoCo makes the two ends as high as the mean radius is.
+    height = (size[0] + size[1]) / 2
+    ends = np.array([size[0], size[1], height])
+    # Half a unit sphere is moved before it is scaled by ``height``, up to the end of the tube.
+    shift = size[2] / height
+    angles = np.linspace(0, np.pi / 2, stacks // 2 + 1)  # From the rim to the pole.
+    radii = np.cos(angles)
+    heights = np.sin(angles)
+    top = _turned(radii, heights, slices, lambda p: p)
+    bottom = _turned(radii[::-1], -heights[::-1], slices, lambda p: p)
     return joined(
         [
             tube(slices, stacks).scaled(size),
-            top.scaled(ends, (0, 0, length)),
-            bottom.scaled(ends, (0, 0, -length)),
+            top.scaled(ends, (0, 0, shift)),
+            bottom.scaled(ends, (0, 0, -shift)),
         ]
     )
 
@@ -171,14 +177,10 @@ def capsule(slices: int, stacks: int, size: Array) -> Mesh:
 def _turned(radii: Array, heights: Array, slices: int, normal) -> Mesh:
     """A profile turned about z, from below to above; points of radius 0 become triangles."""
     angles = np.linspace(0, 2 * np.pi, slices + 1)
-    places = np.stack(
-        [
-            radii[:, None] * np.cos(angles),
-            radii[:, None] * np.sin(angles),
-            np.broadcast_to(heights[:, None], (len(radii), slices + 1)),
-        ],
-        -1,
-    )
+    x = radii[:, None] * np.cos(angles)  # (rings, slices + 1)
+    y = radii[:, None] * np.sin(angles)
+    z = np.broadcast_to(heights[:, None], x.shape)
+    places = np.stack([x, y, z], -1)  # (rings, slices + 1, 3)
     corners = [places[:-1, :-1], places[:-1, 1:], places[1:, 1:], places[1:, :-1]]
     return _quads(np.stack(corners, 2).reshape(-1, 4, 3), normal)
 
@@ -186,20 +188,22 @@ def _turned(radii: Array, heights: Array, slices: int, normal) -> Mesh:
 def _quads(quads: Array, normal) -> Mesh:
     """(n, 4, 3) quads as triangles, cut along the diagonal that Mesa cuts; those without area go
     away."""
-    triangles = quads[:, [[0, 1, 3], [1, 2, 3]]].reshape(-1, 3, 3)
+    triangles = quads[:, [[0, 1, 3], [1, 2, 3]]].reshape(-1, 3, 3)  # (m, corner, xyz)
     area = np.linalg.norm(
         np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
     )
-    corners = triangles[area > 1e-12].reshape(-1, 3)
+    corners = triangles[area > 1e-12].reshape(-1, 3)  # (3 m, 3)
     return _indexed(corners, np.array(normal(corners), float))
 
 
 def _indexed(corners: Array, normals: Array) -> Mesh:
-    """Corners of triangles, equal ones once."""
-    both = np.round(np.concatenate([corners, normals], 1), 9)
+    """The mesh of ``corners`` and ``normals``, both (3 m, 3), three rows a triangle. Corners that
+    are equal in both are there once."""
+    both = np.round(np.concatenate([corners, normals], 1), 9)  # (3 m, 6)
+    # ``first``: where each of the n different rows is first; ``place``: which of them a row is.
     _, first, place = np.unique(both, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)  # In the order of their first use, which packs better.
-    new = np.empty_like(order)
+    new = np.empty_like(order)  # (n,) where a row that np.unique has sorted goes.
     new[order] = np.arange(len(order))
     kept = first[order]
     return Mesh(corners[kept], normals[kept], corners[kept], new[place].reshape(-1, 3))

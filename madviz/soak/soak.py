@@ -54,7 +54,7 @@ class SoakConfig:
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
-    minutes: Annotated[float, Range(0, 10_000, above=True)] = 60.0
+    minutes: Annotated[float, Range(float, 0, 10_000, above=True)] = 60.0
     """How long; 3 are enough to see a leak of whole pages."""
     visitors: Count = 3
     """How many are there at most; all but one of them get a simulation."""
@@ -64,7 +64,7 @@ class SoakConfig:
     """Processes that measure success in the background."""
     seed: Seed = 0
     """Of what the visitors do at random."""
-    round_seconds: Annotated[float, Range(0, 3600, above=True)] = 20.0
+    round_seconds: Annotated[float, Range(float, 0, 3600, above=True)] = 20.0
     """After so long everybody leaves and what is left is counted. Take several times as long as the
     first picture takes: who leaves before it has tried nothing."""
 

@@ -9,20 +9,29 @@ Ranges of numbers are in ``numbers``, on top of this.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, is_dataclass
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from madviz.errors import UserError, perhaps, unknown
+from tyro.constructors import PrimitiveConstructorSpec
 
 
-@dataclass(frozen=True, eq=False)  # tyro asks for a hash, which a table has not.
-class OneOf:
+class OneOf(PrimitiveConstructorSpec[str]):
     """A name from a table."""
 
+    def __init__(self, kind: str, names: Collection[str]) -> None:
+        """``kind`` says what the names are of."""
+        super().__init__(
+            nargs=1,
+            metavar=f"{{{','.join(names)}}}",
+            instance_from_str=lambda words: words[0],
+            is_instance=lambda value: isinstance(value, str),
+            str_from_instance=lambda value: [value],
+            choices=tuple(names),
+        )
+        vars(self).update(kind=kind)
+
     kind: str
-    """What it is a name of."""
-    names: Collection[str]
 
 
 @dataclass(frozen=True)
@@ -42,15 +51,20 @@ class Only:
     value: str
 
 
-def options(config: type, prefix: str = "--") -> Iterator[tuple[str, Any]]:
-    """Every option that ``config``, a dataclass, has: ``--light.rounds`` and its type, with what
-    annotates it."""
-    for name, kind in get_type_hints(config, include_extras=True).items():
+def options(config: Any, prefix: str = "--") -> Iterator[tuple[str, Any, Any]]:
+    """Every option of ``config``, an instance of a dataclass or the class: ``--light.rounds``, its
+    annotated type, and its value. A class has no values, and the options of the annotated groups;
+    an instance has those of the groups that are in it, also if they are of a subclass."""
+    is_class = isinstance(config, type)
+    kinds = get_type_hints(config if is_class else type(config), include_extras=True)
+    for name, kind in kinds.items():
         option = prefix + name.replace("_", "-")
-        if is_dataclass(bare(kind)):
-            yield from options(bare(kind), f"{option}.")
+        value = None if is_class else getattr(config, name)
+        group = bare(kind) if is_class else value
+        if is_dataclass(group):
+            yield from options(group, f"{option}.")
         else:
-            yield option, kind
+            yield option, kind, value
 
 
 def bare(kind: Any) -> Any:
@@ -64,54 +78,3 @@ def notes(kind: Any, wanted: type) -> Iterator[Any]:
         if isinstance(part, wanted):
             yield part
         yield from notes(part, wanted)
-
-
-def given(words: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """The options among ``words``, as a user wrote them: (--batch-size, 64), and '' where no value
-    follows."""
-    for i, word in enumerate(words):
-        option, joined, text = word.partition("=")
-        if option.startswith("--"):
-            yield option.replace("_", "-"), text if joined else "".join(words[i + 1 : i + 2])
-
-
-def choices(option: str, kind: Any) -> tuple[str, tuple[str, ...]]:
-    """What an option's word is a name of, and all names it may be; () where it may be any word."""
-    for note in notes(kind, OneOf):
-        return note.kind, tuple(note.names)
-    for part in (kind, *get_args(kind)):
-        if get_origin(part) is Literal:
-            return option.split(".")[-1].strip("-"), get_args(part)
-    return "", ()
-
-
-def foreign_groups(config: type, words: Sequence[str]) -> list[str]:
-    """The groups of options of ``config`` that are ignored under what ``words`` choose."""
-    said, found = dict(given(words)), []
-    for name, kind in get_type_hints(config, include_extras=True).items():
-        for only in notes(kind, Only):
-            default = next(f.default for f in fields(config) if f.name == only.option)
-            if said.get(f"--{only.option.replace('_', '-')}", default) != only.value:
-                found.append(name)
-    return found
-
-
-def check_options(config: type, words: Sequence[str]) -> None:
-    """Raises UserError for an option among the ``words`` of a command that ``config`` does not
-    have, or that is there twice, and for a name that is none of its."""
-    known, said = dict(options(config)), list(given(words))
-    for option, text in said:
-        positive = option if option in known else option.replace("--no-", "--").replace(".no-", ".")
-        if positive not in known:
-            if option not in ("--help", "--help-verbose"):
-                raise UserError(
-                    f"unknown option {option:.60}{perhaps(option, list(known))}; --help lists all"
-                )
-            continue
-        if [name for name, _ in said].count(option) > 1:
-            raise UserError(
-                f"expected {option:.60} once, found it twice; put all its values after one"
-            )
-        kind, names = choices(option, known[positive])
-        if names and text not in (*names, "None"):
-            raise unknown(kind, text, list(names))

@@ -25,7 +25,7 @@ from trimesh.visual.material import PBRMaterial
 
 from madviz.app.panel import Assign
 from madviz.session.frame import Frame
-from madviz.types import Body
+from madviz.types import Array, Body
 
 CREASE = 30.0
 """Degrees between triangles from which on their edge is drawn sharp."""
@@ -38,9 +38,6 @@ class Bodies:
 
     def __init__(self, client: viser.ClientHandle, frame: Frame) -> None:
         self._client = client
-        self._shown: tuple[Body, ...] = ()
-        self._handles: list[viser.GlbHandle] = []
-        self._poses = np.zeros((0, 7))
         self._show(frame)
 
     def update(self, frame: Frame) -> list[Assign]:
@@ -48,11 +45,12 @@ class Bodies:
         if frame.world.bodies is not self._shown:
             self.remove()
             self._show(frame)
-        away = np.abs(frame.world.body_poses - self._poses)
-        moved = (away[:, :3].max(1) > STILL) | (away[:, 3:].max(1) > UNTURNED)
+        away = np.abs(frame.world.body_poses - self._poses)  # (N, 7)
+        moved = (away[:, :3].max(1) > STILL) | (away[:, 3:].max(1) > UNTURNED)  # (N,)
         changes = []
         for row in np.flatnonzero(moved):
-            handle, pose = self._handles[row], frame.world.body_poses[row].astype(float)
+            handle = self._handles[row]
+            pose = frame.world.body_poses[row].astype(float)  # (7,)
             changes += [Assign(handle, "position", pose[:3]), Assign(handle, "wxyz", pose[3:])]
         self._poses[moved] = frame.world.body_poses[moved]
         return changes
@@ -61,23 +59,27 @@ class Bodies:
         """Takes all of them off the page."""
         for handle in self._handles:
             handle.remove()
-        self._handles, self._shown = [], ()
+        self._handles = []
+        self._shown = ()
 
     def _show(self, frame: Frame) -> None:
-        self._shown, self._poses = frame.world.bodies, frame.world.body_poses.copy()
-        for body, pose in zip(
-            frame.world.bodies, frame.world.body_poses.astype(float), strict=True
-        ):
-            self._handles.append(
-                self._client.scene.add_glb(
-                    f"/bodies/{body.name}",
-                    glb(body),
-                    position=pose[:3],
-                    wxyz=pose[3:],
-                    cast_shadow=False,
-                    receive_shadow=False,
-                )
-            )
+        """Sends all bodies of ``frame`` to the page."""
+        self._shown: tuple[Body, ...] = frame.world.bodies
+        self._poses = frame.world.body_poses.copy()  # (N, 7): x y z, then a quaternion w x y z
+        self._handles = [
+            self._add(body, pose.astype(float))
+            for body, pose in zip(self._shown, self._poses, strict=True)
+        ]
+
+    def _add(self, body: Body, pose: Array) -> viser.GlbHandle:
+        return self._client.scene.add_glb(
+            f"/bodies/{body.name}",
+            glb(body),
+            position=pose[:3],
+            wxyz=pose[3:],
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
 
 def glb(body: Body) -> bytes:
