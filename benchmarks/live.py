@@ -111,13 +111,13 @@ def beside_training(config: LiveConfig) -> dict[str, Any]:
     """The browser again, while its policy's task is trained at the priority that the page gives to
     trainings. Raises UserError if the training does not last as long as the measurement."""
     from madviz.policies.checkpoint import load_policy
-    from madviz.training.job import BUDGETS, JobConfig, TrainingJob
+    from madviz.training.job import OFFERS, JobConfig, TrainingJob
 
     task = load_policy(config.policy).spec.task
     with tempfile.TemporaryDirectory() as folder:
         job = TrainingJob(Path(folder))
         try:
-            job.start(JobConfig(task, budget=list(BUDGETS["light"])[-1]))
+            job.start(JobConfig(task, budget=list(OFFERS["light"].budgets)[-1]))
             # Demonstrations come first, and updates are what takes the time.
             await_that(lambda: job.status().rows or job.status().state != "running", 300.0)
             if not job.status().rows:

@@ -35,31 +35,44 @@ from madviz.system.priority import lowest_priority
 
 State = Literal["idle", "running", "stopping", "stopped", "failed", "done"]
 
-BUDGETS: dict[str, dict[str, tuple[str, ...]]] = {
-    "light": {
-        "trial": ("--light.rounds", "4", "--light.critic-updates", "500"),
-        "short": (),
-        "full": (
-            "--light.rounds",
-            "30",
-            "--light.updates-per-round",
-            "500",
-            "--light.alpha",
-            "0.25",
-        ),
-    },
-    "paper": {
-        "trial": ("--paper.steps", "5000", "--paper.buffer-capacity", "5000"),
-        "short": ("--paper.steps", "50000", "--paper.buffer-capacity", "50000"),
-        "full": (),
-    },
-    "mv-mwm": {
-        "trial": ("--mv-mwm.steps", "3000"),
-        "short": (),
-        "full": ("--mv-mwm.steps", "100000"),
-    },
+
+@dataclass(frozen=True)
+class Offer:
+    """How a page offers a recipe; no torch is loaded for it."""
+
+    words: str
+    """What it does, and how long that takes."""
+    budgets: dict[str, tuple[str, ...]]
+    """What is added to the command, by name; nothing stands for the recipe's defaults."""
+
+
+FULL_LIGHT = "--light.rounds 30 --light.updates-per-round 500 --light.alpha 0.25"
+OFFERS = {
+    "light": Offer(
+        "imitates a scripted expert; minutes",
+        {
+            "trial": ("--light.rounds", "4", "--light.critic-updates", "500"),
+            "short": (),
+            "full": tuple(FULL_LIGHT.split()),
+        },
+    ),
+    "paper": Offer(
+        "reinforcement learning from scratch; hours to days here",
+        {
+            "trial": ("--paper.steps", "5000", "--paper.buffer-capacity", "5000"),
+            "short": ("--paper.steps", "50000", "--paper.buffer-capacity", "50000"),
+            "full": (),
+        },
+    ),
+    "mv-mwm": Offer(
+        "reinforcement learning in the imagination of a world model; hours here",
+        {
+            "trial": ("--mv-mwm.steps", "3000"),
+            "short": (),
+            "full": ("--mv-mwm.steps", "100000"),
+        },
+    ),
 }
-"""By recipe and name, what is added to the command; nothing stands for the recipe's defaults."""
 POLICY_FILES = ("config.json", "weights.safetensors")
 STOPPED = tuple(
     code for number in (signal.SIGINT, signal.SIGTERM) for code in (128 + number, -number)
@@ -82,17 +95,17 @@ class JobConfig:
 
     def __post_init__(self) -> None:
         check_task(self.task)
-        recipes = [one for one in method(self.method).recipes if one in BUDGETS]
+        recipes = [recipe for recipe in method(self.method).recipes if recipe in OFFERS]
         if self.recipe not in recipes:
             raise unknown(f"recipe of {self.method}", self.recipe, recipes)
-        if self.budget not in BUDGETS[self.recipe]:
-            raise unknown("budget", self.budget, list(BUDGETS[self.recipe]))
+        if self.budget not in OFFERS[self.recipe].budgets:
+            raise unknown("budget", self.budget, list(OFFERS[self.recipe].budgets))
 
     def words(self) -> list[str]:
         """The arguments of ``madviz train``, without the folder."""
         named = {"task": self.task, "method": self.method, "recipe": self.recipe}
         words = [word for name, value in named.items() for word in (f"--{name}", value)]
-        return ["train", *words, *BUDGETS[self.recipe][self.budget]]
+        return ["train", *words, *OFFERS[self.recipe].budgets[self.budget]]
 
 
 @dataclass(frozen=True)

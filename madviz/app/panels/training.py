@@ -22,7 +22,7 @@ from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.envs.registry import known_tasks
 from madviz.session.commands import Command, SetPolicy
 from madviz.session.frame import Frame
-from madviz.training.job import BUDGETS, JobConfig, JobStatus, TrainingJob
+from madviz.training.job import OFFERS, JobConfig, JobStatus, TrainingJob
 
 WORDS = {
     "idle": "Nothing is being trained.",
@@ -32,15 +32,10 @@ WORDS = {
     "failed": "It failed:",
     "done": "Done.",
 }
-RECIPES = {
-    "light": "imitates a scripted expert; minutes",
-    "paper": "reinforcement learning from scratch; hours to days here",
-    "mv-mwm": "reinforcement learning in the imagination of a world model; hours here",
-}
 HINTS = {
     "task": "What is to be learned.",
     "method": "How the cameras are merged and which of them are learned from.",
-    "recipe": "light imitates an expert in minutes; paper and mv-mwm learn from rewards: hours.",
+    "recipe": " ".join(f"{name}: {offer.words}." for name, offer in OFFERS.items()),
     "budget": "trial: minutes, to see it move. short: the recipe's defaults. full: as shipped.",
     "start": "A process of its own, at the lowest priority: the page stays quick.",
     "stop": "Loses nothing that was learned.",
@@ -84,9 +79,9 @@ class TrainingPanel(WidgetPanel):
         method = gui.add_dropdown(
             "Method", tuple(METHODS), initial_value="mad", hint=HINTS["method"]
         )
-        recipe = gui.add_dropdown("Recipe", tuple(BUDGETS), hint=HINTS["recipe"])
-        budget = gui.add_dropdown("Budget", tuple(BUDGETS["light"]), hint=HINTS["budget"])
-        on_value(recipe, lambda _, name: setattr(budget, "options", tuple(BUDGETS[name])))
+        recipe = gui.add_dropdown("Recipe", tuple(OFFERS), hint=HINTS["recipe"])
+        budget = gui.add_dropdown("Budget", tuple(OFFERS["light"].budgets), hint=HINTS["budget"])
+        on_value(recipe, lambda _, name: setattr(budget, "options", tuple(OFFERS[name].budgets)))
 
         def start(client: viser.ClientHandle) -> None:
             self._job.start(JobConfig(task.value, method.value, recipe.value, budget.value))
@@ -147,10 +142,9 @@ def training_html(status: JobStatus) -> str:
 def _facts(status: JobStatus) -> str:
     config = status.config
     assert config is not None
-    said = RECIPES.get(config.recipe, config.recipe)
     return (
         f'<div class="dim">{escape(config.task)} · {escape(config.method)} · {config.recipe} '
-        f"({said}) · {config.budget}</div>"
+        f"({OFFERS[config.recipe].words}) · {config.budget}</div>"
         f'<div class="dim">in {escape(str(status.folder))}</div>'
     )
 
@@ -159,9 +153,9 @@ def _progress(status: JobStatus) -> str:
     if status.state not in ("running", "stopping"):
         return ""
     left = status.seconds_left
-    said = f"{left / 60:.0f} min left" if math.isfinite(left) else "time left not known yet"
+    time_left = f"{left / 60:.0f} min left" if math.isfinite(left) else "time left not known yet"
     return (
-        f'<span class="dim num">{100 * status.done:.0f} % · {said}</span>'
+        f'<span class="dim num">{100 * status.done:.0f} % · {time_left}</span>'
         f"{progress_bar(status.done, GOOD)}"
     )
 
