@@ -27,8 +27,9 @@ import numpy as np
 from benchmarks.render import STOCK, Frames
 from madviz.envs.registry import stock_frames
 from madviz.errors import UserError
-from madviz.measure.episodes import FIRST_SEED, Finished, Job, Runner, Workers, one_thread
-from madviz.measure.evaluate import run_jobs
+from madviz.measure.episodes import FIRST_SEED, Finished, Job, Runner, one_thread
+from madviz.measure.workers import Workers, run_jobs
+from madviz.observation.condition import Condition
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.policies import checkpoint
 from madviz.subsets import cameras_of, mask_of
@@ -64,7 +65,8 @@ def bench_evaluate(config: BenchEvaluateConfig) -> dict[str, Any]:
     if spec.task.split("/")[0] not in STOCK:
         raise UserError(f"expected a policy of {' or '.join(STOCK)}, found one for {spec.task}")
     seeds = range(config.seed, config.seed + config.episodes)
-    jobs = [Job(config.policy, spec.digest, config.subset, (), seed) for seed in seeds]
+    condition = Condition(config.subset).noticed(spec.streams)
+    jobs = [Job(config.policy, spec.digest, condition, seed) for seed in seeds]
     here, there = Runner(), Workers(count)
     ours_seconds, ours = in_workers(jobs, there)
     serial_seconds, serial = in_turn(jobs, here)

@@ -9,7 +9,6 @@ import pytest
 
 from madviz.envs.registry import SETTINGS
 from madviz.errors import UserError
-from madviz.measure.episodes import occlusion_key, relevant
 from madviz.observation.ablation import (
     Ablation,
     CameraState,
@@ -18,8 +17,8 @@ from madviz.observation.ablation import (
     by_sides,
     noise_generator,
 )
-from madviz.session.frame import condition_of
-from madviz.subsets import every_mask, mask_of
+from madviz.observation.condition import Condition
+from madviz.subsets import every_mask, mask_of, name_of
 
 FRAME = np.random.default_rng(0).integers(0, 256, (84, 84, 3), np.uint8)
 BEFORE = np.full_like(FRAME, 7)
@@ -113,7 +112,8 @@ def test_absurd_values_are_refused(bad: dict) -> None:
 def test_masks_and_switches_say_the_same(setting: str) -> None:
     streams = SETTINGS[setting].streams
     for mask in every_mask(len(streams)):
-        ablation = Ablation.from_mask(mask, streams, {"first": Occlusion("black")})
+        condition = Condition(name_of(mask, streams), (("first", Occlusion("black")),))
+        ablation = condition.ablation(streams)
         assert np.array_equal(ablation.mask(streams), mask)
         assert ablation.occlusions() == {"first": Occlusion("black")}
 
@@ -126,34 +126,40 @@ def test_switches_of_a_camera() -> None:
     assert plain.tolist() == [False, False, True]  # RGB-only: depth alone leaves nothing.
 
 
+def occluded(occlusion: Occlusion) -> Condition:
+    """All cameras, the first of which fails."""
+    return Condition("all", (("first", occlusion),))
+
+
 @pytest.mark.parametrize("kind", get_args(OcclusionKind))
 def test_what_a_kind_does_not_use_is_no_part_of_a_condition(kind: OcclusionKind) -> None:
     plain, left_over = Occlusion(kind), Occlusion(kind, x=0.1, y=0.2, width=0.3, height=0.6)
-    keys = {occlusion_key({"first": one}) for one in (plain, left_over)}
+    streams = SETTINGS["three"].streams
+    keys = {occluded(one).noticed(streams).key() for one in (plain, left_over)}
     assert len(keys) == 1 + (kind == "patch")
     weaker = Occlusion(kind, strength=0.5)
-    streams = SETTINGS["three"].streams
     states = [Ablation({"first": CameraState("rgb", one)}) for one in (plain, weaker)]
     same = kind in ("none", "black", "mean", "freeze")
-    assert (condition_of(states[0], streams) == condition_of(states[1], streams)) is same
-    everything = np.ones(3, bool)
-    noticed = [relevant({"first": one}, everything, streams) for one in (plain, weaker)]
+    assert (Condition.of(states[0], streams) == Condition.of(states[1], streams)) is same
+    noticed = [occluded(one).noticed(streams) for one in (plain, weaker)]
     assert (noticed[0] == noticed[1]) is same
     if kind != "none":  # The words that results were stored under are found again.
         assert keys >= {f"first:{kind},strength=1,x=0.5,y=0.5,size=0.4"}
 
 
 def test_pictures_that_come_equally_late_are_one_condition() -> None:
-    keys = {occlusion_key({"first": Occlusion("delay", s)}) for s in (0.28, 0.3, 0.31)}
+    late = [occluded(Occlusion("delay", strength)) for strength in (0.28, 0.3, 0.31)]
+    keys = {condition.noticed(SETTINGS["three"].streams).key() for condition in late}
     assert keys == {"first:delay,strength=0.3,x=0.5,y=0.5,size=0.4"}
 
 
 def test_a_key_names_occlusions_and_nothing_else() -> None:
-    assert Ablation({"first": CameraState("off")}).key() == ""
+    streams = SETTINGS["three"].streams
+    assert Condition.of(Ablation({"first": CameraState("off")}), streams).key() == ""
     patches = [
         Occlusion("patch", width=w, height=h) for w, h in ((0.4, 0.4), (0.4, 0.3), (0.3, 0.4))
     ]
-    keys = [Ablation({"first": CameraState("rgb", patch)}).key() for patch in patches]
+    keys = [occluded(patch).noticed(streams).key() for patch in patches]
     assert len(set(keys)) == 3
     # As squares were named before patches had two sides: stored results are found again.
     assert keys[0] == "first:patch,strength=1,x=0.5,y=0.5,size=0.4"

@@ -10,11 +10,12 @@ from madviz.app.panels.move import move_html
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel
 from madviz.app.server import shipped_rates
 from madviz.app.tour_steps import comparison_steps, restored, steps, whole
+from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.policies.checkpoint import describe
 from madviz.session.commands import Reset, SetPolicy
 from madviz.session.comparison import tally
-from madviz.session.frame import Condition, Outcome, Pair
+from madviz.session.frame import Outcome, Pair
 from madviz.types import PolicySpec
 from tests.checkpoints import measure, saved
 from tests.fakes import FakePolicy

@@ -24,9 +24,10 @@ from madviz.app.scene.scene import ScenePanel
 from madviz.app.screen import Screen
 from madviz.drawing.viewpoint import focus
 from madviz.envs.registry import make_env
-from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.condition import Condition
 from madviz.session.commands import Compare, Link, Pause, Scrub, SetCamera, SetPolicy, StepOnce
-from madviz.session.frame import Condition, Frame
+from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import browser, recorded, use
@@ -327,7 +328,7 @@ def test_panels_leave_nothing(server):
 def test_an_ablation_of_cameras_that_are_off_is_no_other_setting():
     black = CameraState("off", Occlusion("black"))
     assert frame_with(SetCamera("first", black)).condition == Condition("third_a+third_b")
-    assert Ablation({"first": black}).key() != ""
+    assert Condition("all", (("first", black.occlusion),)).key() != ""
 
 
 def test_a_message_that_woke_nobody_stops_no_other():

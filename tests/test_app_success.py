@@ -35,10 +35,11 @@ from madviz.envs.registry import make_env
 from madviz.measure.live import Request, Tally
 from madviz.measure.statistics import SuccessRate
 from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.condition import Condition
 from madviz.policies.checkpoint import load_policy
 from madviz.recording.facts import condition_words
 from madviz.session.commands import Compare, Pause, ReadSubsets, SetCamera, SetPolicy, SetSaliency
-from madviz.session.frame import Condition, Frame
+from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies
 from tests.pages import await_that, browser, recorded, use
@@ -280,12 +281,10 @@ class Asked:
         self.by: dict[Hashable, str] = {}
         self.ever: set[str] = set()
 
-    def request(
-        self, visitor: Hashable, policy: str, mask, occlusions, moves, digest: str
-    ) -> Tally:
+    def request(self, visitor: Hashable, policy: str, condition: Condition, digest: str) -> Tally:
         self.by[visitor] = policy
         self.ever.add(policy)
-        return Tally(Request(policy, "", "all"), ())
+        return Tally(Request(policy, "", condition), ())
 
     def forget(self, visitor: Hashable) -> None:
         self.by.pop(visitor, None)

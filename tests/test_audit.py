@@ -12,17 +12,18 @@ from madviz.analysis.shapley import shapley
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import STEP
 from madviz.errors import Interrupted, UserError
-from madviz.measure.audit import audit as command
+from madviz.measure import table as table_module
+from madviz.measure.audit.account import html, markdown
 from madviz.measure.audit.audit import AuditConfig, audit, audit_words, run_audit
-from madviz.measure.audit.conditions import HOWS, INTACT, Cameras, Played
-from madviz.measure.audit.page import html, markdown
-from madviz.measure.audit.plan import AuditPlan
-from madviz.measure.audit.rule import (
+from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras
+from madviz.measure.audit.schedule import AuditPlan
+from madviz.measure.audit.sentences import in_words
+from madviz.measure.audit.verdict import (
     VERDICTS,
 )
-from madviz.measure.audit.words import in_words
 from madviz.measure.statistics import pair
 from madviz.measure.store import MEMORY, EpisodeResult, Store
+from madviz.measure.table import Table
 from madviz.subsets import every_mask
 from madviz.types import Encoded, PolicySpec, Readout
 
@@ -93,11 +94,11 @@ def test_it_finds_the_camera_that_is_used_and_the_one_that_is_not(tmp_path):
 
 
 class World:
-    """Plays no episode: success of every ``Played`` at a rate, with the same luck in each scene."""
+    """Plays no episode: success of every condition at a rate, with the same luck in each scene."""
 
     def __init__(self, rate, monkeypatch):
         self.rate, self.ran, self.stop_after = rate, 0, 10**9
-        monkeypatch.setattr(command, "run_anywhere", self.play)
+        monkeypatch.setattr(table_module, "run_anywhere", self.play)
 
     def play(self, jobs, workers, here, progress):
         for job in jobs:
@@ -105,12 +106,15 @@ class World:
                 raise KeyboardInterrupt
             self.ran += 1
             luck = np.random.default_rng([job.seed, 1]).random()
-            success = bool(luck < self.rate(Played(job.subset, job.occlusions)))
-            yield job, (EpisodeResult(job.subset, job.seed, success, success, 0.0), "near")
+            success = bool(luck < self.rate(job.condition))
+            yield (
+                job,
+                (EpisodeResult(job.condition.subset, job.seed, success, success, 0.0), "near"),
+            )
 
 
 def lost(played):
-    """The cameras that a ``Played`` takes from a policy with three."""
+    """The cameras that a condition takes from a policy with three."""
     if played.occlusions:
         return {name for name, _ in played.occlusions}
     present = played.subset.split("+")
@@ -149,13 +153,11 @@ def test_rows_and_shapley_values_are_those_of_independent_formulas(monkeypatch):
     found = audit(Looker("x", THREE), episodes=40, store=store)
 
     def outcomes(played):
-        spec = replace(Looker("x", THREE).spec)
-        key = command.Job("", "x", played.subset, played.occlusions, 0).key(spec, "")
-        known = store.results(key)
+        known = Table("", Looker("x", THREE).spec, store, own=True).results(played)
         return {s: known[s].success for s in plan.seeds(found["intact"]["n"])}
 
-    for row, one in zip(found["conditions"], cameras.every(), strict=True):
-        paired = pair(outcomes(one.played), outcomes(INTACT))
+    for row, one in zip(found["conditions"], cameras.rows(), strict=True):
+        paired = pair(outcomes(one.condition), outcomes(INTACT))
         assert row["difference"] == pytest.approx(paired.difference)
         assert row["ci95"] == pytest.approx(list(paired.interval()))
     rates = [np.mean(list(outcomes(played).values())) for played in cameras.sets()]

@@ -6,7 +6,7 @@ import textwrap
 from pathlib import Path
 
 from madviz.measure.audit.audit import audit
-from madviz.measure.audit.words import in_words
+from madviz.measure.audit.sentences import in_words
 from madviz.types import Policy
 
 ROOT = Path(__file__).parent.parent

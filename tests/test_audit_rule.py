@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from madviz.envs.registry import SETTINGS
-from madviz.measure.audit.conditions import Cameras
-from madviz.measure.audit.plan import AuditPlan
-from madviz.measure.audit.rule import (
+from madviz.measure.audit.lost_cameras import Cameras
+from madviz.measure.audit.schedule import AuditPlan
+from madviz.measure.audit.sentences import plan_words
+from madviz.measure.audit.verdict import (
     LEVEL,
     VERDICTS,
     Look,
@@ -19,7 +20,6 @@ from madviz.measure.audit.rule import (
     table,
     within,
 )
-from madviz.measure.audit.words import plan_words
 from madviz.measure.statistics import pair
 
 THREE = SETTINGS["three"].streams
@@ -183,6 +183,6 @@ def test_conditions_that_are_the_same_are_played_once():
     assert len(AuditPlan(one, 10, 0).every) == 6
     rgbd = Cameras(SETTINGS["three-rgbd"].streams, lambda mask: True)
     assert len(AuditPlan(rgbd, 10, 0).every) == 36
-    assert rgbd.condition("removed", "first", "dropped").played.subset == "third_a+third_b"
+    assert rgbd.row("removed", "first", "dropped").condition.subset == "third_a+third_b"
     five = Cameras(SETTINGS["five"].streams, lambda mask: True)
     assert len(five.sets()) == 32 and len(AuditPlan(five, 10, 0).every) == 1 + 11 * 5 + 20

@@ -11,8 +11,10 @@ from benchmarks import evaluate as bench_evaluate
 from benchmarks import live as bench_live
 from benchmarks.render import Frames, RenderConfig, alternate, bench_render
 from madviz.errors import UserError
-from madviz.measure.episodes import Finished, Job, Workers
+from madviz.measure.episodes import Finished, Job
 from madviz.measure.store import EpisodeResult
+from madviz.measure.workers import Workers
+from madviz.observation.condition import Condition
 from madviz.training import job
 from madviz.training.job import JobConfig, JobStatus, State
 from madviz.types import Encoded
@@ -111,7 +113,7 @@ class FakeRunner:
 
 def test_a_plain_loop_is_timed_without_its_first_episode() -> None:
     clock = Clock()
-    jobs = [Job("toy", "digest", "all", (), seed) for seed in range(3)]
+    jobs = [Job("toy", "digest", Condition("all"), seed) for seed in range(3)]
     seconds, found = bench_evaluate.in_turn(jobs, FakeRunner(clock), clock)  # type: ignore[arg-type]
     assert seconds == 30.0 and [found[job][0].seed for job in jobs] == [0, 1, 2]
 

@@ -11,7 +11,7 @@ import pytest
 
 from madviz import cli
 from madviz.errors import UserError
-from madviz.measure.compare import CompareConfig, comparison_table, over_trainings, run_compare
+from madviz.measure.compare import CompareConfig, compare_policies, comparison_table, over_trainings
 from madviz.measure.evidence import read_evidence
 from madviz.measure.statistics import pair
 from madviz.measure.store import EpisodeResult, ResultKey, Store
@@ -32,7 +32,7 @@ def two(tmp_path: Path) -> tuple[str, str]:
 
 
 def test_differences_are_those_of_the_paired_episodes(two: tuple[str, str]) -> None:
-    result = run_compare(CompareConfig(two))
+    result = compare_policies(CompareConfig(two))
     assert [p["method"] for p in result["policies"]] == ["mad", "merged-only"]
     rows = result["comparisons"][0]["subsets"]
     assert list(rows) == ["all", "first", "third_a", "third_b"]
@@ -48,10 +48,10 @@ def test_differences_are_those_of_the_paired_episodes(two: tuple[str, str]) -> N
 
 
 def test_only_the_subsets_asked_for(two: tuple[str, str]) -> None:
-    result = run_compare(CompareConfig(two, ("first",)))
+    result = compare_policies(CompareConfig(two, ("first",)))
     assert list(result["comparisons"][0]["subsets"]) == ["first"]
     with pytest.raises(UserError, match="expected episodes on 'none' of every policy"):
-        run_compare(CompareConfig(two, ("none",)))
+        compare_policies(CompareConfig(two, ("none",)))
 
 
 @pytest.mark.parametrize("change", [{"episodes": 50}, {"first_seed": 6000}])
@@ -59,7 +59,7 @@ def test_policies_that_met_other_seeds_are_refused(change: dict[str, Any], tmp_p
     first = str(write_policy(tmp_path, GOOD))
     second = str(write_policy(tmp_path, BAD, method="merged-only", **change))
     with pytest.raises(UserError, match=r"same seeds for all, found 5000-5099 \(100\) of .*eval"):
-        run_compare(CompareConfig((first, second)))
+        compare_policies(CompareConfig((first, second)))
 
 
 @pytest.mark.parametrize(
@@ -76,21 +76,21 @@ def test_policies_that_were_measured_otherwise_are_refused(
     file = Path(two[1]) / "config.json"
     file.write_text(json.dumps({**json.loads(file.read_text()), key: value}))
     with pytest.raises(UserError, match=f"expected policies measured alike, found {fact}"):
-        run_compare(CompareConfig(two))
+        compare_policies(CompareConfig(two))
 
 
 def test_one_policy_is_nothing_to_compare(two: tuple[str, str]) -> None:
     with pytest.raises(UserError, match="expected two or more policies, found 1"):
-        run_compare(CompareConfig(two[:1]))
+        compare_policies(CompareConfig(two[:1]))
     with pytest.raises(UserError, match="unknown policy 'no-such-policy'"):
-        run_compare(CompareConfig((two[0], "no-such-policy")))
+        compare_policies(CompareConfig((two[0], "no-such-policy")))
 
 
 def test_a_policy_that_was_not_evaluated_is_named_with_the_command(tmp_path: Path) -> None:
     evaluated = write_policy(tmp_path, GOOD)
     fresh = save_policy(tmp_path / "fresh", make_agent(), make_config())
     with pytest.raises(UserError, match=f"run `madviz eval --policy {fresh} --card`"):
-        run_compare(CompareConfig((str(evaluated), str(fresh))))
+        compare_policies(CompareConfig((str(evaluated), str(fresh))))
 
 
 @pytest.mark.parametrize(
@@ -114,12 +114,12 @@ def test_episodes_may_come_from_a_store(
         for seed in range(4):
             store.put(key, EpisodeResult(stored, seed, seed < successes, True, 0.0))
     store.close()
-    result = run_compare(CompareConfig(two, (asked,), store=str(tmp_path / "store.sqlite")))
+    result = compare_policies(CompareConfig(two, (asked,), store=str(tmp_path / "store.sqlite")))
     assert result["comparisons"][0]["subsets"][asked]["difference"] == 0.5
     with pytest.raises(UserError, match="expected episodes on 'fourth' of every policy"):
-        run_compare(CompareConfig(two, ("fourth",), store=str(tmp_path / "store.sqlite")))
+        compare_policies(CompareConfig(two, ("fourth",), store=str(tmp_path / "store.sqlite")))
     with pytest.raises(UserError, match="expected a store of results"):
-        run_compare(CompareConfig(two, store=str(tmp_path / "none.sqlite")))
+        compare_policies(CompareConfig(two, store=str(tmp_path / "none.sqlite")))
 
 
 def test_trainings_that_agree_have_an_interval(
@@ -132,7 +132,7 @@ def test_trainings_that_agree_have_an_interval(
         str(write_policy(tmp_path, {"all": 1.0}, seed=seed, folder=f"mad{seed}"))
         for seed in (1, 2, 3)
     ]
-    run_compare(CompareConfig(tuple(policies), figure=tmp_path / "figure.svg"))
+    compare_policies(CompareConfig(tuple(policies), figure=tmp_path / "figure.svg"))
     ((bar,),) = drawn.values()
     assert (bar.value, bar.high) == (1.0, 1.0) and 0.95 < bar.low < 0.99
 
@@ -144,12 +144,12 @@ def test_the_figure_has_a_bar_for_a_method_and_a_dot_for_a_training(tmp_path: Pa
     ]
     policies.append(str(write_policy(tmp_path, {"all": 0.4}, method="merged-only")))
     figure = tmp_path / "figure.svg"
-    result = run_compare(CompareConfig(tuple(policies), figure=figure))
+    result = compare_policies(CompareConfig(tuple(policies), figure=figure))
     assert len(result["comparisons"]) == 3
     drawn = figure.read_text()
     xml.fromstring(drawn)
     assert drawn.count('class="dot"') == 3 and "merged-only (three, light)" in drawn
-    run_compare(CompareConfig(tuple(policies), figure=figure))
+    compare_policies(CompareConfig(tuple(policies), figure=figure))
     assert figure.read_text() == drawn
 
 
@@ -163,12 +163,12 @@ def test_curves_need_success_by_subset(two: tuple[str, str], tmp_path: Path) -> 
     figure = tmp_path / "curves.svg"
     (Path(two[0]) / "curve.csv").write_text("round,student_success\n1,0.5\n")
     with pytest.raises(UserError, match="only the recipe `paper` measures it"):
-        run_compare(CompareConfig(two, curves=figure))
+        compare_policies(CompareConfig(two, curves=figure))
     for policy in two:
         (Path(policy) / "curve.csv").write_text(
             "env_steps,success_all,success_first,return_all\n0,0.0,0.0,1\n100,1.0,0.5,9\n"
         )
-    run_compare(CompareConfig(two, curves=figure))
+    compare_policies(CompareConfig(two, curves=figure))
     drawn = figure.read_text()
     assert drawn.count('class="line"') == 6  # Two methods; all, first and their average.
     assert ">average<" in drawn and ">100<" in drawn

@@ -1,12 +1,14 @@
 """``madviz compare P --conditions``: conditions of one policy, on the same seeds."""
 
 import json
+from typing import cast
 
 import pytest
 
 from madviz import cli
 from madviz.errors import UserError
 from madviz.measure.compare import CompareConfig, comparison_table, run_compare
+from madviz.measure.compare_conditions import ConditionsFile
 from madviz.measure.evaluate import evaluate
 from madviz.measure.statistics import pair
 from madviz.observation.ablation import Occlusion
@@ -39,7 +41,7 @@ def make_picky():
 )
 def test_conditions_are_read(word, subset, occlusions):
     found = parse_condition(word, CAMERAS)
-    assert (found.subset, found.occlusions) == (subset, occlusions)
+    assert (found.subset, dict(found.occlusions)) == (subset, occlusions)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +70,7 @@ def config(*conditions, policy="tests.fakes:FakePolicy", **more):
 
 
 def test_conditions_are_compared_on_the_same_seeds():
-    result = run_compare(config("all", "black:third_a", "first"))
+    result = cast(ConditionsFile, run_compare(config("all", "black:third_a", "first")))
     assert [row["second"] for row in result["comparisons"]] == ["black:third_a", "first"]
     intact = evaluate(FakePolicy(), ("all", "first"), episodes=6, seed=7)
     black = evaluate(
@@ -86,7 +88,7 @@ def test_conditions_are_compared_on_the_same_seeds():
 
 
 def test_what_cannot_be_compared_is_refused_before_anything_is_played(monkeypatch):
-    monkeypatch.setattr("madviz.measure.conditions.evaluate", None)
+    monkeypatch.setattr("madviz.measure.table.run_anywhere", None)
     with pytest.raises(UserError, match="picky cannot act on 'first'"):
         run_compare(config("all", "first", policy="tests.test_conditions:make_picky"))
     with pytest.raises(UserError, match="expected two or more conditions"):

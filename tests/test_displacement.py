@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import xml.etree.ElementTree as ElementTree
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from madviz import cli
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.measure import displace as displace_module
+from madviz.measure import table as table_module
 from madviz.measure.displace import (
     DisplaceConfig,
     Point,
@@ -26,6 +28,7 @@ from madviz.measure.displace import (
 from madviz.measure.episodes import Job, Runner
 from madviz.measure.evaluate import evaluate
 from madviz.measure.statistics import SuccessRate, wilson
+from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement
 from madviz.types import Encoded, Readout
 from tests.fakes import AllOrNothing, FakePolicy
@@ -103,10 +106,10 @@ def test_every_place_has_the_same_seeds(monkeypatch):
 
     class Watching(Runner):
         def run(self, job):
-            seen.append((job.moves, job.seed))
+            seen.append((job.condition.moves, job.seed))
             return super().run(job)
 
-    monkeypatch.setattr(displace_module, "Runner", Watching)
+    monkeypatch.setattr(table_module, "Runner", Watching)
     displace(Seeker(), "third_b", places("up", 0.1, 2), episodes=3, seed=5000)
     moves = {move for move, _ in seen}
     assert moves == {(), (("third_b", Displacement(up=0.1)),)}
@@ -117,12 +120,13 @@ def test_every_place_has_the_same_seeds(monkeypatch):
 def test_a_runner_puts_cameras_back_for_the_next_job():
     policy, runner = Seeker(), Runner()
     runner.adopt("", policy)
-    plain = Job("", policy.spec.digest, "all", (), 5000)
-    moved = Job("", policy.spec.digest, "all", (), 5000, (("third_b", Displacement(right=0.5)),))
+    there = Condition("all", (), (("third_b", Displacement(right=0.5)),))
+    plain = Job("", policy.spec.digest, Condition("all"), 5000)
+    moved = Job("", policy.spec.digest, there, 5000)
     first, away, again = (runner.run(job)[0] for job in (plain, moved, plain))
     assert first == again != away
-    assert plain.key(policy.spec, "").occlusions == ""
-    assert moved.key(policy.spec, "").occlusions == "third_b:moved,right=0.5"
+    assert Condition("all").key() == ""
+    assert there.key() == "third_b:moved,right=0.5"
     runner.close()
 
 
@@ -184,7 +188,7 @@ def test_how_far_depends_on_what_it_is_unless_somebody_says(way, end, monkeypatc
 
 def test_table_and_picture_of_zoom():
     row = {"success": 0.5, "n": 4, "ci95": list(wilson(2, 4))}
-    result = {
+    result: Any = {
         "policy": "p",
         "task": "t",
         "camera": "first",
@@ -200,7 +204,7 @@ def test_table_and_picture_of_zoom():
 
 def test_a_curve_for_each_way():
     row = {"success": 0.5, "n": 4, "ci95": list(wilson(2, 4))}
-    result = {
+    result: Any = {
         "policy": "p",
         "task": "t",
         "camera": "first",

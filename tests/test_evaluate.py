@@ -17,7 +17,7 @@ from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
-from madviz.measure.episodes import Job, Runner, relevant, run_episode
+from madviz.measure.episodes import Job, Runner, run_episode
 from madviz.measure.evaluate import (
     EvalConfig,
     default_subsets,
@@ -26,6 +26,7 @@ from madviz.measure.evaluate import (
 )
 from madviz.measure.store import MEMORY, Store
 from madviz.observation.ablation import Ablation, Occlusion
+from madviz.observation.condition import Condition
 from madviz.observation.grammar import parse_occlusions
 from madviz.policies import checkpoint
 from madviz.policies.config import TrainingRecord, policy_config
@@ -35,6 +36,7 @@ from tests.fakes import AllOrNothing, FakePolicy, NanPolicy
 STREAMS = SETTINGS["three"].streams
 ALL, FIRST, NONE = (np.array(mask, bool) for mask in ((1, 1, 1), (1, 0, 0), (0, 0, 0)))
 INTACT = Ablation()
+NOISY = Condition("all", (("first", Occlusion("noise")),))
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +79,7 @@ def make_nan_policy():
 
 def jobs_for(count, subset="all"):
     policy = "tests.fakes:FakePolicy"
-    return [Job(policy, "toy-mad0", subset, (), seed) for seed in range(5000, 5000 + count)]
+    return [Job(policy, "toy-mad0", Condition(subset), seed) for seed in range(5000, 5000 + count)]
 
 
 # --- One episode ---
@@ -133,7 +135,7 @@ def test_what_was_not_drawn_makes_no_difference():
 
 def test_an_episode_does_not_depend_on_what_ran_before():
     env, policy = ToyReach(), FakePolicy()
-    noisy = Ablation.from_mask(ALL, STREAMS, {"first": Occlusion("noise")})
+    noisy = NOISY.ablation(STREAMS)
     fresh = run_episode(policy, ToyReach(), ALL, noisy, 3)
     run_episode(policy, env, FIRST, INTACT, 4)
     assert run_episode(policy, env, ALL, noisy, 3) == fresh
@@ -142,7 +144,7 @@ def test_an_episode_does_not_depend_on_what_ran_before():
 
 def test_an_occlusion_is_not_a_drop():
     env, policy = ToyReach(), FakePolicy()
-    black = Ablation.from_mask(ALL, STREAMS, {"first": Occlusion("noise", strength=1)})
+    black = NOISY.ablation(STREAMS)
     dropped = run_episode(policy, env, np.array([0, 1, 1], bool), INTACT, 3)
     rewards = {run_episode(policy, env, ALL, a, 3).total_reward for a in (INTACT, black)}
     assert len(rewards | {dropped.total_reward}) == 3
@@ -155,11 +157,15 @@ def test_a_subset_the_policy_cannot_act_on_is_an_error():
 
 def test_relevant_occlusions_are_those_a_policy_can_notice():
     black, noise = Occlusion("black"), Occlusion("noise")
-    occlusions = {"third_a": noise, "first": black, "third_b": Occlusion("none")}
-    assert relevant(occlusions, ALL, STREAMS) == (("first", black), ("third_a", noise))
-    assert relevant(occlusions, FIRST, STREAMS) == (("first", black),)
-    assert relevant(occlusions, NONE, STREAMS) == ()
-    assert relevant({"fourth": black}, ALL, STREAMS) == ()  # Of another policy's camera.
+    occlusions = (("third_a", noise), ("first", black), ("third_b", Occlusion("none")))
+
+    def noticed(subset, occlusions=occlusions):
+        return Condition(subset, occlusions).noticed(STREAMS).occlusions
+
+    assert noticed("all") == (("first", black), ("third_a", noise))
+    assert noticed("first") == (("first", black),)
+    assert noticed("none") == ()
+    assert noticed("all", (("fourth", black),)) == ()  # Another policy has that camera.
 
 
 # --- Evaluations ---
@@ -329,7 +335,7 @@ def test_a_card_is_not_written_about_occluded_cameras_or_somebodys_own_code(fold
 
 def test_the_public_name_is_callable_before_and_after_its_module_is_imported():
     code = "import madviz; from madviz.{} import *; madviz.evaluate('nope')"
-    for first in ("types", "evaluation.evaluate"):
+    for first in ("types", "measure.evaluate"):
         found = subprocess.run(
             [sys.executable, "-c", code.format(first)], capture_output=True, text=True, timeout=60
         )
@@ -341,7 +347,9 @@ def test_a_process_keeps_a_few_policies_and_notices_a_changed_one(folder, tmp_pa
     monkeypatch.setattr(checkpoint, "load_policy", lambda p: loaded.append(p) or load(p))
     runner, digest = Runner(), checkpoint.describe(folder).spec.digest
     for policy in (str(folder), "tests.fakes:FakePolicy") * 2:
-        runner.run(Job(policy, digest if policy == str(folder) else "toy-mad0", "none", (), 1))
+        runner.run(
+            Job(policy, digest if policy == str(folder) else "toy-mad0", Condition("none"), 1)
+        )
     assert loaded == [str(folder), "tests.fakes:FakePolicy"]
     with pytest.raises(UserError, match="was changed while it was evaluated"):
-        runner.run(Job(str(folder), "another digest", "none", (), 1))
+        runner.run(Job(str(folder), "another digest", Condition("none"), 1))

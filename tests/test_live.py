@@ -13,27 +13,27 @@ from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from madviz.app.panels.success import bars_html
 from madviz.app.rates import SuccessRates
 from madviz.errors import UserError
-from madviz.measure.episodes import Runner, Workers
+from madviz.measure.episodes import Job, Runner
 from madviz.measure.live import Evaluator
 from madviz.measure.store import MEMORY, EpisodeResult, Store
+from madviz.measure.workers import Workers
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement
 from madviz.policies import checkpoint
 from madviz.session.commands import SetCamera
-from madviz.session.frame import Condition, condition_of
 from tests.checkpoints import make_config
 from tests.fakes import FakePolicy
 from tests.sessions import frame_with
 from tests.test_store import full_disk
 
 POLICY = "tests.fakes:FakePolicy"
-ALL, FIRST, NONE = (np.array(mask, bool) for mask in ((1, 1, 1), (1, 0, 0), (0, 0, 0)))
+ALL, FIRST, NONE = map(Condition, ("all", "first", "none"))
 
 
 class FakeWorkers(Workers):
@@ -50,11 +50,11 @@ class FakeWorkers(Workers):
 
     @property
     def jobs(self):
-        return [(job.subset, job.seed) for job, _ in self.waiting]
+        return [(job.condition.subset, job.seed) for job, _ in self.waiting]
 
     def finish(self, success=True):
         job, future = self.waiting.pop(0)
-        result = EpisodeResult(job.subset, job.seed, success, True, 1.0)
+        result = EpisodeResult(job.condition.subset, job.seed, success, True, 1.0)
         future.set_result((result, "at the last step: near"))
         return job
 
@@ -152,9 +152,10 @@ def test_a_visitor_who_left_is_not_served(live):
 
 def test_occlusions_that_cannot_be_noticed_are_the_same_setting(live):
     evaluator, _ = live
-    black = {"third_a": Occlusion("black")}
-    assert evaluator.tally(POLICY, FIRST, black).request == evaluator.tally(POLICY, FIRST).request
-    assert evaluator.tally(POLICY, ALL, black).request != evaluator.tally(POLICY, ALL).request
+    black = (("third_a", Occlusion("black")),)
+    for subset, same in ((FIRST, True), (ALL, False)):
+        occluded = evaluator.tally(POLICY, Condition(subset.subset, black)).request
+        assert (occluded == evaluator.tally(POLICY, subset).request) is same
 
 
 def test_the_listener_hears_every_result():
@@ -163,7 +164,10 @@ def test_the_listener_hears_every_result():
     evaluator.request("ann", POLICY, ALL)
     workers.finish()
     workers.finish()
-    assert [(tally.request.subset, tally.n) for tally in heard] == [("all", 1), ("all", 2)]
+    assert [(tally.request.condition.subset, tally.n) for tally in heard] == [
+        ("all", 1),
+        ("all", 2),
+    ]
 
 
 def test_an_error_ends_its_setting_only_and_asking_anew_tries_again(live):
@@ -258,7 +262,7 @@ def test_real_workers_survive_a_kill_and_give_the_right_numbers():
     os.kill(victim.pid, signal.SIGKILL)
     assert enough.wait(300)
     runner, tally = Runner(), evaluator.tally(POLICY, ALL)
-    assert tally.results == tuple(runner.run(tally.request.job(r.seed))[0] for r in tally.results)
+    assert tally.results == tuple(runner.run(Job(*tally.request, r.seed))[0] for r in tally.results)
     assert [r.seed for r in tally.results] == list(range(5000, 5060))
     evaluator.close()
 
@@ -285,12 +289,13 @@ class Patient(FakePolicy):
 
 def test_a_moved_camera_is_measured_where_it_stands_and_counts_apart(live):
     evaluator, workers = live
-    there = {"first": Displacement(right=0.1), "third_b": Displacement(up=0.1)}
-    evaluator.request("ann", POLICY, FIRST, moves=there)
+    right, up = Displacement(right=0.1), Displacement(up=0.1)
+    there = Condition("first", (), (("first", right), ("third_b", up)))
+    evaluator.request("ann", POLICY, there)
     job = workers.finish()
-    assert job.moves == (("first", there["first"]),)  # The other one is dropped: nobody would see.
+    assert job.condition.moves == (("first", right),)  # The other one is dropped: nobody would see.
     assert evaluator.request("ann", POLICY, FIRST).n == 0
-    assert evaluator.request("ann", POLICY, FIRST, moves=there).n == 1
+    assert evaluator.request("ann", POLICY, there).n == 1
 
 
 def test_what_workers_measure_of_a_moved_camera_is_where_the_page_looks_for_it():
@@ -301,13 +306,13 @@ def test_what_workers_measure_of_a_moved_camera_is_where_the_page_looks_for_it()
         made.append(workers)
         return evaluator
 
-    policy, mask = FakePolicy(), np.ones(3, bool)
+    policy = FakePolicy()
     rates = SuccessRates(make_evaluator=make, reference=lambda spec: POLICY)
-    moved = Ablation({}, {"first": Displacement(pan=5)})
-    rates.want("ann", policy.spec, mask, moved)
+    moved = Condition.of(Ablation({}, {"first": Displacement(pan=5)}), policy.spec.streams)
+    rates.want("ann", policy.spec, moved)
     made[0].finish()
-    assert rates.live(policy.spec, condition_of(moved, policy.spec.streams)).n == 1
-    assert rates.live(policy.spec, condition_of(Ablation(), policy.spec.streams)).n == 0
+    assert rates.live(policy.spec, moved).n == 1
+    assert rates.live(policy.spec, ALL).n == 0
 
 
 def test_a_folder_that_was_trained_again_meanwhile_is_not_measured_as_the_old_one(
@@ -325,9 +330,9 @@ def test_a_folder_that_was_trained_again_meanwhile_is_not_measured_as_the_old_on
 
     rates, frame = SuccessRates(make_evaluator=make), frame_with()
     acting = frame.world.policy
-    rates.want("ann", acting, ALL, Ablation())
+    rates.want("ann", acting, ALL)
     folder = replace(folder, spec=replace(acting, digest="trained again"))
-    rates.want("ann", acting, FIRST, Ablation.from_mask(FIRST, acting.streams, {}))
+    rates.want("ann", acting, FIRST)
     made[0].finish()  # It began with the old weights.
     assert made[0].jobs == [], "nothing more is played"
     assert rates.live(acting, Condition("all")).n == 1
@@ -337,7 +342,7 @@ def test_a_folder_that_was_trained_again_meanwhile_is_not_measured_as_the_old_on
     assert said in bars_html(alone, rates)
     rates.add(acting, Condition("first"), {2000: True})
     assert said in bars_html(alone, rates), "an episode of the page does not take it away"
-    rates.want("bob", folder.spec, ALL, Ablation())
+    rates.want("bob", folder.spec, ALL)
     made[0].finish()
     assert rates.live(folder.spec, Condition("all")).n == 1
     assert rates.live(acting, Condition("all")).n == 1

@@ -10,11 +10,11 @@ from madviz.app.panels.audit import audit_html
 from madviz.app.rates import SuccessRates
 from madviz.errors import UserError
 from madviz.measure.audit.audit import audit
-from madviz.measure.audit.plan import AuditPlan
-from madviz.measure.episodes import FIRST_SEED, relevant
+from madviz.measure.audit.schedule import AuditPlan
+from madviz.measure.episodes import FIRST_SEED
 from madviz.measure.live import Request, Tally
 from madviz.measure.store import EpisodeResult
-from madviz.subsets import name_of
+from madviz.observation.condition import Condition
 from tests.fakes import FakePolicy
 from tests.sessions import frame_with
 
@@ -31,23 +31,22 @@ class Measured:
         self.listener, self.step, self.error = listener, step, error
         self.known, self.asked, self.left = {}, [], []
 
-    def request(self, visitor, policy, mask, occlusions=None, moves=None, digest=None):
-        present = relevant(occlusions or {}, mask, SPEC.streams)
-        request = Request(str(policy), SPEC.digest, name_of(mask, SPEC.streams), present)
-        self.asked.append((request.subset, present))
+    def request(self, visitor, policy, condition, digest=None):
+        request = Request(str(policy), SPEC.digest, condition)
+        self.asked.append(condition)
         seeds = self.known.setdefault(request, [])
         seeds += range(len(seeds), len(seeds) + self.step)
         results = tuple(
-            EpisodeResult(request.subset, FIRST_SEED + i, self.success(request, i), False, 0.0)
+            EpisodeResult(condition.subset, FIRST_SEED + i, self.success(condition, i), False, 0.0)
             for i in seeds
         )
         return Tally(request, results, self.error)
 
     @staticmethod
-    def success(request, number):
+    def success(condition, number):
         """First person decides; whatever happens to it."""
-        blind = [camera for camera, _ in request.occlusions]
-        there = request.subset == "all" or "first" in request.subset
+        blind = [camera for camera, _ in condition.occlusions]
+        there = condition.subset == "all" or "first" in condition.subset
         return there and "first" not in blind and number % 20 != 0
 
     def forget(self, visitor):
@@ -90,11 +89,10 @@ def test_it_comes_to_what_the_command_comes_to(monkeypatch):
 
     def play(jobs, count, here, progress):
         for job in jobs:
-            request = Request("", "", job.subset, job.occlusions)
-            good = workers.success(request, job.seed - FIRST_SEED)
-            yield job, (EpisodeResult(job.subset, job.seed, good, good, 0.0), "")
+            good = workers.success(job.condition, job.seed - FIRST_SEED)
+            yield job, (EpisodeResult(job.condition.subset, job.seed, good, good, 0.0), "")
 
-    monkeypatch.setattr("madviz.measure.audit.audit.run_anywhere", play)
+    monkeypatch.setattr("madviz.measure.table.run_anywhere", play)
     assert audit(FakePolicy(), episodes=100) == status.found
 
 
@@ -104,8 +102,8 @@ def test_what_verdicts_rest_on_is_asked_for_first_and_a_condition_at_a_time():
     assert ended(running).state == "done"
     plan = status_plan(running)
     order = list(dict.fromkeys(workers.asked))
-    assert order == [(played.subset, played.occlusions) for played in plan.every]
-    assert workers.asked[:3] == [("all", ())] * 2 + [("third_a+third_b", ())]
+    assert order == list(plan.every)
+    assert workers.asked[:3] == [Condition("all")] * 2 + [Condition("third_a+third_b")]
 
 
 def status_plan(running) -> AuditPlan:

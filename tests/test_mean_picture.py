@@ -10,6 +10,7 @@ from madviz.measure.episodes import run_episode
 from madviz.measure.evaluate import evaluate
 from madviz.measure.mean_picture import EPISODES, FIRST_SEED, PICTURES, mean_pictures
 from madviz.observation.ablation import Ablation, Occlusion
+from madviz.observation.condition import Condition
 from madviz.observation.grammar import parse_occlusions
 from madviz.observation.streams import StreamStack, stream_frame
 from madviz.session.commands import SetCamera
@@ -39,13 +40,18 @@ def test_it_is_the_mean_of_the_experts_pictures(streams):
         assert found[stream].dtype == np.uint8
 
 
+def means(*cameras):
+    """The condition in which ``cameras`` send their mean pictures."""
+    return Condition("all", tuple((camera, Occlusion("mean")) for camera in cameras))
+
+
 def test_it_does_not_depend_on_the_episode():
     env = make_env("toy/reach")
     stacks = []
     for seed in (1, 2):
         env.reset(seed)
         stack = StreamStack(env.spec, STREAMS, means=lambda: mean_pictures(env.spec, STREAMS))
-        ablation = Ablation.from_mask(ALL, STREAMS, parse_occlusions(["third_a=mean"]))
+        ablation = means("third_a").ablation(STREAMS)
         stack.push({camera: env.view(camera) for camera in STREAMS}, ablation, seed, 0)
         stacks.append(stack.views)
     same = [np.array_equal(stacks[0][i], stacks[1][i]) for i in range(3)]
@@ -55,14 +61,14 @@ def test_it_does_not_depend_on_the_episode():
 def test_without_mean_pictures_it_says_so():
     env = make_env("toy/reach")
     env.reset(0)
-    ablation = Ablation.from_mask(ALL, STREAMS, {"first": Occlusion("mean")})
+    ablation = means("first").ablation(STREAMS)
     with pytest.raises(UserError, match="expected mean pictures"):
         StreamStack(env.spec, STREAMS).push({}, ablation, 0, 0)
 
 
 def test_an_evaluation_and_the_page_send_the_same_one():
     policy, env = FakePolicy(), make_env("toy/reach")
-    blind = Ablation.from_mask(ALL, STREAMS, {name: Occlusion("mean") for name in STREAMS})
+    blind = means(*STREAMS).ablation(STREAMS)
     first = run_episode(policy, env, ALL, blind, 5)
     assert run_episode(policy, env, ALL, blind, 5) == first
     simulation = Simulation(make_env("toy/reach"), policy, Ablation())
@@ -81,7 +87,7 @@ def test_it_begins_in_mid_episode_at_once():
     simulation.step(lambda: None)
     wanted = mean_pictures(simulation.env.spec, STREAMS)["third_b"]
     assert not np.array_equal(simulation.arrived["third_b"], wanted)
-    blind = Ablation.from_mask(ALL, STREAMS, {"third_b": Occlusion("mean")})
+    blind = means("third_b").ablation(STREAMS)
     simulation.set_camera(SetCamera("third_b", blind.camera("third_b")))
     assert np.array_equal(simulation.arrived["third_b"], wanted)
 

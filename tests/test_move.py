@@ -16,6 +16,7 @@ from madviz.app.scene.gizmo import Gizmo
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.observation.condition import Condition
 from madviz.observation.displacement import (
     LARGEST,
     MOST_ZOOM,
@@ -28,7 +29,7 @@ from madviz.observation.displacement import (
     turned,
 )
 from madviz.session.commands import Compare, Fork, Pause, Reset, Scrub, SetCamera, SetPolicy
-from madviz.session.frame import Frame, condition_of, words
+from madviz.session.frame import Frame, words
 from madviz.session.replay import replay_episode
 from madviz.session.session import Session
 from madviz.session.session_reader import parse
@@ -117,12 +118,14 @@ def test_a_moved_camera_is_a_setting_of_its_own_and_old_keys_stay():
     streams = ("first", "third_a")
     still = Ablation({"first": CameraState(occlusion=Occlusion("black"))})
     moved = still.move("third_a", Displacement(right=0.1))
-    assert still.key() == "first:black,strength=1,x=0.5,y=0.5,size=0.4"
-    assert moved.key() == f"{still.key()};third_a:moved,right=0.1"
-    assert condition_of(moved, streams) != condition_of(still, streams)
+    assert Condition.of(still, streams).key() == "first:black,strength=1,x=0.5,y=0.5,size=0.4"
+    assert Condition.of(moved, streams).key() == (
+        f"{Condition.of(still, streams).key()};third_a:moved,right=0.1"
+    )
+    assert Condition.of(moved, streams) != Condition.of(still, streams)
     dropped = moved.replace("third_a", CameraState("off"))  # What is not there cannot be moved.
     gone = still.replace("third_a", CameraState("off"))
-    assert condition_of(dropped, streams) == condition_of(gone, streams)
+    assert Condition.of(dropped, streams) == Condition.of(gone, streams)
     assert moved.move("third_a", None) == still == moved.move("third_a", Displacement())
 
 
@@ -137,7 +140,7 @@ def test_a_move_is_seen_at_once_and_put_back_also_while_paused():
     assert not np.array_equal(frame.action, before.action)
     shift = frame.world.poses["third_a"].position - before.world.poses["third_a"].position
     assert np.linalg.norm(shift) == pytest.approx(0.3)
-    assert frame.condition.occlusions == "third_a:moved,right=0.3"
+    assert frame.condition.key() == "third_a:moved,right=0.3"
     assert frame.world.change is not None
     assert words(frame.world.change, frame.world.env).startswith(
         "Third A moved: 0.30 m to the right: action"
@@ -154,7 +157,7 @@ def test_a_moved_camera_stays_moved_over_steps_occlusions_and_resets():
     frame = live.steps(3)
     assert frame.world.ablation.moves == {"third_a": ASIDE.move}
     again = live.ask(Reset())
-    assert again.world.step == 0 and again.condition.occlusions.endswith("third_a:moved,right=0.3")
+    assert again.world.step == 0 and again.condition.key().endswith("third_a:moved,right=0.3")
 
 
 def test_only_whole_episodes_under_one_place_count_for_it():
@@ -165,7 +168,7 @@ def test_only_whole_episodes_under_one_place_count_for_it():
     assert first.condition is None and first.cameras["third_a"] == "moved"
     live.ask(Reset())
     second = live.steps(26).world.outcomes[-1]
-    assert second.condition is not None and "third_a:moved" in second.condition.occlusions
+    assert second.condition is not None and "third_a:moved" in second.condition.key()
 
 
 def test_going_back_puts_cameras_where_they_were_then():

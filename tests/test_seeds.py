@@ -19,6 +19,7 @@ from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.measure.compare import CompareConfig, run_compare
+from madviz.measure.episodes import Runner
 from madviz.measure.evaluate import EvalConfig, run_eval
 from madviz.measure.evidence import find_evidence, read_evidence
 from madviz.policies import checkpoint
@@ -159,17 +160,15 @@ def test_report_evaluates_on_fresh_seeds_and_moves_the_old_figures(toy: Path) ->
 
 
 def test_an_evaluation_that_was_stopped_goes_on(toy: Path, monkeypatch: Any) -> None:
-    from madviz.measure import evaluate
-
-    run, seeds = evaluate.Runner.run, []
+    run, seeds = Runner.run, []
 
     def stopped(runner: Any, job: Any) -> Any:
         if len(seeds) == 3:
             raise KeyboardInterrupt
-        seeds.append((job.subset, job.seed))
+        seeds.append((job.condition.subset, job.seed))
         return run(runner, job)
 
-    monkeypatch.setattr(evaluate.Runner, "run", stopped)
+    monkeypatch.setattr(Runner, "run", stopped)
     config = ReportConfig(toy.parent, evaluate=True, episodes=2, workers=0)
     with pytest.raises(KeyboardInterrupt):
         run_report(config)

@@ -140,7 +140,7 @@ def test_black_is_not_dropped(session: Recorder):
     dropped = session.ask(SetCamera("third_a", OFF))
     session.ask(SetCamera("third_a", CameraState("rgb")))
     black = session.ask(SetCamera("third_a", BLACK))
-    assert black.condition.subset == "all" and "third_a:black" in black.condition.occlusions
+    assert black.condition.subset == "all" and "third_a:black" in black.condition.key()
     assert (black.world.arrived["third_a"] == 0).all()
     assert dropped.world.arrived["third_a"].any()
     assert black.world.change is not None

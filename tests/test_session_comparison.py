@@ -10,11 +10,12 @@ import pytest
 from madviz.app.panels.comparison import comparison_html
 from madviz.envs.toy import ToyReach
 from madviz.observation.ablation import Ablation, CameraState
+from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.observation.schedule import Event
 from madviz.session.commands import Compare, Link, Play, Scrub, SetCamera, SetPolicy, SetSchedule
 from madviz.session.comparison import tally
-from madviz.session.frame import Condition, Outcome, Pair
+from madviz.session.frame import Outcome, Pair
 from tests.fakes import FakePolicy, policies
 from tests.test_timeline import Played
 

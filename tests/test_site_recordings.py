@@ -15,7 +15,7 @@ from safetensors import safe_open
 from safetensors.numpy import load
 
 from madviz.envs.registry import make_env
-from madviz.observation.ablation import Ablation
+from madviz.observation.condition import Condition
 from madviz.session.simulation import Simulation
 from madviz.site import recordings
 from madviz.site.recordings import grouped, record_episode, record_policy, sheet
@@ -43,7 +43,7 @@ def test_a_recording_holds_the_episode_that_is_played(content: bytes) -> None:
     env, policy = make_env("toy/reach"), FakePolicy()
     streams = policy.spec.streams
     mask = np.array([stream != "third_a" for stream in streams])
-    simulation = Simulation(env, policy, Ablation.from_mask(mask, streams, {}))
+    simulation = Simulation(env, policy, Condition("first+third_b").ablation(streams))
     simulation.begin(SEED)
     found = load(content)
     row = simulation.probe.row(mask)

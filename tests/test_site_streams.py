@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from madviz.envs.metaworld.environment import CAMERAS
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.observation.condition import Condition
 from madviz.observation.displacement import HALF_TURN, Displacement
-from madviz.session.frame import condition_of
 from madviz.subsets import every_mask, name_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -90,7 +90,8 @@ def test_a_condition_has_the_server_s_name(ablation: Ablation) -> None:
             "moves": {name: asdict(move) for name, move in ablation.moves.items()},
         }
     )
-    assert found == asdict(condition_of(ablation, STREAMS))
+    condition = Condition.of(ablation, STREAMS)
+    assert found == {"subset": condition.subset, "occlusions": condition.key()}
 
 
 def test_all_subsets_are_read_in_the_server_s_order() -> None:

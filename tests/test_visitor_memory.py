@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import msgspec.msgpack
-import numpy as np
 import pytest
 import viser
 from viser._messages import FileTransferPart
@@ -35,9 +34,9 @@ from madviz.errors import UserError
 from madviz.measure import live
 from madviz.measure.live import Evaluator
 from madviz.observation.ablation import Occlusion
+from madviz.observation.condition import Condition
 from madviz.observation.schedule import MOST_FAILURES, parse_schedule
 from madviz.session.commands import Pause, SetCamera
-from madviz.session.frame import Condition
 from madviz.session.live_session import MOST_WAITING
 from madviz.session.process import SessionProcess
 from madviz.session.session import Session
@@ -232,13 +231,18 @@ def test_what_waits_for_a_process_has_a_bound_too() -> None:
     process.close()
 
 
+def noisy(number: int) -> Condition:
+    """A condition for each ``number``."""
+    return Condition("all", (("first", Occlusion("noise", number / 10_000)),))
+
+
 def test_conditions_that_were_seen_long_ago_are_forgotten() -> None:
     rates, spec = SuccessRates(), FakePolicy().spec
     for number in range(MOST_CONDITIONS + 10):
-        rates.add(spec, Condition("all", f"first:noise,strength={number}"), {1: True})
+        rates.add(spec, noisy(number), {1: True})
     assert len(rates._live) == MOST_CONDITIONS
-    assert rates.live(spec, Condition("all", "first:noise,strength=9")).n == 0
-    assert rates.live(spec, Condition("all", f"first:noise,strength={MOST_CONDITIONS}")).n == 1
+    assert rates.live(spec, noisy(9)).n == 0
+    assert rates.live(spec, noisy(MOST_CONDITIONS)).n == 1
 
 
 def test_requests_that_nobody_wants_any_more_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -246,13 +250,12 @@ def test_requests_that_nobody_wants_any_more_are_forgotten(monkeypatch: pytest.M
     monkeypatch.setattr(live.checkpoint, "is_folder", lambda name: False)
     monkeypatch.setattr(live.checkpoint, "load_policy", lambda name: FakePolicy())
     evaluator = Evaluator(1, make_workers=lambda *_: NoWorkers())  # type: ignore[arg-type, return-value]
-    mask = np.ones(3, bool)
     for visitor in range(3):
-        evaluator.request(visitor, "toy", mask, {"first": Occlusion("blur", visitor / 10)})
+        evaluator.request(visitor, "toy", noisy(visitor))
     for number in range(20):
-        evaluator.request("one", "toy", mask, {"first": Occlusion("noise", number / 100)})
-    assert len(evaluator._tallies) <= 5 + 4 and len(evaluator._specs) == len(evaluator._tallies)
-    assert set(evaluator._wanted.values()) <= set(evaluator._tallies)
+        evaluator.request("one", "toy", noisy(100 + number))
+    assert len(evaluator._tables) <= 5 + 4
+    assert set(evaluator._wanted.values()) <= set(evaluator._tables)
     evaluator.close()
 
 

@@ -13,8 +13,10 @@ from dataclasses import replace
 import pytest
 
 from madviz.errors import UserError
-from madviz.measure.episodes import Job, Runner, Workers
-from madviz.measure.evaluate import evaluate, run_jobs
+from madviz.measure.episodes import Job, Runner
+from madviz.measure.evaluate import evaluate
+from madviz.measure.workers import Workers, run_jobs
+from madviz.observation.condition import Condition
 from tests.fakes import FakePolicy
 
 
@@ -28,7 +30,7 @@ class Killing(FakePolicy):
 
 def jobs_for(count, subset="all"):
     policy = "tests.fakes:FakePolicy"
-    return [Job(policy, "toy-mad0", subset, (), seed) for seed in range(5000, 5000 + count)]
+    return [Job(policy, "toy-mad0", Condition(subset), seed) for seed in range(5000, 5000 + count)]
 
 
 def test_a_killed_worker_is_replaced_and_nothing_finished_is_lost():
@@ -58,9 +60,11 @@ def test_a_policy_that_kills_every_worker_is_given_up():
 
 def test_workers_end_when_their_parent_is_killed():
     code = (
-        "import multiprocessing, time; from madviz.measure.episodes import Job, Workers\n"
+        "import multiprocessing, time; from madviz.measure.workers import Job, Workers\n"
+        "from madviz.observation.condition import Condition\n"
         "workers = Workers(1)\n"
-        "workers.submit(Job('tests.fakes:FakePolicy', 'toy-mad0', 'all', (), 1)).result()\n"
+        "job = Job('tests.fakes:FakePolicy', 'toy-mad0', Condition('all'), 1)\n"
+        "workers.submit(job).result()\n"
         "print(*(c.pid for c in multiprocessing.active_children()), flush=True); time.sleep(600)"
     )
     words = [sys.executable, "-c", code]

@@ -12,18 +12,16 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 from madviz.app.rates import SuccessRates
 from madviz.errors import UserError
-from madviz.measure.audit.conditions import Cameras, Played
-from madviz.measure.audit.plan import AuditPlan
-from madviz.measure.audit.result import AuditFile, result
+from madviz.measure.audit.document import AuditFacts, AuditFile, audit_document, facts_of
+from madviz.measure.audit.lost_cameras import Cameras
+from madviz.measure.audit.schedule import AuditPlan
 from madviz.measure.episodes import FIRST_SEED
-from madviz.observation.ablation import Ablation
-from madviz.policies.config import definition_of
-from madviz.session.frame import Frame, condition_of
-from madviz.subsets import mask_of
+from madviz.observation.condition import Condition
+from madviz.session.frame import Frame
 from madviz.types import Array, PolicySpec
 
 State = Literal["idle", "running", "stopped", "failed", "done"]
@@ -38,7 +36,7 @@ class AuditStatus:
     state: State = "idle"
     policy: PolicySpec | None = None
     plan: AuditPlan | None = None
-    outcomes: dict[Played, dict[int, bool]] = field(default_factory=dict)
+    outcomes: dict[Condition, dict[int, bool]] = field(default_factory=dict)
     labels: dict[str, str] = field(default_factory=dict)
     found: AuditFile | None = None
     """When it is done."""
@@ -53,8 +51,8 @@ class AuditStatus:
         end = self.plan.stopped(self.outcomes)
         episodes = end[0].episodes if end else self.plan.episodes
         have = sum(
-            seed in self.outcomes.get(played, {})
-            for played in self.plan.every
+            seed in self.outcomes.get(condition, {})
+            for condition in self.plan.every
             for seed in self.plan.seeds(episodes)
         )
         return have / (episodes * len(self.plan.every))
@@ -66,10 +64,11 @@ class LiveAudit:
     def __init__(self, rates: SuccessRates) -> None:
         self._rates = rates
         self._lock = threading.Lock()
-        self._news, self._ended = threading.Event(), threading.Event()
+        self._news = threading.Event()
+        self._ended = threading.Event()
         self._thread: threading.Thread | None = None
         self._status = AuditStatus()
-        self._facts: dict[str, Any] = {}
+        self._facts: AuditFacts | None = None
 
     @property
     def measures(self) -> bool:
@@ -87,18 +86,10 @@ class LiveAudit:
         with self._lock:
             if self._thread is not None and self._thread.is_alive():
                 raise UserError("an audit is running already; stop it first, or wait for it")
-            spec, env = frame.world.policy, frame.world.env
-            labels = {camera.name: camera.label for camera in env.cameras}
-            cameras = Cameras(spec.streams, _supports(frame))
-            plan = AuditPlan(cameras, episodes, FIRST_SEED)
-            self._facts = {
-                "policy": spec.name,
-                "task": spec.task,
-                "digest": spec.digest,
-                "definition": definition_of(env),
-                "labels": labels,
-            }
-            self._status = AuditStatus("running", spec, plan, {}, labels)
+            spec = frame.world.policy
+            plan = AuditPlan(Cameras(spec.streams, _supports(frame)), episodes, FIRST_SEED)
+            self._facts = facts_of(spec, frame.world.env)
+            self._status = AuditStatus("running", spec, plan, {}, self._facts["labels"])
             self._ended = threading.Event()
             self._thread = threading.Thread(
                 target=self._run, args=(self._ended,), name="madviz-audit", daemon=True
@@ -125,8 +116,8 @@ class LiveAudit:
                 if self._status.state == "running":
                     self._news.wait(LOOK_AGAIN)
         except Exception as error:  # The page says so; the server lives.
-            said = str(error) or type(error).__name__
-            self._status = replace(self._status, state="failed", why=said)
+            why = str(error) or type(error).__name__
+            self._status = replace(self._status, state="failed", why=why)
         finally:
             self._rates.unsubscribe(self._news.set)
             self._rates.forget(self)
@@ -136,27 +127,21 @@ class LiveAudit:
     def _next(self) -> AuditStatus:
         """Asks for what is to be played now; the status with what is known."""
         status = self._status
-        spec, plan = status.policy, status.plan
-        assert spec is not None and plan is not None
-        asked = {played: _given(played, spec) for played in plan.every}
+        spec = status.policy
+        plan = status.plan
+        assert spec is not None and plan is not None and self._facts is not None
         outcomes = {
-            played: dict(self._rates.outcomes(spec, condition_of(ablation, spec.streams)))
-            for played, (_, ablation) in asked.items()
+            condition: dict(self._rates.outcomes(spec, condition)) for condition in plan.every
         }
         status = replace(status, outcomes=outcomes)
-        missing = {played for played, _ in plan.wanted(outcomes)}
+        missing = {condition for condition, _ in plan.wanted(outcomes)}
         if not missing:
-            return replace(status, state="done", found=result(plan, outcomes, self._facts))
-        mask, ablation = asked[next(played for played in plan.every if played in missing)]
-        self._rates.want(self, spec, mask, ablation)
-        why = self._rates.error(spec, condition_of(ablation, spec.streams))
+            document = audit_document(plan, outcomes, self._facts)
+            return replace(status, state="done", found=document)
+        condition = next(condition for condition in plan.every if condition in missing)
+        self._rates.want(self, spec, condition)
+        why = self._rates.error(spec, condition)
         return replace(status, state="failed", why=why) if why else status
-
-
-def _given(played: Played, spec: PolicySpec) -> tuple[Array, Ablation]:
-    """The streams (V,) bool that are present, and what happens to cameras."""
-    mask = mask_of(played.subset, spec.streams)
-    return mask, Ablation.from_mask(mask, spec.streams, dict(played.occlusions))
 
 
 def _supports(frame: Frame) -> Callable[[Array], bool]:

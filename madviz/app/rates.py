@@ -16,9 +16,8 @@ from madviz.app.session_maker import Reference, own_name
 from madviz.errors import UserError
 from madviz.measure.live import Evaluator, Tally
 from madviz.measure.statistics import SuccessRate
-from madviz.observation.ablation import Ablation, CameraState
-from madviz.session.frame import Condition, condition_of
-from madviz.types import Array, PolicySpec
+from madviz.observation.condition import Condition
+from madviz.types import PolicySpec
 
 Shipped = Callable[[PolicySpec], Mapping[str, Mapping[str, Any]]]
 """Policy -> the ``subsets`` of its evaluation.json, empty where it has none."""
@@ -41,7 +40,8 @@ class SuccessRates:
     ) -> None:
         """``make_evaluator`` gets the listener for its tallies; without one nothing is measured
         but what runs on pages. ``reference`` is what ``load_policy`` knows a policy by."""
-        self._read, self._reference = shipped, reference
+        self._read = shipped
+        self._reference = reference
         self._evaluator = make_evaluator(self._hear) if make_evaluator else None
         self._errors: dict[tuple[str, Condition], str] = {}
         self._lock = threading.Lock()
@@ -72,9 +72,7 @@ class SuccessRates:
 
     def best(self, spec: PolicySpec, condition: Condition) -> SuccessRate:
         """Whichever says more. They are not added up: workers begin with the shipped seeds."""
-        known = (
-            NOTHING if condition.occlusions else self.shipped(spec).get(condition.subset, NOTHING)
-        )
+        known = NOTHING if condition.key() else self.shipped(spec).get(condition.subset, NOTHING)
         live = self.live(spec, condition)
         return live if live.n >= known.n else known
 
@@ -87,9 +85,10 @@ class SuccessRates:
     ) -> None:
         """``error``: why there will be no more of them; None: as it was."""
         with self._lock:
-            before, old = self._live.get(key, {}), self._errors.get(key, "")
-            error = old if error is None else error
-            news = not outcomes.items() <= before.items() or old != error
+            before = self._live.get(key, {})
+            error_before = self._errors.get(key, "")
+            error = error_before if error is None else error
+            news = not outcomes.items() <= before.items() or error_before != error
             others = {k: v for k, v in self._live.items() if k != key}
             for oldest in list(others)[: max(0, len(others) + 1 - MOST_CONDITIONS)]:
                 del others[oldest]
@@ -105,18 +104,17 @@ class SuccessRates:
         """Whether there are workers at all."""
         return self._evaluator is not None
 
-    def want(self, visitor: Hashable, spec: PolicySpec, mask: Array, ablation: Ablation) -> None:
-        """Has the condition of ``visitor`` measured from now on, and not their last one. Where that
-        cannot be, ``error`` says why."""
+    def want(self, visitor: Hashable, spec: PolicySpec, condition: Condition) -> None:
+        """Has ``condition`` measured for ``visitor`` from now on, and not their last one. Where
+        that cannot be, ``error`` says why."""
         if self._evaluator is None:
             return
-        asked = (self._reference(spec), mask, ablation.occlusions(), ablation.moves)
+        reference = self._reference(spec)
         try:
-            self._hear(self._evaluator.request(visitor, *asked, digest=spec.digest))
+            self._hear(self._evaluator.request(visitor, reference, condition, spec.digest))
         except UserError as error:
             self._evaluator.forget(visitor)
-            key = (self._key(spec), condition_of(ablation, spec.streams))
-            self._add(key, {}, str(error))
+            self._add((self._key(spec), condition), {}, str(error))
 
     def forget(self, visitor: Hashable) -> None:
         """This visitor wants nothing measured any more, nor the B that they compare with."""
@@ -139,12 +137,9 @@ class SuccessRates:
             self._evaluator.close()
 
     def _hear(self, tally: Tally) -> None:
-        occluded = {camera: CameraState(occlusion=o) for camera, o in tally.request.occlusions}
-        ablation = Ablation(occluded, dict(tally.request.moves))
-        condition = Condition(tally.request.subset, ablation.key())
+        request = tally.request
         outcomes = {result.seed: result.success for result in tally.results}
-        key = tally.request.digest or tally.request.policy
-        self._add((key, condition), outcomes, tally.error)
+        self._add((request.digest or request.policy, request.condition), outcomes, tally.error)
 
     def _key(self, spec: PolicySpec) -> str:
         """What episodes of a policy are kept under: its version, or its reference where it has

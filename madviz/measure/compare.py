@@ -9,7 +9,8 @@ scene says nothing about which is better. With 100 scenes, 12 of which only A so
 are refused: the difference could come from easier scenes. Several policies are each
 compared with the first. The figure shows every method with its trainings: bars are means, dots are
 trainings; with ``--curves``, success against environment steps where the recipe measured it on the
-way. With ``--conditions``, conditions of one policy are compared instead (``conditions.py``).
+way. With ``--conditions``, conditions of one policy are compared instead
+(``compare_conditions.py``).
 """
 
 from __future__ import annotations
@@ -19,13 +20,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from madviz.errors import UserError
-from madviz.measure.conditions import compare_conditions, conditions_table
+from madviz.measure.compare_conditions import ConditionsFile, compare_conditions, conditions_table
 from madviz.measure.episodes import FIRST_SEED
 from madviz.measure.evidence import Evidence, Outcomes, alike, readable
-from madviz.measure.statistics import Interval, interval_over_trainings, mean_interval, pair
+from madviz.measure.statistics import (
+    Interval,
+    PairedRow,
+    interval_over_trainings,
+    mean_interval,
+    pair,
+)
 from madviz.measure.store import ResultKey, Store
 from madviz.plots import figures
 from madviz.policies import checkpoint
@@ -65,56 +72,96 @@ class CompareConfig:
     """Where to write the result; - is standard output."""
 
 
-def run_compare(config: CompareConfig) -> dict[str, Any]:
-    """``madviz compare``. A policy whose files are broken is named and left out, unless it is the
-    first. Raises UserError for policies that cannot be compared."""
-    if config.conditions:
-        return _conditions(config)
+class PolicyRow(TypedDict):
+    """A policy that was compared."""
+
+    name: str
+    path: str
+    method: str
+    seed: int
+    """The seed of its training."""
+
+
+class RatesRow(PairedRow):
+    """Two policies on one subset; ``first`` and ``second`` are their success rates."""
+
+    first: float
+    second: float
+
+
+class ComparisonRow(TypedDict):
+    """The first policy against another one, as they are named on the command line."""
+
+    first: str
+    second: str
+    subsets: dict[str, RatesRow]
+
+
+class CompareFile(TypedDict):
+    """The document that ``madviz compare --json`` writes."""
+
+    schema: int
+    task: str
+    definition: str
+    policies: list[PolicyRow]
+    comparisons: list[ComparisonRow]
+    broken: list[BrokenRow]
+
+
+def run_compare(config: CompareConfig) -> CompareFile | ConditionsFile:
+    """``madviz compare``. Raises UserError for what cannot be compared."""
+    return _conditions(config) if config.conditions else compare_policies(config)
+
+
+def compare_policies(config: CompareConfig) -> CompareFile:
+    """Compares policies by their measured episodes. One whose files are broken is named and left
+    out, unless it is the first. Raises UserError for policies that cannot be compared."""
     if len(config.policies) < 2:
         raise UserError(f"expected two or more policies, found {len(config.policies)}")
     for option, file in (("--figure", config.figure), ("--curves", config.curves)):
         if file is not None:
             written_to(file, option)
     folders = [checkpoint.find_policy(name) for name in config.policies]
-    found, broken = readable(folders)
-    if len(found) < 2 or found[0].path != folders[0]:
-        raise UserError(f"nothing to compare: {'; '.join(_words(each) for each in broken)}")
-    on_development = alike(found)
-    if len(on_development) == len(found):
-        found = on_development
-    first = found[0]
-    for other in found[1:]:
+    policies, broken = readable(folders)
+    if len(policies) < 2 or policies[0].path != folders[0]:
+        raise UserError(f"nothing to compare: {'; '.join(map(_broken_line, broken))}")
+    on_development = alike(policies)
+    if len(on_development) == len(policies):
+        policies = on_development
+    first = policies[0]
+    for other in policies[1:]:
         _same_terms(first, other)
-    table = _outcomes(found, config)
+    table = _outcomes(policies, config)
     for name, rows in table.items():
-        for other, outcomes in zip(found, rows, strict=True):
+        for other, outcomes in zip(policies, rows, strict=True):
             _same_seeds(name, first, rows[0], other, outcomes)
     if config.figure is not None:
         title = f"{first.config.task}: success by subset"
-        write_bytes(config.figure, figures.bars(title, list(table), _bars(found, table)).encode())
+        bars = figures.bars(title, list(table), _bars(policies, table))
+        write_bytes(config.figure, bars.encode())
     if config.curves is not None:
-        write_bytes(config.curves, curves(found).encode())
+        write_bytes(config.curves, curves(policies).encode())
     return {
         "schema": 1,
         "task": first.config.task,
         "definition": first.config.definition,
         "policies": [
             {"name": e.config.name, "path": str(e.path), "method": e.config.method, "seed": e.seed}
-            for e in found
+            for e in policies
         ],
         "comparisons": [
             {
                 "first": config.policies[0],
-                "second": config.policies[folders.index(found[index].path)],
+                "second": config.policies[folders.index(policies[index].path)],
                 "subsets": {name: _row(rows[0], rows[index]) for name, rows in table.items()},
             }
-            for index in range(1, len(found))
+            for index in range(1, len(policies))
         ],
         "broken": broken,
     }
 
 
-def _conditions(config: CompareConfig) -> dict[str, Any]:
+def _conditions(config: CompareConfig) -> ConditionsFile:
     if len(config.policies) != 1:
         raise UserError(f"expected one policy with --conditions, found {len(config.policies)}")
     for name in ("subset", "store", "figure", "curves"):
@@ -129,30 +176,24 @@ def _conditions(config: CompareConfig) -> dict[str, Any]:
     )
 
 
-def _words(each: BrokenRow) -> str:
-    return f"{each['name']} broken: {each['error']}"
+def _broken_line(row: BrokenRow) -> str:
+    return f"{row['name']} broken: {row['error']}"
 
 
-def _row(first: Outcomes, second: Outcomes) -> dict[str, Any]:
+def _row(first: Outcomes, second: Outcomes) -> RatesRow:
     paired = pair(first, second)
     return {
         "first": (paired.both + paired.first_only) / paired.n,
         "second": (paired.both + paired.second_only) / paired.n,
-        "n": paired.n,
-        "first_only": paired.first_only,
-        "second_only": paired.second_only,
-        "difference": paired.difference,
-        "ci95": list(paired.interval()),
-        "p": paired.mcnemar(),
+        **paired.row(),
     }
 
 
 def _same_terms(first: Evidence, other: Evidence) -> None:
-    one, two = first.config, other.config
     for fact, mine, theirs in (
-        ("task", one.task, two.task),
-        ("definition", one.definition, two.definition),
-        ("render profile", one.render_profile, two.render_profile),
+        ("task", first.config.task, other.config.task),
+        ("definition", first.config.definition, other.config.definition),
+        ("render profile", first.config.render_profile, other.config.render_profile),
         ("occlusions", first.occlusions, other.occlusions),
     ):
         if mine != theirs:
@@ -296,18 +337,18 @@ def _curve(evidence: Evidence) -> dict[float, dict[str, float]]:
     return table
 
 
-def comparison_table(result: dict[str, Any]) -> str:
+def comparison_table(result: CompareFile | ConditionsFile) -> str:
     """A comparison as lines."""
     if "conditions" in result:
         return conditions_table(result)
     lines = [f"{result['task']}: success {result['definition']}"]
-    for each in result["comparisons"]:
-        lines.append(f"{each['first']} minus {each['second']}, paired by seed")
-        for name, row in each["subsets"].items():
+    for comparison in result["comparisons"]:
+        lines.append(f"{comparison['first']} minus {comparison['second']}, paired by seed")
+        for name, row in comparison["subsets"].items():
             low, high = row["ci95"]
             lines.append(
                 f"  {name:24} {row['first']:.2f} - {row['second']:.2f} = {row['difference']:+.2f} "
                 f"[{low:+.2f}, {high:+.2f}] n={row['n']}   exact p = {row['p']:.2g}"
             )
-    lines += [_words(each) for each in result["broken"]]
+    lines += [_broken_line(row) for row in result["broken"]]
     return "\n".join(lines)

@@ -20,14 +20,15 @@ import csv
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 
 from madviz.errors import UserError, saving, unknown
-from madviz.measure.episodes import FIRST_SEED, Job, Runner, unsupported
-from madviz.measure.evaluate import adopted, run_anywhere
+from madviz.measure.episodes import FIRST_SEED, unsupported
 from madviz.measure.statistics import SuccessRate
+from madviz.measure.table import Table, seeds_of_run
+from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, along
 from madviz.plots.figures import Line, lines
 from madviz.policies import checkpoint
@@ -132,20 +133,18 @@ def displace(
     ``policy``, ``workers`` and the rest as in ``madviz.evaluate``. Raises UserError for a camera
     that the policy does not see under ``subset``.
     """
-    if episodes < 1 or seed < 0:
-        raise UserError(f"expected episodes >= 1 and seed >= 0, found {episodes} and {seed}")
-    here = Runner()
-    reference, loaded = adopted(policy, here)
+    seeds = seeds_of_run(seed, episodes)
+    table, loaded = Table.opened(policy)
     subset = _checked(loaded, subset, camera)
-    jobs: dict[Job, float] = {}
-    for at, move in moves.items():
-        moved = () if move.is_none else ((camera, move),)
-        for number in range(seed, seed + episodes):
-            jobs[Job(reference, loaded.spec.digest, subset, (), number, moved)] = at
-    found = {at: 0 for at in moves}
-    for job, (result, _) in run_anywhere(list(jobs), workers, here, progress):
-        found[jobs[job]] += result.success
-    return tuple(Point(at, SuccessRate.of(successes, episodes)) for at, successes in found.items())
+    conditions = {
+        at: Condition(subset, (), ((camera, move),)).noticed(loaded.spec.streams)
+        for at, move in moves.items()
+    }
+    table.play([(c, s) for c in conditions.values() for s in seeds], workers, progress)
+    return tuple(
+        Point(at, SuccessRate.counted(table.outcomes(condition).values()))
+        for at, condition in conditions.items()
+    )
 
 
 def _checked(policy: Policy, subset: str, camera: str) -> str:
@@ -163,7 +162,33 @@ def _checked(policy: Policy, subset: str, camera: str) -> str:
 # --- The command ----------------------------------------------------------------------------
 
 
-def run_displace(config: DisplaceConfig) -> dict[str, Any]:
+class PointRow(TypedDict):
+    """Success with the camera at one place, as the document holds it."""
+
+    at: float
+    successes: int
+    success: float
+    n: int
+    ci95: list[float]
+
+
+class DisplaceFile(TypedDict):
+    """The document that ``madviz displace --json`` writes."""
+
+    schema: int
+    policy: str
+    digest: str
+    task: str
+    camera: str
+    along: str
+    unit: str
+    """``m``, ``°`` or ``times``."""
+    subset: str
+    seed: int
+    points: list[PointRow]
+
+
+def run_displace(config: DisplaceConfig) -> DisplaceFile:
     """``madviz displace``: always computes; progress goes to standard error."""
     for name in ("svg", "csv"):
         file: Path | None = getattr(config, name)
@@ -181,7 +206,7 @@ def run_displace(config: DisplaceConfig) -> dict[str, Any]:
         workers=config.workers,
         progress=True,
     )
-    result = {
+    result: DisplaceFile = {
         "schema": 1,
         "policy": spec.name,
         "digest": spec.digest,
@@ -211,7 +236,7 @@ def run_displace(config: DisplaceConfig) -> dict[str, Any]:
     return result
 
 
-def table_csv(result: dict[str, Any]) -> str:
+def table_csv(result: DisplaceFile) -> str:
     """A row for each place, with all that sets it apart from rows of other files."""
     facts = {key: result[key] for key in ("policy", "digest", "task", "subset", "seed", "camera")}
     facts |= {key: result[key] for key in ("along", "unit")}
@@ -226,7 +251,7 @@ def table_csv(result: dict[str, Any]) -> str:
     return file.getvalue()
 
 
-def displacement_table(result: dict[str, Any]) -> str:
+def displacement_table(result: DisplaceFile) -> str:
     """The result as lines: place, success with its interval, episodes."""
     rows = [
         f"{result['policy']} on {result['task']}, subset {result['subset']}: success at the last "
@@ -234,11 +259,12 @@ def displacement_table(result: dict[str, Any]) -> str:
     ]
     for point in result["points"]:
         place = f"{point['at']:g} {result['unit']}"
-        rows.append(f"  {place:12} {SuccessRate(point['success'], point['ci95'], point['n'])}")
+        low, high = point["ci95"]
+        rows.append(f"  {place:12} {SuccessRate(point['success'], (low, high), point['n'])}")
     return "\n".join(rows)
 
 
-def picture(result: dict[str, Any]) -> str:
+def picture(result: DisplaceFile) -> str:
     """SVG: the rate over how far the camera went, in the axis' own unit, and its interval."""
     points, start = result["points"], 1.0 if result["unit"] == "times" else 0.0
     # The axis begins at nothing, and zoom at 1; it says centimetres, because it has no decimals.

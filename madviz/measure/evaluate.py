@@ -10,31 +10,17 @@ handed in answers for episodes it has seen. With workers or without, the results
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Iterator
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tqdm import tqdm
-
 from madviz.errors import Unfinished, UserError, saving, unknown
-from madviz.measure.episodes import (
-    FIRST_SEED,
-    GIVE_UP,
-    Finished,
-    Job,
-    Runner,
-    Workers,
-    claimed_definition,
-    occlusion_key,
-    relevant,
-    unsupported,
-)
+from madviz.measure.episodes import FIRST_SEED, unsupported
 from madviz.measure.statistics import SuccessRate
 from madviz.measure.store import EpisodeResult, Store
+from madviz.measure.table import Table, seeds_of_run
 from madviz.observation.ablation import Occlusion
+from madviz.observation.condition import Condition
 from madviz.observation.grammar import parse_occlusions
 from madviz.policies import checkpoint
 from madviz.policies.card import write_card
@@ -44,7 +30,7 @@ from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
-from madviz.types import Array, Policy, PolicySpec
+from madviz.types import Policy, PolicySpec
 from madviz.wire.reference import with_wire
 
 
@@ -65,7 +51,7 @@ class Evaluation:
         table: dict[str, SubsetRow] = {}
         for subset in dict.fromkeys(e.subset for e in self.episodes):
             mine = [e for e in self.episodes if e.subset == subset]
-            rate = SuccessRate.of(sum(e.success for e in mine), len(mine))
+            rate = SuccessRate.counted(e.success for e in mine)
             table[subset] = {
                 "success": rate.value,
                 "success_any": sum(e.success_any for e in mine) / len(mine),
@@ -137,44 +123,41 @@ def evaluate(
     Raises UserError for names that are unknown and subsets the policy cannot act on, and Unfinished
     with the Evaluation so far where a policy or a machine fails on the way.
     """
-    if episodes < 1 or seed < 0:
-        raise UserError(f"expected episodes >= 1 and seed >= 0, found {episodes} and {seed}")
-    here, occluded = Runner(), occlusions or {}
-    reference, loaded = adopted(policy, here)
-    if not checkpoint.is_folder(reference):
-        store = None  # Whether a user's own code is still the same cannot be known.
-    spec = loaded.spec
-    for camera in occluded:
-        if camera not in cameras_of(spec.streams):
-            raise unknown("camera to occlude", camera, list(cameras_of(spec.streams)))
-    jobs = [
-        Job(reference, spec.digest, subset, relevant(occluded, mask, spec.streams), number)
-        for subset, mask in _masks(loaded, subsets).items()
-        for number in range(seed, seed + episodes)
+    seeds = seeds_of_run(seed, episodes)
+    table, loaded = Table.opened(policy, store)
+    streams = loaded.spec.streams
+    occluded = tuple(sorted((occlusions or {}).items()))
+    for camera, _ in occluded:
+        if camera not in cameras_of(streams):
+            raise unknown("camera to occlude", camera, list(cameras_of(streams)))
+    conditions = [
+        Condition(subset, occluded).noticed(streams) for subset in _subsets(loaded, subsets)
     ]
-    done = _remembered(store, spec, jobs)
-    missing = [job for job in jobs if job not in done]
 
     def so_far() -> Evaluation:
-        definition = next(iter(done.values()))[1]
-        results = tuple(done[job][0] for job in jobs if job in done)
-        return Evaluation(spec, definition, seed, occlusion_key(occluded), results)
+        known = [table.results(condition) for condition in conditions]
+        return Evaluation(
+            spec=loaded.spec,
+            definition=table.definition,
+            seed=seed,
+            occlusions=Condition("all", occluded).noticed(streams).key(),
+            episodes=tuple(results[s] for results in known for s in seeds if s in results),
+        )
 
     try:
-        for job, finished in run_anywhere(missing, workers, here, progress):
-            done[job] = finished
-            if store is not None:
-                store.put(job.key(spec, finished[1]), finished[0])
+        table.play([(c, s) for c in conditions for s in seeds], workers, progress)
     except UserError as error:
-        if not done:
+        done = so_far()
+        if not done.episodes:
             raise
+        count = len(conditions) * episodes
         raise Unfinished(
-            f"{error}; {len(done)} of {len(jobs)} episodes are done", so_far()
+            f"{error}; {len(done.episodes)} of {count} episodes are done", done
         ) from error
     return so_far()
 
 
-def _masks(policy: Policy, subsets: Iterable[str] | None) -> dict[str, Array]:
+def _subsets(policy: Policy, subsets: Iterable[str] | None) -> tuple[str, ...]:
     """Subset names in canonical spelling, each once. Those asked for must be supported; of the
     default ones only the supported are taken."""
     streams = policy.spec.streams
@@ -184,69 +167,7 @@ def _masks(policy: Policy, subsets: Iterable[str] | None) -> dict[str, Array]:
     for mask in masks:
         if not policy.supports(mask):
             raise unsupported(policy.spec, mask)
-    return {name_of(mask, streams): mask for mask in masks}
-
-
-def _remembered(store: Store | None, spec: PolicySpec, jobs: list[Job]) -> dict[Job, Finished]:
-    """What the store knows of ``jobs``."""
-    if store is None:
-        return {}
-    definition = claimed_definition(jobs[0].policy)
-    stored = {key: store.results(key) for key in {job.key(spec, definition) for job in jobs}}
-    known = ((job, stored[job.key(spec, definition)].get(job.seed)) for job in jobs)
-    return {job: (result, definition) for job, result in known if result is not None}
-
-
-def adopted(policy: str | Path | Policy, here: Runner) -> tuple[str, Policy]:
-    """What jobs call ``policy``, and the policy itself, loaded, which ``here`` now knows. An object
-    is called '': no other process can load it."""
-    reference = str(policy) if isinstance(policy, str | Path) else ""
-    loaded = checkpoint.load_policy(policy) if isinstance(policy, str | Path) else policy
-    here.adopt(reference, loaded)
-    return reference, loaded
-
-
-def run_anywhere(
-    jobs: list[Job], workers: int | None, here: Runner, progress: bool
-) -> Iterator[tuple[Job, Finished]]:
-    """Every job with its result, in no order: by ``workers`` processes, by default one per core; or
-    in this one, ``here``, where it is 0 or the policy is an object. Closes ``here`` at the end.
-    ``progress`` shows a bar on standard error, if that is a terminal."""
-    count = (os.cpu_count() or 1) if workers is None else workers
-    if any(not job.policy for job in jobs):
-        count = 0
-    found: Iterator[tuple[Job, Finished]] = ((job, here.run(job)) for job in jobs)
-    if count and jobs:
-        found = run_jobs(jobs, Workers(min(count, len(jobs)), niceness=5))
-    try:
-        yield from tqdm(found, total=len(jobs), unit="episode", disable=None if progress else True)
-    finally:
-        here.close()
-
-
-def run_jobs(jobs: list[Job], workers: Workers) -> Iterator[tuple[Job, Finished]]:
-    """Every job with its result, as they finish, in no order; closes ``workers`` at the end.
-
-    A worker that is killed takes its pool with it: what had not finished is submitted again to a
-    new one. Raises UserError if pools keep breaking, and whatever a job raises.
-    """
-    left, breaks = dict.fromkeys(jobs), 0
-    try:
-        while left:
-            before = len(left)
-            futures = {workers.submit(job): job for job in left}
-            for future in as_completed(futures):
-                if not isinstance(future.exception(), BrokenProcessPool):
-                    job = futures[future]
-                    del left[job]
-                    yield job, future.result()
-            breaks = breaks + 1 if len(left) == before else 0
-            if breaks == GIVE_UP:
-                raise workers.gave_up()
-            if left:
-                workers.renew(workers.generation)
-    finally:
-        workers.close()
+    return tuple(dict.fromkeys(name_of(mask, streams) for mask in masks))
 
 
 # --- The command ----------------------------------------------------------------------------

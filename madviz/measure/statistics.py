@@ -14,9 +14,10 @@ from the two Wilson intervals. ``formulas.py`` has the arithmetic.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import nan
+from typing import TypedDict
 
 from madviz.errors import UserError
 from madviz.measure.formulas import (
@@ -48,9 +49,15 @@ class SuccessRate:
         """``successes`` of ``n`` episodes, with Wilson's interval."""
         return cls(successes / n if n else nan, wilson(successes, n), n)
 
+    @classmethod
+    def counted(cls, outcomes: Iterable[bool]) -> SuccessRate:
+        """The rate of ``outcomes``, one for each episode."""
+        successes = [bool(success) for success in outcomes]
+        return cls.of(sum(successes), len(successes))
+
     @property
     def successes(self) -> int:
-        """Of ``n`` episodes."""
+        """How many of the ``n`` episodes succeeded."""
         return round(self.value * self.n) if self.n else 0
 
     def __str__(self) -> str:
@@ -70,9 +77,23 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:
     return _floats(wilson_bounds(successes, n, confidence)) if n else (0.0, 1.0)
 
 
+class PairedRow(TypedDict):
+    """A ``Paired`` as documents hold it."""
+
+    n: int
+    """Seeds."""
+    first_only: int
+    second_only: int
+    difference: float
+    ci95: list[float]
+    """Newcombe's interval of ``difference``."""
+    p: float
+    """McNemar's, exact."""
+
+
 @dataclass(frozen=True)
 class Paired:
-    """Two policies on the same seeds, counted by how both came out."""
+    """Two policies, or two conditions, on the same seeds, counted by how both came out."""
 
     both: int
     first_only: int
@@ -88,6 +109,17 @@ class Paired:
     def difference(self) -> float:
         """Success rate of the first minus that of the second; 0 where nothing was tried."""
         return (self.first_only - self.second_only) / self.n if self.n else 0.0
+
+    def row(self) -> PairedRow:
+        """All of it, for a document."""
+        return {
+            "n": self.n,
+            "first_only": self.first_only,
+            "second_only": self.second_only,
+            "difference": self.difference,
+            "ci95": list(self.interval()),
+            "p": self.mcnemar(),
+        }
 
     def interval(self) -> Interval:
         """Newcombe's 95% interval of the paired difference (method 10, 1998, second paper)."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Literal, TypeVar, get_args
 
 import cv2
@@ -198,36 +198,6 @@ class Ablation:
             for name, state in self.cameras.items()
             if state.occlusion.kind != "none"
         }
-
-    def key(self) -> str:
-        """A name for the occlusions and moves, '' for none; the mask is named by its subset."""
-        parts = []
-        for name, occlusion in sorted(self.occlusions().items()):
-            values = asdict(occlusion)
-            kind = values.pop("kind")
-            if occlusion.width == occlusion.height:
-                # The name that squares had first: what was stored under it is found again.
-                del values["height"]
-                values["size"] = values.pop("width")
-            parts.append(f"{name}:{kind}" + "".join(f",{k}={v:g}" for k, v in values.items()))
-        parts += [f"{name}:{move.key()}" for name, move in sorted(self.moves.items())]
-        return ";".join(parts)
-
-    @staticmethod
-    def from_mask(
-        mask: Array, streams: tuple[str, ...], occlusions: dict[str, Occlusion]
-    ) -> Ablation:
-        """The ablation under which exactly the streams of ``mask`` are present."""
-        cameras: dict[str, CameraState] = {}
-        for camera in dict.fromkeys(camera_of(stream) for stream in streams):
-            on = {
-                modality_of(s) for s, present in zip(streams, mask, strict=True)
-                if present and camera_of(s) == camera
-            }  # fmt: skip
-            switch: CameraInput = "both" if len(on) == 2 else "rgb" if "rgb" in on else "off"
-            switch = "depth" if on == {"depth"} else switch
-            cameras[camera] = CameraState(switch, occlusions.get(camera, Occlusion()))
-        return Ablation(cameras)
 
 
 def noise_generator(seed: int, step: int, stream: str) -> np.random.Generator:

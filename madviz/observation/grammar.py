@@ -29,6 +29,7 @@ from typing import get_args
 
 from madviz.errors import UserError, unknown
 from madviz.observation.ablation import PLACE, Occlusion, OcclusionKind, by_sides
+from madviz.observation.condition import Condition
 from madviz.system.streams import say
 
 SAME = {"dropped": "off", "frozen": "freeze", "lossy": "dropout", "late": "delay"}
@@ -116,19 +117,13 @@ def parse_occlusions(words: Iterable[str]) -> dict[str, Occlusion]:
     return found
 
 
-@dataclass(frozen=True)
-class CameraCondition:
-    """What a policy is given in whole episodes: streams, and cameras that are occluded."""
-
-    subset: str
-    """In the language of ``subsets.py``."""
-    occlusions: dict[str, Occlusion]
-
-
-def parse_condition(word: str, cameras: Sequence[str]) -> CameraCondition:
-    """``all``, ``first+third_b``, ``third_a=black`` and the other forms of the module. Raises
-    UserError, also for a subset beside a dropped camera."""
-    subsets, dropped, occlusions = [], [], {}
+def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
+    """``all``, ``first+third_b``, ``third_a=black`` and the other forms of the module, as it was
+    written (see ``Condition.noticed``). Raises UserError, also for a subset beside a dropped
+    camera."""
+    subsets: list[str] = []
+    dropped: list[str] = []
+    occlusions: dict[str, Occlusion] = {}
     for part in word.split(","):
         if "=" in part or ":" not in part:
             what, _, strength = part.partition("=")[2].partition(":")
@@ -154,7 +149,8 @@ def parse_condition(word: str, cameras: Sequence[str]) -> CameraCondition:
             f"expected one subset of cameras, found {word!r:.60}; write those that are present"
         )
     present = "+".join(camera for camera in cameras if camera not in dropped) or "none"
-    return CameraCondition(subsets[0] if subsets else present if dropped else "all", occlusions)
+    subset = subsets[0] if subsets else present if dropped else "all"
+    return Condition(subset, tuple(occlusions.items()))
 
 
 def failure_text(camera: str, occlusion: Occlusion | None, begin: int | None = None) -> str:

@@ -12,7 +12,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from madviz.observation.ablation import Ablation
-from madviz.session.frame import Condition, Outcome
+from madviz.observation.condition import Condition
+from madviz.session.frame import Outcome
 from madviz.types import PolicySpec, TimeStep
 
 

@@ -16,32 +16,12 @@ from madviz.analysis.imagination import Imagined
 from madviz.analysis.probes import Probe
 from madviz.analysis.saliency import Target
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.observation.condition import Condition
 from madviz.observation.schedule import Schedule
-from madviz.subsets import mask_of, modality_of, name_of
+from madviz.subsets import mask_of, modality_of
 from madviz.types import Array, Body, CameraPose, EnvSpec, PolicySpec, View
 
 Phase = Literal["playing", "paused", "ended"]
-
-
-@dataclass(frozen=True)
-class Condition:
-    """What the policy was given: which streams, and which cameras fail how."""
-
-    subset: str
-    occlusions: str = ""
-    """``Ablation.key()``; empty where no camera is occluded or moved."""
-
-    def __str__(self) -> str:
-        return f"{self.subset} · {self.occlusions}" if self.occlusions else self.subset
-
-
-def condition_of(ablation: Ablation, streams: tuple[str, ...]) -> Condition:
-    """What a policy with ``streams`` gets under ``ablation``; how a dropped camera fails is no part
-    of it."""
-    mask, present = ablation.mask(streams), ablation.present(streams)
-    noticed = {name: state for name, state in ablation.cameras.items() if name in present}
-    moved = {name: move for name, move in ablation.moves.items() if name in present}
-    return Condition(name_of(mask, streams), Ablation(noticed, moved).key())
 
 
 @dataclass(frozen=True)
@@ -237,7 +217,7 @@ class Frame:
 
     @property
     def condition(self) -> Condition:
-        return condition_of(self.world.ablation, self.world.policy.streams)
+        return Condition.of(self.world.ablation, self.world.policy.streams)
 
     @property
     def ended(self) -> bool:

@@ -26,12 +26,13 @@ from madviz.analysis.saliency import LiveSaliency
 from madviz.errors import UserError
 from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
+from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
 from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera
 from madviz.session.episode_record import EpisodeRecord
-from madviz.session.frame import Change, Condition, Outcome, World, condition_of, untouched
+from madviz.session.frame import Change, Outcome, World, untouched
 from madviz.session.journal import Journal
 from madviz.session.playing import Playing
 from madviz.session.snapshot import Snapshot, StepData
@@ -87,7 +88,7 @@ class Simulation:
 
     @property
     def condition(self) -> Condition:
-        return condition_of(self.ablation, self.policy.spec.streams)
+        return Condition.of(self.ablation, self.policy.spec.streams)
 
     def world(self) -> World:
         """What a ``Frame`` of this time step says of the simulation."""

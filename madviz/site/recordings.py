@@ -27,7 +27,7 @@ from madviz.drawing.viewpoint import FOV, first_view, place_and_target
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.measure.episodes import one_thread
-from madviz.observation.ablation import Ablation
+from madviz.observation.condition import Condition
 from madviz.policies.checkpoint import PolicyFolder, load_policy
 from madviz.session.frame import Frame, SessionPace
 from madviz.session.simulation import Simulation
@@ -91,7 +91,7 @@ def record_policy(
 def record_episode(env: Environment, policy: Policy, mask: Array, seed: int) -> bytes:
     """The file of one episode under the subset ``mask`` (V,) bool."""
     streams = policy.spec.streams
-    simulation = Simulation(env, policy, Ablation.from_mask(mask, streams, {}))
+    simulation = Simulation(env, policy, Condition(name_of(mask, streams)).ablation(streams))
     simulation.begin(seed)
     outside = viewpoint_of(simulation, env.spec.cameras[-1])
     tiles: list[Array] = []

@@ -24,7 +24,8 @@ from madviz.analysis.probes import Probe, probe
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.measure.mean_picture import stack_of
-from madviz.observation.ablation import Ablation, Occlusion, noise_generator
+from madviz.observation.ablation import Occlusion, noise_generator
+from madviz.observation.condition import Condition
 from madviz.policies.players import player_of
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array, EnvSpec, Policy, View
@@ -93,7 +94,7 @@ def moments(
     mask = mask_of(subset, spec.streams)
     if not policy.supports(mask):
         raise UserError(f"{spec.name} cannot act on {subset!r}; pick a subset it supports")
-    ablation = Ablation.from_mask(mask, spec.streams, dict(occlusions or {}))
+    ablation = Condition(subset, tuple((occlusions or {}).items())).ablation(spec.streams)
     with (
         closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env,
         closing(player_of(policy, seed)) as player,

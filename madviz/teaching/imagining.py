@@ -13,7 +13,7 @@ import numpy as np
 from madviz.analysis.foresight import foresee
 from madviz.analysis.imagination import Imagined, imagined, moving_psnr
 from madviz.errors import UserError
-from madviz.observation.ablation import Ablation
+from madviz.observation.condition import Condition
 from madviz.subsets import mask_of
 from madviz.teaching.episode import Moment
 from madviz.teaching.show import Picture, sheet
@@ -24,7 +24,7 @@ def imagined_at(moment: Moment, subset: str) -> dict[str, Imagined]:
     """By name, every stream that is not in ``subset``, imagined from those that are. Raises
     UserError for unknown words, and for a policy that cannot imagine."""
     policy = moment.policy
-    ablation = Ablation.from_mask(mask_of(subset, policy.spec.streams), policy.spec.streams, {})
+    ablation = Condition(subset).ablation(policy.spec.streams)
     encoded = policy.encode(moment.stack, moment.state)
     found = imagined(policy, encoded, ablation, moment.views, moment.env)
     if not found:

@@ -12,9 +12,10 @@ from madviz.app.markup import dot, progress_bar
 from madviz.app.panel import Assign
 from madviz.app.toolkit import Cell, WidgetPanel, on_press, place
 from madviz.drawing.colours import GOOD, NOTE, camera_colours
-from madviz.measure.audit.conditions import HOWS, AuditCondition, Played
-from madviz.measure.audit.rule import VERDICTS
-from madviz.measure.audit.words import in_words, plan_words
+from madviz.measure.audit.lost_cameras import HOWS, INTACT, AuditRow
+from madviz.measure.audit.sentences import in_words, plan_words
+from madviz.measure.audit.verdict import VERDICTS
+from madviz.observation.condition import Condition
 from madviz.session.frame import Frame, NoFrame
 
 EPISODES = ("20", "50", "100")
@@ -49,7 +50,8 @@ class AuditPanel(WidgetPanel):
         frame: Frame,
         audit: LiveAudit,
     ) -> None:
-        self._audit, self._newest = audit, newest
+        self._audit = audit
+        self._newest = newest
         self._shown: AuditStatus | None = None
         self.handles: list = []
         if newest is not None and audit.measures:
@@ -104,30 +106,30 @@ def _state(status: AuditStatus) -> str:
 def _sentences(status: AuditStatus) -> str:
     if status.found is None:
         return ""
-    said = "".join(f"<li>{escape(line)}</li>" for line in in_words(status.found))
-    return f'<ul style="margin:4px 0;padding-left:18px">{said}</ul>'
+    items = "".join(f"<li>{escape(line)}</li>" for line in in_words(status.found))
+    return f'<ul style="margin:4px 0;padding-left:18px">{items}</ul>'
 
 
 def _table(frame: Frame, status: AuditStatus) -> str:
     """A row for each camera removed and alone and for none, a column for each way."""
     assert status.plan is not None
     cameras, colours = status.plan.cameras, camera_colours(frame.world.env.cameras)
-    rows: dict[tuple[str | None, str], dict[str, AuditCondition]] = {}
-    for one in cameras.every():
-        rows.setdefault((one.camera, one.what), {})[one.how] = one
+    rows: dict[tuple[str | None, str], dict[str, AuditRow]] = {}
+    for row in cameras.rows():
+        rows.setdefault((row.camera, row.what), {})[row.how] = row
     order = [(name, what) for name in cameras.names for what in ("removed", "alone")]
     verdicts = _verdicts(status)
     lines = []
     for camera, what in [*order, (None, "none")]:
-        found = rows.get((camera, what), {})
-        rates = [_cell(status, found.get(how)) for how in HOWS]
+        by_how = rows.get((camera, what), {})
+        rates = [_cell(status, by_how.get(how)) for how in HOWS]
         cells = "".join(f'<td class="num" style="text-align:center">{rate}</td>' for rate in rates)
         label = status.labels.get(camera or "", camera or "no camera")
         mark = dot(colours.get(camera, "transparent")) if camera else ""
-        said = verdicts.get(camera or "", "") if what == "removed" else ""
+        verdict = verdicts.get(camera or "", "") if what == "removed" else ""
         name = f"{mark}{escape(label)}" + (f" {what}" if camera else "")
-        lines.append(f"<tr><td>{name}</td>{cells}<td><b>{said}</b></td></tr>")
-    intact = _rate(status, Played("all"))
+        lines.append(f"<tr><td>{name}</td>{cells}<td><b>{verdict}</b></td></tr>")
+    intact = _rate(status, INTACT)
     heads = "".join(f'<td style="text-align:center">{how}</td>' for how in HOWS)
     return (
         f'<table style="margin-top:4px;width:100%"><tr class="dim"><td>all cameras: '
@@ -150,15 +152,15 @@ def _verdicts(status: AuditStatus) -> dict[str, str]:
     }
 
 
-def _cell(status: AuditStatus, one: AuditCondition | None) -> str:
-    return "–" if one is None else _rate(status, one.played)
+def _cell(status: AuditStatus, row: AuditRow | None) -> str:
+    return "–" if row is None else _rate(status, row.condition)
 
 
-def _rate(status: AuditStatus, played: Played) -> str:
+def _rate(status: AuditStatus, condition: Condition) -> str:
     """Success on the seeds of the audit so far, and their number."""
     assert status.plan is not None
     seeds = status.plan.seeds(status.plan.episodes)
-    seen = [ok for seed, ok in status.outcomes.get(played, {}).items() if seed in seeds]
+    seen = [ok for seed, ok in status.outcomes.get(condition, {}).items() if seed in seeds]
     if not seen:
         return '<span class="dim">·</span>'
     return f'{sum(seen) / len(seen):.2f} <span class="dim">{len(seen)}</span>'

@@ -27,7 +27,8 @@ from madviz.app.panels.subsets import subset_label
 from madviz.app.rates import SuccessRates
 from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import FAINT, MUTED, NOTE, camera_colours
-from madviz.session.frame import Condition, Frame
+from madviz.observation.condition import Condition
+from madviz.session.frame import Frame
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array
 
@@ -125,7 +126,7 @@ def success_column(frame: Frame, rates: SuccessRates) -> Column:
     bounded = {name: (rate.value, *rate.interval) for name, rate in found.items()}
     low, high = success_interval(bounded, streams, frame.mask)
     least = min(rate.n for rate in found.values())
-    clean = " Measured with clean pictures." if frame.condition.occlusions else ""
+    clean = " Measured with clean pictures." if frame.condition.key() else ""
     words = (
         "<b>Success</b>: the success rate that a camera adds, ± 95 % interval "
         f"({least} or more episodes for each set).{clean}"

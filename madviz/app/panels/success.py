@@ -18,7 +18,8 @@ from madviz.app.rates import NOTHING, SuccessRates, side_b
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.measure.statistics import SuccessRate
-from madviz.session.frame import Condition, Frame, Outcome
+from madviz.observation.condition import Condition
+from madviz.session.frame import Frame, Outcome
 from madviz.subsets import mask_of, name_of, single_streams
 from madviz.types import PolicySpec
 
@@ -123,7 +124,7 @@ class SuccessPanel(WidgetPanel):
             wanted = (side.world.policy, side.condition)
             if wanted != self._wanted.get(who) and side.world.probe.supported[side.row]:
                 self._wanted[who] = wanted
-                self._rates.want(who, side.world.policy, side.mask, side.world.ablation)
+                self._rates.want(who, *wanted)
 
     def _set_measuring(self, on: bool) -> None:
         if on:
@@ -229,13 +230,13 @@ def _bar_row(
 ) -> str:
     """``side``: A or B, of which B leaves out what A's row above it says; '' where there is one."""
     spec = frame.world.policy
-    known = {} if condition.occlusions else rates.shipped(spec)
+    known = {} if condition.key() else rates.shipped(spec)
     shipped, live = known.get(condition.subset, NOTHING), rates.live(spec, condition)
     mask = mask_of(condition.subset, frame.world.policy.streams)
     label = subset_label(frame, condition.subset)
     short = label if len(label) <= LABEL else condition.subset
-    if condition.occlusions:
-        words = " · " + ", ".join(p.split(",")[0] for p in condition.occlusions.split(";"))
+    if condition.key():
+        words = " · " + ", ".join(p.split(",")[0] for p in condition.key().split(";"))
         label, short = label + words, short + words
     dagger = "" if frame.world.probe.row(mask) in frame.trained_rows else "† "
     joined = rates.best(spec, condition)

@@ -13,22 +13,20 @@ import shlex
 import signal
 import sys
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from madviz.envs.registry import TaskName
 from madviz.errors import Interrupted, UserError, saving
-from madviz.measure.audit.conditions import HOWS, INTACT, Cameras, How, Played
-from madviz.measure.audit.page import html, markdown
-from madviz.measure.audit.plan import AuditPlan
-from madviz.measure.audit.result import AuditFile, result
-from madviz.measure.audit.words import in_words, plan_words, planned
-from madviz.measure.episodes import FIRST_SEED, Job, Runner, claimed_definition
-from madviz.measure.evaluate import adopted, run_anywhere
+from madviz.measure.audit.account import html, markdown
+from madviz.measure.audit.document import AuditFile, audit_document, facts_of
+from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras, How
+from madviz.measure.audit.schedule import AuditPlan, Outcomes
+from madviz.measure.audit.sentences import in_words, plan_words, planned
+from madviz.measure.episodes import FIRST_SEED
 from madviz.measure.store import MEMORY, Store
+from madviz.measure.table import Table, seeds_of_run
 from madviz.policies import checkpoint
-from madviz.policies.config import definition_of
 from madviz.policies.sb3 import trust
 from madviz.system.files import read_json, write_bytes, write_json, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
@@ -81,70 +79,26 @@ def audit(
     decided before.
 
     ``policy`` and ``workers`` as in ``madviz.evaluate``; ``how`` are the ways in which cameras are
-    away. ``store`` answers for episodes that it has
-    seen, and keeps the new ones. ``progress`` says on standard error what is planned and done.
+    away. ``store`` is this audit's own: it answers for episodes that it has seen, and keeps the new
+    ones. ``progress`` says on standard error what is planned and done.
     """
-    if episodes < 1 or seed < 0:
-        raise UserError(f"expected episodes >= 1 and seed >= 0, found {episodes} and {seed}")
-    here = Runner()
-    reference, loaded = adopted(policy, here)
+    seeds_of_run(seed, episodes)
+    table, loaded = Table.opened(policy, store or Store(MEMORY), own=True)
     plan = AuditPlan(Cameras(loaded.spec.streams, loaded.supports, how), episodes, seed)
     if progress:
-        words = plan_words(plan.episodes, plan.detectable)
-        print(f"{len(plan.every)} conditions. {words}", file=sys.stderr)
-    played = Episodes(store or Store(MEMORY), reference, loaded)
-    played.recall(plan)
-    while wanted := plan.wanted(played.outcomes):
-        played.play(wanted, workers, here, progress)
+        summary = plan_words(plan.episodes, plan.detectable)
+        print(f"{len(plan.every)} conditions. {summary}", file=sys.stderr)
+
+    def outcomes() -> Outcomes:
+        return {condition: table.outcomes(condition) for condition in plan.every}
+
+    while wanted := plan.wanted(outcomes()):
+        table.play(wanted, workers, progress)
     try:
-        return result(plan, played.outcomes, played.facts(here))
+        env, _ = table.runner.opened(table.job(INTACT, 0))
+        return audit_document(plan, outcomes(), facts_of(loaded.spec, env.spec))
     finally:
-        here.close()
-
-
-class Episodes:
-    """What was played of an audit, in memory and in a store."""
-
-    def __init__(self, store: Store, reference: str, policy: Policy) -> None:
-        """Where the policy has no digest, its episodes are kept under ``reference``."""
-        self._store, self._reference, self._policy = store, reference, policy
-        self._spec = replace(policy.spec, digest=policy.spec.digest or f"of {reference}")
-        folder = bool(reference) and checkpoint.is_folder(reference)
-        self._definition = claimed_definition(reference) if folder else ""
-        """Part of the key. Whether a user's own task is still the same cannot be known."""
-        self.outcomes: dict[Played, dict[int, bool]] = {}
-
-    def recall(self, plan: AuditPlan) -> None:
-        """Begins with what the store has."""
-        for played in plan.every:
-            known = self._store.results(self._job(played, 0).key(self._spec, self._definition))
-            self.outcomes[played] = {seed: one.success for seed, one in known.items()}
-
-    def play(
-        self, wanted: list[tuple[Played, int]], workers: int | None, here: Runner, progress: bool
-    ) -> None:
-        """Plays the episodes ``wanted``, and keeps each as it finishes."""
-        jobs = {self._job(played, seed): (played, seed) for played, seed in wanted}
-        for job, (one, _) in run_anywhere(list(jobs), workers, here, progress):
-            played, seed = jobs[job]
-            self._store.put(job.key(self._spec, self._definition), one)
-            self.outcomes[played][seed] = one.success
-
-    def facts(self, here: Runner) -> dict[str, Any]:
-        """What ``result`` says of the policy; an environment knows what a success is."""
-        spec = self._policy.spec
-        env, _ = here.opened(self._job(INTACT, 0))
-        return {
-            "policy": spec.name,
-            "task": spec.task,
-            "digest": spec.digest,
-            "definition": definition_of(env.spec),
-            "labels": {camera.name: camera.label for camera in env.spec.cameras},
-        }
-
-    def _job(self, played: Played, seed: int) -> Job:
-        digest = self._policy.spec.digest
-        return Job(self._reference, digest, played.subset, played.occlusions, seed)
+        table.runner.close()
 
 
 # --- The command ----------------------------------------------------------------------------
@@ -164,7 +118,7 @@ def run_audit(config: AuditConfig) -> AuditFile:
     _check_folder(config.out, policy)
     with closing(Store(config.out / EPISODES)) as store:
         try:
-            found = audit(
+            document = audit(
                 reference,
                 episodes=config.episodes,
                 seed=config.seed,
@@ -175,11 +129,11 @@ def run_audit(config: AuditConfig) -> AuditFile:
             )
         except KeyboardInterrupt as stopped:
             raise Interrupted(command(config), signal.SIGINT) from stopped
-    with saving(found, f"--out {config.out}"):
-        write_json(config.out / "audit.json", found)
-        write_bytes(config.out / "audit.md", markdown(found, command(config)).encode())
-        write_bytes(config.out / "audit.html", html(found, command(config)).encode())
-    return found
+    with saving(document, f"--out {config.out}"):
+        write_json(config.out / "audit.json", document)
+        write_bytes(config.out / "audit.md", markdown(document, command(config)).encode())
+        write_bytes(config.out / "audit.html", html(document, command(config)).encode())
+    return document
 
 
 def _check_folder(out: Path, policy: Policy) -> None:

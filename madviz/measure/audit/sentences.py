@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from madviz.measure.audit.result import AuditFile, ConditionRow, DifferenceRow
-from madviz.measure.audit.rule import LEVEL, MARGIN
+from madviz.measure.audit.document import AuditFile, ConditionRow, DifferenceRow
+from madviz.measure.audit.verdict import LEVEL, MARGIN
 from madviz.measure.statistics import SuccessRate
 
 HOW_WORDS = {

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-from madviz.measure.audit.conditions import HOWS
-from madviz.measure.audit.result import AuditFile, ConditionRow
-from madviz.measure.audit.words import HOW_WORDS, MEANING, change, deciding, in_words, planned
+from madviz.measure.audit.document import AuditFile, ConditionRow
+from madviz.measure.audit.lost_cameras import HOWS
+from madviz.measure.audit.sentences import HOW_WORDS, MEANING, change, deciding, in_words, planned
 from madviz.measure.statistics import SuccessRate
 from madviz.plots import figures
 from madviz.policies.seeds import use_of

@@ -1,0 +1,113 @@
+"""``madviz compare P --conditions all third_a=black first=delay``: conditions of one policy.
+
+Every condition is played on the same seeds and compared with the first one, pair by pair, as
+``compare.py`` does with policies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any, TypedDict
+
+from madviz.errors import UserError
+from madviz.measure.episodes import unsupported
+from madviz.measure.statistics import PairedRow, SuccessRate, pair
+from madviz.measure.table import Table, seeds_of_run
+from madviz.observation.grammar import parse_condition
+from madviz.subsets import cameras_of
+
+
+class ConditionRow(TypedDict):
+    """The success rate of one condition."""
+
+    subset: str
+    occlusions: dict[str, dict[str, Any]]
+    """By camera: the fields of ``Occlusion``."""
+    success: float
+    n: int
+    ci95: list[float]
+
+
+class ConditionPairRow(PairedRow):
+    """The first condition against another one, as they are written on the command line."""
+
+    first: str
+    second: str
+
+
+class ConditionsFile(TypedDict):
+    """The document that ``madviz compare --conditions --json`` writes."""
+
+    schema: int
+    policy: str
+    task: str
+    definition: str
+    seed: int
+    conditions: dict[str, ConditionRow]
+    comparisons: list[ConditionPairRow]
+    broken: list[Any]
+    """Empty: a single policy that is broken is an error."""
+
+
+def compare_conditions(
+    policy: str, words: Sequence[str], *, episodes: int, seed: int, workers: int | None
+) -> ConditionsFile:
+    """Plays ``policy`` under every condition. Raises UserError for a condition that is none, or
+    that the policy cannot act under, before anything is played."""
+    if len(words) < 2 or len(set(words)) < len(words):
+        raise UserError(f"expected two or more conditions, each once, found {' '.join(words)!r}")
+    seeds = seeds_of_run(seed, episodes)
+    table, loaded = Table.opened(policy)
+    streams = loaded.spec.streams
+    asked = {word: parse_condition(word, cameras_of(streams)) for word in words}
+    played = {word: condition.noticed(streams) for word, condition in asked.items()}
+    for condition in played.values():
+        mask = condition.mask(streams)
+        if not loaded.supports(mask):
+            raise unsupported(loaded.spec, mask)
+    table.play([(c, s) for c in played.values() for s in seeds], workers, progress=True)
+    outcomes = {word: table.outcomes(condition) for word, condition in played.items()}
+    rows: dict[str, ConditionRow] = {}
+    for word in words:
+        rate = SuccessRate.counted(outcomes[word].values())
+        rows[word] = {
+            "subset": played[word].subset,
+            "occlusions": {name: asdict(o) for name, o in asked[word].occlusions},
+            "success": rate.value,
+            "n": rate.n,
+            "ci95": list(rate.interval),
+        }
+    first = words[0]
+    return {
+        "schema": 1,
+        "policy": loaded.spec.name,
+        "task": loaded.spec.task,
+        "definition": table.definition,
+        "seed": seed,
+        "conditions": rows,
+        "comparisons": [
+            {"first": first, "second": word, **pair(outcomes[first], outcomes[word]).row()}
+            for word in words[1:]
+        ],
+        "broken": [],
+    }
+
+
+def conditions_table(result: ConditionsFile) -> str:
+    """The comparison as lines."""
+    wide = max(map(len, result["conditions"]))
+    lines = [f"{result['policy']} on {result['task']}: success {result['definition']}"]
+    for word, row in result["conditions"].items():
+        low, high = row["ci95"]
+        lines.append(f"  {word:{wide}} {SuccessRate(row['success'], (low, high), row['n'])}")
+    for pair_row in result["comparisons"]:
+        low, high = pair_row["ci95"]
+        first, second = pair_row["first"], pair_row["second"]
+        lines.append(
+            f"{first} minus {second}, paired by seed: {pair_row['difference']:+.2f} "
+            f"[{low:+.2f}, {high:+.2f}]   only {first} {pair_row['first_only']}, only "
+            f"{second} {pair_row['second_only']} of {pair_row['n']}   "
+            f"exact p = {pair_row['p']:.2g}"
+        )
+    return "\n".join(lines)
