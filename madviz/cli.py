@@ -80,7 +80,8 @@ def run(words: Sequence[str], group: str = "") -> int:
     name = f"{group} {first}".strip()
     command = COMMANDS[name]
     try:
-        config, work = parse(name, rest), named(command.work)
+        config = parse(name, rest)
+        work = named(command.work)
         in_words = named(command.words) if command.words else None
     except KeyboardInterrupt as stopped:
         raise Interrupted("", signal_of(stopped)) from stopped

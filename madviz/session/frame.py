@@ -38,7 +38,8 @@ class Condition:
 def condition_of(ablation: Ablation, streams: tuple[str, ...]) -> Condition:
     """What a policy with ``streams`` gets under ``ablation``; how a dropped camera fails is no part
     of it."""
-    mask, present = ablation.mask(streams), ablation.present(streams)
+    mask = ablation.mask(streams)
+    present = ablation.present(streams)
     noticed = {name: state for name, state in ablation.cameras.items() if name in present}
     moved = {name: move for name, move in ablation.moves.items() if name in present}
     return Condition(name_of(mask, streams), Ablation(noticed, moved).key())
@@ -93,7 +94,8 @@ class Pair:
     @property
     def sides(self) -> tuple[Side, Side]:
         """What was compared: A and B."""
-        first, second = self.first, self.second
+        first = self.first
+        second = self.second
         return (first.policy, first.condition), (second.policy, second.condition)
 
 
