@@ -51,7 +51,8 @@ def groups(streams: tuple[str, ...]) -> Mapping[str, Array]:
 
 def mask_of(name: str, streams: tuple[str, ...]) -> Array:
     """(V,) bool of the subset ``name``. Raises UserError listing the known words."""
-    table, mask = groups(streams), np.zeros(len(streams), bool)
+    table = groups(streams)
+    mask = np.zeros(len(streams), bool)
     for word in name.split("+"):
         if word.strip() not in table:
             raise unknown("camera subset", word.strip(), list(table))
@@ -66,7 +67,8 @@ def name_of(mask: Array, streams: tuple[str, ...]) -> str:
 
 @lru_cache(maxsize=4096)
 def _name_of(bits: bytes, streams: tuple[str, ...]) -> str:
-    mask, table = np.frombuffer(bits, bool), groups(streams)
+    mask = np.frombuffer(bits, bool)
+    table = groups(streams)
     several = len(set(map(modality_of, streams))) > 1
     for word, group in table.items():
         if (several or word not in ("rgb", "depth")) and np.array_equal(group, mask):

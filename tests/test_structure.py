@@ -133,6 +133,63 @@ def test_literals_are_not_packed() -> None:
     assert packed == []
 
 
+UNPACKED = """
+cli commands errors subsets types drawing examples session site system
+envs.metaworld envs.mujoco envs.toy envs.registry envs.gymnasium_env
+app.access app.connection app.keys app.layout app.page app.refresh app.scene app.toolkit app.tour
+app.users
+""".split()
+"""Packages and modules without packed assignments."""
+
+
+def test_assignments_are_not_packed() -> None:
+    """``self.a, self.b = a, b`` saves a line and costs the reader. A swap needs it, and so does
+    every assignment whose values read what it has already assigned."""
+    lines = [
+        f"madviz/{module.replace('.', '/')}.py:{node.lineno}"
+        for module, tree in TREES.items()
+        if any(module == part or module.startswith(f"{part}.") for part in UNPACKED)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Assign) and is_packed(node)
+    ]
+    assert lines == []
+
+
+@pytest.mark.parametrize(
+    ("line", "packed"),
+    [
+        ("self.a, self.b = a, b", True),
+        ("a, b = 1, f(c)", True),
+        ("a, b = b, a", False),
+        ("a, b = b, a + b", False),
+        ("a, b = f()", False),
+        ("a, *b = 1, 2", False),
+        ("a[0], a[1] = 1, 2", False),
+    ],
+)
+def test_a_packed_assignment_is_recognised(line: str, packed: bool) -> None:
+    (node,) = ast.parse(line).body
+    assert isinstance(node, ast.Assign) and is_packed(node) is packed
+
+
+def is_packed(node: ast.Assign) -> bool:
+    """Whether ``node`` is several assignments in one, which could as well be a line each."""
+    targets = node.targets[0]
+    if not (isinstance(targets, ast.Tuple) and isinstance(node.value, ast.Tuple)):
+        return False
+    values = node.value.elts
+    plain = [target for target in targets.elts if isinstance(target, ast.Name | ast.Attribute)]
+    if len(plain) < 2 or len(values) != len(targets.elts):
+        return False
+    if any(isinstance(part, ast.Starred) for part in (*targets.elts, *values)):
+        return False
+    for i, value in enumerate(values):
+        assigned = {ast.unparse(target) for target in targets.elts[:i]}
+        if assigned & {ast.unparse(part) for part in ast.walk(value) if isinstance(part, ast.expr)}:
+            return False
+    return True
+
+
 def test_importing_madviz_loads_neither_torch_nor_viser() -> None:
     heavy = {"torch", "viser", "mujoco", "tyro", "sapien", "ray", "matplotlib"}
     program = f"import madviz, sys; print(*{heavy} & set(sys.modules))"

@@ -74,7 +74,8 @@ class Probe:
         divided by the number of streams, and they do so, too. 0 for an absent stream; NaN where M
         has norm 0 or is no sum and no mean.
         """
-        kind, mask = self.merged_kind(), self.masks[row]
+        kind = self.merged_kind()
+        mask = self.masks[row]
         merged = self.merged(row)
         if kind not in ("sum", "mean") or not float(merged @ merged) > 1e-12:
             return np.full(len(self.features), np.nan)
@@ -87,7 +88,8 @@ class Probe:
         if not self.features.any():
             return "no views"
         fullest = int(np.argmax(np.where(self.known, self.masks.sum(1), -1)))
-        merged, mask = self.merged(fullest), self.masks[fullest]
+        merged = self.merged(fullest)
+        mask = self.masks[fullest]
         if merged.shape != self.features.shape[1:]:
             return "other"
         total = self.features[mask].sum(0)

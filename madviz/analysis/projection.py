@@ -60,7 +60,8 @@ def fit(features: Array) -> Basis:
     mean = rows.mean(0)
     centred = rows - mean
     variance, turns = np.linalg.eigh(centred @ centred.T)
-    variance, turns = np.maximum(variance[::-1], 0), turns[:, ::-1]
+    variance = np.maximum(variance[::-1], 0)
+    turns = turns[:, ::-1]
     axes = np.zeros((2, rows.shape[1]))
     for axis in range(2):
         if variance[axis] > 1e-12 * max(variance[0], 1e-12):

@@ -29,7 +29,8 @@ from madviz.errors import UserError, unknown
 from madviz.types import Array, Policy
 
 Target = Literal["q", "action"]
-COPIES, NOISE = 3, 16.0
+COPIES = 3
+NOISE = 16.0
 """Noisy copies that are averaged, and the standard deviation of their noise in grey levels."""
 BRIGHT = 99.5
 """Percentile that becomes 1: a few pixels would otherwise make all others dark."""
@@ -128,7 +129,9 @@ class LiveSaliency:
 
     def forget(self) -> None:
         """Another policy or episode: what is known is of no use, the next map is due at once."""
-        self.maps, self._of, self._done = None, (None, b""), -1e9
+        self.maps = None
+        self._of = (None, b"")
+        self._done = -1e9
 
     def due(self, shown: object, mask: Array, now: float, moving: bool, full_speed: bool) -> bool:
         """Whether ``shown``, whatever object stands for what is shown, needs a new map now:
@@ -150,7 +153,8 @@ class LiveSaliency:
         now: float,
     ) -> None:
         """Makes the maps of ``shown``; see ``saliency`` for the rest."""
-        self._of, self._done = (shown, np.asarray(mask, bool).tobytes()), now
+        self._of = (shown, np.asarray(mask, bool).tobytes())
+        self._done = now
         if self.target is None:
             raise UserError("expected a target, found none; ask for q or action first")
         maps = saliency(policy, views, state, mask, self.target)

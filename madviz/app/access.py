@@ -58,7 +58,8 @@ from madviz.errors import UserError
 from madviz.system.hosts import new_token
 
 Role = Literal["presenter", "visitor"]
-TRIES, WINDOW = 5, 1.0
+TRIES = 5
+WINDOW = 1.0
 """Wrong tokens that one address may send in so many seconds."""
 MOST = 200
 """Websockets that are open at once, where nothing else is said."""
@@ -110,7 +111,9 @@ class Gate:
     def __init__(
         self, visit: str | None = None, present: str | None = None, local: bool = False
     ) -> None:
-        self.visit, self.present, self.local = visit, present, local
+        self.visit = visit
+        self.present = present
+        self.local = local
         self.most = MOST
         """Websockets that may be open at once."""
         self._open: WeakSet[ServerConnection] = WeakSet()
@@ -119,7 +122,8 @@ class Gate:
 
     def _role_of(self, said: str) -> Role | None:
         """Compares with both, whatever the first one gave: the time taken tells nothing."""
-        presents, visits = same(said, self.present), same(said, self.visit)
+        presents = same(said, self.present)
+        visits = same(said, self.visit)
         return "presenter" if presents else "visitor" if visits else None
 
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
@@ -134,7 +138,8 @@ class Gate:
         if self.visit is None and self.present is None:
             return self._place(connection, request)
         address = str((connection.remote_address or ("?",))[0])
-        asked, carried = _asked(request), _cookie(request, port)
+        asked = _asked(request)
+        carried = _cookie(request, port)
         said = carried if asked is None else asked
         waits = said is not None and self.tries.too_many(address)
         known = None if said is None or waits else self._role_of(said)
@@ -184,7 +189,8 @@ class Gate:
         """Servers of viser that start meanwhile ask this gate first. Raises UserError if one
         started without asking: viser has changed, and an open page must not be taken for a closed
         one."""
-        real, hooked = websockets.asyncio.server.serve, []
+        real = websockets.asyncio.server.serve
+        hooked = []
 
         def serve(handler: Any, *words: Any, process_request: Any = None, **options: Any) -> Any:
             hooked.append(True)
@@ -266,7 +272,8 @@ def _is_owned(host: str, port: int) -> bool:
     """Whether ``host`` (``name:port``) is ``port`` under a name other than this machine's own."""
     try:
         asked = urlsplit(f"//{host.strip()}")
-        name, number = (asked.hostname or "").rstrip("."), asked.port or 80
+        name = (asked.hostname or "").rstrip(".")
+        number = asked.port or 80
     except ValueError:
         return True
     if number != port or name == "localhost" or name.endswith(".localhost"):

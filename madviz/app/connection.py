@@ -38,7 +38,8 @@ from websockets.typing import Data
 
 LARGEST = 2**16
 """Bytes of the longest message a page may send; viser's own 50 MB are for rendered pictures."""
-PACE, BURST = 100, 300
+PACE = 100
+BURST = 300
 """Messages a second that are read, and how many at once after a silence. A slider that is dragged
 sends 20 a second, a key that is held 30."""
 PATIENCE = 20.0
@@ -102,7 +103,8 @@ class PageConnection(ServerConnection):
                 async with asyncio.timeout(PATIENCE):
                     return await super().drain()
             except TimeoutError:
-                before, left = left, self.transport.get_write_buffer_size()
+                before = left
+                left = self.transport.get_write_buffer_size()
                 if left >= before:
                     log.warning("let go of a connection: it has taken nothing for %g s", PATIENCE)
                     self.transport.abort()
@@ -192,7 +194,8 @@ def _forgive(handlers: Any, pages: Mapping[int, Any]) -> None:
 
 def _bound(page: Any, connection: ServerConnection) -> None:
     """Lets go of the browser of ``page`` once too much waits for it."""
-    queue, waiting = page.queue_message, page.get_message_buffer()
+    queue = page.queue_message
+    waiting = page.get_message_buffer()
 
     def queue_message(message: Any) -> None:
         if len(waiting.message_from_id) >= MOST_UNSENT and not waiting.done:

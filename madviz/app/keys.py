@@ -29,7 +29,8 @@ class Keys:
         """``send`` is None for a visitor who only watches, and has none."""
         self._newest = newest
         self._send: Callable[[Command], None] = send or (lambda command: None)
-        self._cameras, self._watches = frame.world.env.cameras, send is None
+        self._cameras = frame.world.env.cameras
+        self._watches = send is None
 
     @property
     def table(self) -> list[tuple[str, str, Callable[[], None]]]:

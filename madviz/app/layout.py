@@ -47,7 +47,8 @@ from madviz.session.frame import Frame, NoFrame
 from madviz.session.live_session import LiveSession
 from madviz.training.job import TrainingJob
 
-PAIRED, PAIRED_WIDE = 156, 216
+PAIRED = 156
+PAIRED_WIDE = 216
 """Pixels of a camera's picture where there are two rows of them: then nothing has to be scrolled in
 a window of 1280 x 800, or 1920 x 1080."""
 
@@ -90,11 +91,15 @@ class Panels:
         """``newest`` is what the page shows last; ``wide`` windows have more room; who is
         ``readonly`` watches somebody else's session; ``greet`` offers a comparison; ``measures``
         is as in ``SuccessPanel``."""
-        self._client, self._session, self._shared = client, session, shared
+        self._client = client
+        self._session = session
+        self._shared = shared
         self._newest = newest
         self._send = None if readonly else session.send
         self._wide = wide
-        gui, choices, rates = client.gui, shared.choices, shared.rates
+        gui = client.gui
+        choices = shared.choices
+        rates = shared.rates
         named = shared.references.name_of
         visitor = None if readonly else client.client_id
         keys = Keys(self._send, newest, frame)
@@ -135,9 +140,13 @@ class Panels:
 
     def _build_tabs(self, tabs: viser.GuiTabGroupHandle, frame: Frame) -> list[TimedPanel]:
         """What stands under the cameras, a tab each; names are short: eleven fit into one row."""
-        gui, send, wide, shared = self._client.gui, self._send, self._wide, self._shared
+        gui = self._client.gui
+        send = self._send
+        wide = self._wide
+        shared = self._shared
         explain, audited = (self._explain, self._newest) if send else (None, None)
-        choices, named = shared.choices, shared.references.name_of
+        choices = shared.choices
+        named = shared.references.name_of
         table: list[tuple[str, list[tuple[Callable[[], Panel], float]]]] = [
             ("Features", [(lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25)]),
             ("Subsets", [(lambda: SubsetsPanel(gui, send, frame), 0.5)]),

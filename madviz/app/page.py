@@ -42,8 +42,11 @@ class Page:
         notice: str = "",
         readonly: bool = False,
     ) -> None:
-        self.client, self.session, self._shared = client, session, shared
-        self._notice, self._readonly = notice, readonly
+        self.client = client
+        self.session = session
+        self._shared = shared
+        self._notice = notice
+        self._readonly = readonly
         self._wide = window_is_wide(client)
         self._greets = shared.greets and not window_is_upright(client)
         """Until it has: whoever comes is offered a comparison once."""
@@ -61,7 +64,8 @@ class Page:
         self._urgent = threading.Event()
         """Somebody has touched a camera and waits for ``_drawing``."""
         self._newest: Frame | NoFrame | None = None
-        self._wake, self._closing = threading.Event(), threading.Event()
+        self._wake = threading.Event()
+        self._closing = threading.Event()
         self._beginning = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="madviz-page", daemon=True)
 
@@ -113,7 +117,8 @@ class Page:
 
     def _strip(self) -> None:
         """Takes panels and scene off the page."""
-        panels, self._panels = self._panels, None
+        panels = self._panels
+        self._panels = None
         if panels is not None:
             self._measures = panels.success.measures
             panels.remove()
@@ -184,7 +189,8 @@ class Page:
         return panels.refresh.wait(frame, now)
 
     def _build(self, frame: Frame) -> None:
-        greet, self._greets = self._greets, False
+        greet = self._greets
+        self._greets = False
         self._strip()
         assert self._waiting is not None
         if self._said is None:

@@ -17,7 +17,8 @@ TILE = 84
 def picture(frame: Frame, camera: str) -> Array:
     """(H, W, 3) uint8: what arrives of the camera's colour, in a striped frame if it is occluded;
     dim and grey where nothing of it reaches the policy."""
-    raw, state = frame.world.views[camera].rgb, frame.camera(camera)
+    raw = frame.world.views[camera].rgb
+    state = frame.camera(camera)
     if not frame.uses(camera):
         return (0.25 * raw.mean(axis=2, keepdims=True)).astype(np.uint8).repeat(3, axis=2)
     seen = raw

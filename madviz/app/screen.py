@@ -38,7 +38,8 @@ class Screen:
     ) -> None:
         """``rgb`` (H, W, 3) uint8, the first picture. ``step`` names what it shows; scripts find
         the ``attributes`` on the image."""
-        self._id, self._alt = f"mv-screen-{next(_number)}", alt
+        self._id = f"mv-screen-{next(_number)}"
+        self._alt = alt
         self.handle = gui.add_html(self._element(rgb, step, attributes))
         self._feed = gui.add_html("")
 

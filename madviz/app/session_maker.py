@@ -64,7 +64,8 @@ class LoadedPolicies:
 
     def __init__(self, policies: dict[str, Policy], noted: Noted) -> None:
         """``noted`` hears of every policy once, as what it is known here."""
-        self._policies, self._noted = policies, noted
+        self._policies = policies
+        self._noted = noted
         self._seen: set[str] = set()
 
     def load(self, name: str) -> Policy:

@@ -26,7 +26,9 @@ from madviz.app.connection import MISTAKES, is_downloading, note
 from madviz.app.panel import Assign
 from madviz.errors import UserError
 
-LEFT_WIDTH, LEFT_WIDTH_WIDE, RIGHT_WIDTH = 640, 790, 320
+LEFT_WIDTH = 640
+LEFT_WIDTH_WIDE = 790
+RIGHT_WIDTH = 320
 WIDE = 1600
 """Browser windows from this width on get bigger tiles."""
 
@@ -219,7 +221,8 @@ class SyncedInput:
     frame would take back what a visitor has just chosen, before a callback could read it."""
 
     def __init__(self, handle: Any) -> None:
-        self.handle, self._last = handle, handle.value
+        self.handle = handle
+        self._last = handle.value
 
     def show(self, value: Any, force: bool = False) -> list[Assign]:
         """What has to change where ``value`` is another than the last one; always if ``force``."""

@@ -28,7 +28,9 @@ from madviz.session.frame import Frame, NoFrame
 WIDTH = 300
 """Pixels of the tour's window: at 1280 the scene between the panels has 320."""
 
-COMPARE_BUTTON, TOUR_BUTTON, HELP_BUTTON = "compare", "tour", "help, keys"
+COMPARE_BUTTON = "compare"
+TOUR_BUTTON = "tour"
+HELP_BUTTON = "help, keys"
 
 HELP = """
 **What this is.** A robot works at a task. Several cameras watch it; a *policy*, a trained network,
@@ -63,8 +65,12 @@ class Tour:
         named: Reference = own_name,
     ) -> None:
         """``send`` None: a watcher, who gets help only. ``keys``: (key, what it does)."""
-        self._client, self._send, self._newest, self._named = client, send, newest, named
-        self._choices, self._keys = choices, keys
+        self._client = client
+        self._send = send
+        self._newest = newest
+        self._named = named
+        self._choices = choices
+        self._keys = keys
         self._panel: viser.PanelHandle | None = None
         self._help: Any = None
         self._start: Frame | None = None
@@ -98,7 +104,8 @@ class Tour:
 
     def greet(self) -> None:
         """Offers the comparison, if there is a policy to compare with."""
-        frame, other = self._newest(), self._other()
+        frame = self._newest()
+        other = self._other()
         if isinstance(frame, Frame) and other is not None:
             self._open(frame, comparison_steps(frame, other, self._named))
 
@@ -111,7 +118,9 @@ class Tour:
     def _open(self, frame: Frame, steps: list[Step]) -> None:
         if self._send is None or self._panel is not None:
             return
-        self._start, self._steps, self._at = None, steps, 0
+        self._start = None
+        self._steps = steps
+        self._at = 0
         self._acting = self._named(frame.world.policy)
         gui = self._client.gui
         self._panel = gui.add_panel()
@@ -139,7 +148,8 @@ class Tour:
 
     def end(self) -> None:
         """Closes the window; cameras, policy, pace and B are as they were."""
-        panel, self._panel = self._panel, None
+        panel = self._panel
+        self._panel = None
         if panel is None:
             return
         panel.remove()
@@ -149,9 +159,11 @@ class Tour:
             self._do((Play(), *restored(self._start, compared, self._named)))
 
     def _show(self) -> None:
-        step, count = self._steps[self._at], len(self._steps)
+        step = self._steps[self._at]
+        count = len(self._steps)
         self._text.content = step_html(step, self._at + 1, count)
-        self._next.label, self._end.label = step.go, step.leave
+        self._next.label = step.go
+        self._end.label = step.leave
         if self._at + 1 == count and not step.keep:
             self._next.visible = False
         frame = self._newest()

@@ -64,7 +64,8 @@ def steps(frame: Frame, choices: Sequence[PolicyChoice], named: Reference = own_
 def _steps(frame: Frame, choices: Sequence[PolicyChoice], unbroken: Commands) -> Iterator[Step]:
     cameras = frame.world.env.cameras
     label = [camera.label for camera in cameras]
-    middle, last = len(cameras) // 2, len(cameras) - 1
+    middle = len(cameras) // 2
+    last = len(cameras) - 1
     yield Step(
         "What you see",
         f"A robot works at a task; it is done when: {frame.world.env.success}. The pictures on the "
@@ -201,5 +202,6 @@ def restored(frame: Frame, compared: bool = False, named: Reference = own_name) 
     cameras = (SetCamera(c.name, frame.camera(c.name)) for c in frame.world.env.cameras)
     alone = (Compare(None), SetSchedule(frame.schedule)) if compared else ()
     paused = (Pause(),) if frame.pace.phase == "paused" else ()
-    policy, speed = SetPolicy(named(frame.world.policy)), SetSpeed(frame.pace.speed)
+    policy = SetPolicy(named(frame.world.policy))
+    speed = SetSpeed(frame.pace.speed)
     return (*alone, policy, *cameras, speed, *paused)

@@ -75,8 +75,11 @@ class Users:
         presents: Callable[[viser.ClientHandle], bool] | None = None,
     ) -> None:
         """``presents`` tells the presenter from the others; None: there is no presenter."""
-        self._server, self._new_session = server, new_session
-        self._shared, self._limits, self._presents = shared, limits, presents
+        self._server = server
+        self._new_session = new_session
+        self._shared = shared
+        self._limits = limits
+        self._presents = presents
         self._visits: dict[int, Visit] = {}
         self._queue: dict[int, tuple[viser.ClientHandle, viser.GuiHtmlHandle]] = {}
         """Who found no place, and the line that says so."""
@@ -150,7 +153,8 @@ class Users:
         owners = [visit.session for visit in visits if visit.owner]
         watched = [visit.session for visit in visits if not visit.owner]
         if self._presents is None and len(owners) < self._limits.visitors:
-            session, self._spare = self._spare or self._new_session().start(), None
+            session = self._spare or self._new_session().start()
+            self._spare = None
             return session, True
         if not presents and len(watched) >= self._limits.watchers:
             return None
@@ -174,7 +178,8 @@ class Users:
             stranded = stranded if theirs else []
             for other in stranded:
                 del self._visits[other.client.client_id]
-            queue, self._queue = list(self._queue.values()), {}
+            queue = list(self._queue.values())
+            self._queue = {}
         visit.page.close()
         if theirs:
             visit.session.close()
@@ -193,7 +198,8 @@ class Users:
         with self._lock:
             if self._tidying is None:
                 self._tidying = threading.Timer(TIDY_AFTER, self._tidy)
-                self._tidying.name, self._tidying.daemon = "madviz-tidy", True
+                self._tidying.name = "madviz-tidy"
+                self._tidying.daemon = True
                 self._tidying.start()
 
     def _tidy(self) -> None:
@@ -206,8 +212,10 @@ class Users:
         with self._lock:
             if self._tidying is not None:
                 self._tidying.cancel()
-            visits, self._visits = list(self._visits.values()), {}
-            spare, self._spare = self._spare, None
+            visits = list(self._visits.values())
+            self._visits = {}
+            spare = self._spare
+            self._spare = None
         for visit in visits:
             visit.page.close()
         theirs = [visit.session for visit in visits if visit.owner and visit.session is not spare]

@@ -13,8 +13,13 @@ import numpy as np
 from madviz.types import Array, CameraSpec
 
 CAMERA_COLOURS = ("#E69F00", "#56B4E9", "#CC79A7", "#009E73", "#F0E442", "#D55E00")
-MERGED, MUTED, INK, FAINT = "#FFFFFF", "#9a9fa6", "#e8eaed", "#3a3d42"
-GOOD, BAD, NOTE = "#4db6ff", "#ff8a3d", "#ffd166"
+MERGED = "#FFFFFF"
+MUTED = "#9a9fa6"
+INK = "#e8eaed"
+FAINT = "#3a3d42"
+GOOD = "#4db6ff"
+BAD = "#ff8a3d"
+NOTE = "#ffd166"
 """Success and failure: blue against orange, always with a word or a shape beside them."""
 MERGED_ON_WHITE = "#222222"
 _ON_WHITE = {"#F0E442": "#b3a600", "#56B4E9": "#2f8fc9", "#E69F00": "#c98500"}

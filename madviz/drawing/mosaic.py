@@ -26,7 +26,9 @@ from madviz.observation.streams import depth_code
 from madviz.session.frame import Frame
 from madviz.types import Array, CameraSpec
 
-GAP, HEADER, SCALE = 6, 24, 18
+GAP = 6
+HEADER = 24
+SCALE = 18
 """Pixels between tiles, of a tile's title, of the depth scale under a tile."""
 _GROUND = (30, 31, 34)
 Dropped = Literal["imagined", "both", "truth"]
@@ -42,7 +44,8 @@ def mosaic(
 ) -> Array:
     """(HEADER + tile, V columns, 3) uint8: all cameras side by side, ``tile`` pixels wide each, in
     the middle of columns that are ``column`` wide, or no wider."""
-    cameras, column = frame.world.env.cameras, column or tile
+    cameras = frame.world.env.cameras
+    column = column or tile
     inset = (column - tile) // 2
     width = len(cameras) * column + (len(cameras) - 1) * GAP
     canvas = np.empty((HEADER + tile, width, 3), np.uint8)
@@ -81,7 +84,8 @@ def _true_picture(frame: Frame, camera: CameraSpec, dropped: Dropped, tile: int)
 def _imagined(picture: Array, drawn: Imagined, truth: Array | None) -> None:
     """What is imagined, in a dashed frame and with the word for it, so that nobody takes it for
     what a camera sends; and the truth in its corner."""
-    tile, ink = len(picture), rgb(NOTE)
+    tile = len(picture)
+    ink = rgb(NOTE)
     picture[:] = _enlarge(drawn.picture, tile)
     for start in range(0, tile, 12):
         for edge in (picture[:3], picture[-3:]):

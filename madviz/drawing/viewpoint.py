@@ -26,7 +26,8 @@ DOWN = 0.6
 """Metres down for each metre ahead, of the direction of the first view."""
 MARGIN = (0.84, 0.94)
 """Share of the picture that the points may fill, across and up; labels are wider than points."""
-WIDTH, WIDTH_ON_BODY = 0.24, 0.14
+WIDTH = 0.24
+WIDTH_ON_BODY = 0.14
 """How wide a frustum's picture is, as a share of the scene; one on the hand must not hide it."""
 
 
@@ -39,7 +40,8 @@ def nearest_place(points: Array, ahead: Array, aspect: float, fov: float = FOV) 
     half = np.tan(fov / 2)
     places = []
     for along, tangent in ((x, MARGIN[0] * half * aspect), (y, MARGIN[1] * half)):
-        most, least = (along - tangent * z).max(), (along + tangent * z).min()
+        most = (along - tangent * z).max()
+        least = (along + tangent * z).min()
         places.append(((least + most) / 2, (least - most) / (2 * tangent)))
     depth = min(place[1] for place in places)
     return np.array([places[0][0], places[1][0], depth]) @ axes
@@ -65,7 +67,8 @@ def best_direction(points: Array, pictures: Array, facing: Array, hand: Array) -
     """
     reach = hand[:2] - points[:, :2].mean(0)
     reach = reach / max(float(np.linalg.norm(reach)), 1e-6)
-    best, most = np.array([1.0, 0.0, -DOWN]), -np.inf
+    best = np.array([1.0, 0.0, -DOWN])
+    most = -np.inf
     for angle in np.arange(36) * np.pi / 18:
         level = np.array([np.cos(angle), np.sin(angle)])
         ahead = np.array([*level, -DOWN])
@@ -76,7 +79,8 @@ def best_direction(points: Array, pictures: Array, facing: Array, hand: Array) -
         shown = np.minimum(facing @ ahead / np.linalg.norm(ahead), 0.5).mean()
         score = 2 * np.minimum(gaps.min(1), 0.5).mean() + 2 * shown - 0.3 * (reach @ level)
         if score > most:
-            best, most = ahead, score
+            best = ahead
+            most = score
     return best / np.linalg.norm(best)
 
 
@@ -84,7 +88,8 @@ def first_view(frame: Frame) -> tuple[Array, Array]:
     """What must be in view at first, (n, 3) points, and along which direction (3,): cameras, the
     hand and whatever is on the table."""
     size = extent(frame)
-    pictures, points = [], []
+    pictures = []
+    points = []
     for name, pose in frame.world.poses.items():
         half = (WIDTH_ON_BODY if frame.world.env.camera(name).body else WIDTH) * size / 2
         ahead = half / np.tan(np.radians(pose.fovy) / 2)
@@ -101,7 +106,8 @@ def first_view(frame: Frame) -> tuple[Array, Array]:
         if np.ptp(ends[:2], axis=1).max() < size and ends[2, 1] >= 0:  # No table, nothing under it.
             ends[2, 0] = max(ends[2, 0], 0.0)
             points.append(np.array(np.meshgrid(*ends)).reshape(3, -1).T)
-    seen, places = np.concatenate(points), np.array(pictures)
+    seen = np.concatenate(points)
+    places = np.array(pictures)
     facing = places - np.array([frame.world.poses[name].position for name in frame.world.poses])
     facing /= np.linalg.norm(facing, axis=1, keepdims=True)
     return seen, best_direction(seen, places, facing, frame.world.hand)
@@ -123,12 +129,14 @@ def extent(frame: Frame) -> float:
 
 def focus(frame: Frame) -> Array:
     """(3,) the point nearest to all lines of sight, by least squares."""
-    left, right = np.zeros((3, 3)), np.zeros(3)
+    left = np.zeros((3, 3))
+    right = np.zeros(3)
     for pose in frame.world.poses.values():
         w, x, y, z = pose.wxyz
         axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
         across = np.eye(3) - np.outer(axis, axis)
-        left, right = left + across, right + across @ pose.position
+        left = left + across
+        right = right + across @ pose.position
     return np.linalg.lstsq(left, right, rcond=None)[0] if np.isfinite(left).all() else np.zeros(3)
 
 

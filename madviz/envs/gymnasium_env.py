@@ -53,10 +53,12 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
         cameras = tuple(replace(camera, size=size) for camera in facts.cameras)
         self._world: Environment = make_env(task, render_profile, cameras)
         self._cameras: tuple[CameraSpec, ...] = self._world.spec.cameras
-        self._depth, self._flat = depth, flat
+        self._depth = depth
+        self._flat = flat
         self._step = 0
         self.render_mode = render_mode
-        self.task, self.task_description = task, facts.instruction
+        self.task = task
+        self.task_description = facts.instruction
         self._max_episode_steps = facts.horizon
         self.action_space = spaces.Box(-1, 1, (facts.action_dim,), np.float32)
         self.observation_space = self._space(facts.state_dim)
@@ -101,7 +103,8 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
         return flattened(observation) if self._flat else observation, info
 
     def _space(self, state_dim: int) -> spaces.Dict:
-        pixels, depth = {}, {}
+        pixels = {}
+        depth = {}
         for camera in self._cameras:
             shape = (camera.size, camera.size)
             pixels[camera.name] = spaces.Box(0, 255, (*shape, 3), np.uint8)

@@ -31,7 +31,8 @@ from madviz.types import CameraSpec, Environment, EnvSpec, Modality
 
 RenderProfile = Literal["fast", "full"]
 
-METAWORLD_TASKS, MANISKILL_TASKS = tuple(METAWORLD_SUCCESS), tuple(MANISKILL_SUCCESS)
+METAWORLD_TASKS = tuple(METAWORLD_SUCCESS)
+MANISKILL_TASKS = tuple(MANISKILL_SUCCESS)
 
 
 class SuiteEnvironment(Protocol):

@@ -35,10 +35,14 @@ CAMERAS = (
     CameraSpec("third_b", "Third B", 60, (0, 0, 2.0), _DOWN),
 )
 _HALF_WIDTH = {"first": 0.9, "third_a": 1.5, "third_b": 1.15}
-_TABLE, _HAND, _TARGET = (120, 100, 80), (60, 120, 230), (230, 90, 40)
-_TARGET_SIZE, _HAND_SIZE = (0.16, 0.1), (0.1, 0.2)
+_TABLE = (120, 100, 80)
+_HAND = (60, 120, 230)
+_TARGET = (230, 90, 40)
+_TARGET_SIZE = (0.16, 0.1)
+_HAND_SIZE = (0.1, 0.2)
 """Radius and height of the top, metres."""
-_NOTHING, _FAR = 40, 10.0
+_NOTHING = 40
+_FAR = 10.0
 """Grey value and metres of what is not there."""
 
 
@@ -158,11 +162,13 @@ class ToyReach(PlacedCameras):
         rays = np.stack([right, up, -np.ones_like(right)], -1).reshape(-1, 3)
         eye, turn = self.in_world(spec)
         rays = turn.apply(rays).reshape(size, size, 3)
-        rgb, depth = np.full((size, size, 3), _NOTHING, np.uint8), np.full((size, size), _FAR)
+        rgb = np.full((size, size, 3), _NOTHING, np.uint8)
+        depth = np.full((size, size), _FAR)
         for centre, (radius, height), colour in [(None, (0, 0.0), _TABLE), *self._discs()]:
             with np.errstate(divide="ignore", invalid="ignore"):
                 away = (height - eye[2]) / rays[..., 2]
-                x, y = eye[0] + away * rays[..., 0], eye[1] + away * rays[..., 1]
+                x = eye[0] + away * rays[..., 0]
+                y = eye[1] + away * rays[..., 1]
                 hit = (away > 0) & (away < depth)
             if centre is not None:
                 hit &= (x - centre[0]) ** 2 + (y - centre[1]) ** 2 < radius**2

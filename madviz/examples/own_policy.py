@@ -67,9 +67,12 @@ def found(camera: str, picture: Array, hand: Array) -> Array:
     off = np.abs(picture.astype(int) - np.array(ORANGE)[:, None, None]).max(0)
     rows, columns = np.nonzero(off < 40)
     half = picture.shape[-1] / 2
-    right, up = (columns + 0.5 - half) / half, (half - rows - 0.5) / half
-    x, y = WIDTH[camera] * right, WIDTH[camera] * up
-    sin, cos = np.sin(TURN[camera]), np.cos(TURN[camera])
+    right = (columns + 0.5 - half) / half
+    up = (half - rows - 0.5) / half
+    x = WIDTH[camera] * right
+    y = WIDTH[camera] * up
+    sin = np.sin(TURN[camera])
+    cos = np.cos(TURN[camera])
     origin = hand if camera == "first" else np.zeros(2)
     where = np.stack([cos * x - sin * y, sin * x + cos * y]) + origin[:, None]
     return np.array([*where.sum(1), len(rows)])

@@ -34,16 +34,19 @@ SCENE = """
   </worldbody>
 </mujoco>
 """
-HAND, BALL = 0, 1
+HAND = 0
+BALL = 1
 STEP = 0.04
 """Metres the hand moves for an action of 1."""
 NEAR = 0.065
 """Metres between the middles of fingertip and ball when they touch."""
-LOW, HIGH = np.array([-0.4, -0.4, 0.05]), np.array([0.4, 0.4, 0.4])
+LOW = np.array([-0.4, -0.4, 0.05])
+HIGH = np.array([0.4, 0.4, 0.4])
 """Corners of the box, in metres, that hand and ball stay in."""
 
 
-MIDDLE, DEPTHS = (0.0, 0.0, 0.15), (0.3, 2.0)
+MIDDLE = (0.0, 0.0, 0.15)
+DEPTHS = (0.3, 2.0)
 CAMERAS = (
     CameraSpec("first", "First person", 90, (0, 0, 0.12), (1, 0, 0, 0), "hand", (0.0, 0.5)),
     standing_camera("third_a", "Third A", 60, (0.9, -0.5, 0.6), MIDDLE, DEPTHS),

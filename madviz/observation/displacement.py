@@ -33,7 +33,8 @@ MOST_ZOOM = 2.0
 """The picture is enlarged at most that much, or shrunk."""
 HALF_TURN = Rotation.from_euler("x", np.pi)
 """Between OpenGL axes (y up, looking along -z) and OpenCV axes (y down, looking along +z)."""
-NARROWEST, WIDEST = 5.0, 150.0
+NARROWEST = 5.0
+WIDEST = 150.0
 """Degrees of a field of view that environments draw."""
 _WORDS = {
     "forward": ("forward", "back", " m"),
@@ -166,7 +167,8 @@ def turned(pose: CameraPose, move: Displacement, wxyz: Array) -> Displacement:
     level = math.hypot(x, z)
     # Straight up or down is no direction to pan to.
     pan = math.degrees(math.atan2(x, -z)) if level > 1e-3 else move.pan
-    tilt, most = math.degrees(math.atan2(y, level)), LARGEST["pan"]
+    tilt = math.degrees(math.atan2(y, level))
+    most = LARGEST["pan"]
     pan, tilt = (round(min(max(angle, -most), most)) + 0.0 for angle in (pan, tilt))
     return replace(move, pan=pan, tilt=tilt)
 

@@ -124,7 +124,8 @@ class StreamStack:
 
     def restore(self, saved: tuple) -> None:
         frames, seen, self._noise_key = saved
-        self._frames, self._seen = list(frames), list(seen)
+        self._frames = list(frames)
+        self._seen = list(seen)
 
     @property
     def newest(self) -> dict[str, Array]:

@@ -36,7 +36,8 @@ class EpisodeRecord:
     def note(self, policy: PolicySpec, condition: Condition, ablation: Ablation) -> None:
         """What a decision was taken under."""
         self.conditions.add((policy, condition))
-        present, occluded = ablation.present(policy.streams), ablation.occlusions()
+        present = ablation.present(policy.streams)
+        occluded = ablation.occlusions()
         for camera in (*ablation.cameras, *ablation.moves):
             if camera not in present:
                 self.worst[camera] = "off"

@@ -73,7 +73,8 @@ class Pair:
     @property
     def sides(self) -> tuple[Side, Side]:
         """What was compared: A and B."""
-        first, second = self.first, self.second
+        first = self.first
+        second = self.second
         return (first.policy, first.condition), (second.policy, second.condition)
 
 

@@ -58,7 +58,8 @@ class PipeInbox(Inbox):
         """Instead of ``before``, whose commands it takes over. ``other`` gets what comes through
         ``pipe`` and is no command, and None at its end, in the thread that takes."""
         super().__init__()
-        self._pipe, self._other = pipe, other
+        self._pipe = pipe
+        self._other = other
         self._wakes, self._waker = Pipe(duplex=False)
         while (command := before.take()) is not None:
             self.put(command)

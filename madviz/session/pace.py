@@ -34,7 +34,8 @@ class StepClock:
 
     def begin(self, now: float) -> None:
         """An episode begins: its first decision is due in a period."""
-        self.due, self._stepped = now + self.period, None
+        self.due = now + self.period
+        self._stepped = None
 
     def step(self, now: float) -> None:
         """A decision was taken."""

@@ -26,11 +26,13 @@ class SessionPlan:
 
     def begin(self) -> None:
         """An episode begins: the one to replay, or an ordinary one."""
-        self._script, self.waiting = self.waiting, None
+        self._script = self.waiting
+        self.waiting = None
 
     def due(self, simulation: Simulation) -> list[SetCamera | MoveCamera | SetPolicy]:
         """The commands to carry out now that the simulation has come to a step, in order."""
-        step, script = simulation.now.step, self._script
+        step = simulation.now.step
+        script = self._script
         commands = [one.command for one in (script.commands if script else ()) if one.step == step]
         scripted: list[SetCamera | MoveCamera | SetPolicy] = [
             SetPolicy(one.name) if isinstance(one, SavedPolicy) else one for one in commands
@@ -48,13 +50,15 @@ class SessionPlan:
             return []
         for event in schedule:
             simulation.env.spec.camera(event.camera)
-        self.schedule, step = schedule, simulation.now.step
+        self.schedule = schedule
+        step = simulation.now.step
         back = tuple(Event(step, camera) for camera in dict.fromkeys(e.camera for e in old))
         return self._failures((*back, *schedule), step, simulation)
 
     def _failures(self, schedule: Schedule, step: int, simulation: Simulation) -> list[SetCamera]:
         """Commands that change something; of several for one camera the last."""
-        intact, cameras = untouched(simulation.policy.spec), simulation.ablation.cameras
+        intact = untouched(simulation.policy.spec)
+        cameras = simulation.ablation.cameras
         names = [camera.name for camera in simulation.env.spec.cameras]
         states = {e.camera: e.state(intact) for e in reached(schedule, step, names)}
         return [

@@ -61,4 +61,5 @@ class Playing:
         """Nobody plays any more."""
         if self._player is not None:
             self._player.close()
-        self._player, self.looks = None, []
+        self._player = None
+        self.looks = []

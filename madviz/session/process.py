@@ -102,12 +102,14 @@ class SessionProcess(FrameSource):
 
     def __init__(self, make: MakeSession, noted: Noted = lambda name, spec: None) -> None:
         super().__init__()
-        self._make, self._noted = make, noted
+        self._make = make
+        self._noted = noted
         self._outbox = Outbox()
         """For the process that is running; a command, or what else it shall do."""
         self._saved: queue.SimpleQueue[SavedSession | str] = queue.SimpleQueue()
         self._saving = threading.Lock()
-        self._closing, self._wanted = threading.Event(), threading.Event()
+        self._closing = threading.Event()
+        self._wanted = threading.Event()
         self._names: dict[PolicySpec, str] = {}
         """What policies are loaded by, of all that any process has loaded."""
         self._chosen: str | None = None
@@ -204,7 +206,8 @@ class SessionProcess(FrameSource):
     def _begin_anew(self) -> None:
         """What was meant for the last process is left there: it may be what ended it."""
         self._chosen = None
-        before, self._outbox = self._outbox, Outbox()
+        before = self._outbox
+        self._outbox = Outbox()
         before.put(None)
         if self._closing.is_set():
             self._outbox.put(None)
@@ -219,7 +222,8 @@ class SessionProcess(FrameSource):
 
     def _as_in(self, shown: Frame) -> Iterator[Command]:
         """Commands for all that is as in ``shown``, but the policy and the step."""
-        world, pace = shown.world, shown.pace
+        world = shown.world
+        pace = shown.pace
         yield from (SetSpeed(pace.speed), SetAutoNext(pace.auto_next))
         yield from (ReadSubsets(pace.reads_all), SetSaliency(shown.explained))
         for name, state in world.ablation.cameras.items():
@@ -291,7 +295,8 @@ def _live(pipe: Connection, make: MakeSession, beginning: Beginning) -> None:
             pipe.send((kind, what))
 
     session = make(lambda name, spec: say("policy", (name, spec)))
-    encoder, first = FrameEncoder(), iter([True])
+    encoder = FrameEncoder()
+    first = iter([True])
 
     def send(news: Frame | NoFrame) -> None:
         say("frame", encoder.encode(news))

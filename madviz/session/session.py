@@ -79,10 +79,13 @@ class Session(FrameSource):
         self._backlog: deque[Command] = deque()
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
-        self._pace, self._auto_next = StepClock(speed), True
-        self._read_all, self._pass_takes = False, 0.0
+        self._pace = StepClock(speed)
+        self._auto_next = True
+        self._read_all = False
+        self._pass_takes = 0.0
         self._paused = script is not None
-        self._number, self._error = 0, ""
+        self._number = 0
+        self._error = ""
 
     def send(self, command: Command) -> None:
         if len(self.inbox) + len(self._backlog) >= MOST_WAITING:
@@ -145,7 +148,8 @@ class Session(FrameSource):
         """One subset more, if the next step leaves time for it; whether one was read."""
         if self._error or (self._moving() and now + self._pass_takes >= self._pace.due):
             return False
-        began, numbers = time.monotonic(), self._number
+        began = time.monotonic()
+        numbers = self._number
         self._guarded(lambda: self._stage.read_more(self._emit))
         self._pass_takes = time.monotonic() - began
         return self._number > numbers and not self._error
@@ -303,7 +307,8 @@ class Session(FrameSource):
             self._begin(self._stage.seed + 1, now)
         else:
             self._pace.due = now
-        self._paused, self._error = False, ""
+        self._paused = False
+        self._error = ""
         self._pace.forget()
         self._emit()
 

@@ -54,7 +54,8 @@ class Simulation:
         ablation: Ablation,
         journal: Journal | None = None,
     ) -> None:
-        self.env, self.policy = env, policy
+        self.env = env
+        self.policy = policy
         self.ablation = self._settled = ablation
         self.journal = journal or Journal()
         self.outcomes: deque[Outcome] = deque(maxlen=20)
@@ -285,7 +286,8 @@ class Simulation:
 
         Raises UserError if it does not come to the same state.
         """
-        strayed, self.ablation = {*self.ablation.moves, *saved.ablation.moves}, saved.ablation
+        strayed = {*self.ablation.moves, *saved.ablation.moves}
+        self.ablation = saved.ablation
         for camera in strayed:
             self._place(camera)
         time_step = self.env.reset(self.seed)
@@ -301,7 +303,8 @@ class Simulation:
         self._recent.clear()
         self._recent.extend(saved.recent)
         self._stack.restore(saved.stack)
-        self._actions, self.probe = list(saved.actions), saved.probe
+        self._actions = list(saved.actions)
+        self.probe = saved.probe
         self._encoded = saved.encoded
         if not self._playing.again(self.policy, self.seed, saved.looks, saved.actions):
             self.journal.spoil()
@@ -311,7 +314,8 @@ class Simulation:
                 "cannot be gone back to; start the seed again"
             )
         self.record = saved.record.copy()
-        self._settled, self.change = saved.ablation, None
+        self._settled = saved.ablation
+        self.change = None
         self.journal.back(saved.mark)
 
     def _adopt(self, policy: Policy) -> None:
@@ -323,12 +327,14 @@ class Simulation:
 
     def _place(self, camera: str) -> None:
         """Puts a camera where the ablation has it."""
-        spec, to = self.env.spec.camera(camera), self.ablation.moves.get(camera)
+        spec = self.env.spec.camera(camera)
+        to = self.ablation.moves.get(camera)
         self.env.move_camera(camera, to.placed(spec) if to else None)
 
     def _draw_again(self, camera: str) -> None:
         """Draws a camera anew, and lets its picture arrive instead of the newest one."""
-        now, view = self.now, self.env.view(camera)
+        now = self.now
+        view = self.env.view(camera)
         self._recent[-1] = replace(
             now,
             views={**now.views, camera: view},
@@ -341,7 +347,8 @@ class Simulation:
     def _seen(self, time_step: TimeStep, step: int, between: Callable[[], None]) -> StepData:
         """All that ``env`` has to show of a step, with every camera, always: one that comes back
         needs its past frames."""
-        env, views = self.env, dict[str, View]()
+        env = self.env
+        views = dict[str, View]()
         for camera in env.spec.cameras:
             views[camera.name] = env.view(camera.name)
             between()

@@ -50,10 +50,14 @@ class Stage:
         script: SavedEpisode | None,
     ) -> None:
         """``policy``: one that is there, or a name that ``load_policy`` knows, for ``open``."""
-        self._make_env, self._load = make_env, load_policy
-        self.policy, self.seed = policy, seed
+        self._make_env = make_env
+        self._load = load_policy
+        self.policy = policy
+        self.seed = seed
         """Who acts in which episode; before ``open``, who shall."""
-        self.journal, self._timeline, self._plan = Journal(), Timeline(), SessionPlan(script)
+        self.journal = Journal()
+        self._timeline = Timeline()
+        self._plan = SessionPlan(script)
         self.simulation: Simulation | None = None
         """Always at a step; None where there is none, or none could begin."""
         self.saliency = LiveSaliency()
@@ -112,7 +116,8 @@ class Stage:
 
     def _begun(self, seed: int) -> None:
         """A stands at the first step of ``seed``, and so does B if there is one."""
-        self.seed, self._timeline = seed, Timeline()
+        self.seed = seed
+        self._timeline = Timeline()
         self.saliency.forget()
         if self._foresight is not None:  # It stays to be looked at.
             self._foresight = replace(self._foresight, closed=True)
@@ -231,7 +236,8 @@ class Stage:
 
     def _open_second(self, name: str, ablation: Ablation) -> SecondSimulation:
         """Another B, at the first step of A's seed. Raises UserError as ``compare`` does."""
-        policy, live = self._loaded(name), self._live
+        policy = self._loaded(name)
+        live = self._live
         if policy.spec.task != live.env.spec.task:
             raise UserError(
                 f"expected a policy for {live.env.spec.task} on B's side, found {name!r} for "

@@ -68,7 +68,8 @@ class Timeline:
     def fork(self) -> Snapshot:
         """Makes the step that is shown the newest one; what came after becomes the branch."""
         assert self.shown is not None
-        at, self.shown = self.shown, None
+        at = self.shown
+        self.shown = None
         frames = tuple(frame for frame, _ in self._past)
         self._branch = (at, frames, tuple(self._history))
         saved = self._past[at][1]

@@ -60,7 +60,8 @@ class _Pickler(pickle.Pickler):
 
     def __init__(self, file: io.BytesIO, encoder: FrameEncoder, root: object) -> None:
         super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
-        self._encoder, self._root = encoder, root
+        self._encoder = encoder
+        self._root = root
 
     def persistent_id(self, obj: Any) -> int | None:
         if obj is self._root or not _is_shared(obj):
@@ -80,7 +81,8 @@ class FrameEncoder:
 
     def encode(self, news: Frame | NoFrame) -> bytes:
         """The bytes of ``news``; every frame must reach the other end, in this order."""
-        self._used, self._new = {}, []
+        self._used = {}
+        self._new = []
         message = _Message([], self._pickled(news))
         self._known = self._used
         return pickle.dumps(message._replace(new=self._new), pickle.HIGHEST_PROTOCOL)

@@ -52,7 +52,8 @@ def export_task(out: Path, task: str, seeds: Sequence[int]) -> dict[str, Any]:
 
 def export_policy(out: Path, folder: PolicyFolder) -> dict[str, Any]:
     """The graph of a policy; its line of the manifest."""
-    policy, spec = load_policy(folder.path), folder.spec
+    policy = load_policy(folder.path)
+    spec = folder.spec
     return {
         **said_of(folder),
         "state_dim": spec.state_dim,
@@ -62,7 +63,8 @@ def export_policy(out: Path, folder: PolicyFolder) -> dict[str, Any]:
 
 def said_of(folder: PolicyFolder) -> dict[str, Any]:
     """Name, streams, cameras and measured success of a policy."""
-    spec, evaluation = folder.spec, shipped_evaluation(folder.path)
+    spec = folder.spec
+    evaluation = shipped_evaluation(folder.path)
     return {
         "name": spec.name,
         "label": label_of(spec),

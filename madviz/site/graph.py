@@ -30,7 +30,8 @@ _SMALL = 64
 class _Graph(nn.Module):
     def __init__(self, policy: TorchPolicy) -> None:
         super().__init__()
-        self.agent, self.scale = policy.agent, policy._reward_scale
+        self.agent = policy.agent
+        self.scale = policy._reward_scale
 
     def forward(self, views: Tensor, state: Tensor, masks: Tensor) -> tuple[Tensor, ...]:
         encoder: Any = self.agent.encoder
@@ -67,8 +68,10 @@ def policy_graph(policy: Any) -> bytes:
             f"expected the packages that write ONNX, found no {error.name}; "
             "install them with: pip install 'madviz[site]'"
         ) from error
-    spec, agent = policy.spec, policy.agent
-    channels, streams = 3 * spec.frame_stack, len(spec.streams)
+    spec = policy.spec
+    agent = policy.agent
+    channels = 3 * spec.frame_stack
+    streams = len(spec.streams)
     views = torch.zeros(streams, channels, IMAGE_SIZE, IMAGE_SIZE, dtype=torch.uint8)
     state = torch.zeros(1, agent.config.state_dim)
     # More than one row, or the exporter takes their number for a constant.
@@ -92,7 +95,8 @@ def _halved(model: Any) -> Any:
     """Weights in 16 bits, each followed by a cast, which the runtime works out when it loads."""
     from onnx import TensorProto, helper, numpy_helper
 
-    graph, casts = model.graph, []
+    graph = model.graph
+    casts = []
     for tensor in graph.initializer:
         values = numpy_helper.to_array(tensor)
         if values.dtype != np.float32 or values.size <= _SMALL:

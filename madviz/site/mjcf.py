@@ -124,7 +124,8 @@ def _hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, Array]:
     start = int(model.mesh_graphadr[mesh])
     if start < 0:
         raise UserError(f"expected a mesh with a convex hull, found {model.mesh(mesh).name!r}")
-    count, triangles = int(model.mesh_graph[start]), int(model.mesh_graph[start + 1])
+    count = int(model.mesh_graph[start])
+    triangles = int(model.mesh_graph[start + 1])
     chosen = model.mesh_graph[start + 2 + count : start + 2 + 2 * count]
     first = start + 2 + 3 * count + 3 * triangles
     faces = model.mesh_graph[first : first + 3 * triangles].reshape(-1, 3)
@@ -174,7 +175,8 @@ def _body(model: mujoco.MjModel, body: int) -> list[str]:
 
 
 def _joint(model: mujoco.MjModel, joint: int) -> str:
-    dof, kind = int(model.jnt_dofadr[joint]), _JOINTS[int(model.jnt_type[joint])]
+    dof = int(model.jnt_dofadr[joint])
+    kind = _JOINTS[int(model.jnt_type[joint])]
     own = {}
     if kind in ("slide", "hinge"):
         at = int(model.jnt_qposadr[joint])

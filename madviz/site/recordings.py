@@ -120,7 +120,8 @@ def record_episode(env: Environment, policy: Policy, mask: Array, seed: int) -> 
 
 def numbers_of(simulation: Simulation, mask: Array) -> dict[str, Array]:
     """What a page shows of one time step, beside pictures."""
-    probe, row = simulation.probe, simulation.probe.row(mask)
+    probe = simulation.probe
+    row = simulation.probe.row(mask)
     return {
         "norms": probe.norms.astype(np.float32),
         "merged": grouped(probe.merged(row)),
@@ -178,7 +179,8 @@ def scene_of(env: Environment, outside: CameraSpec) -> Array:
 def sheet(tiles: Iterable[Array]) -> Array:
     """(n,) uint8: a WebP picture with all tiles (S S 3), row by row, as square as it can be."""
     stacked = np.stack(list(tiles))
-    count, size = len(stacked), stacked.shape[1]
+    count = len(stacked)
+    size = stacked.shape[1]
     columns = int(np.ceil(np.sqrt(count)))
     rows = int(np.ceil(count / columns))
     whole = np.zeros((rows * columns, size, size, 3), np.uint8)

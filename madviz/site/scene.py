@@ -36,7 +36,8 @@ def drawn_scene(
     with lighter_meshes(model):
         scene = mujoco.MjvScene(model, _MAX_GEOMS)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        camera, option = mujoco.MjvCamera(), mujoco.MjvOption()
+        camera = mujoco.MjvCamera()
+        option = mujoco.MjvOption()
         mujoco.mjv_updateScene(model, data, option, None, camera, everything, scene)
         visible = [geom for geom in scene.geoms[: scene.ngeom] if geom.rgba[3] > 0]
         meshes = [shape(model, geom) for geom in visible]
@@ -70,9 +71,14 @@ def scene_file(arrays: dict[str, Array], said: dict[str, Any]) -> bytes:
 
 def _arrays(meshes: list[Mesh], shapes: list[dict[str, Any]]) -> dict[str, Array]:
     """All corners and triangles one after another; each of ``shapes`` learns where its own are."""
-    positions, normals, triangles, corner, start = [], [], [], 0, 0
+    positions = []
+    normals = []
+    triangles = []
+    corner = 0
+    start = 0
     for mesh, said in zip(meshes, shapes, strict=True):
-        low, high = mesh.positions.min(0), mesh.positions.max(0)
+        low = mesh.positions.min(0)
+        high = mesh.positions.max(0)
         span = np.where(high > low, high - low, 1.0)
         positions.append(np.round((mesh.positions - low) / span * 65535).astype(np.uint16))
         normals.append(np.round(mesh.normals * 32767).astype(np.int16))
@@ -83,7 +89,8 @@ def _arrays(meshes: list[Mesh], shapes: list[dict[str, Any]]) -> dict[str, Array
             "corners": [corner, len(mesh.positions)],
             "triangles": [start, len(mesh.triangles)],
         }
-        corner, start = corner + len(mesh.positions), start + len(mesh.triangles)
+        corner = corner + len(mesh.positions)
+        start = start + len(mesh.triangles)
     if corner > 65536:
         raise UserError(f"expected at most 65536 corners in a scene, found {corner}")
     return {
@@ -97,10 +104,13 @@ def _shape(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> dict[str, Any]:
     number = int(geom.objid)
     if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
         frame = {"body": int(model.geom_bodyid[number])}
-        place, turn = model.geom_pos[number], model.geom_quat[number]
+        place = model.geom_pos[number]
+        turn = model.geom_quat[number]
     elif geom.objtype == mujoco.mjtObj.mjOBJ_SITE:
         # Sites are moved by themselves when an episode begins.
-        frame, place, turn = {"site": number}, np.zeros(3), np.array([1.0, 0, 0, 0])
+        frame = {"site": number}
+        place = np.zeros(3)
+        turn = np.array([1.0, 0, 0, 0])
     else:
         raise UserError(f"expected shapes and sites in a scene, found {geom.objtype}")
     matrix = np.empty(9)
@@ -138,7 +148,8 @@ def _mapping(
         return [0.0] * 3, [0.0] * 3
     if geom.texcoord:
         raise UserError("expected textures without coordinates of their own, found a mesh with")
-    size, fixed = np.asarray(geom.size, float), geom.dataid >= 0
+    size = np.asarray(geom.size, float)
+    fixed = geom.dataid >= 0
     unit = np.ones(3) if fixed else 1 / size  # Meshes and planes are not scaled when drawn.
     uniform = bool(model.mat_texuniform[geom.matid])
     if model.tex_type[texture] != mujoco.mjtTexture.mjTEXTURE_2D.value:

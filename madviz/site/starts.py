@@ -31,7 +31,8 @@ def start_states(env: MetaWorld, seeds: Sequence[int]) -> dict[str, Array]:
     fixed = None
     for seed in seeds:
         moment = env.reset(seed)
-        model, data = env.simulation.model, env.simulation.data
+        model = env.simulation.model
+        data = env.simulation.data
         others = _model_arrays(model)
         if fixed is not None:
             _check_same(fixed, others, seed)

@@ -54,8 +54,10 @@ def joined(parts: list[Mesh]) -> Mesh:
 
 def shape(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> Mesh:
     """What MuJoCo draws for ``geom``. Raises UserError for a kind that no task here has."""
-    kind, size = mujoco.mjtGeom(int(geom.type)), np.asarray(geom.size, float)
-    slices, stacks = model.vis.quality.numslices, model.vis.quality.numstacks
+    kind = mujoco.mjtGeom(int(geom.type))
+    size = np.asarray(geom.size, float)
+    slices = model.vis.quality.numslices
+    stacks = model.vis.quality.numstacks
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         # An even number is the mesh, an odd one its hull.
         return mesh(model, int(geom.dataid) // 2)
@@ -75,8 +77,10 @@ def shape(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> Mesh:
 def mesh(model: mujoco.MjModel, number: int) -> Mesh:
     """A mesh of the model. A corner takes its triangle's normal where that differs from its own by
     more than 37 degrees (a cosine below 0.8): MuJoCo's rule for sharp edges."""
-    vertex, face = model.mesh_vertadr[number], model.mesh_faceadr[number]
-    normal, count = model.mesh_normaladr[number], model.mesh_facenum[number]
+    vertex = model.mesh_vertadr[number]
+    face = model.mesh_faceadr[number]
+    normal = model.mesh_normaladr[number]
+    count = model.mesh_facenum[number]
     faces = model.mesh_face[face : face + count]  # (m, 3)
     corners = model.mesh_vert[vertex + faces].astype(float)  # (m, corner, xyz)
     normals = model.mesh_normal[normal + model.mesh_facenormal[face : face + count]].astype(float)

@@ -59,7 +59,8 @@ def _read(model: mujoco.MjModel, context: mujoco.MjrContext, number: int) -> Tex
     height = width if cube else int(model.tex_height[number])
     GL.glBindTexture(kind, int(context.texture[number]))
     GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
-    levels, level = [], 0
+    levels = []
+    level = 0
     while True:
         if max(width, height) <= LARGEST:
             pixels = np.empty((faces, height, width, 3), np.uint8)
@@ -70,7 +71,9 @@ def _read(model: mujoco.MjModel, context: mujoco.MjrContext, number: int) -> Tex
             levels.append(pixels)
         if width == height == 1:
             return Texture(cube, tuple(levels))
-        width, height, level = max(width // 2, 1), max(height // 2, 1), level + 1
+        width = max(width // 2, 1)
+        height = max(height // 2, 1)
+        level = level + 1
 
 
 def _differences(pixels: Array) -> Array:

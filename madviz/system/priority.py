@@ -27,7 +27,8 @@ from contextlib import suppress
 from pathlib import Path
 
 LOWEST = 19
-_PAUSE, _TRIES = 0.1, 20
+_PAUSE = 0.1
+_TRIES = 20
 """Linux takes one change of a session's niceness in so many seconds from all users together."""
 
 

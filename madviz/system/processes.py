@@ -25,7 +25,9 @@ HEAPS = 2
 """Heaps that all threads of the page's server share."""
 LARGEST_BLOCK = 32 << 20
 """Bytes; glibc takes larger blocks from the system under any setting."""
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
+_M_TRIM_THRESHOLD = -1
+_M_MMAP_THRESHOLD = -3
+_M_ARENA_MAX = -8
 """Their numbers in glibc's malloc.h."""
 
 

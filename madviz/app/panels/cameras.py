@@ -62,7 +62,8 @@ class CameraControls:
     """The switches of one camera. ``send`` gets what a visitor asks for."""
 
     def __init__(self, gui: viser.GuiApi, send: Callable[[SetCamera], None], name: str) -> None:
-        self.name, self._send = name, send
+        self.name = name
+        self._send = send
         self._state = CameraState()
         self._wanted: dict[str, float] = {}
         """What a slider was dragged to and no frame has confirmed yet: not to be pulled back."""
@@ -151,9 +152,11 @@ class Mosaic:
     ) -> None:
         """``width`` in pixels of the picture; tiles share it. ``most``: of a tile where there are
         two mosaics. ``field`` takes what is drawn on the picture (``patch``)."""
-        self._count, self._field = len(frame.world.env.cameras), field
+        self._count = len(frame.world.env.cameras)
+        self._field = field
         self._column = (width - (self._count - 1) * GAP) // self._count
-        self._most, self.paired = min(self._column, most), False
+        self._most = min(self._column, most)
+        self.paired = False
         picture = mosaic(frame, self.tile, self._column)
         self.screen = Screen(gui, picture, step_of(frame), alt, self._attributes())
 
@@ -167,8 +170,10 @@ class Mosaic:
 
     def show(self, frame: Frame, paired: bool, dropped: Dropped) -> Assign:
         """The next picture; ``paired``: one of two."""
-        changed, self.paired = paired != self.paired, paired
-        picture, step = mosaic(frame, self.tile, self._column, dropped), step_of(frame)
+        changed = paired != self.paired
+        self.paired = paired
+        picture = mosaic(frame, self.tile, self._column, dropped)
+        step = step_of(frame)
         if changed:
             return self.screen.fit(picture, step, self._attributes())
         return self.screen.show(picture, step)
@@ -189,10 +194,12 @@ class CamerasPanel(WidgetPanel):
         """``width`` in pixels of the picture; tiles share it. ``paired``: pixels of a tile where
         there are two mosaics."""
         count = len(frame.world.env.cameras)
-        self._style, self._frame = gui.add_html(""), frame
+        self._style = gui.add_html("")
+        self._frame = frame
         self._controls: list[CameraControls] = []
         self._field = gui.add_text("box", "") if send is not None else None
-        self._titles, self._mosaics = [], []
+        self._titles = []
+        self._mosaics = []
         for name in ("A", "B"):
             self._titles.append(gui.add_html("", visible=False))
             alt = f"what every camera sends{', B' if name == 'B' else ''}"
@@ -228,7 +235,8 @@ class CamerasPanel(WidgetPanel):
                 control.add_slider(field)
 
     def _pictures(self, frame: Frame) -> list[Assign]:
-        changes, paired = [], frame.second is not None
+        changes = []
+        paired = frame.second is not None
         for index, side in enumerate((frame, frame.second)):
             if side is not None:
                 changes.append(self._mosaics[index].show(side, paired, self._dropped.value))
@@ -257,7 +265,8 @@ class CamerasPanel(WidgetPanel):
         return cells
 
     def update(self, frame: Frame) -> list[Assign]:
-        self._frame, paired = frame, frame.second is not None
+        self._frame = frame
+        paired = frame.second is not None
         changes = [Assign(self._mosaics[1].screen.handle, "visible", paired)]
         changes += [Assign(title, "visible", paired) for title in self._titles]
         changes += [*self._pictures(frame), *self._dropped.show(frame)]

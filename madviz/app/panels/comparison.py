@@ -43,7 +43,8 @@ class ComparisonPanel(WidgetPanel):
         choices: Sequence[PolicyChoice],
         named: Reference = own_name,
     ) -> None:
-        self._frame, self._named = frame, named
+        self._frame = frame
+        self._named = named
         self.handles = []
         self._names = offered(choices, frame.world.env.task)
         self._labels = {name: label for label, name in self._names.items()}

@@ -37,7 +37,8 @@ class FailuresPanel(WidgetPanel):
         self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
     ) -> None:
         """``send`` None: read-only."""
-        self._send, self._env = send, frame.world.env
+        self._send = send
+        self._env = frame.world.env
         self.handles: list = []
         if send is not None:
             self._add_controls(gui)

@@ -28,7 +28,8 @@ from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array
 
-BINS, HISTORY = 128, 150
+BINS = 128
+HISTORY = 150
 """Columns of a strip; decisions a curve goes back."""
 NO_VIEWS = (
     "This policy puts the pictures of all cameras on top of each other before anything else. No "
@@ -58,11 +59,13 @@ class FeaturesPanel(WidgetPanel):
     """Curves of norms and, below them, a table: strip, norm and cosine of every stream."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, height: int = 150) -> None:
-        self._gui, self._height = gui, height
+        self._gui = gui
+        self._height = height
         self._streams: tuple[str, ...] = ()
         self._plot: viser.GuiUplotHandle
         self._history: deque[tuple[float, ...]] = deque(maxlen=HISTORY)
-        self._last, self._time = (0, 0), 0
+        self._last = (0, 0)
+        self._time = 0
         """Episode and step of the newest point; decisions seen in all."""
         self._holder = gui.add_folder(None)
         self._rebuild(frame)
@@ -150,12 +153,15 @@ def merged_words(frame: Frame) -> str:
 
 def features_html(frame: Frame) -> str:
     """A row per stream and one for what they are merged to."""
-    probe, row, mask = frame.world.probe, frame.row, frame.mask
+    probe = frame.world.probe
+    row = frame.row
+    mask = frame.mask
     colours = camera_colours(frame.world.env.cameras)
     merged = probe.merged(row)
     terms = [_bins(feature) for feature in probe.features]
     top = max(float(np.max(np.concatenate([*terms, _bins(np.nan_to_num(merged))]))), 1e-9)
-    cosines, shares = probe.cosines(row), 100 * probe.shares(row)
+    cosines = probe.cosines(row)
+    shares = 100 * probe.shares(row)
     alone = probe.merged_kind() == "no views"
     rows = []
     for index, stream in enumerate(() if alone else frame.world.policy.streams):

@@ -56,7 +56,9 @@ class MovePanel(WidgetPanel):
         named: Reference = own_name,
     ) -> None:
         """``scene``: where arrows to drag can be shown."""
-        self._send, self._frame, self._named = send, frame, named
+        self._send = send
+        self._frame = frame
+        self._named = named
         self._gizmo: Gizmo | None = None
         if scene is not None and send is not None:
             self._gizmo = Gizmo(scene, frame, extent(frame), self._ask)
@@ -149,7 +151,8 @@ class MovePanel(WidgetPanel):
         return [*changes, self._marks()]
 
     def _show_sliders(self) -> list[Assign]:
-        move, changes = self._move, []
+        move = self._move
+        changes = []
         for field, shown in self._shown.items():
             changes += shown.show(getattr(move, field), shown.handle.value != getattr(move, field))
         return changes
@@ -171,7 +174,8 @@ def move_html(frame: Frame, named: Reference = own_name) -> str:
             '<div class="mv mv-moved"><span class="dim">Every camera stands where the policy was '
             "trained. Move one: picture, action and Q change at once.</span></div>"
         )
-    colours, moves = camera_colours(frame.world.env.cameras), frame.world.ablation.moves
+    colours = camera_colours(frame.world.env.cameras)
+    moves = frame.world.ablation.moves
     rows = "".join(
         f"<div>{dot(colours[camera.name])}"
         f"<b>{escape(camera.label)}</b> {escape(moves[camera.name].words())}</div>"
@@ -190,7 +194,8 @@ def sweep(frame: Frame, policy: str) -> str:
     """The command that measures success of ``policy`` on the way to where the first moved camera
     stands, along the first of its axes that it went; the others it leaves as they were."""
     camera = next(c.name for c in frame.world.env.cameras if c.name in frame.world.ablation.moves)
-    moved, plain = frame.world.ablation.moves[camera], Displacement()
+    moved = frame.world.ablation.moves[camera]
+    plain = Displacement()
     way = next(name for name in RANGES if getattr(moved, name) != getattr(plain, name))
     return (
         f"madviz displace --policy {policy} --camera {camera} --along {way} "

@@ -51,7 +51,8 @@ def parse_box(text: str, tiles: int) -> Box:
         raise UserError(
             f"expected a box as this page draws one, found {text!r:.60}; load the page again"
         )
-    tile, numbers = int(found[1]), [float(number) for number in found.groups()[1:]]
+    tile = int(found[1])
+    numbers = [float(number) for number in found.groups()[1:]]
     if tile >= tiles or max(numbers) > 1 or min(numbers[2:]) == 0:
         raise UserError(
             f"expected a box inside one of {tiles} pictures, found {text!r:.60}; draw it again"
@@ -66,7 +67,8 @@ def patched(state: CameraState, box: Box, tile: int) -> CameraState:
         raise UserError("expected a camera that is on, found one that is dropped; switch it on")
     strength = state.occlusion.strength if state.occlusion.kind == "patch" else 1.0
     # Hundredths, as the sliders have them: less than a pixel of what the policy gets.
-    x, y = round(box.x, 2), round(_row(box.y, state.input, tile), 2)
+    x = round(box.x, 2)
+    y = round(_row(box.y, state.input, tile), 2)
     width, height = (max(round(side, 2), 0.01) for side in (box.width, box.height))
     return CameraState(state.input, Occlusion("patch", strength, x, y, width, height))
 
@@ -74,7 +76,8 @@ def patched(state: CameraState, box: Box, tile: int) -> CameraState:
 def _row(y: float, shown: str, tile: int) -> float:
     """From a part of the tile to the same part of the picture: ``mosaic`` shows the middle rows
     where there is something else on the tile, colour above depth or a scale under it."""
-    half, row = tile // 2, y * tile
+    half = tile // 2
+    row = y * tile
     if shown == "depth":
         above = SCALE // 2
     elif shown == "both" and row < half:

@@ -65,7 +65,9 @@ class PolicyPanel(WidgetPanel):
         choices: Sequence[PolicyChoice],
         named: Reference = own_name,
     ) -> None:
-        self._gui, self._send, self._named = gui, send, named
+        self._gui = gui
+        self._send = send
+        self._named = named
         task = frame.world.env.task
         self._names = offered(choices, task)
         self._labels = {name: label for label, name in self._names.items()}

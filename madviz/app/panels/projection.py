@@ -25,9 +25,11 @@ from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, PolicySpec
 
-TRAIL, FADES = 60, (0.12, 0.25, 0.45, 0.8)
+TRAIL = 60
+FADES = (0.12, 0.25, 0.45, 0.8)
 """Time steps a trail goes back; how strongly its quarters are drawn, oldest first."""
-WIDTH, MARGIN = 600, 14
+WIDTH = 600
+MARGIN = 14
 """Units of the drawing; it is stretched to the panel's width as a whole."""
 
 
@@ -71,7 +73,8 @@ class ProjectionPanel(WidgetPanel):
         is being made. A step that is computed again replaces the trail from there on; one that is
         only shown again changes nothing."""
         if self._of != (key, frame.world.episode):
-            self._of, self._trail = (key, frame.world.episode), []
+            self._of = (key, frame.world.episode)
+            self._trail = []
         if self._seen != (frame.world.episode, frame.world.step) and not frame.past:
             self._atlas.collect(key, frame.world.probe.features)
             self._seen = (frame.world.episode, frame.world.step)
@@ -84,7 +87,8 @@ class ProjectionPanel(WidgetPanel):
 def _points(frame: Frame) -> Array:
     """(V + 1, Z): the streams' features and the merged one, brought to the norm of one stream: a
     mean has it, and so has MVD's, which is put together from two halves."""
-    probe, row = frame.world.probe, frame.row
+    probe = frame.world.probe
+    row = frame.row
     merged = probe.merged(row)
     if merged.shape != probe.features.shape[1:] or not frame.mask.any():
         merged = np.full(probe.features.shape[1], np.nan, np.float32)
@@ -109,9 +113,11 @@ def map_html(frame: Frame, basis: Basis, trail: list[Place], height: int) -> str
     points = np.stack([basis.project(place.features) for place in trail])
     points = _on_paper(points, basis, height)
     colours = camera_colours(frame.world.env.cameras)
-    shapes, names = "", ""
+    shapes = ""
+    names = ""
     for index, stream in enumerate(frame.world.policy.streams):
-        colour, depth = colours[camera_of(stream)], modality_of(stream) == "depth"
+        colour = colours[camera_of(stream)]
+        depth = modality_of(stream) == "depth"
         shapes += _way(points[:, index], colour, depth)
         shapes += _dot(points[-1, index], colour, bool(frame.mask[index]), 5)
         names += _name(colour, stream_label(frame, stream), depth)

@@ -116,7 +116,8 @@ def action_column(frame: Frame) -> Column:
 
 def success_column(frame: Frame, rates: SuccessRates) -> Column:
     """Shares in the success measured with each set of cameras, without occlusions."""
-    streams, title = frame.world.policy.streams, "success, measured"
+    streams = frame.world.policy.streams
+    title = "success, measured"
     names = set_names(streams, frame.mask)
     found = {name: rates.best(frame.world.policy, Condition(name)) for name in dict.fromkeys(names)}
     means = {name: rate.value for name, rate in found.items()}
@@ -137,7 +138,8 @@ def success_column(frame: Frame, rates: SuccessRates) -> Column:
 
 def _undefined(frame: Frame) -> str:
     """Why a game cannot be played: which sets of cameras the policy cannot act on."""
-    streams, probe = frame.world.policy.streams, frame.world.probe
+    streams = frame.world.policy.streams
+    probe = frame.world.probe
     names = dict.fromkeys(set_names(streams, frame.mask))
     cannot = [name for name in names if not probe.supported[probe.row(mask_of(name, streams))]]
     if not cannot and not probe.known.all():
@@ -176,11 +178,13 @@ def _cell(column: Column, index: int, colour: str) -> str:
     if column.values is None:
         return '<div class="dim" style="text-align:center">–</div>'
     shares = column.values.cameras
-    low, high = min(0.0, float(shares.min())), max(0.0, float(shares.max()))
+    low = min(0.0, float(shares.min()))
+    high = max(0.0, float(shares.max()))
     span = max(high - low, 1e-9)
     value = float(shares[index])
     number = round(value, column.digits) + 0.0  # No minus zero.
-    zero, width = 100 * -low / span, 100 * abs(value) / span
+    zero = 100 * -low / span
+    width = 100 * abs(value) / span
     left = zero if value >= 0 else zero - width
     bars = band(left, width, colour) + band(zero, 0, MUTED, "width:1px")
     doubt = ""

@@ -67,8 +67,11 @@ class SubsetsPanel(WidgetPanel):
 def subsets_html(frame: Frame, everything: bool = True) -> str:
     """The current subset first, then the trained ones, then the rest; of more than ``FEW`` only the
     first two kinds and the sets of whole cameras, unless ``everything`` is asked for."""
-    masks, streams, here = frame.world.probe.masks, frame.world.policy.streams, frame.row
-    probe, trained = frame.world.probe, frame.trained_rows
+    masks = frame.world.probe.masks
+    streams = frame.world.policy.streams
+    here = frame.row
+    probe = frame.world.probe
+    trained = frame.trained_rows
     rows = range(len(masks))
     if not everything and len(masks) > FEW:
         shown = {*map(probe.row, camera_masks(streams)), *trained, here}
@@ -101,7 +104,8 @@ def distances(frame: Frame, row: int) -> tuple[float, float]:
 
 
 def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
-    readout, mask = frame.world.probe.readout, frame.world.probe.masks[row]
+    readout = frame.world.probe.readout
+    mask = frame.world.probe.masks[row]
     label = escape(subset_label(frame, name_of(mask, frame.world.policy.streams)))
     now = f'<span class="tag" style="background:{NOTE}">now</span> ' if here else ""
     dagger = "" if trained else '<span class="dim" title="not trained on this subset">† </span>'

@@ -20,7 +20,10 @@ from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.session.commands import Command, Fork, Scrub
 from madviz.session.frame import Frame, TimelinePoint
 
-WIDTH, LANE, LEFT, TOP = 600, 40, 44, 14
+WIDTH = 600
+LANE = 40
+LEFT = 44
+TOP = 14
 """Pixels of the drawing, of a lane, left of the lanes and above them."""
 AFTER_DRAG = 1.0
 """Seconds in which a slider that is being dragged is left alone."""
@@ -42,11 +45,13 @@ class TimelinePanel(WidgetPanel):
         frame: Frame,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._send, self._clock = send, clock
+        self._send = send
+        self._clock = clock
         self._horizon = frame.world.env.horizon
         self.handles: list = []
         self._slider: SyncedInput | None = None
-        self._dragged, self._crossed = -AFTER_DRAG, False
+        self._dragged = -AFTER_DRAG
+        self._crossed = False
         """When a visitor moved the slider last, and whether it was set right since."""
         if send is not None:
             self._add_controls(gui, send, frame)
@@ -75,7 +80,8 @@ class TimelinePanel(WidgetPanel):
 
     def _drag(self, step: int) -> None:
         assert self._send is not None
-        self._dragged, self._crossed = self._clock(), True
+        self._dragged = self._clock()
+        self._crossed = True
         self._send(Scrub(step))
 
     def update(self, frame: Frame) -> list[Assign]:
@@ -116,7 +122,8 @@ def marks(history: Sequence[TimelinePoint]) -> list[tuple[int, str]]:
     """The steps at which a visitor changed what the policy gets, or the policy, and to what."""
     found = []
     for step in range(1, len(history)):
-        before, now = history[step - 1], history[step]
+        before = history[step - 1]
+        now = history[step]
         if now.policy != before.policy:
             found.append((step, now.policy))
         elif now.condition != before.condition:
@@ -162,7 +169,8 @@ def _lane(
 
 def _marks(frame: Frame, height: int) -> str:
     """Changes as dashed lines, the fork as a yellow one, goal met as a blue floor, the cursor."""
-    horizon, parts = frame.world.env.horizon, []
+    horizon = frame.world.env.horizon
+    parts = []
     for step, text in marks(frame.history):
         x = _x(step, horizon)
         parts.append(
@@ -221,7 +229,9 @@ def _first(frame: Frame) -> str:
     """The original run's cameras at the same step, and how the two compare."""
     if frame.branch is None or frame.past:
         return ""
-    other, history, horizon = frame.branch.frame, frame.branch.history, frame.world.env.horizon
+    other = frame.branch.frame
+    history = frame.branch.history
+    horizon = frame.world.env.horizon
     rows = [
         (
             "original run",

@@ -33,13 +33,16 @@ from madviz.types import Array
 
 PERIOD = 0.25
 """Seconds between two changes of the scene."""
-REACH, SIDE, HEAD = 0.3, 0.008, 0.14
+REACH = 0.3
+SIDE = 0.008
+HEAD = 0.14
 """An action of length 1, and the distance of lines drawn side by side, in scene sizes; an arrow's
 head, in arrows."""
 NEAR = 0.4
 """Of the distance to the eye; less would be as good until the visitor is very near."""
 DASHES = 5
-OTHER, DIM = (170, 174, 180), 0.85
+OTHER = (170, 174, 180)
+DIM = 0.85
 """The colour of sets that have none of their own; the share of a colour for untrained sets."""
 
 
@@ -53,8 +56,12 @@ class ArrowsPanel:
         size: float,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._camera, self._size, self._clock = client.camera, size, clock
-        self._drawn, self._frame, self._gone = -PERIOD, frame, False
+        self._camera = client.camera
+        self._size = size
+        self._clock = clock
+        self._drawn = -PERIOD
+        self._frame = frame
+        self._gone = False
         points, colours = arrows(frame, size)
         self._lines = client.scene.add_line_segments(
             "/arrows",
@@ -106,7 +113,8 @@ def towards(points: Array, eye: Array) -> Array:
 
 def arrows(frame: Frame, size: float) -> tuple[Array, Array]:
     """(N, 2, 3) float32 points and (N, 2, 3) uint8 colours: the present condition last, on top."""
-    points, colours = [], []
+    points = []
+    colours = []
     for row, colour, trained in _drawn_rows(frame):
         action = frame.world.probe.readout.action[row]
         if not np.isfinite(action).all():
@@ -118,7 +126,8 @@ def arrows(frame: Frame, size: float) -> tuple[Array, Array]:
         if row == frame.row:
             lines = _thick(lines, way, SIDE * size)
         elif not trained:
-            lines, colour = _dashed(lines), tuple(int(DIM * part) for part in colour)
+            lines = _dashed(lines)
+            colour = tuple(int(DIM * part) for part in colour)
         points.append(lines)
         colours.append(np.full(lines.shape, _linear(colour), np.uint8))
     if not points:
@@ -135,7 +144,9 @@ def _linear(colour: tuple[int, ...]) -> Array:
 def _drawn_rows(frame: Frame) -> list[tuple[int, tuple[int, ...], bool]]:
     """Row, colour, trained: every set of whole cameras, those with a colour of their own after the
     others, and last the present condition. With half cameras, six streams would have 64 arrows."""
-    streams, probe, here = frame.world.policy.streams, frame.world.probe, frame.row
+    streams = frame.world.policy.streams
+    probe = frame.world.probe
+    here = frame.row
     own = camera_colours(frame.world.env.cameras)
     trained = frame.trained_rows
     rows = []
@@ -157,7 +168,8 @@ def _arrow(start: Array, way: Array) -> Array:
     if np.linalg.norm(across) < 0.1 * length:
         across = np.cross(way, [1.0, 0.0, 0.0])
     across = across * length / max(float(np.linalg.norm(across)), 1e-9)
-    tip, back = start + way, HEAD * way
+    tip = start + way
+    back = HEAD * way
     wings = [tip - back + 0.5 * HEAD * sign * across for sign in (1, -1)]
     return np.array([[start, tip], [tip, wings[0]], [tip, wings[1]]])
 

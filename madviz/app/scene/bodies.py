@@ -29,7 +29,8 @@ from madviz.types import Array, Body
 
 CREASE = 30.0
 """Degrees between triangles from which on their edge is drawn sharp."""
-STILL, UNTURNED = 0.0005, 0.002
+STILL = 0.0005
+UNTURNED = 0.002
 """Metres, and difference of a quaternion's components, below which a body has not moved."""
 
 

@@ -18,8 +18,11 @@ class FittedView:
     def __init__(self, camera: Any, points: Array, ahead: Array) -> None:
         """``camera`` is a ``viser.CameraHandle``; points (n, 3) must be seen, along ``ahead``
         (3,)."""
-        self._camera, self._points, self._ahead = camera, points, ahead
-        self._aspect, self._place = 0.0, np.zeros(3)
+        self._camera = camera
+        self._points = points
+        self._ahead = ahead
+        self._aspect = 0.0
+        self._place = np.zeros(3)
         apply(self.update())
 
     def update(self) -> list[Assign]:
@@ -27,7 +30,8 @@ class FittedView:
         aspect = _aspect(self._camera)
         if abs(aspect - self._aspect) < 0.01:
             return []
-        first, self._aspect = not self._place.any(), aspect
+        first = not self._place.any()
+        self._aspect = aspect
         away = np.linalg.norm(np.subtract(self._camera.position, self._place)) if not first else 0
         if away > 0.01 * np.linalg.norm(self._place):
             return []  # The visitor has gone to look from elsewhere.

@@ -44,8 +44,10 @@ class Gizmo:
         """``size`` in metres, of the whole scene."""
         self.camera = ""
         """Which camera has the arrows; '' for none."""
-        self._frame, self._on_move = frame, on_move
-        self._dragging, self._turning = False, False
+        self._frame = frame
+        self._on_move = on_move
+        self._dragging = False
+        self._turning = False
         self._sent: list[Array] = []
         self._handle = scene.add_transform_controls(
             "/moved", SIZE * size, disable_sliders=True, visible=False
@@ -91,7 +93,8 @@ class Gizmo:
         return changes
 
     def _stand(self, pose: CameraPose) -> list[Assign]:
-        place, wxyz = np.asarray(pose.position, float), np.asarray(pose.wxyz, float)
+        place = np.asarray(pose.position, float)
+        wxyz = np.asarray(pose.wxyz, float)
         # A new list, because another thread may look through the old one.
         self._sent = [*self._sent[1 - LATELY :], wxyz]
         return [Assign(self._handle, "position", place), Assign(self._handle, "wxyz", wxyz)]

@@ -30,9 +30,11 @@ from madviz.drawing.viewpoint import WIDTH, WIDTH_ON_BODY, extent, first_view
 from madviz.session.frame import Frame
 from madviz.types import CameraPose
 
-PERIOD, PERIOD_AT_FULL_SPEED = 0.5, 2.0
+PERIOD = 0.5
+PERIOD_AT_FULL_SPEED = 2.0
 """Seconds between two times that pictures change; at full speed, one of them."""
-MOVE, MOVE_AT_FULL_SPEED = 0.09, 0.3
+MOVE = 0.09
+MOVE_AT_FULL_SPEED = 0.3
 """Seconds between two times that things move; a little less than a step at normal speed."""
 AFTER_TOUCH = 0.2
 """Seconds at full speed in which nothing of the scene is in the way of what was just touched: a
@@ -52,10 +54,13 @@ class ScenePanel:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._clock = clock
-        self._change, self._touched = frame.world.change, -AFTER_TOUCH
-        self._drawn, self._moved = -PERIOD_AT_FULL_SPEED, -MOVE_AT_FULL_SPEED
+        self._change = frame.world.change
+        self._touched = -AFTER_TOUCH
+        self._drawn = -PERIOD_AT_FULL_SPEED
+        self._moved = -MOVE_AT_FULL_SPEED
         self._states = {name: frame.camera(name) for name in frame.world.poses}
-        self._next, self._still = 0, frame.pace.number
+        self._next = 0
+        self._still = frame.pace.number
         """Whose turn it is at full speed, and the last frame of which all pictures are shown."""
         self._frusta: dict[str, viser.CameraFrustumHandle] = {}
         self._placed = dict(frame.world.poses)
@@ -70,9 +75,11 @@ class ScenePanel:
         self._view = FittedView(client.camera, *first_view(frame))
 
     def update(self, frame: Frame) -> list[Assign]:
-        now, full_speed = self._clock(), frame.pace.speed is None and frame.pace.phase == "playing"
+        now = self._clock()
+        full_speed = frame.pace.speed is None and frame.pace.phase == "playing"
         if frame.world.change is not self._change:
-            self._change, self._touched = frame.world.change, now
+            self._change = frame.world.change
+            self._touched = now
         if full_speed and now - self._touched < AFTER_TOUCH:
             return []
         changes = self._view.update()
@@ -97,7 +104,8 @@ class ScenePanel:
         """Frusta to where their cameras are, if those went far enough to be seen."""
         changes = []
         for name, handle in self._frusta.items():
-            pose, before = frame.world.poses[name], self._placed[name]
+            pose = frame.world.poses[name]
+            before = self._placed[name]
             if not _same(pose, before):
                 self._placed[name] = pose
                 changes += [

@@ -31,7 +31,8 @@ class ManiSkillBodies:
     def __init__(self, scene: Any) -> None:
         import sapien.render
 
-        self._entities, made = [], []
+        self._entities = []
+        made = []
         for entity in scene.entities:
             drawn = entity.find_component_by_type(sapien.render.RenderBodyComponent)
             shapes = drawn.render_shapes if drawn else ()
@@ -53,8 +54,10 @@ def _parts(shape: Any, layer: int) -> list[Part]:
     """The pieces of one render shape, in its body's frame; ``layer`` is its number there."""
     made = []
     for piece in shape.parts:
-        colour, textured = _colour(piece.material), piece.material.base_color_texture is not None
-        vertices, triangles = piece.vertices, piece.triangles
+        colour = _colour(piece.material)
+        textured = piece.material.base_color_texture is not None
+        vertices = piece.vertices
+        triangles = piece.triangles
         if len(triangles) > ENOUGH * TRIANGLES and not textured:
             mesh = (vertices, triangles, piece.get_vertex_normal(), piece.get_vertex_uv())
             vertices, triangles, *_ = lighter(mesh, textured)

@@ -99,15 +99,18 @@ class ManiSkill(PlacedCameras):
         draw with, and for a camera on a body that is not there."""
         renderer()
         spec = self.describe(task, render_profile, cameras)
-        self._task, self._expert = task, ManiSkillExpert(task)
+        self._task = task
+        self._expert = ManiSkillExpert(task)
         self.simulation = build(task)
         super().__init__(spec, list(self.simulation.agent.robot.links_map))
-        self._step, self._stale = 0, True
+        self._step = 0
+        self._stale = True
         self._copy: Any = None  # Made on the first view: many uses never draw.
 
     def reset(self, seed: int) -> TimeStep:
         self.simulation.reset(seed=seed, options={"reconfigure": True})
-        self._step, self._stale = 0, True
+        self._step = 0
+        self._stale = True
         info = self.simulation.evaluate()
         return TimeStep(self._state(info), 0.0, bool(info["success"][0]), last=False)
 
@@ -115,8 +118,10 @@ class ManiSkill(PlacedCameras):
         check_action(action, self.spec.action_dim)
         clipped = np.clip(np.asarray(action, np.float32), -1, 1)
         _, reward, _, _, info = self.simulation.step(clipped)
-        self._step, self._stale = self._step + 1, True
-        success, last = bool(info["success"][0]), self._step >= HORIZON
+        self._step = self._step + 1
+        self._stale = True
+        success = bool(info["success"][0])
+        last = self._step >= HORIZON
         return TimeStep(self._state(info), float(reward[0]), success, last)
 
     def view(self, camera: str, size: int | None = None) -> View:

@@ -23,8 +23,10 @@ import numpy as np
 from madviz.envs.maniskill.tasks import position
 from madviz.types import Array
 
-OPEN, CLOSED = 1.0, -1.0
-FAR_OUT, FAR_OUT_LIMIT = 0.06, 0.3
+OPEN = 1.0
+CLOSED = -1.0
+FAR_OUT = 0.06
+FAR_OUT_LIMIT = 0.3
 """Metres of x from which on the action outwards stays at the limit: near the arm's reach."""
 STEP = 0.1
 """Metres of tool point motion that an action of 1 asks for."""
@@ -34,7 +36,8 @@ ABOVE = 0.08
 """Metres over an object at which the gripper travels to it."""
 AT_FLANK = 0.035
 """Metres in y from the peg's middle to the tool point when the open fingers touch its flank."""
-HALF_PEG, HALF_CUBE = 0.12, 0.02
+HALF_PEG = 0.12
+HALF_CUBE = 0.02
 """Metres from the peg's middle to its ends, and from the cube's to its faces."""
 TOUCHING = 0.06
 """Metres in x from the tool point to the peg's tail when the open front finger touches it."""
@@ -74,9 +77,11 @@ def _towards(error: Array, gripper: float, limit: float = 1.0, gain: float = GAI
 
 def _slide(simulation: Any, sign: float) -> Array:
     """Moves the cube along ``sign`` x with the closed fingers behind it."""
-    tool, cube = position(simulation.agent.tcp), position(simulation.obj)
+    tool = position(simulation.agent.tcp)
+    cube = position(simulation.obj)
     left = sign * (position(simulation.goal_region) - cube)[0]
-    ahead, aside = sign * (tool - cube)[0], abs(tool - cube)[1]
+    ahead = sign * (tool - cube)[0]
+    aside = abs(tool - cube)[1]
     if left < 0.04:
         return np.array([0, 0, 0, CLOSED])
     if aside < 0.015 and ahead < -0.02 and tool[2] < 0.035:
@@ -102,7 +107,8 @@ def _grasp(tool: Array, thing: Array) -> Array:
 
 
 def _pick(simulation: Any) -> Array:
-    tool, cube = position(simulation.agent.tcp), position(simulation.cube)
+    tool = position(simulation.agent.tcp)
+    cube = position(simulation.cube)
     if simulation.agent.is_grasping(simulation.cube)[0]:
         return _towards(position(simulation.goal_site) - cube, CLOSED, 0.7)
     return _grasp(tool, cube)
@@ -120,7 +126,8 @@ def _place(simulation: Any) -> Array:
     speed, 2 of 200 episodes without noise ended so; lowered slowly, none. With normal noise of 0.1
     on every action 185 of 200 episodes succeed.
     """
-    tool, sphere = position(simulation.agent.tcp), position(simulation.obj)
+    tool = position(simulation.agent.tcp)
+    sphere = position(simulation.obj)
     rest = position(simulation.bin) + [0, 0, 0.0225]  # Half a bottom plus the sphere's radius.
     if simulation.agent.is_grasping(simulation.obj)[0]:
         error = rest + [0, 0, IN_HAND] - tool
@@ -160,12 +167,16 @@ def _poke(simulation: Any) -> Array:
     slowly, 117 of 150; a script that lined up to 8 mm at one speed and had no such rest at the end
     did so in 102.
     """
-    tool, peg = position(simulation.agent.tcp), position(simulation.peg)
-    cube, goal = position(simulation.cube), position(simulation.goal_region)
+    tool = position(simulation.agent.tcp)
+    peg = position(simulation.peg)
+    cube = position(simulation.cube)
+    goal = position(simulation.goal_region)
     yaw = _yaw(simulation.peg)
     tail = peg - [HALF_PEG * np.cos(yaw), HALF_PEG * np.sin(yaw), 0]
-    left, aside = (goal - cube)[0], (cube - peg)[1]
-    low, room = tool[2] < 0.05, tail[0] - TOUCHING - tool[0]
+    left = (goal - cube)[0]
+    aside = (cube - peg)[1]
+    low = tool[2] < 0.05
+    room = tail[0] - TOUCHING - tool[0]
     drawn_back = low and 0.008 < room < 0.04
     if left < (0.06 if drawn_back else 0.03):
         return _towards(np.array([0.0 if drawn_back else min(room - 0.02, 0), 0, 0]), OPEN, 0.4)

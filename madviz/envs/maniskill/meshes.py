@@ -63,7 +63,8 @@ def _lighter_shapes(shape: Any) -> list[Any]:
         textured = part.material.base_color_texture is not None
         mesh = lighter(mesh, textured) if len(mesh[1]) > TRIANGLES else mesh
         each = sapien.render.RenderShapeTriangleMesh(*mesh, part.material)
-        each.local_pose, each.scale = shape.local_pose, shape.scale
+        each.local_pose = shape.local_pose
+        each.scale = shape.scale
         made.append(each)
     return made
 
@@ -123,7 +124,8 @@ def flat_rectangle(mesh: Mesh) -> Mesh | None:
     """Two triangles for a level rectangle in x and y whose texture is linear in them; None for any
     other mesh."""
     vertices, triangles, normals, uvs = (np.asarray(each) for each in mesh)
-    low, high = vertices.min(0), vertices.max(0)
+    low = vertices.min(0)
+    high = vertices.max(0)
     a, b, c = (vertices[triangles[:, k], :2].astype(float) for k in range(3))
     (p, q), (r, s) = (b - a).T, (c - a).T
     covered = np.abs(p * s - q * r).sum() / 2

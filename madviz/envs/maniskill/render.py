@@ -31,7 +31,8 @@ from madviz.types import Array, CameraSpec, View
 
 MAX_SIZE = 512
 """The largest view in pixels; the page needs no more."""
-NEAR, FAR = 0.01, 100.0
+NEAR = 0.01
+FAR = 100.0
 """Metres."""
 
 
@@ -77,7 +78,8 @@ class DrawnCopy:
         entity.pose = sapien.Pose(sapien_pose(position, wxyz))
         self._scene.update_render()  # Tells the renderer where everything is, the camera too.
         camera.take_picture()
-        colour, place = camera.get_picture("Color"), camera.get_picture("PositionSegmentation")
+        colour = camera.get_picture("Color")
+        place = camera.get_picture("PositionSegmentation")
         millimetres = -place[..., 2].astype(np.float32)
         depth = np.where(millimetres > 0, millimetres / 1000, np.float32(FAR))
         return View(np.ascontiguousarray(colour[..., :3]), depth)
@@ -95,7 +97,8 @@ class DrawnCopy:
         set_shader_pack(PREBUILT_SHADER_CONFIGS[STOCK])
         sapien.render.set_camera_shader_dir(shader_pack(self._scene))
         camera = sapien.render.RenderCameraComponent(size, size)
-        camera.near, camera.far = NEAR, FAR
+        camera.near = NEAR
+        camera.far = FAR
         entity = sapien.Entity()
         entity.add_component(camera)
         self._scene.add_entity(entity)

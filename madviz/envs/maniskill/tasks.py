@@ -43,7 +43,9 @@ class Bare:
 
     def _clear(self) -> None:
         self.agent = self.scene = None
-        self._sensors, self._human_render_cameras, self._hidden_objects = {}, {}, []
+        self._sensors = {}
+        self._human_render_cameras = {}
+        self._hidden_objects = []
 
 
 def build(task: str, extension: type = Bare, **options: Any) -> Any:

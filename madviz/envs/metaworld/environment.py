@@ -124,7 +124,8 @@ class MetaWorld(MuJoCoWorld):
         self._expert = MetaWorldExpert(task)
         self.observation = np.zeros(39)
         self._states: list[Array] = []
-        self._step, self._success = 0, False
+        self._step = 0
+        self._success = False
 
     def reset(self, seed: int) -> TimeStep:
         return self.reset_in_pieces(seed, lambda: None)
@@ -140,7 +141,8 @@ class MetaWorld(MuJoCoWorld):
         simulation.reset()
         # The first real step makes the frame-difference half of the observation valid.
         self.observation, _, _, _, info = simulation.step(np.zeros(4, np.float32))
-        self._step, self._success = 0, bool(info["success"])
+        self._step = 0
+        self._success = bool(info["success"])
         self._states = [self._frame_state()] * 3
         self.moved()
         return TimeStep(self._state(), 0.0, self._success, last=False)
@@ -148,11 +150,13 @@ class MetaWorld(MuJoCoWorld):
     def step(self, action: Array) -> TimeStep:
         check_action(action, self.spec.action_dim)
         clipped = np.clip(np.asarray(action, np.float32), -1, 1)
-        reward, info = 0.0, {}
+        reward = 0.0
+        info = {}
         for _ in range(ACTION_REPEAT):
             self.observation, gained, _, _, info = self.simulation.step(clipped)
             reward += float(gained)
-        self._step, self._success = self._step + 1, bool(info["success"])
+        self._step = self._step + 1
+        self._success = bool(info["success"])
         self._states = [*self._states[1:], self._frame_state()]
         self.moved()
         return TimeStep(self._state(), reward, self._success, self._step >= HORIZON)

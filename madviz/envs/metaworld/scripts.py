@@ -33,9 +33,11 @@ OPEN = 0.93
 WALL = 0.75
 """Where the wall of pick-place-wall stands, along y."""
 
-PEG_LIFT_X, PEG_FRONT_X = 0.1, 0.03
+PEG_LIFT_X = 0.1
+PEG_FRONT_X = 0.03
 """Where the peg goes up before it is carried to the box, and where it comes down in front of it."""
-PEG_OUT_Z, PEG_BACK_Z = 0.28, 0.235
+PEG_OUT_Z = 0.28
+PEG_BACK_Z = 0.235
 """How high it is on the way to the box, which is 0.2 high, and on the way back."""
 
 
@@ -48,10 +50,12 @@ class Scene:
     """The parts of an observation (39,), in metres; ``opening`` 0 to 1, velocities per step."""
 
     def __init__(self, observation: Array) -> None:
-        self.hand, self.opening = observation[:3], float(observation[3])
+        self.hand = observation[:3]
+        self.opening = float(observation[3])
         self.velocity = self.hand - observation[18:21]
         self.closing = abs(self.opening - float(observation[21]))
-        self.object, self.other = observation[4:7], observation[11:14]
+        self.object = observation[4:7]
+        self.other = observation[11:14]
         self.quaternion = observation[7:11]
         self.other_velocity = self.other - observation[29:32]
         self.goal = observation[36:39]
@@ -84,7 +88,8 @@ def pick(scene: Scene, grasp: Array, hover: float = 0.1, slack: float = 0.03) ->
     a closed hand may be from ``grasp`` and still count as holding.
     """
     gap = scene.hand - grasp
-    aside, above = float(np.linalg.norm(gap[:2])), float(gap[2])
+    aside = float(np.linalg.norm(gap[:2]))
+    above = float(gap[2])
     if scene.opening < OPEN and aside < slack and abs(above) < slack:
         return scene.go(grasp, 1.0) if scene.closing > 0.01 else None
     if aside < 0.02 and above < 0.012:
@@ -164,7 +169,8 @@ def peg_insert_side(scene: Scene) -> Array:
     ``PEG_OUT_Z``, back at ``PEG_BACK_Z``, down at ``PEG_FRONT_X``.
     """
     (x, y, z), hole = scene.object, scene.goal + [0.0, 0.0, 0.01]
-    aside, above_box = abs(float(y - hole[1])), float(hole[0]) + 0.14
+    aside = abs(float(y - hole[1]))
+    above_box = float(hole[0]) + 0.14
     if z > PEG_OUT_Z - 0.025:  # Out, and down to the way back once it is in line with the hole.
         if x < above_box + 0.03 and aside < 0.008:
             return scene.bring(np.array([x + 0.02, hole[1], PEG_BACK_Z]))
@@ -208,7 +214,8 @@ def stick_pull(scene: Scene) -> Array:
     The thermos slides no further than x = 0.406 and its handle is 0.112 m above the goal, so goals
     beyond x = 0.449 are out of reach (0.12 m allow 0.043 along the table): seed 5011, at 0.450.
     """
-    stick, handle = scene.object, scene.other
+    stick = scene.object
+    handle = scene.other
     level = float(handle[2]) - 0.01
     behind = float(handle[0] - stick[0])
     if behind > 0.07 and float(np.abs(stick - [0.0, handle[1], level])[1:].max()) > 0.015:

@@ -44,8 +44,10 @@ class MetaWorldStock:
 
     def flags(self) -> str:
         """The settings that cost, read from the model and the scene."""
-        quality, on = self._simulation.model.vis.quality, self._renderer.scene.flags
-        shadow, reflection = mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION
+        quality = self._simulation.model.vis.quality
+        on = self._renderer.scene.flags
+        shadow = mujoco.mjtRndFlag.mjRND_SHADOW
+        reflection = mujoco.mjtRndFlag.mjRND_REFLECTION
         return (
             f"shadows {on[shadow.value]} ({quality.shadowsize}), "
             f"reflections {on[reflection.value]}, {quality.offsamples} samples"

@@ -35,7 +35,8 @@ class MuJoCoBodies:
                 parts.setdefault(of, []).append(_geom(model, geom))
             elif geom.objtype == mujoco.mjtObj.mjOBJ_SITE and max(geom.size) >= BEAD:
                 sites[geom.objid] = shapes.part(_shape(model, geom), _colour(model, geom))
-        self._bodies, self._sites = list(parts), list(sites)
+        self._bodies = list(parts)
+        self._sites = list(sites)
         self.bodies = tuple(
             Body(f"{model.body(of).name or 'body'}-{of}", tuple(some)) for of, some in parts.items()
         ) + tuple(Body(f"{model.site(of).name}-site-{of}", (one,)) for of, one in sites.items())
@@ -63,12 +64,14 @@ def _drawn(model: mujoco.MjModel, data: mujoco.MjData) -> list[mujoco.MjvGeom]:
 
 def _geom(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> Part:
     """One shape in its body's frame."""
-    place, turn = model.geom_pos[geom.objid], model.geom_quat[geom.objid]
+    place = model.geom_pos[geom.objid]
+    turn = model.geom_quat[geom.objid]
     return shapes.part(_shape(model, geom), _colour(model, geom), place, turn)
 
 
 def _shape(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> shapes.Shape:
-    kind, size = mujoco.mjtGeom(int(geom.type)), np.asarray(geom.size, float)
+    kind = mujoco.mjtGeom(int(geom.type))
+    size = np.asarray(geom.size, float)
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         return _mesh(model, int(model.geom_dataid[geom.objid]))
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
@@ -81,7 +84,8 @@ def _shape(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> shapes.Shape:
 
 
 def _mesh(model: mujoco.MjModel, mesh: int) -> shapes.Shape:
-    vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+    vertex = model.mesh_vertadr[mesh]
+    face = model.mesh_faceadr[mesh]
     vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]]
     return vertices.copy(), model.mesh_face[face : face + model.mesh_facenum[mesh]].copy()
 
@@ -91,7 +95,8 @@ def _colour(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> Array:
     colour = np.asarray(geom.rgba[:3], float)
     textures = model.mat_texid[geom.matid] if geom.matid >= 0 else np.array([-1])
     for texture in textures[textures >= 0]:
-        start, channels = model.tex_adr[texture], model.tex_nchannel[texture]
+        start = model.tex_adr[texture]
+        channels = model.tex_nchannel[texture]
         count = model.tex_width[texture] * model.tex_height[texture] * channels
         texels = model.tex_data[start : start + count].reshape(-1, channels)
         colour = colour * texels[:, :3].mean(0) / 255

@@ -55,7 +55,8 @@ def probe() -> dict[str, str]:
     # PyOpenGL takes its platform from what MuJoCo has loaded, so it comes after it.
     from OpenGL import GL
 
-    version, renderer = GL.glGetString(GL.GL_VERSION), GL.glGetString(GL.GL_RENDERER)
+    version = GL.glGetString(GL.GL_VERSION)
+    renderer = GL.glGetString(GL.GL_RENDERER)
     context.free()
     if not (isinstance(version, bytes) and isinstance(renderer, bytes)):
         raise _missing("a context could be made, but no version be read from it")

@@ -47,12 +47,14 @@ def lighter_meshes(model: mujoco.MjModel) -> Iterator[None]:
 
 def _decimate(model: mujoco.MjModel, mesh: int) -> None:
     """Puts the smaller mesh into the places of the larger one."""
-    vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+    vertex = model.mesh_vertadr[mesh]
+    face = model.mesh_faceadr[mesh]
     vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]]
     faces = model.mesh_face[face : face + model.mesh_facenum[mesh]]
     share = 1 - TRIANGLES / len(faces)
     small, triangles = simplify(vertices.copy(), faces.copy(), share)
-    normals, normal = _vertex_normals(small, triangles), model.mesh_normaladr[mesh]
+    normals = _vertex_normals(small, triangles)
+    normal = model.mesh_normaladr[mesh]
     if len(small) > min(model.mesh_vertnum[mesh], model.mesh_normalnum[mesh]):
         return  # It would not fit; the mesh stays as it is.
     model.mesh_vert[vertex : vertex + len(small)] = small

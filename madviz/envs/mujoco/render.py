@@ -33,7 +33,8 @@ class SceneCameras:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, render_profile: str) -> None:
         """Raises UserError where no OpenGL can be had."""
-        self._model, self._data = model, data
+        self._model = model
+        self._data = data
         model.vis.global_.offwidth = model.vis.global_.offheight = MAX_SIZE
         if render_profile == "fast":
             model.vis.quality.offsamples = 0
@@ -49,7 +50,8 @@ class SceneCameras:
         if render_profile == "fast":
             self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW.value] = 0
             self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION.value] = 0
-        self._option, self._free = mujoco.MjvOption(), mujoco.MjvCamera()
+        self._option = mujoco.MjvOption()
+        self._free = mujoco.MjvCamera()
         self._stale = True
 
     def scene_changed(self) -> None:
@@ -72,7 +74,8 @@ class SceneCameras:
             self._stale = False
         near, far = self._place(position, rotation, fovy)
         rectangle = mujoco.MjrRect(0, 0, size, size)
-        rgb, raw = np.empty((size, size, 3), np.uint8), np.empty((size, size), np.float32)
+        rgb = np.empty((size, size, 3), np.uint8)
+        raw = np.empty((size, size), np.float32)
         mujoco.mjr_render(rectangle, self._scene, self._context)
         mujoco.mjr_readPixels(rgb, raw, rectangle, self._context)
         depth = 1.0 / (1.0 / far + raw * (1.0 / near - 1.0 / far))
@@ -89,15 +92,19 @@ class SceneCameras:
 
     def _place(self, position: Array, rotation: Array, fovy: float) -> tuple[float, float]:
         extent = self._model.stat.extent
-        near, far = self._model.vis.map.znear * extent, self._model.vis.map.zfar * extent
+        near = self._model.vis.map.znear * extent
+        far = self._model.vis.map.zfar * extent
         half_height = near * np.tan(np.radians(fovy) / 2)
         for camera in self._scene.camera:  # The two eyes of a stereo pair, here at one place.
             camera.pos[:], camera.up[:], camera.forward[:] = (
                 position, rotation[:, 1], -rotation[:, 2],
             )  # fmt: skip
-            camera.frustum_center, camera.frustum_width = 0.0, half_height
-            camera.frustum_bottom, camera.frustum_top = -half_height, half_height
-            camera.frustum_near, camera.frustum_far = near, far
+            camera.frustum_center = 0.0
+            camera.frustum_width = half_height
+            camera.frustum_bottom = -half_height
+            camera.frustum_top = half_height
+            camera.frustum_near = near
+            camera.frustum_far = far
         # The headlight shines from the camera, so it moves with it.
         mujoco.mjv_makeLights(self._model, self._data, self._scene)
         return near, far

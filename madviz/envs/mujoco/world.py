@@ -25,7 +25,8 @@ class MuJoCoWorld(PlacedCameras):
         camera on a body that is not there."""
         check_gl()
         super().__init__(spec, [model.body(i).name for i in range(1, model.nbody)])
-        self._model, self._data = model, data
+        self._model = model
+        self._data = data
         # Made when they are first asked for: many uses never draw.
         self._cameras: Any = None
         self._bodies: Any = None
