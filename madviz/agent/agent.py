@@ -54,7 +54,7 @@ class Agent(nn.Module):
                 module.config = self.config
 
     def acting_state(self) -> dict[str, Tensor]:
-        """What a policy needs to act and to show Q: no target, no temperature."""
+        """The weights that a policy needs to act and to show Q: no target, no temperature."""
         parts = ("encoder.", "actor.", "critic.")
         return {k: v for k, v in self.state_dict().items() if k.startswith(parts)}
 

@@ -48,8 +48,10 @@ def shift(views: Tensor, shifts: Array | Tensor) -> Tensor:
 
 def _shift_image(image: Array, out: Array, dy: int, dx: int) -> None:
     height, width = image.shape[1:]
-    top, bottom = max(-dy, 0), height - max(dy, 0)
-    left, right = max(-dx, 0), width - max(dx, 0)
+    top = max(-dy, 0)
+    bottom = height - max(dy, 0)
+    left = max(-dx, 0)
+    right = width - max(dx, 0)
     out[:, top:bottom, left:right] = image[:, top + dy : bottom + dy, left + dx : right + dx]
     # The edges repeat the outermost row and column; columns come second and fill the corners.
     out[:, :top] = out[:, top : top + 1]
@@ -65,7 +67,8 @@ def _shift_by_index(views: Tensor, shifts: Tensor) -> Tensor:
     def places(size: int, moved: Tensor) -> Tensor:
         return (torch.arange(size, device=views.device) + moved).clamp(0, size - 1)
 
-    rows, columns = places(height, shifts[..., :1]), places(width, shifts[..., 1:])
+    rows = places(height, shifts[..., :1])
+    columns = places(width, shifts[..., 1:])
     image = torch.arange(batch * count, device=views.device).view(batch, count, 1, 1)
     pixel = (image * height + rows[..., None]) * width + columns[..., None, :]
     pixels = views.permute(0, 1, 3, 4, 2).reshape(-1, channels)

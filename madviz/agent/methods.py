@@ -1,4 +1,4 @@
-"""What a method trains on: the rows of one table.
+"""Methods: which rows each trains on; one table.
 
 A sample is encoded once per stream and then read several times: once *merged* (all streams summed)
 and once for each *singular* subset, as if the other cameras were missing. A method says which
@@ -49,10 +49,10 @@ class Method:
     """alpha -> the weight of each loss term: ``merged``; ``singular``, a mean over the singular
     rows; ``every``, a mean over all rows."""
     targets: Literal["merged", "own"] = "merged"
-    """Where targets and the actor read Q: from the merged feature, or from each row's own."""
+    """Targets and the actor read Q there: from the merged feature, or from each row's own."""
     recipes: tuple[str, ...] = ("paper", "paper-vectorised", "light")
     needs: Needs = Needs()
-    """What a setting must have."""
+    """A setting must have these."""
     merge: str = "sum"
     """How the streams of a row become one feature: a row of ``MERGES``."""
     other_merges: bool = True
@@ -73,15 +73,16 @@ class Method:
 
     def row_weights(self, streams: Streams, alpha: float) -> Array:
         """(N,) float32, the share of each row in a loss; they sum to 1."""
-        weights, rows = self.weights(alpha), self.rows(streams)
+        weights = self.weights(alpha)
+        rows = self.rows(streams)
         every = weights.get("every", 0.0) / len(rows)
         singular = weights.get("singular", 0.0) / max(len(rows) - 1, 1) + every
         merged = weights.get("merged", 0.0) + every
         return np.array([merged, *[singular] * (len(rows) - 1)], np.float32)
 
     def alpha_of(self, alpha: float) -> float | None:
-        """``alpha``, of whoever trains by this method; None where it changes nothing, because the
-        weights are fixed."""
+        """``alpha``, where training by this method depends on it; None where it changes nothing,
+        because the weights are fixed."""
         return alpha if self.weights(0.0) != self.weights(1.0) else None
 
     def trained_rows(self, streams: Streams, alpha: float = 0.5) -> Array:

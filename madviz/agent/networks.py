@@ -73,7 +73,8 @@ def read_state(config: NetworkConfig, state: Tensor) -> Tensor:
         now, before = zip(*config.state_changes, strict=True)
         read = torch.cat([read, _columns(state, now) - _columns(state, before)], -1)
     if config.state_mean:
-        mean, spread = read.new_tensor(config.state_mean), read.new_tensor(config.state_spread)
+        mean = read.new_tensor(config.state_mean)
+        spread = read.new_tensor(config.state_spread)
         read = ((read - mean) / spread).clamp(-FURTHEST, FURTHEST)
     return read
 
@@ -99,7 +100,8 @@ def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
 def _read(mlp: nn.Sequential, x: Tensor) -> Tensor:
     """The last layer is small and its output is compared: a Q of 500 in bfloat16 would move in
     steps of 2. It runs in the weights' own precision whatever autocast says."""
-    hidden, last = mlp[:-1](x), mlp[-1]
+    hidden = mlp[:-1](x)
+    last = mlp[-1]
     with torch.autocast(x.device.type, enabled=False):
         return last(hidden.to(last.weight.dtype))
 
@@ -114,14 +116,14 @@ def orthogonal(module: nn.Module) -> None:
 
 
 def _trunk(config: NetworkConfig, width: int, projected: bool) -> tuple[nn.Module, int]:
-    """What stands in front of a head's MLP, and how many numbers come out of it."""
+    """The module in front of a head's MLP, and how many numbers come out of it."""
     if projected:
         return Trunk(config, width), config.feature_dim
     return nn.Identity(), width
 
 
 class ActorHead(nn.Module):
-    """What acts on the rows of a merge: feature and state to a tanh-Gaussian over actions."""
+    """Acts on the rows of a merge: feature and state to a tanh-Gaussian over actions."""
 
     def forward(self, feature: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """(..., Z), (..., S) -> mean and log standard deviation before tanh, (..., A) each."""
@@ -129,7 +131,7 @@ class ActorHead(nn.Module):
 
 
 class CriticHead(nn.Module):
-    """What judges actions on the rows of a merge: twin Q behind one trunk."""
+    """Judges actions on the rows of a merge: twin Q behind one trunk."""
 
     trunk: Callable[[Tensor], Tensor]
 

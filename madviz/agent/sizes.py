@@ -53,9 +53,9 @@ class NetworkConfig:
     state_changes: tuple[tuple[int, int], ...] = ()
     """Pairs of state numbers, now and before, whose difference the heads read as well: speeds."""
     state_mean: tuple[float, ...] = ()
-    """What is subtracted from each number that the heads read; nothing if empty."""
+    """Subtracted from each number that the heads read; nothing if empty."""
     state_spread: tuple[float, ...] = ()
-    """What each is divided by after that, above 0; as many as ``state_mean``."""
+    """Each is divided by one of these after that, above 0; as many as ``state_mean``."""
     own: OwnOptions = OwnOptions()
     """The merge's own."""
 
@@ -70,7 +70,8 @@ class NetworkConfig:
             )
         if not all(-inf < mean < inf for mean in self.state_mean):
             raise ValueError(f"expected a finite state_mean, found {list(self.state_mean)}")
-        many, spreads = len(self.state_mean), list(self.state_spread)
+        many = len(self.state_mean)
+        spreads = list(self.state_spread)
         if len(spreads) != many or not all(0 < spread < inf for spread in spreads):
             raise ValueError(
                 f"expected state_spread of {many} finite numbers above 0, found {spreads or 'none'}"

@@ -48,7 +48,7 @@ from madviz.system.numbers import Rate, Share
 from madviz.types import Array
 
 LOSSES = ("critic_loss", "actor_loss", "temperature", "entropy")
-"""What an update says of itself."""
+"""The numbers that an update reports."""
 Precision = Literal["auto", "float32", "bfloat16"]
 
 
@@ -108,7 +108,8 @@ class Learner:
     def draw(self, batch: int) -> Draw:
         """The next update's randomness, for ``batch`` samples."""
         (rows, count), actions = self._masks.shape, self.agent.config.action_dim
-        shape, same = (2, batch, count), self.config.same_shift_for_views
+        shape = (2, batch, count)
+        same = self.config.same_shift_for_views
         shifts = draw_shifts(self._rng, shape, same)
         target_noise = torch.randn(self._reads, batch, actions, generator=self._noise)
         actor_noise = torch.randn(rows, batch, actions, generator=self._noise)
@@ -244,12 +245,12 @@ class Learner:
 
 
 def named(losses: Tensor) -> dict[str, float]:
-    """What ``Learner.step`` returned, by name; waits for it."""
+    """The losses that ``Learner.step`` returned, by name; waits for them."""
     return dict(zip(LOSSES, losses.tolist(), strict=True))
 
 
 def generator_state(rng: np.random.Generator) -> str:
-    """What ``restore_generator`` needs. Text, because it holds integers of 128 bits."""
+    """The state that ``restore_generator`` needs. Text, because it holds integers of 128 bits."""
     return json.dumps(rng.bit_generator.state)
 
 

@@ -42,7 +42,7 @@ class Draw:
     actor_noise: Tensor
     """(N, B, A) standard normal, for the rows' actions."""
     merge_noise: tuple[Noise, Noise] = (None, None)
-    """Of the merge, for observations and for next observations."""
+    """The merge's, for observations and for next observations."""
     own_loss: tuple[Array, int] | None = None
     """For a merge's own loss: fresh shifts, (2, B, V, 2) as above, and a view."""
 
@@ -53,7 +53,8 @@ class GraphedUpdate:
     def __init__(self, update: Callable[[Batch, Draw], Tensor], device: torch.device) -> None:
         """``update`` must not wait for the device, nor read anything but its arguments and what
         it changes itself."""
-        self._update, self._device = update, device
+        self._update = update
+        self._device = device
         torch.backends.cudnn.benchmark = True  # Sizes never change: the fastest is found once.
         self._calls = 0
         self._graph: torch.cuda.CUDAGraph | None = None
@@ -76,7 +77,8 @@ class GraphedUpdate:
 
     def _aside(self, batch: Batch, draw: Draw) -> Tensor:
         """On a stream of its own, as recording will be: autograd stays on the one it has met."""
-        present, aside = torch.cuda.current_stream(), torch.cuda.Stream()
+        present = torch.cuda.current_stream()
+        aside = torch.cuda.Stream()
         aside.wait_stream(present)
         with torch.cuda.stream(aside):
             losses = self._update(batch, draw)

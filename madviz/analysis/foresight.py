@@ -1,4 +1,4 @@
-"""What a policy imagines of the decisions to come, beside what then happens.
+"""The decisions that a policy imagines, beside those that then happen.
 
 A policy with a world model (``madviz.types.Foresees``) can go on without pictures: it imagines what
 it decides next, what its cameras would show after each decision, those included that it has lost,
@@ -25,13 +25,13 @@ DECISIONS = 15
 
 @dataclass(frozen=True)
 class Happened:
-    """What came of one decision that had been imagined."""
+    """The outcome of one decision that had been imagined."""
 
     pictures: tuple[Array, ...]
     """(H, W, C) uint8 of each stream, as its camera sees it."""
     psnr: tuple[float, ...]
-    """Of each stream's imagined picture, in dB over the pixels that move; NaN where next to none
-    do."""
+    """The quality of each stream's imagined picture, in dB over the pixels that move; NaN where
+    next to none do."""
     reward: float
 
 
@@ -42,7 +42,7 @@ class Foresight:
     step: int
     """Before the first of them."""
     condition: str
-    """What the policy was given when it imagined."""
+    """The cameras and occlusions when the policy imagined."""
     streams: tuple[str, ...]
     future: Future
     happened: tuple[Happened, ...] = ()
@@ -59,7 +59,7 @@ def can_foresee(policy: Policy) -> bool:
 
 
 def foresee(policy: Policy, encoded: Encoded, mask: Array, step: int, condition: str) -> Foresight:
-    """What ``policy`` imagines from the streams in ``mask`` (V,). Raises UserError where it cannot,
+    """Lets ``policy`` imagine from the streams in ``mask`` (V,). Raises UserError where it cannot,
     or cannot act on these streams."""
     if not (isinstance(policy, Foresees) and policy.foresees):
         raise UserError(
@@ -86,7 +86,8 @@ def then(
     if before.closed:
         return before
     imagined = before.future.pictures[len(before.happened)]
-    size, streams = policy.spec.image_size, before.streams
+    size = policy.spec.image_size
+    streams = before.streams
     pictures = tuple(stream_frame(views[camera_of(s)], s, env, size) for s in streams)
     usual = policy.mean_pictures() if isinstance(policy, Imagines) else imagined
     psnr = tuple(

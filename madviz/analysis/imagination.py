@@ -1,4 +1,4 @@
-"""What a policy imagines of a camera that it has lost, and how well.
+"""Pictures that a policy imagines of a camera that it has lost, and how good they are.
 
 Most policies cannot be asked. One that has learned to draw (``madviz.types.Imagines``) draws every
 stream from those that are present; what it draws of an absent one is held against what that camera
@@ -40,7 +40,8 @@ def imagined(
         return {}
     if not policy.supports(mask):
         return {}
-    drawn, usual = policy.imagine(encoded, mask), policy.mean_pictures()
+    drawn = policy.imagine(encoded, mask)
+    usual = policy.mean_pictures()
     found = {}
     for v in np.flatnonzero(~mask):
         stream = streams[v]

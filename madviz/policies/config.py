@@ -92,7 +92,7 @@ class PolicyConfig(msgspec.Struct, kw_only=True, frozen=True, omit_defaults=True
     setting: str
     recipe: str
     definition: str
-    """What counts as a success."""
+    """The definition of success, in words."""
     streams: Annotated[tuple[str, ...], Meta(max_length=16)]
     """At most so many: every subset is read at every step, and there are 2^V."""
     trained_subsets: tuple[str, ...]
@@ -112,7 +112,7 @@ class PolicyConfig(msgspec.Struct, kw_only=True, frozen=True, omit_defaults=True
     training: TrainingRecord
 
     def spec(self, digest: str) -> PolicySpec:
-        """What pages and evaluators read."""
+        """The facts that pages and evaluators read."""
         return PolicySpec(
             name=self.name,
             task=self.task,
@@ -132,7 +132,7 @@ class PolicyConfig(msgspec.Struct, kw_only=True, frozen=True, omit_defaults=True
         )
 
     def document(self) -> Document:
-        """What config.json holds: the own sizes of a merge stand beside those of all."""
+        """The content of config.json: the own sizes of a merge stand beside those of all."""
         document = msgspec.to_builtins(self)
         own = document["networks"].pop("own")
         document["networks"] |= {n: own[n] for n in _own_sizes(self.merge) if n in own}
@@ -140,7 +140,7 @@ class PolicyConfig(msgspec.Struct, kw_only=True, frozen=True, omit_defaults=True
 
 
 def definition_of(env: EnvSpec) -> str:
-    """What counts as success, in words; a rate without it says nothing."""
+    """The definition of success, in words; a rate without it says nothing."""
     return f"at the last step: {env.success}"
 
 
@@ -201,7 +201,7 @@ def _own_sizes(merge: str) -> tuple[str, ...]:
 
 
 def check_config(config: PolicyConfig, where: Path) -> Document:
-    """What config.json holds. Raises UserError for a config that could not be read again."""
+    """The content of config.json. Raises UserError for a config that could not be read again."""
     document = config.document()
     _checked(document, where)
     return document

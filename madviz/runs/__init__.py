@@ -1,1 +1,1 @@
-"""What trainings of all recipes share: data, run folders, evaluation, state to go on from."""
+"""Shared by trainings of all recipes: data, run folders, evaluation, state to go on from."""

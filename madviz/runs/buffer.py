@@ -64,7 +64,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class BufferSpec:
-    """What is stored, and how much of it."""
+    """The layout of a buffer: streams, numbers and capacity."""
 
     streams: tuple[str, ...]
     state_dim: int
@@ -87,18 +87,18 @@ class BufferSpec:
 
     @property
     def channels(self) -> tuple[int, ...]:
-        """Of a stored frame, per stream: 3 for colour, 1 for depth."""
+        """Channels of a stored frame, per stream: 3 for colour, 1 for depth."""
         return tuple(1 if modality_of(stream) == "depth" else 3 for stream in self.streams)
 
     @property
     def bytes_per_row(self) -> int:
-        """What a time step takes, or is expected to take where it is packed."""
+        """Bytes that a time step takes, or is expected to take where it is packed."""
         numbers = 4 * (self.state_dim + self.action_dim + 3) + 1
         return round(self.frame_bytes * (EXPECTED_SHARE if self.packed else 1)) + numbers
 
     @property
     def frame_bytes(self) -> int:
-        """What the frames of a time step take as they are."""
+        """Bytes of a time step's frames, unpacked."""
         return IMAGE_SIZE**2 * sum(self.channels)
 
 
@@ -148,7 +148,8 @@ class ReplayBuffer:
     ) -> None:
         """A step: what was done at the newest time step of the lane whose turn it is, and the
         time step it led to. Raises UserError if frames turn out to pack too badly to fit."""
-        row, age = self._row(self._count - self.spec.lanes), self.age
+        row = self._row(self._count - self.spec.lanes)
+        age = self.age
         self._numbers["action"][row] = action
         self._numbers["reward"][row] = reward
         self._numbers["discount"][row] = discount
@@ -167,7 +168,8 @@ class ReplayBuffer:
 
     def actions(self) -> Array:
         """(age, L, A): the actions of the episodes so far, with which they can be replayed."""
-        lanes, age = self.spec.lanes, self.age
+        lanes = self.spec.lanes
+        age = self.age
         index = np.arange(self._count - (age + 1) * lanes, self._count - lanes)
         return self._numbers["action"][self._row(index)].reshape(age, lanes, self.spec.action_dim)
 
@@ -177,7 +179,8 @@ class ReplayBuffer:
 
     def batch(self, index: Array) -> Batch:
         """The transitions that begin at the time steps numbered ``index`` (B,)."""
-        names, following = ("state", "action", "reward", "discount"), index + self.spec.lanes
+        names = ("state", "action", "reward", "discount")
+        following = index + self.spec.lanes
         histories = [self._history(index), self._history(following)]
         views, next_views = self._frames.stacks(histories)
         return Batch(
@@ -257,12 +260,12 @@ class ReplayBuffer:
 
     @property
     def bytes_held(self) -> int:
-        """What all that is stored takes at this moment."""
+        """Bytes that all that is stored takes now."""
         return self._frames.bytes_held + sum(column.nbytes for _, column in self._columns)
 
     @property
     def packed_bytes_per_row(self) -> float:
-        """What the frames of a time step take once packed; NaN before the first pack is made."""
+        """Bytes of a time step's frames once packed; NaN before the first pack is made."""
         assert isinstance(self._frames, PackedFrames)
         size, count = self._frames.bytes_packed
         return size / count if count else float("nan")
@@ -330,11 +333,14 @@ class ReplayBuffer:
         have = _free(spec, folder, self._device) if available is None else available
         if need > have:
             fits = int(spec.capacity * have / need) // 1000 * 1000
-            place, instead = f"in {folder}", ""
+            place = f"in {folder}"
+            instead = ""
             if self._device != "cpu":
-                place, instead = "on the device", ", or with the option buffer-on-host"
+                place = "on the device"
+                instead = ", or with the option buffer-on-host"
             elif folder is None:
-                place, instead = "in memory", ", or with the buffer on disk"
+                place = "in memory"
+                instead = ", or with the buffer on disk"
             raise UserError(
                 f"the replay buffer of {spec.capacity} transitions of {len(spec.streams)} streams "
                 f"needs {need / 1e9:.1f} GB, found {have / 1e9:.1f} GB free {place}; free some, or "
@@ -353,7 +359,7 @@ def _frame_store(spec: BufferSpec, folder: Path | None, device: str) -> FrameSto
 
 
 def _files(spec: BufferSpec, folder: Path) -> list[Path]:
-    """Where the frames of each stream are on a disk."""
+    """The file on a disk for the frames of each stream."""
     return [folder / f"{stream}.frames" for stream in spec.streams]
 
 

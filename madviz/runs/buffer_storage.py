@@ -1,4 +1,4 @@
-"""Where the replay buffer keeps its frames: as they are, or packed without loss.
+"""Stores for the replay buffer's frames: as they are, or packed without loss.
 
 Frames of one task look alike: the table stays where it is and the arm moves a little. So a packed
 frame is compressed by zstd *against a few pictures* of the same stream, out of the same 1,024
@@ -36,9 +36,10 @@ TOGETHER = 1024
 PICTURES = 8
 """Frames that serve as a pack's dictionary."""
 LEVEL = 3
-"""Of zstd: packing takes 0.1 ms a frame, once; unpacking takes the same at all levels."""
+"""The level of zstd: packing takes 0.1 ms a frame, once; unpacking takes the same at all levels."""
 EXPECTED_SHARE = 0.375
-"""Of a plain frame's bytes, said in advance; measured were 0.18 (hammer) and 0.21 (push-cube)."""
+"""Share of a plain frame's bytes, said in advance; measured were 0.18 (hammer) and 0.21
+(push-cube)."""
 
 
 class FrameStore(Protocol):
@@ -53,21 +54,21 @@ class FrameStore(Protocol):
         ...
 
     def stacks(self, histories: Sequence[Array]) -> list[Tensor]:
-        """Of each (B, F) of time steps the (B, V, 3 F, H, W) uint8 that they show, channels last in
+        """For each (B, F) of time steps, the (B, V, 3 F, H, W) uint8 they show, channels last in
         memory: what the encoder wants."""
         ...
 
     @property
     def bytes_held(self) -> int:
-        """What the frames take at this moment."""
+        """Bytes that the frames take now."""
         ...
 
 
 class HostFrames:
-    """What stores in a CPU's reach have in common: how stacks are put together."""
+    """Common to stores in a CPU's reach: how stacks are put together."""
 
     def __init__(self, channels: Sequence[int]) -> None:
-        """Of every stream's frames: 3 for colour, 1 for depth."""
+        """``channels`` of every stream's frames: 3 for colour, 1 for depth."""
         self._channels = channels
 
     def read(self, stream: int, numbers: Iterable[int]) -> dict[int, Array]:
@@ -75,14 +76,16 @@ class HostFrames:
 
     def stacks(self, histories: Sequence[Array]) -> list[Tensor]:
         """A frame that several stacks show is fetched once."""
-        count, size = len(self._channels), IMAGE_SIZE
+        count = len(self._channels)
+        size = IMAGE_SIZE
         stacks = [
             np.empty((len(history), count, size, size, 3 * history.shape[1]), np.uint8)
             for history in histories
         ]
         needed = np.unique(np.concatenate(histories)).tolist()
         for v, channels in enumerate(self._channels):
-            frames, repeat = self.read(v, needed), 3 // channels
+            frames = self.read(v, needed)
+            repeat = 3 // channels
             for out, history in zip(stacks, histories, strict=True):
                 for views, numbers in zip(out, history.tolist(), strict=True):
                     cv2.merge([frames[n] for n in numbers for _ in range(repeat)], views[v])
@@ -124,7 +127,9 @@ class Pack:
     def __init__(self, pictures: bytes, data: bytes, ends: Array, shape: tuple[int, ...]) -> None:
         """``ends`` (n,) says where in ``data`` each frame stops; ``shape`` is (H, W, C)."""
         self._dictionary = _dictionary(pictures)
-        self._data, self._ends, self._shape = memoryview(data), ends, shape
+        self._data = memoryview(data)
+        self._ends = ends
+        self._shape = shape
 
     @classmethod
     def of(cls, frames: Array) -> Pack:
@@ -154,7 +159,7 @@ class Pack:
         return len(self._data) + self._ends.nbytes + len(self._dictionary)
 
     def arrays(self) -> dict[str, Array]:
-        """What ``from_arrays`` makes the same pack from; for files."""
+        """The arrays from which ``from_arrays`` makes the same pack; for files."""
         return {
             "pictures": np.frombuffer(self._dictionary.as_bytes(), np.uint8),
             "data": np.frombuffer(self._data, np.uint8),

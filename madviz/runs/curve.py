@@ -43,14 +43,16 @@ def success_lines(rows: Sequence[Mapping[str, str]]) -> dict[str, figures.Line]:
         rates = [float(row[column]) for row in rows]
         counts = [int(row["episodes"]) for row in rows]
         ends = [wilson(round(r * n), n) for r, n in zip(rates, counts, strict=True)]
-        lows, highs = [low for low, _ in ends], [high for _, high in ends]
+        lows = [low for low, _ in ends]
+        highs = [high for _, high in ends]
         lines[column.removeprefix(PREFIX)] = figures.Line(steps, rates, lows, highs)
     return lines
 
 
 def progress(row: Mapping[str, str], steps: int) -> str:
     """How far a run is at a row of its curve, and what is left (or was taken), in words."""
-    done, left = int(row["step"]), row.get("seconds_left")
+    done = int(row["step"])
+    left = row.get("seconds_left")
     reached = f"{done:,} of {steps:,} decisions"
     if done >= steps:
         return f"{reached}, {duration(float(row['seconds']))}"

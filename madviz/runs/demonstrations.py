@@ -36,7 +36,7 @@ from madviz.system.processes import set_up_worker
 from madviz.types import Array, Environment, KnowsPlaces, Policy
 
 COLUMNS = ("states", "actions", "labels", "rewards", "places")
-"""What an episode holds of every decision besides its frames."""
+"""The columns of an episode, a row for each decision, besides its frames."""
 LASTING = 0.8
 """Share of the added noise that stays from one decision to the next: half of it for 3 decisions."""
 
@@ -84,7 +84,8 @@ class Episode:
 
 @dataclass(frozen=True)
 class Driver:
-    """Who acts: the expert with probability ``expert_share`` at every step, else the student."""
+    """The driver of an episode: the expert with probability ``expert_share`` at every step, else
+    the student."""
 
     expert_share: float = 1.0
     noise_share: float = 0.2
@@ -145,7 +146,8 @@ class Dataset:
     """All episodes in flat arrays; index i is one decision, whose stack ends at i."""
 
     def __init__(self, streams: tuple[str, ...], capacity: int, horizon: int) -> None:
-        self.streams, self.horizon = streams, horizon
+        self.streams = streams
+        self.horizon = horizon
         self.episodes = 0
         self._capacity = capacity
         self._frames: dict[str, Array] = {}

@@ -1,4 +1,4 @@
-"""What a run simulates and draws, in a form that goes to a worker process."""
+"""The task of a run and how it is drawn, in a form that goes to a worker process."""
 
 from __future__ import annotations
 

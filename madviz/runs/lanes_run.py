@@ -56,7 +56,8 @@ class LanesConfig(RunConfig):
 @contextmanager
 def lanes_of(plan: TrainingPlan, config: LanesConfig) -> Iterator[VectorEnvs]:
     """The environments of a run, until it is over."""
-    facts, lanes = plan.env, config.environments
+    facts = plan.env
+    lanes = config.environments
     board = Board(lanes, plan.spec.streams, facts.state_dim, facts.action_dim)
     with closing(VectorEnvs(plan.drawn_task, board, lanes, config.processes())) as envs:
         yield envs
@@ -70,7 +71,7 @@ def train_in_lanes(
     policy: Callable[[], TorchPolicy],
     record: Callable[[], TrainingRecord],
 ) -> None:
-    """From the folder's last state, if it has one, to the end of the run or a Ctrl-C.
+    """Trains from the folder's last state, if it has one, to the end of the run or a Ctrl-C.
 
     ``act`` gives the actions (L, A) of all lanes, ``learn`` makes the updates that are due,
     ``policy`` is evaluated, and ``record`` says how it came about.
@@ -114,7 +115,8 @@ def advance(
     last = bool(envs.board["last"].all())
     discount = run.discount_of(last)
     for lane in lanes:
-        reward, state = float(envs.board["reward"][lane, 0]), envs.board["state"][lane]
+        reward = float(envs.board["reward"][lane, 0])
+        state = envs.board["state"][lane]
         run.buffer.add(actions[lane], reward, discount, state, envs.frames(lane))
     run.step += envs.lanes
     run.between_episodes = last

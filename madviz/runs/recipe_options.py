@@ -44,7 +44,7 @@ class RecipeOptions(Protocol):
 
 @dataclass(frozen=True)
 class SuiteNumbers:
-    """What the paper has differently for its two suites; time limits are as in its code."""
+    """The paper's numbers that differ between its two suites; time limits are as in its code."""
 
     discount: float
     eval_every: int
@@ -58,7 +58,7 @@ METAWORLD, MANISKILL = SuiteNumbers(0.99, 25_000, True), SuiteNumbers(0.8, 20_00
 
 @dataclass(frozen=True)
 class RunConfig(RecipeOptions):
-    """What every recipe that learns from rewards has, whatever it learns."""
+    """Options of every recipe that learns from rewards, whatever it learns."""
 
     steps: Steps = 500_000
     """Decisions in the whole run."""
@@ -78,7 +78,7 @@ class RunConfig(RecipeOptions):
     """Whether the last step of an episode still expects a future, as nothing really ends there; by
     default it does, and in ManiSkill its reward is all."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the networks learn; ``auto`` takes CUDA where there is one."""
+    """The networks learn there; ``auto`` takes CUDA where there is one."""
     eval_every: Steps | None = None
     """Simulator steps between evaluations; by default 25000, and 20000 for ManiSkill."""
     eval_episodes: CountOrNone = 20

@@ -44,7 +44,7 @@ to stop."""
 
 
 class LearnsByRun(Protocol):
-    """What a run needs of its learner."""
+    """The learner of a run, as the run sees it."""
 
     agent: Agent
     loss_names: ClassVar[tuple[str, ...]]
@@ -198,7 +198,8 @@ class RewardRun(Generic[Learns, Options]):
 
         The environments are between two episodes; the next ones begin with a reset anyway.
         """
-        streams, count = self.plan.spec.streams, self.config.eval_episodes
+        streams = self.plan.spec.streams
+        count = self.config.eval_episodes
         subsets = dict.fromkeys(("all", *single_streams(streams)))
         masks = {subset: mask_of(subset, streams) for subset in subsets}
         asked = [subset for subset in masks if count and policy.supports(masks[subset])]
@@ -287,7 +288,7 @@ class RewardRun(Generic[Learns, Options]):
         return self.rng.integers(FIRST_LEARNING, 2**31, lanes).tolist()
 
     def discount_of(self, last: bool) -> float:
-        """What is stored with a decision; ``last`` of its episode."""
+        """The discount stored with a decision; ``last`` of its episode."""
         return 0.0 if last and not self.numbers.bootstraps else self.numbers.discount
 
     def explore(self, *lanes: int) -> Array:

@@ -35,7 +35,7 @@ from madviz.system.files import PART, replacing, write_bytes
 from madviz.system.lock import locked
 
 Event = dict[str, Any]
-"""What a run reports: ``kind`` and numbers; a page draws it, a terminal prints it."""
+"""A report of a run: ``kind`` and numbers; a page draws it, a terminal prints it."""
 
 
 LOCK, FINISHED = "lock", "finished"
@@ -198,7 +198,7 @@ def _append(file: Path, row: dict[str, Any]) -> None:
 
 
 def not_written(folder: Path, error: Exception) -> UserError:
-    """What to say, and do, where a run's files cannot be written."""
+    """The error where a run's files cannot be written, and what to do."""
     why = isinstance(error, OSError) and error.strerror or error
     return UserError(
         f"{folder}: expected a folder with room for the run, found: {why}; make room or choose "
@@ -230,7 +230,7 @@ def interruptible(folder: RunFolder) -> Iterator[threading.Event]:
 
 
 def changes(before: Any, now: Any, name: str = "") -> list[str]:
-    """What differs between two configurations, as ``paper.alpha 0.8 -> 0.5``.
+    """The differences between two configurations, as ``paper.alpha 0.8 -> 0.5``.
 
     An option that a run's version did not know, or that only the stored one has, is no difference:
     new options leave runs that do not ask for them as they were.

@@ -22,10 +22,10 @@ from madviz.types import EnvSpec, PolicySpec
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """What is trained, in what, and how it is called."""
+    """The policy to train, its task, and its name."""
 
     spec: PolicySpec
-    """What the trained policy will say of itself: name, method, streams, trained subsets."""
+    """The trained policy's own description: name, method, streams, trained subsets."""
     drawn_task: DrawnTask
     env: EnvSpec
     """The facts of an environment that ``drawn_task`` builds."""

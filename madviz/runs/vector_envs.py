@@ -69,7 +69,9 @@ class Lanes:
     """Some of the environments, in the process that steps them."""
 
     def __init__(self, drawn_task: DrawnTask, board: Board, places: Sequence[int]) -> None:
-        self._streams, self._board, self._places = drawn_task.streams, board, places
+        self._streams = drawn_task.streams
+        self._board = board
+        self._places = places
         self._envs = [drawn_task.build() for _ in places]
         self._policy: Policy | None = None
 
@@ -123,7 +125,8 @@ class VectorEnvs:
 
     def __init__(self, drawn_task: DrawnTask, board: Board, lanes: int, workers: int) -> None:
         """``lanes`` from 1 on, ``workers`` from 0 on. Raises what building an environment does."""
-        self.board, self.lanes = board, lanes
+        self.board = board
+        self.lanes = lanes
         self._streams = drawn_task.streams
         self._here = None if workers else Lanes(drawn_task, board, range(lanes))
         shares = [s.tolist() for s in np.array_split(np.arange(lanes), min(workers or 1, lanes))]
@@ -162,7 +165,8 @@ class VectorEnvs:
         self._wait()
         if self._here is not None:
             return [self._here.play(mask, seed, stop) for mask, seed in jobs]
-        left, results = list(range(len(jobs))), dict[int, EpisodeResult]()
+        left = list(range(len(jobs)))
+        results = dict[int, EpisodeResult]()
         playing: dict[Connection, tuple[_Worker, int]] = {}
         try:
             while left or playing:

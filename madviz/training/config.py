@@ -1,4 +1,4 @@
-"""What a user asks for when training, and ``resolve``, which makes a plan of it, once.
+"""The request for a training, and ``resolve``, which makes a plan of it, once.
 
     TrainConfig -- resolve --> TrainingPlan --> a recipe
 
@@ -60,7 +60,7 @@ class TrainConfig:
     task: TaskName = "metaworld/hammer"
     """A task of madviz, or one of your own, module:factory."""
     method: Annotated[str, OneOf("method", METHODS)] = "mad"
-    """What is trained on which subsets of streams; ``madviz list`` says more."""
+    """Which subsets of streams are trained, and how; ``madviz list`` says more."""
     recipe: Annotated[str, OneOf("recipe", RECIPES)] = "light"
     """``light`` (minutes, from a scripted expert), ``paper`` (reinforcement learning),
     ``paper-vectorised`` (the same over many environments) or ``mv-mwm`` (in the imagination of a
@@ -77,7 +77,7 @@ class TrainConfig:
     out: Path | None = None
     """The run's folder; runs/NAME if not given."""
     seed: Seed = 1
-    """Of networks, data and noise; the same seed repeats a run."""
+    """Seeds networks, data and noise; the same seed repeats a run."""
     state: Literal["code", "paper"] = "code"
     """Proprioception: ``code`` is all the environment gives (Meta-World: 24 numbers, as in the
     paper's code), ``paper`` the 4 of its table, which other suites have not."""
@@ -87,9 +87,9 @@ class TrainConfig:
     resume: bool = False
     """Go on with the run in ``out``."""
     threads: Threads | None = None
-    """Of the learner; by default 1 for ``light``, whose recorder uses the other core, one per core
-    for ``paper``, one per core without a worker for the others. Sums are split between threads, so
-    another number is another run."""
+    """Threads of the learner; by default 1 for ``light``, whose recorder uses the other core, one
+    per core for ``paper``, one per core without a worker for the others. Sums are split between
+    threads, so another number is another run."""
     own: OwnOptions = field(default_factory=OwnOptions)
     """The method's own options, for the methods that have any: ``VibOptions``, ``MvMaeOptions``."""
     light: Annotated[LightConfig, Recipe("light", train_light), Only("recipe", "light")] = field(
@@ -129,7 +129,7 @@ RECIPES.update({recipe.name: recipe for recipe in _recipes()})
 
 
 def default_config(words: Sequence[str]) -> TrainConfig:
-    """What a command line is read into: ``own`` has the options of the method that ``words``
+    """The values that a command line changes: ``own`` has the options of the method that ``words``
     choose, with the defaults of their recipe, so that a reader of types finds these options."""
     chosen = {"--method": "mad", "--merge": "", "--recipe": "light"}
     for word, following in zip(words, [*words, ""][1:], strict=True):
@@ -200,7 +200,8 @@ def _networks(
 ) -> NetworkConfig:
     """The sizes of all networks: the recipe's, and the method's own as they are asked for."""
     networks = options.networks(facts, _state_columns(config, facts))
-    kind, asked = own_options(merge), config.own
+    kind = own_options(merge)
+    asked = config.own
     if type(asked) not in (OwnOptions, kind):
         raise UserError(
             f"expected the own options of the merge {merge!r}, which are "
@@ -259,7 +260,7 @@ def _name(config: TrainConfig, chosen: Method, camera: str) -> str:
 
 
 def identity(config: TrainConfig, drawn: tuple[CameraSpec, ...]) -> dict[str, Any]:
-    """What must be the same when a run is resumed: all but where it is, options that only change
+    """The facts that a resumed run must share: all but where it is, options that only change
     its time or room, and other recipes' options. Of the user's cameras, ``drawn``, it is what the
     file says that counts, not where the file is; of the threads, how many they are, not who said
     so."""
@@ -298,7 +299,8 @@ def _changed(section: str, options: Any, standard: Any) -> list[str]:
     """The words for those of ``options``, a dataclass, that are not as in ``standard``."""
     words = []
     for name, value in vars(options).items():
-        usual, option = getattr(standard, name), name.replace("_", "-")
+        usual = getattr(standard, name)
+        option = name.replace("_", "-")
         if is_dataclass(value):
             words += _changed(f"{section}.{option}", value, usual)
         elif isinstance(value, bool) and value != usual:

@@ -41,9 +41,9 @@ class Offer:
     """How a page offers a recipe; no torch is loaded for it."""
 
     words: str
-    """What it does, and how long that takes."""
+    """Says what it does, and how long that takes."""
     budgets: dict[str, tuple[str, ...]]
-    """What is added to the command, by name; nothing stands for the recipe's defaults."""
+    """Words that are added to the command, by name; nothing stands for the recipe's defaults."""
 
 
 FULL_LIGHT = "--light.rounds 30 --light.updates-per-round 500 --light.alpha 0.25"
@@ -79,14 +79,14 @@ STOPPED = tuple(
 )
 """Exit codes of a training that a signal stopped, after it saved or before it began."""
 DIGITS = 8
-"""Of the weights' hash, in the name of a copy."""
+"""Digits of the weights' hash in the name of a copy."""
 LOG_END = 500
 """Characters of a log's end that may be shown."""
 
 
 @dataclass(frozen=True)
 class JobConfig:
-    """What to train. Raises UserError for a name that is not known."""
+    """The training that is asked for. Raises UserError for a name that is not known."""
 
     task: str
     method: str = "mad"
@@ -110,12 +110,12 @@ class JobConfig:
 
 @dataclass(frozen=True)
 class JobStatus:
-    """What is known of the job at one time step."""
+    """The state of the job at one time."""
 
     state: State = "idle"
     config: JobConfig | None = None
     rows: tuple[dict[str, float], ...] = ()
-    """Of ``curve.csv``, oldest first; NaN where a cell is empty."""
+    """The rows of ``curve.csv``, oldest first; NaN where a cell is empty."""
     folder: Path | None = None
     ready: bool = False
     """Whether there is a policy to watch."""
@@ -141,7 +141,8 @@ class TrainingJob:
 
     def __init__(self, root: Path, program: tuple[str, ...] = (sys.executable, "-m", "madviz")):
         """Runs get folders of their own in ``root``. ``program`` is what ``train`` is given to."""
-        self._root, self._program = root, program
+        self._root = root
+        self._program = program
         self._lock = threading.Lock()
         self._child: subprocess.Popen | None = None
         self._config: JobConfig | None = None
@@ -152,7 +153,8 @@ class TrainingJob:
         """Raises UserError if a job is running."""
         with self._lock:
             self._must_rest()
-            self._config, self._folder = config, self._free_folder(config)
+            self._config = config
+            self._folder = self._free_folder(config)
             self._launch(())
 
     def resume(self) -> None:
@@ -166,7 +168,7 @@ class TrainingJob:
 
     @property
     def pid(self) -> int | None:
-        """Of the process that trains, or trained last."""
+        """The process that trains, or trained last."""
         return self._child.pid if self._child is not None else None
 
     def stop(self) -> None:

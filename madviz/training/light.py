@@ -63,8 +63,11 @@ class LightRun:
 
     def __init__(self, plan: TrainingPlan, config: LightConfig, folder: Path) -> None:
         """Episodes are saved in ``folder``, for a run that is resumed."""
-        self.plan, self.config, self.agent = plan, config, plan.new_agent()
-        agent, streams = self.agent, plan.spec.streams
+        self.plan = plan
+        self.config = config
+        self.agent = plan.new_agent()
+        agent = self.agent
+        streams = plan.spec.streams
         self.masks = torch.from_numpy(plan.method.masks(streams))
         # The drivers at alpha 0 and 1, too, where some of these subsets are not trained: runs with
         # published rates were driven so.
@@ -91,7 +94,7 @@ class LightRun:
         self._episodes = folder / "episodes"
 
     def drivers(self, round_index: int) -> list[tuple[Driver, int]]:
-        """Who drives which seed in a round: the trained subsets in turn, round 0 the expert.
+        """The driver of each seed in a round: the trained subsets in turn, round 0 the expert.
 
         A function of the configuration, the round, and of the average and the outcomes at the time
         of the call.
@@ -105,7 +108,8 @@ class LightRun:
         fade = config.noise_decay ** (round_index - 1)
         student = TorchPolicy(self.plan.spec, copy.deepcopy(self.average))
         first = config.demonstrations + (round_index - 1) * config.episodes_per_round
-        noise, spread = config.noise_share * fade, config.noise_spread * fade
+        noise = config.noise_share * fade
+        spread = config.noise_spread * fade
         planned = []
         for number, chosen in enumerate(
             in_turn(self.shares(), config.episodes_per_round, first), first
@@ -134,13 +138,14 @@ class LightRun:
             self.outcomes.append(list(zip(drove, found, strict=True)))
 
     def _place(self, driver: Driver) -> int:
-        """Of a student's mask in ``driven``."""
+        """The index of a student's mask in ``driven``."""
         assert driver.mask is not None
         return [tuple(mask) for mask in self.driven].index(tuple(driver.mask))
 
     def _look_at_demonstrations(self) -> None:
-        """What depends on how pictures, states and places vary in the first episodes."""
-        config, index = self.config, np.arange(self.config.demonstrations * self.data.horizon)
+        """Sets what depends on how pictures, states and places vary in the first episodes."""
+        config = self.config
+        index = np.arange(self.config.demonstrations * self.data.horizon)
         for agent in (self.agent, self.average):
             if agent.encoder.draws:
                 agent.encoder.set_mean(self.data.usual_views(index))
@@ -199,7 +204,9 @@ class LightRun:
 
     def drawn(self) -> Array:
         """(B,) decisions, late ones likelier where ``recency`` is above 0."""
-        many, size, recency = len(self.data), self.config.batch_size, self.config.recency
+        many = len(self.data)
+        size = self.config.batch_size
+        recency = self.config.recency
         if not recency:
             return self.rng.integers(0, many, size)
         place = self.rng.random(size) ** (1 / (1 + recency))  # Its density is as x ** recency.
@@ -211,10 +218,12 @@ class LightRun:
         merge = self.agent.encoder
         if merge.draws:
             index = index[: merge.reconstructed]
-            views, reward = self.data.views(index), self.data.column("rewards", index)
+            views = self.data.views(index)
+            reward = self.data.column("rewards", index)
             with autocast():
                 return merge.reconstruction_loss(views, reward, generator)
-        horizon, shift = self.data.horizon, self.config.shift
+        horizon = self.data.horizon
+        shift = self.config.shift
         following = np.minimum(index + 1, index - index % horizon + horizon - 1)
         now, then = (
             random_shift(self.data.views(i), self.rng, pad=shift) for i in (index, following)
@@ -223,7 +232,8 @@ class LightRun:
         return merge.own_loss(now, then, positive, autocast)
 
     def _step(self, name: str, loss: Tensor) -> None:
-        config, optimiser = self.config, self.optimisers[name]
+        config = self.config
+        optimiser = self.optimisers[name]
         progress = self.updates / (config.all_rounds * config.updates_per_round)
         share = 1 - progress * (1 - config.learning_rate_floor)
         for group in optimiser.param_groups:
@@ -312,7 +322,9 @@ def run_rounds(run: LightRun, folder: RunFolder, recorder: Recorder) -> None:
 
 def _save(run: LightRun, folder: RunFolder, final: bool) -> None:
     """Writes the averaged weights as a policy; the critic is fitted when nothing else changes."""
-    plan, config, began = run.plan, run.config, time.monotonic()
+    plan = run.plan
+    config = run.config
+    began = time.monotonic()
     updates = config.critic_updates if final else 0
     if updates:
         fit_critic(run.average, run.data, plan.method, config.alpha, updates, plan.seed)

@@ -42,7 +42,8 @@ def n_step_returns(rewards: Array, horizon: int) -> tuple[Array, Array, Array]:
     """
     index = np.arange(len(rewards))
     last = index - index % horizon + horizon - 1
-    sums, discount = np.zeros(len(rewards), np.float32), np.ones(len(rewards), np.float32)
+    sums = np.zeros(len(rewards), np.float32)
+    discount = np.ones(len(rewards), np.float32)
     for k in range(STEPS):
         inside = index + k < last
         sums[inside] += discount[inside] * rewards[index[inside] + k]
@@ -57,16 +58,20 @@ def fit_critic(
     agent: Agent, data: Dataset, method: Method, alpha: float, updates: int, seed: int
 ) -> float:
     """Trains ``agent.critic`` in place, nothing else; returns the mean loss of the last tenth."""
-    streams, rng = data.streams, np.random.default_rng([seed, 11])
+    streams = data.streams
+    rng = np.random.default_rng([seed, 11])
     index = np.arange(max(0, data.episodes - MOST_EPISODES) * data.horizon, len(data))
-    masks, weights = torch.from_numpy(method.masks(streams)), method.weights(alpha)
+    masks = torch.from_numpy(method.masks(streams))
+    weights = method.weights(alpha)
     features = _encode(agent, data, index, masks)
     rewards = data.column("rewards", index).numpy() * REWARD_SCALE
     sums, ahead, discount = n_step_returns(rewards, data.horizon)
-    state, action = data.column("states", index), data.column("actions", index)
+    state = data.column("states", index)
+    action = data.column("actions", index)
     reads = masks[:1] if method.targets == "merged" else masks
     generator = torch.Generator().manual_seed(seed)
-    critic, target = agent.critic.requires_grad_(True).train(), agent.target
+    critic = agent.critic.requires_grad_(True).train()
+    target = agent.target
     target.load_state_dict(critic.state_dict())
     optimiser = torch.optim.Adam(critic.parameters(), lr=_LEARNING_RATE, fused=True)
     losses = []

@@ -1,4 +1,4 @@
-"""Where a student fails there it learns more: drivers and row weights that follow its failures.
+"""A student learns more where it fails: drivers and row weights that follow its failures.
 
 The problem: by default the trained subsets drive in turn, and every single stream has the same
 weight in the loss. With soccer, all cameras succeed from the first rounds on, and Third A hardly
@@ -31,7 +31,8 @@ Outcomes = list[list[tuple[int, bool]]]
 
 def failures(outcomes: Outcomes, count: int) -> Array:
     """(K,) of each of ``count`` subsets, the share of its latest episodes that failed."""
-    lost, driven = np.ones(count), np.full(count, 2.0)
+    lost = np.ones(count)
+    driven = np.full(count, 2.0)
     for index, success in (each for found in outcomes[-ROUNDS:] for each in found):
         lost[index] += not success
         driven[index] += 1
@@ -52,7 +53,8 @@ def in_turn(weights: Array, episodes: int, first: int) -> list[int]:
     turn = (np.arange(len(weights)) - first) % len(weights)
     order = np.lexsort((turn, -np.round(exact - counts, 9)))
     counts[order[: episodes - counts.sum()]] += 1
-    left, chosen = counts.copy(), []
+    left = counts.copy()
+    chosen = []
     number = first
     while len(chosen) < episodes:
         index = number % len(weights)
@@ -74,6 +76,7 @@ def focused(weights: Array, masks: Array, driven: Sequence[Array], part: Array) 
         if not mask.all() and tuple(mask.tolist()) in places
     }
     if rows:
-        mine, of = list(rows), list(rows.values())
+        mine = list(rows)
+        of = list(rows.values())
         result[mine] = weights[mine].sum() * part[of] / part[of].sum()
     return result

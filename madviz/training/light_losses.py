@@ -1,4 +1,4 @@
-"""What the light recipe minimises: errors of actions and, where asked for, of places.
+"""Losses of the light recipe: errors of actions and, where asked for, of places.
 
     L = alpha |pi(M) - a*|^2 + (1 - alpha) mean_i |pi(V_i) - a*|^2  [+ w (the same of places)]
 
@@ -112,7 +112,7 @@ def check_places(actor: ActorHead, env: Environment) -> None:
 
 
 def mean_and_std(numbers: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Of every column of (T, K): its mean, and its standard deviation where that is more than
+    """Per column of (T, K): its mean, and its standard deviation where that is more than
     ``SMALLEST_SPREAD``."""
     mean = numbers.mean(0, dtype=float)
     spread = numbers.std(0, dtype=float).clip(SMALLEST_SPREAD)

@@ -61,8 +61,8 @@ class LightConfig(RecipeOptions):
     """Weight of the squared errors of one more head, in training alone, that tells from what the
     actor reads where objects and goal are, in spreads of each coordinate."""
     gripper_loss: Literal["square", "cross-entropy"] = "square"
-    """Of the last action number: how far it is off, or how unlikely it makes the expert's choice
-    between open and closed."""
+    """Loss of the last action number: how far it is off, or how unlikely it makes the expert's
+    choice between open and closed."""
     shift: Shift = 4
     """Pixels of random shift."""
     average: Share = 0.998

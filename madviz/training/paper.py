@@ -41,7 +41,7 @@ HOW = "reinforcement learning from scratch, by the paper's schedule"
 
 @dataclass(frozen=True)
 class ReinforcementConfig(LearningConfig, RunConfig):
-    """What the recipes with the paper's losses have; the defaults are the paper's numbers."""
+    """Options of all recipes with the paper's losses; the defaults are the paper's numbers."""
 
     hidden_dim: Width = 1024
     """Width of the heads' hidden layers."""
@@ -51,7 +51,7 @@ class ReinforcementConfig(LearningConfig, RunConfig):
     """Also shift what the policy acts on, in training and in evaluations while it trains (as the
     code does, in all evaluations). The policy that is saved does not."""
     buffer_on_host: bool = False
-    """Where the networks learn on a CUDA device: keep frames in the computer's memory all the same.
+    """Keep frames in the computer's memory although the networks learn on a CUDA device.
     Otherwise they are in the device's, unpacked."""
 
     ONLY_TIME = (*RunConfig.ONLY_TIME, "buffer_on_host")
@@ -141,7 +141,8 @@ def act(run: RewardRun[Learner, Reinforcement]) -> Array:
 
 def evaluated(run: RewardRun[Learner, Reinforcement]) -> TorchPolicy:
     """The policy that is evaluated."""
-    spec, agent = run.plan.spec, run.acting_agent()
+    spec = run.plan.spec
+    agent = run.acting_agent()
     if run.config.shift_when_acting:
         return _ShiftingPolicy(spec, agent, run.config.same_shift_for_views)
     return TorchPolicy(spec, agent)

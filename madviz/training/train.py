@@ -60,7 +60,8 @@ def _work(config: TrainConfig, plan: TrainingPlan, folder: RunFolder) -> None:
         folder.finish()  # Again: the first time may have been cut off.
         folder.report("done", seconds=0.0, path=str(folder.path))
         return
-    recipe, began = RECIPES[config.recipe], time.monotonic()
+    recipe = RECIPES[config.recipe]
+    began = time.monotonic()
     goes_on = f"{plan.command} {shlex.join(['--out', str(folder.path), '--resume'])}"
     try:
         recipe.train(plan, getattr(config, recipe.options), folder)

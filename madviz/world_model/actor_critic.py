@@ -36,7 +36,7 @@ from madviz.world_model.sizes import WorldModelConfig
 from madviz.world_model.world import WorldModel
 
 LEAST_STD = 0.1
-"""Of an action's distribution, before it is cut off."""
+"""Least standard deviation of an action, before the distribution is cut off."""
 _EDGE = 1e-6
 """How near to 0 and 1 a probability may come whose quantile is taken."""
 
@@ -97,8 +97,10 @@ def truncated_normal(
     middle + std Phi^-1(Phi(a) + noise Z), and its entropy
     log(sqrt(2 pi e) std Z) + (a phi(a) - b phi(b)) / (2 Z).
     """
-    low, high = (-1 - middle) / std, (1 - middle) / std
-    below, inside = _phi(low), _phi(high) - _phi(low)
+    low = (-1 - middle) / std
+    high = (1 - middle) / std
+    below = _phi(low)
+    inside = _phi(high) - _phi(low)
     quantile = (below + noise * inside).clamp(_EDGE, 1 - _EDGE)
     drawn = middle + std * math.sqrt(2) * torch.erfinv(2 * quantile - 1)
     edges = (low * _density(low) - high * _density(high)) / (2 * inside)
@@ -125,7 +127,7 @@ def act(actor: ActorHead, feature: Tensor, state: Tensor, noise: Tensor) -> tupl
 
 @dataclass(frozen=True)
 class Noise:
-    """What is drawn in an imagination of H decisions from B beliefs, uniform in [0, 1)."""
+    """The random numbers of an imagination of H decisions from B beliefs, uniform in [0, 1)."""
 
     action: Float[Tensor, "H B A"]
     latent: Float[Tensor, "H B G"]
@@ -152,9 +154,11 @@ def imagine(
     noise: Noise,
     gamma: float,
 ) -> Imagination:
-    """What the actor would do from ``belief`` and ``state`` on, and what would come of it. It takes
+    """Lets the actor go on from ``belief`` and ``state`` in the world model alone. The actor takes
     what it reads as data; gradients go from rewards through beliefs into actions."""
-    features, states, entropies = [belief.feature], [state], []
+    features = [belief.feature]
+    states = [state]
+    entropies = []
     for drawn, latent in zip(noise.action, noise.latent, strict=True):
         action, entropy = act(actor, features[-1].detach(), states[-1].detach(), drawn)
         belief = world.rssm.prior_belief(world.rssm.advance(belief, action), latent)
@@ -186,7 +190,8 @@ def likeliest(
     decisions: int,
 ) -> Course:
     """Nothing is drawn: the actor's likeliest action, the likeliest belief after it, and so on."""
-    features, actions = [], []
+    features = []
+    actions = []
     for _ in range(decisions):
         actions.append(torch.tanh(actor(belief.feature, state)[0]))
         belief = world.rssm.prior_belief(world.rssm.advance(belief, actions[-1]), None)
@@ -202,7 +207,8 @@ def lambda_returns(
     mixture: float,
 ) -> Float[Tensor, "H B"]:
     """G of every decision; ``value`` is that of where it led, ``mixture`` is lambda."""
-    returns, following = [], value[-1]
+    returns = []
+    following = value[-1]
     for r, d, v in zip(reward.flip(0), discount.flip(0), value.flip(0), strict=True):
         following = r + d * ((1 - mixture) * v + mixture * following)
         returns.append(following)
@@ -210,7 +216,7 @@ def lambda_returns(
 
 
 def reached(discount: Float[Tensor, "H B"]) -> Float[Tensor, "H B"]:
-    """What each decision weighs: 1 for the first, then the product of the discounts before it."""
+    """The weight of each decision: 1 for the first, then the product of the discounts before it."""
     ones = torch.ones_like(discount[:1])
     return torch.cat([ones, discount[:-1]]).cumprod(0).detach()
 

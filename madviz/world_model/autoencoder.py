@@ -46,7 +46,7 @@ HEADS = 4
 
 @dataclass(frozen=True)
 class Drawn:
-    """What the decoder makes of a set of tokens."""
+    """The decoder's output for a set of tokens."""
 
     pictures: Float[Tensor, "B V 3 H W"]
     """The newest frame of every view, visible or not, 0 to 1 but for what is drawn wrong."""
@@ -68,7 +68,9 @@ class MultiViewAutoencoder(nn.Module):
         views, _, size, _ = mean.shape
         if size % config.patch:
             raise ValueError(f"a picture of {size} pixels has no whole patches of {config.patch}")
-        self.config, self.channels, self.side = config, channels, size // config.patch
+        self.config = config
+        self.channels = channels
+        self.side = size // config.patch
         width = config.width
         places = (config.patch // 2) ** 2
         self.stem = nn.Sequential(
@@ -87,7 +89,8 @@ class MultiViewAutoencoder(nn.Module):
         self.register_buffer("mean", mean.clone())
         self.encoder = _layers(config, config.layers)
         self.decoder = _layers(config, config.decoder_layers)
-        self.norm, self.draw_norm = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.norm = nn.LayerNorm(width)
+        self.draw_norm = nn.LayerNorm(width)
         self.pixels = nn.Linear(width, 3 * config.patch**2)
         self.reward = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, 1))
         nn.init.zeros_(self.pixels.weight)
@@ -119,12 +122,13 @@ class MultiViewAutoencoder(nn.Module):
         return self.stem[1:](F.linear(squares.to(first.weight.dtype), first.weight / 255, bias))
 
     def features(self, tokens: Float[Tensor, "B K W"]) -> Float[Tensor, "B K W"]:
-        """Of tokens, each having seen all the others."""
+        """The encoder's output: tokens that have all seen each other."""
         return self.norm(self.encoder(tokens))
 
     def draw(self, features: Float[Tensor, "B K W"], keep: Int[Tensor, "B K"]) -> Drawn:
         """Every view's picture, and the reward, from what was kept."""
-        batch, width = len(features), self.config.width
+        batch = len(features)
+        width = self.config.width
         marks = self.hidden + self.marks
         everything = marks.expand(batch, -1, -1).to(features.dtype)
         where = keep[..., None].expand(-1, -1, width)
@@ -136,7 +140,7 @@ class MultiViewAutoencoder(nn.Module):
         return Drawn(self.mean + difference, reward)
 
     def forward(self, views: UInt8[Tensor, "B V C H W"], keep: Int[Tensor, "B K"]) -> Drawn:
-        """What is drawn where the tokens ``keep`` are seen."""
+        """Draws all views from the tokens ``keep`` alone."""
         return self.draw(self.features(self.tokens(views, keep)), keep)
 
 
@@ -150,7 +154,8 @@ class TokenReader(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
         self.questions = nn.Parameter(torch.randn(QUESTIONS, width))
-        self.key, self.value = nn.Linear(width, width), nn.Linear(width, width)
+        self.key = nn.Linear(width, width)
+        self.value = nn.Linear(width, width)
 
     def forward(self, tokens: Tensor) -> Tensor:
         """(B, K, W) -> (B, 8 W)."""
@@ -218,11 +223,12 @@ def autoencoder_loss(
     reward: Float[Tensor, " B"],
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
-    """What is learned from a batch of stacks, under tokens that ``generator`` draws."""
+    """The loss on a batch of stacks, with tokens kept that ``generator`` draws."""
     batch, count = views.shape[:2]
     masking = model.config.view_masking
     keep = drawn_tokens(generator, batch, count, model.tokens_of_a_view, masking).to(views.device)
-    drawn, pictures = model(views, keep), newest(views)
+    drawn = model(views, keep)
+    pictures = newest(views)
     moves = moving(pictures, model.mean)
     loss = reconstruction_loss(drawn.pictures, pictures, moves, model.config.moving_weight)
     return loss + REWARD_WEIGHT * F.mse_loss(drawn.reward, symlog(reward))
@@ -288,7 +294,8 @@ def squares_of(views: Shaped[Tensor, "B V C H W"], patch: int) -> Shaped[Tensor,
     """Cuts every view into patches, row by row, and each of them into P squares of 2 x 2 pixels,
     whose S numbers are 4 of every channel. Saliency asks for gradients, so views may be floats."""
     batch, count, channels, size, _ = views.shape
-    side, half = size // patch, patch // 2
+    side = size // patch
+    half = patch // 2
     if views.dtype != torch.uint8:
         cut = views.reshape(batch, count, channels, side, half, 2, side, half, 2)
         cut = cut.permute(0, 1, 3, 6, 4, 7, 2, 5, 8)

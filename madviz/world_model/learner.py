@@ -1,4 +1,4 @@
-"""What learns in the recipe ``mv-mwm``: an autoencoder, a world model, an actor and a critic.
+"""The learner of the recipe ``mv-mwm``: an autoencoder, a world model, an actor and a critic.
 
     frames                --> autoencoder                          pictures, AdamW
     stretches of episodes --> its tokens, data --> world model     world, Adam
@@ -47,7 +47,7 @@ LARGEST = {"pictures": 1.0, "world": 100.0, "actor": 100.0, "critic": 100.0}
 
 @dataclass(frozen=True)
 class Labels:
-    """What an expert would have done in a stretch."""
+    """An expert's actions at the time steps of a stretch."""
 
     action: Float[Tensor, "L+1 B A"]
     known: Bool[Tensor, " B"]
@@ -75,11 +75,15 @@ class WorldLearner:
     )
 
     def __init__(self, agent: Agent, config: MvMwmConfig, gamma: float, seed: int = 0) -> None:
-        self.agent, self.config, self.gamma = agent.train(), config, gamma
+        self.agent = agent.train()
+        self.config = config
+        self.gamma = gamma
         assert isinstance(agent.encoder, WorldNetworks)
         assert isinstance(agent.actor, BeliefActor) and isinstance(agent.critic, BeliefCritic)
         assert isinstance(agent.target, BeliefCritic)
-        self.net, self.actor, self.critic = agent.encoder, agent.actor, agent.critic
+        self.net = agent.encoder
+        self.actor = agent.actor
+        self.critic = agent.critic
         self.target = agent.target
         self.parts: dict[str, nn.Module] = {
             "pictures": self.net.autoencoder,
@@ -117,7 +121,8 @@ class WorldLearner:
     ) -> dict[str, float]:
         """One step of the autoencoder."""
         self.agent.train()
-        views, reward = views.to(self._device), reward.to(self._device)
+        views = views.to(self._device)
+        reward = reward.to(self._device)
         with autocast():
             loss = autoencoder_loss(self.net.autoencoder, views, reward, self._generator)
         self._step("pictures", loss)
@@ -225,16 +230,17 @@ class WorldLearner:
         )
 
     def _features(self, tokens: Float[Tensor, "T B N P W"]) -> Float[Tensor, "T B K W"]:
-        """Of the tokens of N views that see each other."""
+        """The tokens of N views, after they have seen each other."""
         seen = self.net.autoencoder.features(tokens.flatten(0, 1).flatten(1, 2))
         return seen.unflatten(0, tokens.shape[:2])
 
     def _embedded(
         self, tokens: Float[Tensor, "T B V P W"], present: Bool[Tensor, "B V"]
     ) -> Float[Tensor, "T B E"]:
-        """What the world model reads of the views that are present in each sample; samples with as
-        many of them go through the networks together."""
-        found, order = [], []
+        """The embeddings that the world model reads of the views that are present in each sample;
+        samples with as many of them go through the networks together."""
+        found = []
+        order = []
         for size in present.sum(1).unique():
             which = (present.sum(1) == size).nonzero().flatten()
             seen = torch.stack([tokens[:, b, present[b]] for b in which.tolist()], 1)
@@ -276,12 +282,14 @@ class WorldLearner:
         return torch.rand(*shape, generator=self._generator).to(self._device)
 
     def _noise(self, batch: int) -> Noise:
-        config, horizon = self.agent.config, self.config.horizon
+        config = self.agent.config
+        horizon = self.config.horizon
         action = self._uniform(horizon, batch, config.action_dim)
         return Noise(action, self._uniform(horizon, batch, self.net.world.rssm.config.groups))
 
     def _step(self, name: str, loss: Tensor) -> None:
-        optimiser, parameters = self.optimisers[name], list(self.parts[name].parameters())
+        optimiser = self.optimisers[name]
+        parameters = list(self.parts[name].parameters())
         optimiser.zero_grad(set_to_none=True)
         loss.backward(inputs=parameters)
         torch.nn.utils.clip_grad_norm_(parameters, LARGEST[name])

@@ -69,7 +69,8 @@ class WorldNetworks(DrawingMerge):
         self, actor: ActorHead, features: Tensor, mask: Tensor, state: Tensor, decisions: int
     ) -> Foreseen:
         """Pictures are drawn from the tokens that the beliefs predict of all views."""
-        world, model = self.world, self.autoencoder
+        world = self.world
+        model = self.autoencoder
         belief = self.belief(self.present(features, mask.bool())[None])
         course = likeliest(world, actor, belief, state, decisions)
         later = course.feature.flatten(0, 1)  # (T * B, Z)

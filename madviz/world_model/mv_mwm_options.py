@@ -61,8 +61,8 @@ class MvMwmConfig(LanesConfig):
     update_ratio: Weight = 0.25
     """Updates per decision, of autoencoder, world model, actor and critic (1 for 16)."""
     size: Literal["tiny", "small", "paper"] = "small"
-    """Of all networks: ``small`` for two cores, ``paper`` as the authors have them, ``tiny`` to see
-    whether everything runs."""
+    """Sizes of all networks: ``small`` for two cores, ``paper`` as the authors have them, ``tiny``
+    to see whether everything runs."""
     hidden_dim: Width | None = None
     """Width of the hidden layers of actor and critic; by default that of ``size``: 256, 512."""
     demonstrations: CountOrNone = 0
@@ -87,9 +87,9 @@ class MvMwmConfig(LanesConfig):
     mixture: Share = 0.95
     """Lambda: the share of what was imagined further in a return, against the critic's value."""
     entropy_weight: Weight = 1e-4
-    """Of the entropy of actions, beside the returns."""
+    """Weight of the entropy of actions, beside the returns."""
     kl_weight: Weight = 1.0
-    """Of the KL between posterior and prior, beside the world model's other losses."""
+    """Weight of the KL between posterior and prior, beside the world model's other losses."""
     target_every: Count = 100
     """Updates between copies of the critic to its target."""
     autoencoder_rate: Rate = 1e-3
@@ -97,7 +97,7 @@ class MvMwmConfig(LanesConfig):
     world_rate: Rate = 1e-3
     """Adam's, of the world model (3e-4)."""
     heads_rate: Rate = 1e-3
-    """Of the two Adams of actor and critic (1e-4)."""
+    """The two Adams of actor and critic share it (1e-4)."""
     rate_floor: Share = 0.1
     """Share of all rates that is left at the end; they fall in a line from the first decision on
     (1: they stay)."""

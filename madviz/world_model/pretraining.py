@@ -64,7 +64,8 @@ def train_autoencoder(
         for group in optimiser.param_groups:
             group["lr"] = config.learning_rate * schedule(update / config.updates)
         index = rng.integers(0, len(data), config.batch_size)
-        views, reward = data.views(index), data.column("rewards", index)
+        views = data.views(index)
+        reward = data.column("rewards", index)
         with autocast():
             loss = autoencoder_loss(model, views, reward, generator)
         optimiser.zero_grad(set_to_none=True)

@@ -52,7 +52,7 @@ _SMOOTHING = 0.02
 
 
 def unlike(config: MvMwmConfig) -> str:
-    """What differs from the authors' code, for the card."""
+    """The differences from the authors' code, for the card."""
     weights = SIZES[config.size].own.autoencoder.moving_weight > 0
     return (
         "beliefs are rebuilt from nothing over a frame stack, without the actions in between, so "
@@ -107,7 +107,8 @@ class MvMwmRun(RewardRun[WorldLearner, MvMwmConfig]):
         self.drawn += 1
 
     def _learn_world(self, imagines: bool) -> None:
-        config, labels = self.config, None
+        config = self.config
+        labels = None
         expert = max(1, config.batch_size // DEMONSTRATED) if self.demonstrations else 0
         index = self.buffer.draw(config.batch_size - expert, self.rng, config.ahead)
         stretch = self.buffer.stretch(index, config.ahead)
@@ -139,7 +140,8 @@ class MvMwmRun(RewardRun[WorldLearner, MvMwmConfig]):
 
     def described(self) -> TrainingRecord:
         """How the policy came about."""
-        count, facts = self.config.demonstrations, self.plan.env
+        count = self.config.demonstrations
+        facts = self.plan.env
         differs = f"{SCHEDULE}. Unlike the authors' code: {unlike(self.config)}"
         if not count:
             return self.record(f"reinforcement learning from scratch, {differs}")
@@ -203,7 +205,8 @@ def train_mv_mwm(plan: TrainingPlan, config: MvMwmConfig, folder: RunFolder) -> 
     """Trains from the folder's last state on, if it has one; Ctrl-C saves after the decision at
     hand. Raises UserError for what the machine cannot do, for a batch too small for
     demonstrations, and for stretches that no episode has or the buffer does not hold."""
-    facts, lanes = plan.env, config.environments
+    facts = plan.env
+    lanes = config.environments
     if config.demonstrations and config.batch_size < 2:
         raise UserError(
             "expected an --mv-mwm.batch-size of 2 or more, for a demonstration and what was "

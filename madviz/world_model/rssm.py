@@ -36,14 +36,14 @@ from madviz.world_model.sizes import WorldModelConfig
 
 @dataclass(frozen=True)
 class Belief:
-    """What is believed at one time step, for B samples."""
+    """The belief at one time step, for B samples."""
 
     deterministic: Float[Tensor, "B M"]
     """The computed part."""
     latent: Float[Tensor, "B G K"]
     """The drawn part, one-hot; its gradient is that of the probabilities."""
     logits: Float[Tensor, "B G K"]
-    """Of the distribution that ``latent`` was drawn from."""
+    """The logits of the distribution that ``latent`` was drawn from."""
 
     @property
     def feature(self) -> Float[Tensor, "B Z"]:
@@ -67,8 +67,10 @@ class Rssm(nn.Module):
     def __init__(self, config: WorldModelConfig, embedding: int, actions: int) -> None:
         """Reads ``embedding`` numbers of a picture and ``actions`` of an action."""
         super().__init__()
-        self.config, self.actions = config, actions
-        latent, hidden = config.groups * config.classes, config.hidden
+        self.config = config
+        self.actions = actions
+        latent = config.groups * config.classes
+        hidden = config.hidden
         self.inputs = nn.Sequential(
             nn.Linear(latent + actions + 1, hidden), nn.LayerNorm(hidden), nn.SiLU()
         )
@@ -78,7 +80,8 @@ class Rssm(nn.Module):
 
     def initial(self, batch: int) -> Belief:
         """Before the first picture: zeros."""
-        like, config = self.cell.weight_hh, self.config
+        like = self.cell.weight_hh
+        config = self.config
         latent = like.new_zeros(batch, config.groups, config.classes)
         return Belief(like.new_zeros(batch, config.memory), latent, latent)
 
@@ -115,7 +118,8 @@ class Rssm(nn.Module):
         between them."""
         belief = self.initial(embeddings.shape[1])
         for t, embedding in enumerate(embeddings):
-            deterministic, drawn = self.advance(belief, None), None if noise is None else noise[t]
+            deterministic = self.advance(belief, None)
+            drawn = None if noise is None else noise[t]
             belief = self.posterior_belief(deterministic, embedding, drawn)
         return belief
 
@@ -150,7 +154,8 @@ def straight_through(
 
 def categorical_kl(logits: Float[Tensor, "... G K"], other: Float[Tensor, "... G K"]) -> Tensor:
     """(...,): KL(logits || other) in nats, summed over the G choices."""
-    log_p, log_q = logits.log_softmax(-1), other.log_softmax(-1)
+    log_p = logits.log_softmax(-1)
+    log_q = other.log_softmax(-1)
     return (log_p.exp() * (log_p - log_q)).sum((-1, -2))
 
 

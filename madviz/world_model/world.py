@@ -48,7 +48,7 @@ updates on toy/reach 0.70 of its variance was predicted with these, and 0.02 wit
 
 @dataclass(frozen=True)
 class Window:
-    """What a world model learns from: T frames of B samples, of which the last L have known
+    """A batch for the world model: T frames of B samples, of which the last L have known
     actions before them."""
 
     present: Float[Tensor, "T B E"]
@@ -77,14 +77,15 @@ class WorldModel(nn.Module):
         self.layers = nn.Sequential(*layers)
         self.reader = TokenReader(sizes.reader_width)
         self.rssm = Rssm(sizes, QUESTIONS * sizes.reader_width, config.action_dim)
-        belief, hidden = sizes.feature, sizes.hidden
+        belief = sizes.feature
+        hidden = sizes.hidden
         self.features = mlp(belief, hidden, 1, tokens * width)
         self.reward = mlp(belief, hidden, 1, 1)
         self.follows = mlp(belief, hidden, 1, 1)
         self.state = mlp(belief, hidden, 1, config.state_dim)
 
     def embed(self, tokens: Float[Tensor, "B K W"]) -> Float[Tensor, "B E"]:
-        """What is read of the tokens that are present, whichever they are."""
+        """Reads the tokens that are present, whichever they are."""
         return self.reader(self.layers(self.narrow(tokens)))
 
     def predicted_features(self, belief: Float[Tensor, "B Z"]) -> Float[Tensor, "B M W"]:
@@ -96,7 +97,7 @@ class WorldModel(nn.Module):
         return symexp(self.state(belief))
 
     def predicted_reward(self, belief: Float[Tensor, "B Z"]) -> Float[Tensor, " B"]:
-        """Of the decision that led there."""
+        """The reward of the decision that led there."""
         return symexp(self.reward(belief).squeeze(1))
 
     def predicted_follows(self, belief: Float[Tensor, "B Z"]) -> Float[Tensor, " B"]:
@@ -113,7 +114,8 @@ class WorldModel(nn.Module):
         for step, action in enumerate(window.action):
             deterministic = self.rssm.advance(posteriors[-1], action)
             priors.append(self.rssm.prior_belief(deterministic, None))
-            embedding, drawn = window.present[stack + step], noise[stack + step]
+            embedding = window.present[stack + step]
+            drawn = noise[stack + step]
             posteriors.append(self.rssm.posterior_belief(deterministic, embedding, drawn))
         return posteriors, priors
 
@@ -142,7 +144,8 @@ def world_model_losses(
 
     Raises ValueError for a window without actions.
     """
-    count, frames = len(window.action), len(window.present)
+    count = len(window.action)
+    frames = len(window.present)
     if not count:
         raise ValueError("expected a window with actions, found none")
     posteriors, priors = model.observe(window, noise[:frames])
@@ -162,7 +165,7 @@ def sight_losses(
     features: Float[Tensor, "T B M W"],
     state: Float[Tensor, "T B S"],
 ) -> dict[str, Float[Tensor, ""]]:
-    """What T x B beliefs predict wrongly of what is seen and felt."""
+    """Errors of T x B beliefs in what is seen and felt."""
     predicted = model.predicted_features(belief.feature)
     felt = symlog(state).flatten(0, 1)
     return {
@@ -174,7 +177,7 @@ def sight_losses(
 def outcome_losses(
     model: WorldModel, belief: Belief, reward: Float[Tensor, "L B"], follows: Float[Tensor, "L B"]
 ) -> dict[str, Float[Tensor, ""]]:
-    """What L x B beliefs predict wrongly of what the decisions before them brought."""
+    """Errors of L x B beliefs in what the decisions before them brought."""
     likely = model.follows(belief.feature).squeeze(1)
     brought = symlog(reward).flatten()[:, None]
     return {

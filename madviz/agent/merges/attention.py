@@ -40,7 +40,8 @@ class CrossAttention(Merge):
 
     def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
         """(B, V, Z), (N, V) -> (N, B, Z)."""
-        count, places = features.shape[1], FEATURE_SIZE // FEATURE_MAP[0]
+        count = features.shape[1]
+        places = FEATURE_SIZE // FEATURE_MAP[0]
         tokens = features.unflatten(-1, (FEATURE_MAP[0], places)).transpose(-1, -2)
         # tokens: (B, V, 49, 64)
         seen = self.norm(tokens).flatten(1, 2)  # (B, V * 49, 64)

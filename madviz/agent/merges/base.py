@@ -71,7 +71,7 @@ class Merge(nn.Module):
     def rows(
         self, features: Float[Tensor, "B ..."], masks: Shaped[Tensor, "N V"], noise: Noise = None
     ) -> Float[Tensor, "N B ..."]:
-        """What the heads read under each subset; ``masks`` are 0 and 1."""
+        """The numbers that the heads read under each subset; ``masks`` are 0 and 1."""
         raise NotImplementedError
 
     def encode_and_merge(

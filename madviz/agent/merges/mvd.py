@@ -83,7 +83,8 @@ def draw_rows(features: Tensor, masks: Tensor, keys: Noise) -> Tensor:
 
 def shared_loss(anchor: Tensor, positive: Tensor, private: Tensor) -> Tensor:
     """s_a (B, Z), s_p (B, Z), private parts of all views (B, V, Z) -> scalar."""
-    positive, private = positive.detach(), private.detach()
+    positive = positive.detach()
+    private = private.detach()
     batch = _similarity(anchor[:, None], positive[None])  # (B, B)
     own = torch.arange(len(anchor), device=anchor.device)
     apart = _similarity(anchor[:, None], torch.cat([positive[:, None], private], 1))  # (B, 1 + V)
@@ -116,7 +117,8 @@ def contrastive_loss(features: Tensor, following: Tensor, positive: int) -> Tens
 def _similarity(a: Tensor, b: Tensor) -> Tensor:
     """cos(a, b) / temperature over the last axis; single precision at least, for the exponent."""
     if a.dtype == torch.bfloat16:
-        a, b = a.float(), b.float()
+        a = a.float()
+        b = b.float()
     return F.cosine_similarity(a, b, dim=-1) / TEMPERATURE
 
 

@@ -50,7 +50,8 @@ class PerViewActor(ActorHead):
 
     def forward(self, rows: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """(..., V, Z + 1), (..., S) -> mean and log standard deviation before tanh, (..., A)."""
-        features, present = rows[..., :-1], rows[..., -1]
+        features = rows[..., :-1]
+        present = rows[..., -1]
         mean, log_std = self.each(features, _per_view(state, present))
         return mean_of_present(mean, present), mean_of_present(log_std, present)
 

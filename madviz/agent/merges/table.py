@@ -42,7 +42,7 @@ ALL_OR_ONE = Support(
 
 @dataclass(frozen=True)
 class Needs:
-    """What a setting must have before something can be trained on it."""
+    """A setting must have these before something can be trained on it."""
 
     streams: int = 1
     cameras: int = 1
@@ -58,9 +58,11 @@ class Needs:
             wanted = f"{self.streams} or more streams"
             found = f"{len(streams)} ({', '.join(streams)})"
         elif len(cameras) < self.cameras:
-            wanted, found = f"{self.cameras} or more cameras", ", ".join(cameras)
+            wanted = f"{self.cameras} or more cameras"
+            found = ", ".join(cameras)
         elif self.camera and self.camera not in cameras:
-            wanted, found = f"the camera {self.camera!r}", ", ".join(cameras)
+            wanted = f"the camera {self.camera!r}"
+            found = ", ".join(cameras)
         else:
             return
         raise UserError(
@@ -82,7 +84,7 @@ class MergeFacts:
     page_words: str = ""
     """A sentence for visitors of the page about the method that merges so and does nothing else."""
     cell_words: str = ""
-    """What it does, in the words of a table's cell; empty: the page tells it from the numbers."""
+    """Its work in the words of a table's cell; empty: the page tells it from the numbers."""
     needs: Needs = Needs()
     options: str = ""
     """The class of its own options, module:name; empty: it has none."""

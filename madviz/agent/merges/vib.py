@@ -93,7 +93,8 @@ class BottleneckEncoder(Merge):
 
     def encode_to_act(self, views: Tensor) -> Tensor:
         """(B, V, C, H, W) -> (B, V slots, V views, D), so that any view can stand in for all."""
-        pixels, batch = views.flatten(0, 1), views.shape[:2]
+        pixels = views.flatten(0, 1)
+        batch = views.shape[:2]
         slots = [self.slot(i, pixels).unflatten(0, batch) for i in range(len(self.cnns))]
         return torch.stack(slots, 1)
 
@@ -143,5 +144,6 @@ def kl_loss(mean: Tensor, log_std: Tensor) -> Tensor:
     KL of one number: (mean^2 + std^2 - 1) / 2 - log std. Single precision at least.
     """
     if mean.dtype == torch.bfloat16:
-        mean, log_std = mean.float(), log_std.float()
+        mean = mean.float()
+        log_std = log_std.float()
     return (0.5 * (mean.square() + (2 * log_std).exp() - 1) - log_std).mean()

@@ -27,9 +27,11 @@ class ViewTransformer(Merge):
         self.cnn = Encoder(config.frame_stack)
         self.project = nn.Linear(FEATURE_SIZE, TOKEN)
         self.place = nn.Parameter(0.02 * torch.randn(len(streams), TOKEN))
-        self.norm1, self.norm2 = nn.LayerNorm(TOKEN), nn.LayerNorm(TOKEN)
+        self.norm1 = nn.LayerNorm(TOKEN)
+        self.norm2 = nn.LayerNorm(TOKEN)
         self.query, self.key, self.value, self.out = (nn.Linear(TOKEN, TOKEN) for _ in range(4))
-        self.widen, self.narrow = nn.Linear(TOKEN, 2 * TOKEN), nn.Linear(2 * TOKEN, TOKEN)
+        self.widen = nn.Linear(TOKEN, 2 * TOKEN)
+        self.narrow = nn.Linear(2 * TOKEN, TOKEN)
         orthogonal(self)
 
     def heads(self, config: NetworkConfig) -> Heads:

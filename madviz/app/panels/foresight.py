@@ -87,7 +87,8 @@ def foresight_html(foresight: Foresight, frame: Frame) -> str:
 
 def foresight_words(foresight: Foresight) -> str:
     """``Imagined at step 12 from all. Of 15 decisions 7 have happened: ...``"""
-    count, many = len(foresight.happened), len(foresight.future.reward)
+    count = len(foresight.happened)
+    many = len(foresight.future.reward)
     said = f"Imagined at step {foresight.step} from <b>{escape(foresight.condition)}</b>, without "
     said += f"another picture. Of {many} decisions {count} have been taken since"
     said += ", then the episode was over" if foresight.closed and count < many else ""
@@ -128,8 +129,11 @@ def _reward_svg(foresight: Foresight) -> str:
     foreseen = [float(r) for r in foresight.future.reward]
     got = [one.reward for one in foresight.happened]
     known = [r for r in (*foreseen, *got) if np.isfinite(r)] or [0.0]
-    low, high = min(*known, 0.0), max(*known, 1e-6)
-    right, base, top = WIDTH - 106, HEIGHT - 8, 8
+    low = min(*known, 0.0)
+    high = max(*known, 1e-6)
+    right = WIDTH - 106
+    base = HEIGHT - 8
+    top = 8
 
     def line(values: Sequence[float], colour: str, dashes: str = "") -> str:
         places = " ".join(

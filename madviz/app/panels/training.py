@@ -62,8 +62,10 @@ class TrainingPanel(WidgetPanel):
         job: TrainingJob,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._job, self._clock = job, clock
-        self._read_at, self._status = -READ_EVERY, JobStatus()
+        self._job = job
+        self._clock = clock
+        self._read_at = -READ_EVERY
+        self._status = JobStatus()
         self.handles: list = []
         if send is not None:
             self._add_controls(gui, send, frame)
@@ -119,7 +121,8 @@ class TrainingPanel(WidgetPanel):
 
     def update(self, frame: Frame) -> list[Assign]:
         if self._clock() - self._read_at >= READ_EVERY:
-            self._read_at, self._status = self._clock(), self._job.status()
+            self._read_at = self._clock()
+            self._status = self._job.status()
         return [Assign(self._html, "content", training_html(self._status))]
 
 
@@ -176,7 +179,8 @@ def _curve(status: JobStatus, name: str, label: str, colour: str, high: float | 
     values = [(i, row[name]) for i, row in enumerate(status.rows) if math.isfinite(row[name])]
     top = high or max((value for _, value in values), default=1.0) or 1.0
     last = max(len(status.rows) - 1, 1)
-    right, floor = (WIDTH - LEFT - 6) / last, HEIGHT - 14
+    right = (WIDTH - LEFT - 6) / last
+    floor = HEIGHT - 14
     points = " ".join(
         f"{LEFT + right * i:.1f},{floor - (HEIGHT - 24) * value / top:.1f}" for i, value in values
     )
