@@ -33,6 +33,16 @@ from madviz.types import Array
 Interval = tuple[float, float]
 
 
+class RateRow(TypedDict):
+    """A ``SuccessRate`` as documents hold it."""
+
+    success: float
+    n: int
+    """Episodes."""
+    ci95: list[float]
+    """Wilson's interval of ``success``."""
+
+
 @dataclass(frozen=True)
 class SuccessRate:
     """A success rate and how far to trust it."""
@@ -54,6 +64,16 @@ class SuccessRate:
         """The rate of ``outcomes``, one for each episode."""
         successes = [bool(success) for success in outcomes]
         return cls.of(sum(successes), len(successes))
+
+    @classmethod
+    def read(cls, row: RateRow) -> SuccessRate:
+        """The rate that a document holds."""
+        low, high = row["ci95"]
+        return cls(row["success"], (low, high), row["n"])
+
+    def row(self) -> RateRow:
+        """All of it, for a document."""
+        return {"success": self.value, "n": self.n, "ci95": list(self.interval)}
 
     @property
     def successes(self) -> int:
