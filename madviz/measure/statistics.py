@@ -1,4 +1,4 @@
-"""What a count of successes says, and how far to trust it.
+"""Success rates and paired differences, and how far to trust them.
 
 Ten episodes say little: 8 of 10 is compatible with anything from 0.49 to 0.94. So no success rate
 goes anywhere in this package without its episode count and its Wilson interval, and two policies

@@ -1,4 +1,4 @@
-"""audit.json: what the episodes of an audit say, in numbers.
+"""audit.json: the results of an audit in numbers.
 
 Every row holds its difference from all cameras on the same scenes. ``p_holm`` is corrected for the
 other tests of its family and for the looks (``verdict.py``): 0.05 is the limit everywhere. There
@@ -56,7 +56,7 @@ class OccludedRow(DifferenceRow):
 
 
 class ShapleyRow(TypedDict):
-    """What a camera adds to success, on average over all orders in which cameras come."""
+    """A camera's part in success, on average over all orders in which cameras come."""
 
     value: float
     ci95: list[float]
@@ -70,7 +70,7 @@ class AuditFile(TypedDict):
     task: str
     digest: str
     definition: str
-    """What counts as a success."""
+    """The task's definition of a success."""
     seed: int
     """The first episode's."""
     episodes: int
@@ -79,7 +79,7 @@ class AuditFile(TypedDict):
     detectable: float | None
     """The change that would be found 8 times in 10; None where none would."""
     labels: dict[str, str]
-    """What cameras are called."""
+    """The names of cameras for readers."""
     intact: RateRow
     """With all cameras."""
     conditions: list[ConditionRow]
