@@ -31,7 +31,7 @@ LOOK_AGAIN = 5.0
 
 @dataclass(frozen=True)
 class AuditStatus:
-    """What is known at one moment; never changes."""
+    """The state of an audit at one moment; never changes."""
 
     state: State = "idle"
     policy: PolicySpec | None = None
@@ -45,7 +45,8 @@ class AuditStatus:
 
     @property
     def share(self) -> float:
-        """Of the planned episodes, in [0, 1]; an audit that stops early gets to 1 at once."""
+        """The part of the planned episodes that is played, in [0, 1]; an audit that stops early
+        gets to 1 at once."""
         if self.plan is None or self.state == "done":
             return float(self.state == "done")
         end = self.plan.stopped(self.outcomes)
@@ -97,7 +98,7 @@ class LiveAudit:
             self._thread.start()
 
     def stop(self) -> None:
-        """What was measured stays; started again, it goes on from there."""
+        """Stops the audit. Its episodes stay; started again, it goes on from there."""
         self._ended.set()
         self._news.set()
 

@@ -62,7 +62,7 @@ class SuccessRates:
         return self._shipped[key]
 
     def live(self, spec: PolicySpec, condition: Condition) -> SuccessRate:
-        """What was measured here."""
+        """The rate that was measured here."""
         seen = self._live.get((self._key(spec), condition), {})
         return SuccessRate.of(sum(seen.values()), len(seen))
 
@@ -142,7 +142,7 @@ class SuccessRates:
         self._add((request.digest or request.policy, request.condition), outcomes, tally.error)
 
     def _key(self, spec: PolicySpec) -> str:
-        """What episodes of a policy are kept under: its version, or its reference where it has
+        """The key of a policy's episodes: its version, or its reference where it has
         none. ``_hear`` finds the same in a request."""
         return spec.digest or self._reference(spec)
 

@@ -12,21 +12,18 @@ from typing import Any, TypedDict
 
 from madviz.errors import UserError
 from madviz.measure.episodes import unsupported
-from madviz.measure.statistics import PairedRow, SuccessRate, pair
+from madviz.measure.statistics import PairedRow, RateRow, SuccessRate, pair
 from madviz.measure.table import Table, seeds_of_run
 from madviz.observation.grammar import parse_condition
 from madviz.subsets import cameras_of
 
 
-class ConditionRow(TypedDict):
+class ConditionRow(RateRow):
     """The success rate of one condition."""
 
     subset: str
     occlusions: dict[str, dict[str, Any]]
     """By camera: the fields of ``Occlusion``."""
-    success: float
-    n: int
-    ci95: list[float]
 
 
 class ConditionPairRow(PairedRow):
@@ -70,13 +67,10 @@ def compare_conditions(
     outcomes = {word: table.outcomes(condition) for word, condition in played.items()}
     rows: dict[str, ConditionRow] = {}
     for word in words:
-        rate = SuccessRate.counted(outcomes[word].values())
         rows[word] = {
             "subset": played[word].subset,
             "occlusions": {name: asdict(o) for name, o in asked[word].occlusions},
-            "success": rate.value,
-            "n": rate.n,
-            "ci95": list(rate.interval),
+            **SuccessRate.counted(outcomes[word].values()).row(),
         }
     first = words[0]
     return {
@@ -99,8 +93,7 @@ def conditions_table(result: ConditionsFile) -> str:
     wide = max(map(len, result["conditions"]))
     lines = [f"{result['policy']} on {result['task']}: success {result['definition']}"]
     for word, row in result["conditions"].items():
-        low, high = row["ci95"]
-        lines.append(f"  {word:{wide}} {SuccessRate(row['success'], (low, high), row['n'])}")
+        lines.append(f"  {word:{wide}} {SuccessRate.read(row)}")
     for pair_row in result["comparisons"]:
         low, high = pair_row["ci95"]
         first, second = pair_row["first"], pair_row["second"]

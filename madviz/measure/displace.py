@@ -26,7 +26,7 @@ import numpy as np
 
 from madviz.errors import UserError, saving, unknown
 from madviz.measure.episodes import FIRST_SEED, unsupported
-from madviz.measure.statistics import SuccessRate
+from madviz.measure.statistics import RateRow, SuccessRate
 from madviz.measure.table import Table, seeds_of_run
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, along
@@ -46,7 +46,7 @@ WAYS = {
     "tilt": ("up", "down"),
     "zoom": ("in", "out"),
 }
-"""What more and less of a direction are called."""
+"""The words for more and less of a direction."""
 UNITS = {"forward": "m", "right": "m", "up": "m", "pan": "°", "tilt": "°", "zoom": "times"}
 FARTHEST = {"m": 0.2, "°": 20.0, "times": 1.5}
 """The last place by its unit, the default of ``--most``."""
@@ -162,14 +162,11 @@ def _checked(policy: Policy, subset: str, camera: str) -> str:
 # --- The command ----------------------------------------------------------------------------
 
 
-class PointRow(TypedDict):
+class PointRow(RateRow):
     """Success with the camera at one place, as the document holds it."""
 
     at: float
     successes: int
-    success: float
-    n: int
-    ci95: list[float]
 
 
 class DisplaceFile(TypedDict):
@@ -220,9 +217,7 @@ def run_displace(config: DisplaceConfig) -> DisplaceFile:
             {
                 "at": point.at,
                 "successes": point.success.successes,
-                "success": point.success.value,
-                "n": point.success.n,
-                "ci95": list(point.success.interval),
+                **point.success.row(),
             }
             for point in points
         ],
@@ -259,8 +254,7 @@ def displacement_table(result: DisplaceFile) -> str:
     ]
     for point in result["points"]:
         place = f"{point['at']:g} {result['unit']}"
-        low, high = point["ci95"]
-        rows.append(f"  {place:12} {SuccessRate(point['success'], (low, high), point['n'])}")
+        rows.append(f"  {place:12} {SuccessRate.read(point)}")
     return "\n".join(rows)
 
 

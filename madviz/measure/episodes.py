@@ -110,7 +110,8 @@ class Runner:
         """Cameras of that environment that may not stand where its spec has them."""
 
     def opened(self, job: Job) -> tuple[Environment, Policy]:
-        """What ``job`` needs: the environment stays until a job needs another one."""
+        """The environment and the policy of ``job``. The environment stays until a job needs
+        another one."""
         policy = self._loaded(job.policy, job.digest)
         return self._environment(policy), policy
 

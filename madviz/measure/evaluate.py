@@ -97,8 +97,8 @@ def trained_names(spec: PolicySpec) -> tuple[str, ...]:
 
 
 def default_subsets(spec: PolicySpec) -> tuple[str, ...]:
-    """What says most about a policy: everything on, what it was trained on, every stream alone,
-    and the floor (no camera at all, state only)."""
+    """The subsets that say most about a policy: all streams, those it was trained on, every stream
+    alone, and the floor (no camera at all, state only)."""
     return tuple(
         dict.fromkeys(["all", *trained_names(spec), *single_streams(spec.streams), "none"])
     )
@@ -268,9 +268,8 @@ def success_table(result: EvaluationFile) -> str:
     """An evaluation as lines: subset, success with its interval, episodes."""
     lines = [f"{result['policy']} on {result['task']}: success {result['definition']}"]
     for name, row in result["subsets"].items():
-        low, high = row["ci95"]
         lines.append(
-            f"  {name:24} {SuccessRate(row['success'], (low, high), row['n'])}"
+            f"  {name:24} {SuccessRate.read(row)}"
             f"   any step {row['success_any']:.2f}"
             + ("" if row["trained"] else "   not trained on this subset")
         )

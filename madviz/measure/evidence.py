@@ -1,4 +1,4 @@
-"""What was measured, read from policy folders: config.json, evaluation.json, development.json.
+"""Measured policies, read from their folders: config.json, evaluation.json, development.json.
 
 Weights may be missing (a policy that only serves a table leaves them out), so this is not the way
 to load a policy. Where they are there, the evaluation must be of them; and always its rates must be
@@ -42,18 +42,19 @@ class Evidence:
 
     @property
     def command(self) -> str:
-        """That trains it again; '' where the config does not say."""
+        """The command line that trains it again; '' where the config does not say."""
         return self.config.training.command or ""
 
     @property
     def alpha(self) -> float | None:
-        """Of the training; None where its method has fixed weights, whatever an older file says."""
+        """The alpha of the training; None where its method has fixed weights, whatever an older
+        file says."""
         known, said = METHODS.get(self.config.method), self.config.training.alpha
         return known.alpha_of(said) if known and said is not None else said
 
     @property
     def seed(self) -> int:
-        """Of the training; 1 is what it is where the command does not say."""
+        """The seed of the training, which is 1 where the command does not say."""
         words = shlex.split(self.command)
         try:
             return int(words[words.index("--seed") + 1])
@@ -62,7 +63,7 @@ class Evidence:
 
     @property
     def seeds(self) -> str:
-        """What the seeds of its episodes serve: ``development`` or ``reporting``, see seeds.py."""
+        """The use of its episodes' seeds: ``development`` or ``reporting``, see seeds.py."""
         return use_of(seed for found in self.outcomes.values() for seed in found)
 
     def on_development(self) -> Evidence | None:
@@ -95,12 +96,12 @@ class Evidence:
 
     @property
     def first_seed(self) -> int:
-        """Of all episodes."""
+        """The lowest seed of all episodes."""
         return min(seed for found in self.outcomes.values() for seed in found)
 
     @property
     def episodes(self) -> int:
-        """Of each subset; the largest number where they differ."""
+        """Episodes of each subset; the largest number where they differ."""
         return max(len(found) for found in self.outcomes.values())
 
 
@@ -142,7 +143,7 @@ def find_evidence(*roots: str | Path) -> tuple[list[Evidence], list[BrokenRow]]:
 
 
 def readable(folders: Iterable[Path]) -> tuple[list[Evidence], list[BrokenRow]]:
-    """What ``read_evidence`` says of every folder, or why it cannot."""
+    """The evidence of every folder that can be read, and of the others why they cannot."""
     found: list[Evidence] = []
     broken: list[BrokenRow] = []
     for folder in folders:

@@ -36,7 +36,7 @@ dragged makes many. What is stored is read again if somebody comes back to it.""
 
 
 class Request(NamedTuple):
-    """What is to be measured: a condition, and a version of a policy."""
+    """A condition to be measured, and a version of a policy."""
 
     policy: str
     digest: str
@@ -45,7 +45,7 @@ class Request(NamedTuple):
 
 @dataclass(frozen=True)
 class Tally:
-    """What is known about a request so far; a snapshot that never changes."""
+    """The results of a request so far; a snapshot that never changes."""
 
     request: Request
     results: tuple[EpisodeResult, ...] = ()
@@ -122,7 +122,7 @@ class Evaluator:
             return self._tally(request)
 
     def tally(self, policy: str | Path, condition: Condition) -> Tally:
-        """What is known already, without measuring more."""
+        """The results that are known already, without measuring more."""
         request = self._as_request(policy, condition)
         with self._lock:
             return self._tally(request)

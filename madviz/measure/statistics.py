@@ -1,4 +1,4 @@
-"""What a count of successes says, and how far to trust it.
+"""Success rates and paired differences, and how far to trust them.
 
 Ten episodes say little: 8 of 10 is compatible with anything from 0.49 to 0.94. So no success rate
 goes anywhere in this package without its episode count and its Wilson interval, and two policies
@@ -33,6 +33,16 @@ from madviz.types import Array
 Interval = tuple[float, float]
 
 
+class RateRow(TypedDict):
+    """A ``SuccessRate`` as documents hold it."""
+
+    success: float
+    n: int
+    """Episodes."""
+    ci95: list[float]
+    """Wilson's interval of ``success``."""
+
+
 @dataclass(frozen=True)
 class SuccessRate:
     """A success rate and how far to trust it."""
@@ -54,6 +64,16 @@ class SuccessRate:
         """The rate of ``outcomes``, one for each episode."""
         successes = [bool(success) for success in outcomes]
         return cls.of(sum(successes), len(successes))
+
+    @classmethod
+    def read(cls, row: RateRow) -> SuccessRate:
+        """The rate that a document holds."""
+        low, high = row["ci95"]
+        return cls(row["success"], (low, high), row["n"])
+
+    def row(self) -> RateRow:
+        """All of it, for a document."""
+        return {"success": self.value, "n": self.n, "ci95": list(self.interval)}
 
     @property
     def successes(self) -> int:

@@ -50,7 +50,7 @@ _CORRUPT = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """What one episode came to."""
+    """The outcome of one episode."""
 
     subset: str
     seed: int
@@ -67,7 +67,7 @@ class ResultKey:
     """Everything but the seed that decides how an episode goes."""
 
     digest: str
-    """Of the policy's weights and config; '' (a policy that has none) is never stored."""
+    """The digest of the policy's weights and config; a result under '' is never stored."""
     task: str
     definition: str
     render_profile: str

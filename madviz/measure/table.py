@@ -47,7 +47,7 @@ class Table:
         self.reference = reference
         self.spec = spec
         self.definition = ""
-        """What counts as a success; known with the first episode."""
+        """The task's definition of a success; known with the first episode."""
         self.runner = Runner()
         """Plays episodes in this process."""
         self._store = store if folder or own else None

@@ -68,7 +68,7 @@ class Workers:
             self.generation += 1
 
     def gave_up(self) -> UserError:
-        """What to say after GIVE_UP broken pools."""
+        """The error after ``GIVE_UP`` deaths in a row."""
         return UserError(
             f"expected worker processes to live, found {GIVE_UP} deaths in a row without a "
             "finished episode; out of memory? try --workers 1, or 0 to see the error in this "
@@ -222,7 +222,7 @@ def run_anywhere(
 
 
 class _Process:
-    """What a worker process holds between jobs."""
+    """The state of a worker process between jobs."""
 
     stop: Any = None
 

@@ -1,4 +1,4 @@
-"""What can happen to a camera: small frozen values with a pure ``apply``.
+"""Ablations, which are all that can happen to cameras: small frozen values.
 
 Two things are easily confused. A *dropped* stream leaves the sum: the policy's merged feature
 loses the term f(o_i). An *occluded* stream stays in the sum, but its camera sends black, noise or
@@ -144,7 +144,7 @@ class CameraState:
 
 
 INTACT = CameraState()
-"""Of a camera that nobody has touched."""
+"""The state of a camera that nobody has touched."""
 
 
 @dataclass(frozen=True)

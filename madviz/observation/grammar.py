@@ -35,7 +35,7 @@ from madviz.system.streams import say
 SAME = {"dropped": "off", "frozen": "freeze", "lossy": "dropout", "late": "delay"}
 """The page's words."""
 DROPPED = "off"
-"""What ``third_a@20`` means when spelled out: ``third_a=off@20``."""
+"""The word for a dropped camera: ``third_a@20`` is short for ``third_a=off@20``."""
 HOW = "camera@step, camera@from-to or camera=black@step, for example third_b=noise:0.5@10-30"
 _FAILURE = re.compile(r"(\w+)(?:=([a-z]+[\d.:]*))?(?:@(\d{1,6})(?:-(\d{1,6}))?)?")
 _OLD = re.compile(r"(\w+)=([a-z]+)((?:,[a-z]+=[\d.]+)+)")

@@ -22,7 +22,7 @@ Seed = Annotated[int, Meta(ge=0, le=2**62)]
 
 
 class SubsetRow(TypedDict):
-    """What the episodes of one subset came to."""
+    """The success rates of one subset."""
 
     success: Rate
     """At the last step."""
@@ -49,10 +49,10 @@ class EvaluationFile(TypedDict):
     schema: int
     policy: str
     digest: str
-    """Of the weights and config that were measured."""
+    """The digest of the weights and config that were measured."""
     task: str
     definition: str
-    """What counts as a success."""
+    """The task's definition of a success."""
     render_profile: str
     occlusions: str
     """'' where no camera was occluded."""
@@ -63,10 +63,10 @@ class EvaluationFile(TypedDict):
 
 
 def seeds_of(evaluation: EvaluationFile) -> str:
-    """What its seeds serve, see ``use_of``."""
+    """The use of its seeds, see ``use_of``."""
     return use_of(episode["seed"] for episode in evaluation["episodes"])
 
 
 def as_evaluation(document: object, file: Path) -> EvaluationFile:
-    """What ``file`` holds. Raises UserError where that is no evaluation."""
+    """``document``, read from ``file``. Raises UserError where it is no evaluation."""
     return typed(document, EvaluationFile, file, FIX)

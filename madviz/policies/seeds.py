@@ -32,8 +32,9 @@ USES = {
 
 
 def training_seed(seed: int, number: int) -> int:
-    """Of episode ``number``, from 0 on, in a training with a scripted expert whose own seed is
-    ``seed``: below ``FIRST_SELECTION``, so a training with more episodes meets scenes again."""
+    """The seed of episode ``number``, from 0 on, in a training with a scripted expert. The
+    training's own seed is ``seed``. The result is below ``FIRST_SELECTION``, so a training with
+    more episodes meets scenes again."""
     return (seed * 137 + number) % FIRST_SELECTION
 
 

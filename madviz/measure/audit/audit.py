@@ -168,5 +168,5 @@ def command(config: AuditConfig) -> str:
 
 
 def audit_words(found: AuditFile) -> str:
-    """What the command prints."""
+    """The text that the command prints."""
     return "\n".join([*in_words(found), planned(found)])

@@ -1,4 +1,4 @@
-"""audit.json: what the episodes of an audit say, in numbers.
+"""audit.json: the results of an audit in numbers.
 
 Every row holds its difference from all cameras on the same scenes. ``p_holm`` is corrected for the
 other tests of its family and for the looks (``verdict.py``): 0.05 is the limit everywhere. There
@@ -19,21 +19,13 @@ from madviz.measure.audit.lost_cameras import INTACT, AuditRow, How, What
 from madviz.measure.audit.schedule import AuditPlan, Outcomes, scale
 from madviz.measure.audit.verdict import VERDICTS, Judgement, Look, table
 from madviz.measure.formulas import agresti_min, holm, mcnemar, newcombe
-from madviz.measure.statistics import wilson
+from madviz.measure.statistics import RateRow, SuccessRate
 from madviz.observation.condition import Condition
 from madviz.policies.config import definition_of
 from madviz.types import Array, EnvSpec, PolicySpec
 
 Seen = dict[Condition, Array]
 """Success (n,) bool in the episodes up to the last look."""
-
-
-class IntactRow(TypedDict):
-    """The success rate with all cameras."""
-
-    success: float
-    n: int
-    ci95: list[float]
 
 
 class DifferenceRow(TypedDict):
@@ -64,7 +56,7 @@ class OccludedRow(DifferenceRow):
 
 
 class ShapleyRow(TypedDict):
-    """What a camera adds to success, on average over all orders in which cameras come."""
+    """A camera's part in success, on average over all orders in which cameras come."""
 
     value: float
     ci95: list[float]
@@ -78,7 +70,7 @@ class AuditFile(TypedDict):
     task: str
     digest: str
     definition: str
-    """What counts as a success."""
+    """The task's definition of a success."""
     seed: int
     """The first episode's."""
     episodes: int
@@ -87,8 +79,9 @@ class AuditFile(TypedDict):
     detectable: float | None
     """The change that would be found 8 times in 10; None where none would."""
     labels: dict[str, str]
-    """What cameras are called."""
-    intact: IntactRow
+    """The names of cameras for readers."""
+    intact: RateRow
+    """With all cameras."""
     conditions: list[ConditionRow]
     occluded: list[OccludedRow]
     shapley: dict[str, ShapleyRow]
@@ -110,6 +103,7 @@ class AuditFacts(TypedDict):
 
 
 def facts_of(policy: PolicySpec, env: EnvSpec) -> AuditFacts:
+    """The facts of an audit of ``policy`` in ``env``."""
     return {
         "policy": policy.name,
         "task": policy.task,
@@ -129,7 +123,6 @@ def audit_document(plan: AuditPlan, outcomes: Outcomes, facts: AuditFacts) -> Au
     seen = {condition: plan.first(outcomes, condition, n) for condition in plan.every}
     cameras = plan.cameras
     deciding = {name: cameras.deciding(name) for name in cameras.names}
-    intact = seen[INTACT]
     smallest = plan.detectable
     dropped = not any(condition.occlusions for condition in cameras.sets())
     return {
@@ -143,11 +136,7 @@ def audit_document(plan: AuditPlan, outcomes: Outcomes, facts: AuditFacts) -> Au
         "looks": [each.episodes for each in plan.looks],
         "detectable": None if np.isnan(smallest) else round(smallest, 4),
         "labels": {name: facts["labels"].get(name, name) for name in cameras.names},
-        "intact": {
-            "success": float(intact.mean()),
-            "n": n,
-            "ci95": list(wilson(int(intact.sum()), n)),
-        },
+        "intact": SuccessRate.counted(seen[INTACT]).row(),
         "conditions": _rows(plan, seen, look, judgement),
         "occluded": _occluded(plan, seen, look),
         "shapley": _shapley(plan, seen),

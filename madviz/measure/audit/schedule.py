@@ -131,5 +131,5 @@ class AuditPlan:
 
 
 def scale(look: Look) -> float:
-    """What a p-value at ``look`` is multiplied by, so that 0.05 is the limit for all looks."""
+    """The factor of a p-value at ``look``, so that 0.05 is the limit for all looks."""
     return LEVEL / look.share

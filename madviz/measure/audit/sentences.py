@@ -15,7 +15,7 @@ HOW_WORDS = {
     "noise": "noise",
     "frozen": "frozen",
 }
-"""What a camera is then, or sends."""
+"""Names of the ways in which a camera is away."""
 MEANING = {
     "needed": "success falls significantly without it, by half of what it was or more",
     "used": "success falls significantly without it, by less than half",
@@ -43,7 +43,7 @@ def in_words(found: AuditFile) -> list[str]:
 
 
 def planned(found: AuditFile) -> str:
-    """What was to be seen, and how many episodes it took."""
+    """The plan, and how many episodes the audit took."""
     return plan_words(found["episodes"], found["detectable"], found["intact"]["n"])
 
 
@@ -62,8 +62,8 @@ def plan_words(episodes: int, smallest: float | None, played: int | None = None)
 def points(share: float, sign: bool = False) -> str:
     """0.83 as ``83 points``."""
     number = round(100 * share)
-    said = f"{number:+d}" if sign and number else f"{number}"
-    return f"{said} point{'' if abs(number) == 1 else 's'}"
+    text = f"{number:+d}" if sign and number else f"{number}"
+    return f"{text} point{'' if abs(number) == 1 else 's'}"
 
 
 def change(row: ConditionRow | DifferenceRow) -> str:
@@ -89,14 +89,12 @@ def deciding(found: AuditFile, camera: str, what: str) -> ConditionRow:
 
 def _intact(found: AuditFile) -> str:
     row = found["intact"]
-    low, high = row["ci95"]
-    rate = SuccessRate(row["success"], (low, high), row["n"])
-    said = f"With all cameras, success is {rate}."
+    line = f"With all cameras, success is {SuccessRate.read(row)}."
     if row["success"] < FAILS:
-        said += (
+        line += (
             " A policy that fails so often is no evidence about cameras: what follows says little."
         )
-    return said
+    return line
 
 
 def _camera(found: AuditFile, name: str) -> str:
@@ -111,10 +109,10 @@ def _camera(found: AuditFile, name: str) -> str:
         return f"{label} is redundant: {without}; alone it has {alone['success']:.2f}."
     above = alone.get("above_none")
     against = "" if above is None else f", {change(above)} against no camera at all"
-    said = f"{label}: no use shown. W{without[1:]}; alone it has {alone['success']:.2f}{against}."
+    line = f"{label}: no use shown. W{without[1:]}; alone it has {alone['success']:.2f}{against}."
     if removed["p_holm"] <= LEVEL and removed["difference"] > 0:
-        said += " The policy is better without it."
-    return said
+        line += " The policy is better without it."
+    return line
 
 
 def _occluded(found: AuditFile) -> list[str]:

@@ -41,7 +41,7 @@ from madviz.types import Array
 LEVEL = 0.05
 """How often an audit may claim anything that is not so, for its verdicts together."""
 EARLY_SHARE = 0.005
-"""Of ``LEVEL``, what an early look may spend."""
+"""The part of ``LEVEL`` that an early look may spend."""
 LOOKS = (0.25, 0.5, 0.75)
 """Early looks, as parts of the planned episodes."""
 MARGIN = 0.05
@@ -56,11 +56,11 @@ class Look:
 
     episodes: int
     share: float
-    """Of ``LEVEL``."""
+    """The part of ``LEVEL`` that this look may spend."""
 
     @property
     def confidence(self) -> float:
-        """Of the intervals that settle a camera at this look."""
+        """The confidence of the intervals that settle a camera at this look."""
         return 1 - self.share
 
 
@@ -99,16 +99,17 @@ class PairedOutcomes:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the outcomes say of every camera; arrays (..., C)."""
+    """The verdict on every camera, and what it rests on; arrays (..., C)."""
 
     verdict: Array
     """Codes, places in ``VERDICTS``."""
     settled: Array
     """bool: more episodes are not worth their time."""
     p_removed: Array
-    """Of the change without the camera, for all tests and looks; significant up to ``LEVEL``."""
+    """p-value of the change without the camera, corrected for all tests and looks; significant up
+    to ``LEVEL``."""
     p_alone: Array
-    """Of the difference between this camera alone and none, likewise."""
+    """p-value of the difference between this camera alone and none, likewise."""
 
 
 def judged(outcomes: PairedOutcomes, look: Look) -> Judgement:
