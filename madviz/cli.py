@@ -89,13 +89,13 @@ def run(words: Sequence[str], group: str = "") -> int:
 
 
 def named(reference: str) -> Any:
-    """What ``module:name`` of the table stands for."""
+    """The object that ``module:name`` of the table stands for."""
     module, _, name = reference.partition(":")
     return getattr(import_module(module), name)
 
 
 def summaries(group: str = "") -> dict[str, str]:
-    """What can follow ``madviz``, or ``madviz bench``, and what each of it does."""
+    """The words that can follow ``madviz``, or ``madviz bench``, each with what it does."""
     lines = {name: command.summary for name, command in COMMANDS.items()}
     if group:
         start = f"{group} "
