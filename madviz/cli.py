@@ -93,7 +93,7 @@ def run(words: Sequence[str], commands: Mapping[str, Command], prog: str) -> int
 
 
 def named(reference: str) -> Any:
-    """What ``module:name`` of the table stands for."""
+    """The object that ``module:name`` of the table stands for."""
     module, _, name = reference.partition(":")
     return getattr(import_module(module), name)
 

@@ -102,8 +102,9 @@ def single_streams(streams: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def mad_subsets(streams: tuple[str, ...]) -> tuple[str, ...]:
-    """What MAD trains besides the merge: every single stream, as in the paper; where cameras have
-    several modalities, every camera and every modality too, so that each can be switched off whole.
+    """The subsets that MAD trains besides the merge: every single stream, as in the paper; where
+    cameras have several modalities, every camera and every modality too, so that each can be
+    switched off whole.
 
     A word that means all streams, as the only camera does, is the merge itself and not listed.
     """

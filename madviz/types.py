@@ -33,7 +33,7 @@ class CameraSpec:
 
     name: str
     label: str
-    """What the page calls it, for example ``Third A``."""
+    """The page's name for it, for example ``Third A``."""
     fovy: float
     """Vertical field of view, degrees."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -94,7 +94,7 @@ class EnvSpec:
 
 @dataclass(frozen=True)
 class TimeStep:
-    """What one decision led to; pixels are asked for separately with ``Environment.view``."""
+    """The result of one decision; pixels are asked for separately with ``Environment.view``."""
 
     state: Float[Array, " S"]
     """Proprioception."""
@@ -107,7 +107,7 @@ class TimeStep:
 
 @dataclass(frozen=True)
 class View:
-    """What one camera sees now."""
+    """The pictures of one camera now."""
 
     rgb: UInt8[Array, "H W 3"]
     """Upright, not mirrored."""
@@ -168,7 +168,7 @@ class Environment(Protocol):
         ...
 
     def bodies(self) -> tuple[Body, ...]:
-        """What the present episode holds, as it looks: the same object until that changes."""
+        """The bodies of the present episode, as they look: the same object until that changes."""
         ...
 
     def body_poses(self) -> Array:
@@ -232,7 +232,7 @@ class Encoded:
 
 @dataclass(frozen=True)
 class Readout:
-    """What a policy would do under each of N subsets."""
+    """The decisions of a policy under each of N subsets."""
 
     merged: Float[Array, "N Z"]
     """The merged feature."""
@@ -244,7 +244,8 @@ class Readout:
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """What a page or an evaluator must know about a policy. Comes from its checkpoint's config."""
+    """The facts about a policy that a page or an evaluator needs. Comes from its checkpoint's
+    config."""
 
     name: str
     task: str
@@ -315,7 +316,7 @@ class Imagines(Policy, Protocol):
 
 @dataclass(frozen=True)
 class Future:
-    """What a policy imagines of T decisions to come."""
+    """A policy's imagination of T decisions to come."""
 
     pictures: Array
     """(T, V, H, W, 3) uint8: what every stream would show after each decision."""

@@ -1,4 +1,4 @@
-"""What a policy makes of one time step, under every subset of its streams at once.
+"""The reading of one time step under every subset of a policy's streams at once.
 
 Each stream is encoded once. Every subset's merged feature is a masked sum of those rows, so reading
 all of them is one batch through the heads: with three streams 8 rows, with six 64. Switching a
@@ -83,8 +83,8 @@ class Probe:
         return parts / mask.sum() if kind == "mean" else parts
 
     def merged_kind(self) -> Merged:
-        """What the merged feature is, found from the numbers themselves: policies of one method may
-        merge differently. ``no views``: no stream has a feature of its own."""
+        """The kind of the merged feature, read off the numbers themselves: policies of one method
+        may merge differently. ``no views``: no stream has a feature of its own."""
         if not self.features.any():
             return "no views"
         fullest = int(np.argmax(np.where(self.known, self.masks.sum(1), -1)))

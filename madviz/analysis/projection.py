@@ -35,9 +35,9 @@ class Basis:
     mean: Float[Array, " Z"]
     """Where the map's origin is."""
     axes: Float[Array, "2 Z"]
-    """Of norm 1, at right angles; zeros where features differ in fewer directions."""
+    """The axes, of norm 1 and at right angles; zeros where features differ in fewer directions."""
     share: float
-    """Of the variance of what it was made of, in [0, 1], that the two axes show."""
+    """The share of the features' variance that the two axes show, in [0, 1]."""
     low: Float[Array, 2]
     """The least coordinates of what it was made of."""
     high: Float[Array, 2]

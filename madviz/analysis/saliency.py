@@ -108,9 +108,9 @@ class LiveSaliency:
         self.forget()
 
     def ask(self, target: Target | None, wake: Callable[[], None]) -> None:
-        """What to explain from now on; None: nothing. The first time, captum is loaded in a thread
-        of its own, so that an episode does not stop, and then ``wake`` is called from there: what
-        is asked for by then may be due."""
+        """Sets what is explained from now on; None: nothing. The first time, captum is loaded in a
+        thread of its own, so that an episode does not stop, and then ``wake`` is called from there:
+        what is asked for by then may be due."""
         if target != self.target:
             self.target = target
             self.forget()

@@ -1,4 +1,4 @@
-"""What a visitor's websocket may bring, and what may wait for it: their memory has a bound.
+"""Limits for a visitor's websocket, of messages that come and that wait: memory has a bound.
 
 The problem: viser takes messages that no page here sends. One asks for a public address of this
 server, one begins an upload of any size, one goes on to all other visitors. It reads as fast as
@@ -60,7 +60,7 @@ TAKEN = frozenset(
 """The kinds of messages that the page sends: where one looks from, widgets, keys, clicks on a
 frustum, and a camera that is moved by its arrows. A page that sends more must add it here."""
 MISTAKES = (ArithmeticError, AssertionError, LookupError, TypeError, ValueError)
-"""What a value of a page raises that no page sends."""
+"""The errors that a message raises which no page sends."""
 
 log = logging.getLogger(__name__)
 _noted: WeakKeyDictionary[Any, set[str]] = WeakKeyDictionary()

@@ -1,4 +1,4 @@
-"""What the keys of a page do, for the browser, its command palette and the help."""
+"""The keys of a page, for the browser, its command palette and the help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands on a page and where: every panel, and how often it is brought up to date.
+"""The panels of a page and their places: every panel, and how often it is brought up to date.
 
 left    what the cameras send, their switches, the words; under them one tab for each analysis
 middle  the scene, and the arrows in it
@@ -55,7 +55,7 @@ a window of 1280 x 800, or 1920 x 1080."""
 
 @dataclass(frozen=True)
 class Shared:
-    """What all visitors of a server have in common."""
+    """Objects that all visitors of a server have in common."""
 
     choices: Sequence[PolicyChoice]
     rates: SuccessRates = field(default_factory=SuccessRates)
@@ -64,7 +64,7 @@ class Shared:
     greets: bool = True
     """Whether a new visitor is offered a comparison, where there is one to offer."""
     references: References = field(default_factory=References)
-    """What commands call the policies that frames show."""
+    """The names by which commands refer to the policies that frames show."""
 
     @cached_property
     def audit(self) -> LiveAudit:
@@ -116,30 +116,31 @@ class Panels:
         self._extras = [dockable, tour, *commands(client, keys.table)]
         scene = ScenePanel(client, frame, None if readonly else keys.toggle)
         arrows = ArrowsPanel(client, frame, extent(frame))
-        self.refresh = Refresh(
-            [
-                TimedPanel(cameras, FASTEST),
-                TimedPanel(policy, FASTEST),
-                TimedPanel(words, FASTEST),
-                *tabbed,
-                TimedPanel(self.success, 0.5),
-                TimedPanel(scene, 0.05),
-                TimedPanel(arrows, 0.25),
-            ]
-        )
+        # Every panel of the page, in the order in which they get a frame.
+        self.panels = [
+            TimedPanel(cameras, FASTEST),
+            TimedPanel(policy, FASTEST),
+            TimedPanel(words, FASTEST),
+            *tabbed,
+            TimedPanel(self.success, 0.5),
+            TimedPanel(scene, 0.05),
+            TimedPanel(arrows, 0.25),
+        ]
+        self.refresh = Refresh(self.panels)
         if greet:
             tour.greet()
         self.curves = next(t.panel for t in tabbed if isinstance(t.panel, FeaturesPanel))
 
     def remove(self) -> None:
         """Takes panels and scene off the page."""
-        for timed in self.refresh.panels:
+        for timed in self.panels:
             timed.panel.remove()
         for handle in self._extras:
             handle.remove()
 
     def _build_tabs(self, tabs: viser.GuiTabGroupHandle, frame: Frame) -> list[TimedPanel]:
-        """What stands under the cameras, a tab each; names are short: eleven fit into one row."""
+        """Builds the panels under the cameras, a tab each; names are short: eleven fit into one
+        row."""
         gui = self._client.gui
         send = self._send
         wide = self._wide

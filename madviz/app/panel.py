@@ -1,4 +1,4 @@
-"""What a panel is, and how its frames reach a browser.
+"""The panels of a page, and how their changes reach a browser.
 
 A panel builds its widgets into the container it is given, owns their handles and nothing else.
 ``update`` only computes; what it returns is assigned afterwards, all panels at once, inside one
@@ -27,7 +27,7 @@ class Panel(Protocol):
     no newer frame: what it showed depended on the time."""
 
     def update(self, frame: Frame) -> list[Assign]:
-        """What has to change on the page to show ``frame``. Assigns nothing itself."""
+        """The changes by which the page shows ``frame``. Assigns nothing itself."""
         ...
 
     def remove(self) -> None:

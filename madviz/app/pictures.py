@@ -1,4 +1,4 @@
-"""What single cameras send, as small pictures beside the large one: on frusta and in tables."""
+"""Small pictures of single cameras, beside the large one: on frusta and in tables."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Refresh:
             timed.number = 0
 
     def update(self, frame: Frame, now: float, interrupted: Callable[[], bool]) -> list[Assign]:
-        """What has to change on the page at ``now``, in seconds. Ends early where ``interrupted``
+        """The changes that are due at ``now``, in seconds. Ends early where ``interrupted``
         says that somebody waits for a newer frame."""
         touched = (frame.world.change, frame.world.policy, frame.pace.phase, frame.pace.error)
         urgent = touched != self._touched  # Somebody has touched something since the last frame.

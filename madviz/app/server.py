@@ -222,8 +222,8 @@ def gate_for(config: ExploreConfig) -> Gate:
 
 
 def described(policy: str) -> PolicySpec:
-    """What ``policy`` is. A folder says so without its weights or torch; the simulation's process
-    loads both."""
+    """The specification of ``policy``. A folder has it without its weights or torch; the
+    simulation's process loads both."""
     if checkpoint.is_folder(policy):
         return checkpoint.describe(policy).spec
     return checkpoint.load_policy(policy).spec

@@ -1,4 +1,4 @@
-"""What a visitor's simulation is made of, in words that can be sent to another process."""
+"""A recipe for a visitor's simulation that can be sent to another process."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ class SessionMaker:
     """A name, a folder or module:factory, as ``checkpoint.load_policy`` takes it; of a ``script``,
     the name of its first policy."""
     typed: str | None = None
-    """What the user typed for --policy: the one place where a script's policies may be paths."""
+    """The words that the user typed for --policy: the one place where a script's policies may be
+    paths."""
     task: str | None = None
     """A task of the user's own that may be imported."""
     speed: float | None = 10.0
@@ -80,7 +81,7 @@ class LoadedPolicies:
 
 
 class References:
-    """What the policies of all visitors' simulations are loaded by."""
+    """The names by which the policies of all visitors' simulations are loaded."""
 
     def __init__(self) -> None:
         self._names: dict[PolicySpec, str] = {}
@@ -90,7 +91,7 @@ class References:
         self._names = {spec: name, **self._names}
 
     def name_of(self, spec: PolicySpec) -> str:
-        """What ``load_policy`` knows a policy by: its own name unless noted otherwise."""
+        """The name by which ``load_policy`` finds a policy: its own name unless noted otherwise."""
         return self._names.get(spec, own_name(spec))
 
 

@@ -225,7 +225,7 @@ class SyncedInput:
         self._last = handle.value
 
     def show(self, value: Any, force: bool = False) -> list[Assign]:
-        """What has to change where ``value`` is another than the last one; always if ``force``."""
+        """The change where ``value`` is another than the last one; always if ``force``."""
         if value == self._last and not force:
             return []
         self._last = value

@@ -1,4 +1,4 @@
-"""What greets a newcomer, a tour of two minutes, and help for everybody.
+"""A greeting for newcomers, a tour of two minutes, and help for everybody.
 
 A visitor is first offered a comparison: MAD and Merged Only act side by side on the same episode,
 and after a few seconds a camera is dropped on both sides. One click leads to it, another past it.
@@ -74,7 +74,7 @@ class Tour:
         self._panel: viser.PanelHandle | None = None
         self._help: Any = None
         self._start: Frame | None = None
-        """What a step of the tour has changed, as it was before."""
+        """The settings that a step of the tour has changed, as they were before."""
         self._steps: list[Step] = []
         self._at = 0
         self._acting = ""
@@ -191,7 +191,7 @@ class Tour:
         return policy == shown == self._acting
 
     def help(self) -> None:
-        """What the words mean, what the keys do, and light or dark."""
+        """Shows what the words mean, what the keys do, and light or dark."""
         gui = self._client.gui
         if self._help is not None and not self._help.closed:
             self._help.close()  # A browser that shows none of them could ask for thousands.

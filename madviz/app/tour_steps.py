@@ -1,4 +1,4 @@
-"""What a tour says and does, step by step: commands that a visitor's click would send, too.
+"""The steps of a tour, its words and its actions: commands that a visitor's click would send, too.
 
 The tour of two minutes:
 
@@ -42,7 +42,7 @@ GOES_AT = 15
 
 
 class Step(NamedTuple):
-    """What is said, and what is done meanwhile."""
+    """A step: its words, and what is done meanwhile."""
 
     title: str
     words: str
@@ -50,7 +50,7 @@ class Step(NamedTuple):
     back: int = 0
     """How many steps to look back."""
     go: str = "next step"
-    """What the button says that leads on."""
+    """The label of the button that leads on."""
     leave: str = "end the tour"
     keep: bool = False
     """Whether leading on from the last step leaves things as they are."""

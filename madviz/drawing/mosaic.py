@@ -32,7 +32,7 @@ SCALE = 18
 """Pixels between tiles, of a tile's title, of the depth scale under a tile."""
 _GROUND = (30, 31, 34)
 Dropped = Literal["imagined", "both", "truth"]
-"""What a dropped camera's tile shows where a policy imagines it; the truth where none does."""
+"""The content of a dropped camera's tile where a policy imagines it; the truth where none does."""
 CORNER = 0.38
 """Share of a tile's side that the truth takes in the corner of what is imagined."""
 GLOW = 0.85
@@ -67,7 +67,8 @@ def mosaic(
 
 
 def imagined_of(frame: Frame, camera: str) -> Imagined | None:
-    """What the policy imagines of a dropped camera in colour; None where it does not."""
+    """The picture that the policy imagines of a dropped camera in colour; None where it does
+    not."""
     if frame.camera(camera).input != "off":
         return None
     found = frame.world.imagined
@@ -75,14 +76,14 @@ def imagined_of(frame: Frame, camera: str) -> Imagined | None:
 
 
 def _true_picture(frame: Frame, camera: CameraSpec, dropped: Dropped, tile: int) -> Array | None:
-    """What the camera sees, small, where it is asked for."""
+    """The camera's true picture, small, where it is asked for."""
     if dropped != "both":
         return None
     return _enlarge(frame.world.views[camera.name].rgb, round(CORNER * tile))
 
 
 def _imagined(picture: Array, drawn: Imagined, truth: Array | None) -> None:
-    """What is imagined, in a dashed frame and with the word for it, so that nobody takes it for
+    """The imagined picture, in a dashed frame and with the word for it, so that nobody takes it for
     what a camera sends; and the truth in its corner."""
     tile = len(picture)
     ink = rgb(NOTE)
@@ -107,7 +108,7 @@ def _label(band: Array, text: str) -> None:
 
 
 def badge(frame: Frame, camera: str) -> str:
-    """What the state of ``camera`` is in two words, for the corner of its tile."""
+    """The state of ``camera`` in two words, for the corner of its tile."""
     state = frame.camera(camera)
     drawn = imagined_of(frame, camera)
     if drawn is not None and np.isfinite(drawn.psnr):
@@ -147,7 +148,8 @@ def _tile(frame: Frame, camera: CameraSpec, tile: int) -> Array:
 
 
 def _stream_picture(frame: Frame, camera: str, modality: str) -> Array | None:
-    """What arrived of ``camera`` in ``modality``; None where the policy has no such stream."""
+    """The frame that arrived from ``camera`` in ``modality``; None where the policy has no such
+    stream."""
     for name in (f"{camera}.{modality}", camera if modality == "rgb" else ""):
         if name in frame.world.arrived:
             return frame.world.arrived[name]

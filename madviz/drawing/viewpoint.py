@@ -85,8 +85,8 @@ def best_direction(points: Array, pictures: Array, facing: Array, hand: Array) -
 
 
 def first_view(frame: Frame) -> tuple[Array, Array]:
-    """What must be in view at first, (n, 3) points, and along which direction (3,): cameras, the
-    hand and whatever is on the table."""
+    """The points that must be in view at first, (n, 3), and along which direction (3,):
+    cameras, the hand and whatever is on the table."""
     size = extent(frame)
     pictures = []
     points = []

@@ -78,7 +78,7 @@ class CameraTable(Struct, forbid_unknown_fields=True):
             raise ValueError(f"expected look_at apart from position, found both at {self.look_at}")
 
     def as_spec(self) -> CameraSpec:
-        """What an environment draws."""
+        """The cameras that an environment draws."""
         if self.wxyz:
             w, x, y, z = (np.array(self.wxyz) / np.linalg.norm(self.wxyz)).tolist()
             turn = (w, x, y, z)

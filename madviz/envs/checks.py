@@ -1,4 +1,4 @@
-"""What every environment checks about what it is given."""
+"""Checks that every environment makes of what it is given."""
 
 from __future__ import annotations
 

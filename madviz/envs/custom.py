@@ -24,7 +24,7 @@ from madviz.types import CameraSpec, Environment, EnvSpec
 
 VARIABLE = "MADVIZ_TASKS"
 _SPECS: dict[str, EnvSpec] = {}
-"""Of each factory that was called in this process, what its last environment said of itself."""
+"""For each factory that was called in this process, the facts of its last environment."""
 
 
 def is_own(task: str) -> bool:
@@ -56,7 +56,7 @@ def check_allowed(task: str) -> None:
 
 
 def own_spec(task: str) -> EnvSpec:
-    """What the factory's environment says of itself; it is built once to ask it, if it was never
+    """The facts of the factory's environment; it is built once to ask it, if it was never
     built before. Raises UserError as ``make_own`` does."""
     check_allowed(task)
     if task not in _SPECS:

@@ -15,7 +15,7 @@ import numpy as np
 from madviz.types import Array
 
 TRIANGLES = 1000
-"""What the fast render profile decimates a heavier mesh to."""
+"""The number of faces that the fast render profile decimates a heavier mesh to."""
 ENOUGH = 1.5
 """Times the wanted number of triangles that are few enough to leave a mesh alone."""
 

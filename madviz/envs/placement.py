@@ -20,8 +20,9 @@ from madviz.types import Array, CameraPose, CameraSpec, EnvSpec
 def drawn_cameras(
     own: tuple[CameraSpec, ...], given: tuple[CameraSpec, ...]
 ) -> tuple[CameraSpec, ...]:
-    """What an environment draws: its ``own`` cameras where ``given`` is empty; with ``given`` ones
-    in their places where all of them bear names of its own; otherwise ``given`` and no others."""
+    """The cameras that an environment draws: its ``own`` cameras where ``given`` is empty; with
+    ``given`` ones in their places where all of them bear names of its own; otherwise ``given`` and
+    no others."""
     named = {camera.name: camera for camera in given}
     if named.keys() <= {camera.name for camera in own}:
         return tuple(named.get(camera.name, camera) for camera in own)

@@ -184,7 +184,7 @@ def _has(
 def choose(
     task: str, name: str, file: str | Path | None = None
 ) -> tuple[Setting, tuple[CameraSpec, ...]]:
-    """What to train with: a setting and its cameras; or, where there is a ``file``, the user's own
+    """The setting and cameras to train with; or, where there is a ``file``, the user's own
     cameras in the modalities of that setting. A task of one's own has its cameras, under whatever
     names, where the setting asks for the usual three.
     Raises UserError for unknown names and bad files."""
@@ -258,7 +258,7 @@ def make_env(
 
 
 def shared_imports(task: str) -> tuple[str, ...]:
-    """What processes that simulate ``task`` can share, see ``Suite.shared``."""
+    """The modules that processes that simulate ``task`` can share, see ``Suite.shared``."""
     suite = SUITES.get(task.partition("/")[0])
     return suite.shared if suite else ()
 

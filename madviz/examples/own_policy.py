@@ -79,5 +79,5 @@ def found(camera: str, picture: Array, hand: Array) -> Array:
 
 
 def make() -> Finder:
-    """What ``--policy madviz.examples.own_policy:make`` calls."""
+    """The factory that ``--policy madviz.examples.own_policy:make`` calls."""
     return Finder()

@@ -97,5 +97,5 @@ class TouchBall(MuJoCoWorld):
 
 
 def make() -> TouchBall:
-    """What ``--task madviz.examples.own_task:make`` calls."""
+    """The factory that ``--task madviz.examples.own_task:make`` calls."""
     return TouchBall()

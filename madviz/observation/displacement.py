@@ -86,7 +86,7 @@ class Displacement:
         return replace(camera, position=(x, y, z), wxyz=(w, i, j, k), fovy=fovy)
 
     def key(self) -> str:
-        """What differs, for a name: ``moved,right=0.1``."""
+        """The differences, for a name: ``moved,right=0.1``."""
         plain = asdict(Displacement())
         found = {name: value for name, value in asdict(self).items() if value != plain[name]}
         return "moved" + "".join(f",{name}={value:g}" for name, value in found.items())

@@ -1,4 +1,4 @@
-"""What a session can be asked to do: commands, all frozen, checked where they are made.
+"""The commands of a session, all frozen, checked where they are made.
 
 A page never touches a simulation; it sends one of these, from any thread, and the simulation's own
 thread serves it, between two camera renders if it must be quick.

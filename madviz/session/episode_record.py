@@ -1,4 +1,4 @@
-"""What counts of an episode while it is played: reward, success, and what was wrong with cameras.
+"""The score of an episode while it is played: reward, success, and failures of cameras.
 
 An outcome is put beside others of the same condition, so an episode whose decisions were taken
 under several has none: ``Outcome.condition`` is None. What is done to a camera before the first
@@ -19,7 +19,7 @@ from madviz.types import PolicySpec, TimeStep
 
 @dataclass
 class EpisodeRecord:
-    """Of one episode so far."""
+    """The score of one episode so far."""
 
     total_reward: float = 0.0
     success_any: bool = False
@@ -34,7 +34,7 @@ class EpisodeRecord:
         self.success_any |= time_step.success
 
     def note(self, policy: PolicySpec, condition: Condition, ablation: Ablation) -> None:
-        """What a decision was taken under."""
+        """Notes the condition under which a decision was taken."""
         self.conditions.add((policy, condition))
         present = ablation.present(policy.streams)
         occluded = ablation.occlusions()

@@ -1,4 +1,4 @@
-"""What simulations share: imported once, by the process that they are forked from.
+"""Modules that simulations share: imported once, by the process that they are forked from.
 
 Importing this module is its whole purpose. ``SHARED`` is all that a simulation needs, with what
 torch and its simulator import late: two seconds and 360 MB that each would have for itself. No

@@ -1,4 +1,4 @@
-"""What comes out of a session: frames, all frozen, and the words for what changed.
+"""The frames that come out of a session, all frozen, and the words for what changed.
 
 A page never touches a simulation. It sends commands (``commands.py``); it gets a ``Frame``, a
 complete picture of one time step that nobody changes afterwards, so that no lock is needed.
@@ -26,7 +26,7 @@ Phase = Literal["playing", "paused", "ended"]
 
 @dataclass(frozen=True)
 class Change:
-    """What a visitor just did to a camera, and what came of it at that time step."""
+    """A visitor's last change to a camera, and its effect at that time step."""
 
     camera: str
     before: CameraState
@@ -72,14 +72,14 @@ class Pair:
 
     @property
     def sides(self) -> tuple[Side, Side]:
-        """What was compared: A and B."""
+        """The two that were compared, A and B."""
         first = self.first
         second = self.second
         return (first.policy, first.condition), (second.policy, second.condition)
 
 
 class TimelinePoint(NamedTuple):
-    """What a timeline draws of one step."""
+    """The part of one step that a timeline draws."""
 
     q: float
     reward: float
@@ -119,12 +119,13 @@ class World:
     """Decisions taken in this episode."""
     ablation: Ablation
     views: dict[str, View]
-    """What each camera really sees."""
+    """The true picture of each camera."""
     arrived: dict[str, Array]
     """(H, W, C) uint8 by stream: what reached the policy, occlusions applied."""
     poses: dict[str, CameraPose]
     bodies: tuple[Body, ...]
-    """What the scene holds; the same object as in the frame before, unless it holds others now."""
+    """The bodies of the scene; the same object as in the frame before, unless it holds others
+    now."""
     body_poses: Array
     """(N, 7) float32: position in metres and wxyz in the world, in the order of ``bodies``."""
     hand: Array
@@ -186,9 +187,9 @@ class Frame:
     """(H, W) in [0, 1] by stream: where the policy looks, half a second old at most while an
     episode runs; None where nobody asked or there is none."""
     explained: Target | None = None
-    """What somebody asked to see the pixels of; there may be no ``saliency`` of it yet."""
+    """The target whose pixels somebody asked to see; there may be no ``saliency`` of it yet."""
     foresight: Foresight | None = None
-    """What the policy imagined of the decisions after an earlier step or this one."""
+    """The policy's imagination of the decisions after an earlier step or this one."""
 
     @property
     def mask(self) -> Array:
@@ -282,7 +283,7 @@ def _deed(before: CameraState, after: CameraState) -> str:
 
 
 def occlusion_words(occlusion: Occlusion) -> str:
-    """What an occlusion is, as a predicate: ``sends black``."""
+    """An occlusion as a predicate: ``sends black``."""
     strength = f"{100 * occlusion.strength:.0f} %"
     return {
         "none": "sends its picture again",

@@ -27,7 +27,7 @@ from madviz.session.commands import Command
 
 
 class Inbox:
-    """What a session is asked to do; from any thread of its process."""
+    """The commands that a session has been sent, from any thread of its process."""
 
     def __init__(self) -> None:
         self._queue: queue.SimpleQueue[Command | None] = queue.SimpleQueue()

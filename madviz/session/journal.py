@@ -1,4 +1,4 @@
-"""What happened in the present episode and the last ones, as far as it takes to replay them.
+"""A journal of the present episode and the last ones, with all that a replay of them needs.
 
 A simulation writes every command and every decision into its journal; a page asks it, from another
 thread, for a saved session. Two rules make its steps exact:

@@ -1,4 +1,4 @@
-"""What a page needs of a session, wherever that runs."""
+"""The members of a session that a page needs, wherever the session runs."""
 
 from __future__ import annotations
 

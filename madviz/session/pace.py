@@ -49,7 +49,7 @@ class StepClock:
         self.due = now + (HOLD if self.speed is not None else 0.0)
 
     def interrupt(self) -> None:
-        """What comes next says nothing of the rate."""
+        """Forgets the rate: what comes next says nothing of it."""
         self._stepped = None
 
     def forget(self) -> None:

@@ -1,4 +1,4 @@
-"""What a session does by itself: the commands of a saved episode, and a schedule of failures.
+"""Things that a session does by itself: commands of a saved episode, a schedule of failures.
 
 Both say what happens when a step arrives, before the next decision. A saved episode is replayed
 once, and is over when its own episode is; a schedule stays for all episodes until there is another.

@@ -15,7 +15,7 @@ from madviz.policies.players import player_of
 from madviz.types import Array, Encoded, Player, Policy, PolicyWithMemory
 
 Look = tuple[Encoded, Array]
-"""What a decision was made from: the step, encoded, and the subset (V,)."""
+"""The input of a decision: the step, encoded, and the subset (V,)."""
 
 
 class Playing:
@@ -24,7 +24,7 @@ class Playing:
     def __init__(self) -> None:
         self._player: Player | None = None
         self.looks: list[Look] = []
-        """Of a policy with a memory, since it began to act."""
+        """The inputs of all decisions of a policy with a memory, since it began to act."""
 
     @property
     def planned(self) -> int:

@@ -111,7 +111,7 @@ class SessionProcess(FrameSource):
         self._closing = threading.Event()
         self._wanted = threading.Event()
         self._names: dict[PolicySpec, str] = {}
-        """What policies are loaded by, of all that any process has loaded."""
+        """The names by which policies are loaded, of all that any process has loaded."""
         self._chosen: str | None = None
         """The policy that the visitor has chosen since the last process ended."""
         self._shown: Frame | None = None
@@ -204,7 +204,8 @@ class SessionProcess(FrameSource):
         return _how(process.exitcode)
 
     def _begin_anew(self) -> None:
-        """What was meant for the last process is left there: it may be what ended it."""
+        """Leaves the commands that were meant for the last process: one of them may have ended
+        it."""
         self._chosen = None
         before = self._outbox
         self._outbox = Outbox()
@@ -213,7 +214,7 @@ class SessionProcess(FrameSource):
             self._outbox.put(None)
 
     def _beginning(self) -> Beginning:
-        """What brings a new process to where the last one was."""
+        """The commands that bring a new process to where the last one was."""
         shown = self._shown
         if shown is None:
             return Beginning(self._chosen)

@@ -48,7 +48,7 @@ class ReplayConfig:
     """Replays saved episodes and says whether they come out the same, to the bit."""
 
     file: Path
-    """What the page's button saved, or `madviz record --keep`."""
+    """The files that the page's button saved, or `madviz record --keep`."""
     policy: tuple[str, ...] = ()
     """Folders or module:factory of policies in the file that are not found by their names."""
     episode: Count | None = None
@@ -58,7 +58,7 @@ class ReplayConfig:
 
 
 class ReplayRow(TypedDict):
-    """What became of one episode, as JSON has it."""
+    """The result of one episode, as JSON has it."""
 
     policy: str
     task: str
@@ -72,14 +72,14 @@ class ReplayRow(TypedDict):
     same_bits: dict[str, bool]
     """By stream: actions, rewards, success."""
     same: bool
-    """What was compared."""
+    """The values that were compared."""
     first_difference: int | None
     """The decision, from 1, at which they part; None where no bits are compared."""
     reasons: list[str]
 
 
 class ReplayResult(TypedDict):
-    """What ``madviz replay --json`` writes."""
+    """The document that ``madviz replay --json`` writes."""
 
     schema: int
     file: str
@@ -149,8 +149,8 @@ def replay_episode(
 
 
 def _simulation_for(episode: SavedEpisode, find: Finder, env_factory: EnvFactory) -> Simulation:
-    """What the episode is replayed in, not begun. Raises UserError, with the environment closed,
-    where the episode cannot be replayed here."""
+    """The simulation that the episode is replayed in, not begun. Raises UserError, with the
+    environment closed, where the episode cannot be replayed here."""
     first = find(episode.policy)
     env = env_factory(episode.task, episode.render_profile, episode.cameras)
     try:
@@ -232,7 +232,7 @@ def _reasons(episode: SavedEpisode, saved: SavedSession, find: Finder) -> list[s
 
 
 def differences(episode: SavedEpisode, saved: SavedSession, find: Finder) -> list[str]:
-    """What is known to be different here: policies and versions."""
+    """The known differences to here: policies and versions."""
     found = []
     for policy in episode.policies:
         digest = find(policy).spec.digest
@@ -273,7 +273,7 @@ def _verdict(row: ReplayRow) -> str:
 
 
 def failure_words(episode: SavedEpisode) -> list[str]:
-    """What happened to cameras, in the language of schedules, for a caption; moves have no words
+    """The failures of cameras, in the language of schedules, for a caption; moves have no words
     in it."""
     commands = [(0, command) for command in episode.start if isinstance(command, SetCamera)]
     commands += [

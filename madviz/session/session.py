@@ -52,9 +52,10 @@ from madviz.system.priority import lower_thread_priority
 from madviz.types import Policy
 
 FIRST_SEED = FIRST_LIVE
-"""Of live episodes."""
+"""Seeds of live episodes begin here."""
 NICENESS = 10
-"""Of the simulating thread, on a scale where 19 yields to all others; workers are at 15."""
+"""The niceness of the simulating thread, on a scale where 19 yields to all others; workers are at
+15."""
 
 
 class Session(FrameSource):

@@ -40,7 +40,7 @@ SCHEMA = 1
 Maker = Literal["madviz", "site"]
 """Whose simulation it was: this one's, or that of a static site in a browser."""
 PACKAGES = ("madviz", "numpy", "torch", "mujoco", "metaworld", "sapien", "opencv-python")
-"""What actions depend on, to the bit."""
+"""The packages on which actions depend, to the bit."""
 STREAMS = ("actions", "rewards", "success")
 TRACE = 4
 """Hexadecimal digits of ``trace`` for every step."""
@@ -90,7 +90,8 @@ class SavedEpisode:
     """At the last saved step."""
     success_any: bool
     sha256: dict[str, str]
-    """Of ``actions`` (float32), ``rewards`` (float64), ``success`` (one byte), step after step."""
+    """The hash of ``actions`` (float32), ``rewards`` (float64), ``success`` (one byte), step after
+    step."""
     trace: str
 
     @property
@@ -117,7 +118,7 @@ class SavedSession:
 
     episodes: tuple[SavedEpisode, ...]
     versions: dict[str, str]
-    """Of the packages that it was made with; with others, the last bits may differ."""
+    """The versions of the packages that it was made with; with others, the last bits may differ."""
     made_by: Maker = "madviz"
 
     def to_json(self) -> str:

@@ -92,7 +92,7 @@ class Simulation:
         return Condition.of(self.ablation, self.policy.spec.streams)
 
     def world(self) -> World:
-        """What a ``Frame`` of this time step says of the simulation."""
+        """The part of a ``Frame`` that describes the simulation at this time step."""
         now = self.now
         return World(
             env=self.env.spec,
@@ -128,7 +128,7 @@ class Simulation:
         return True
 
     def foresee(self) -> Foresight:
-        """What the policy imagines of the next decisions. Raises UserError where it cannot."""
+        """The policy's imagination of the next decisions. Raises UserError where it cannot."""
         mask = self.ablation.mask(self.policy.spec.streams)
         return foresee(self.policy, self._encoded, mask, self.now.step, str(self.condition))
 

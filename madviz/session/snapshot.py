@@ -1,4 +1,4 @@
-"""What a simulation keeps of a step: enough to show it, and to go on from it."""
+"""The snapshot of a step that a simulation keeps: enough to show it, and to go on from it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from madviz.types import Array, Body, CameraPose, Encoded, Policy, TimeStep, Vie
 
 @dataclass(frozen=True)
 class StepData:
-    """What one step brought: everything that does not depend on the ablation."""
+    """The result of one step: everything that does not depend on the ablation."""
 
     time: TimeStep
     step: int
@@ -30,12 +30,12 @@ class Snapshot:
     """A step of an episode, with all that it takes to go on from it; pictures are shared."""
 
     actions: tuple[Array, ...]
-    """What led here from the start."""
+    """The actions that led here from the start."""
     recent: tuple[StepData, ...]
     stack: tuple
     policy: Policy
     looks: tuple[Look, ...]
-    """What it acted on so far, where it remembers."""
+    """The inputs that the policy acted on so far, where it remembers."""
     encoded: Encoded
     ablation: Ablation
     probe: Probe

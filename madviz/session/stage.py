@@ -1,4 +1,4 @@
-"""What a session shows, without its pace: a simulation, its past, its failures, and a second one.
+"""The content of a session, without its pace: a simulation, its past, and a second one.
 
 The session knows when something happens and who asked; the stage knows what happens. Everything
 here is a function of the policy, the seeds and the order of calls, so a test needs no clock.

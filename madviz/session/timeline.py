@@ -27,7 +27,7 @@ MOST_ROWS = 16
 
 
 class Timeline:
-    """What happened in the present episode, and what had happened before it was forked."""
+    """The steps of the present episode, and those before it was forked."""
 
     def __init__(self) -> None:
         self._history: list[TimelinePoint] = []

@@ -42,7 +42,7 @@ _SHARED = (
 
 
 class _Message(NamedTuple):
-    """What is sent for one frame."""
+    """The message for one frame."""
 
     new: list[tuple[int, bytes]]
     """Objects that the other end does not have, by number; each may hold earlier ones."""

@@ -1,4 +1,4 @@
-"""What a site holds of each task and each policy, as files and as lines of its manifest."""
+"""The tasks and policies of a site, as files and as lines of its manifest."""
 
 from __future__ import annotations
 
@@ -82,6 +82,6 @@ def said_of(folder: PolicyFolder) -> dict[str, Any]:
 
 
 def label_of(spec: PolicySpec) -> str:
-    """What the page calls a policy beside others of its task: ``MAD``, ``Merged Only``."""
+    """The page's name for a policy beside others of its task: ``MAD``, ``Merged Only``."""
     name = spec.method.upper() if len(spec.method) < 4 else spec.method.replace("-", " ").title()
     return name if spec.setting == "three" else f"{name}, {spec.setting}"

@@ -1,4 +1,4 @@
-"""What Python sees and does at some moments of a task: for tests that compare a browser with it.
+"""Pictures and decisions of Python, with which tests compare those of a browser.
 
 moments of an expert's episode: simulator state, pictures, what the policy makes of them
 the whole episode: its actions, and whether every step was a success

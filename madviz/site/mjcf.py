@@ -135,7 +135,7 @@ def _hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, Array]:
 
 
 def _inside(model: mujoco.MjModel, body: int) -> list[str]:
-    """What ``body`` holds, and the bodies in it, in the order of their numbers."""
+    """The elements of ``body``, and the bodies in it, in the order of their numbers."""
     lines = [_joint(model, j) for j in range(model.njnt) if model.jnt_bodyid[j] == body]
     for geom in range(model.ngeom):
         if model.geom_bodyid[geom] == body and _collides(model, geom):

@@ -37,7 +37,7 @@ from madviz.system.files import write_bytes
 from madviz.types import Array, CameraSpec, Environment, Policy
 
 FORMAT = 1
-"""Of a recording's file; kept ones of another format are made anew."""
+"""The format of a recording's file; kept ones of another format are made anew."""
 TILE = 84
 SCENE = 240
 """Pixels, square, of the scene from outside."""
@@ -119,7 +119,7 @@ def record_episode(env: Environment, policy: Policy, mask: Array, seed: int) -> 
 
 
 def numbers_of(simulation: Simulation, mask: Array) -> dict[str, Array]:
-    """What a page shows of one time step, beside pictures."""
+    """The numbers that a page shows of one time step, beside pictures."""
     probe = simulation.probe
     row = simulation.probe.row(mask)
     return {

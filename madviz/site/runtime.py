@@ -29,7 +29,7 @@ _OF_NPM = {"flatbuffers": "LICENSE", "protobufjs": "LICENSE", "long": "LICENSE"}
 
 
 def versions() -> dict[str, str]:
-    """Of the npm packages that a site needs."""
+    """The versions of the npm packages that a site needs."""
     text = resources.files("madviz.site").joinpath("package.json").read_text()
     return json.loads(text)["dependencies"]
 

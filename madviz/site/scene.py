@@ -1,4 +1,4 @@
-"""What a browser draws of a task: shapes, materials, lights and textures.
+"""The scene of a task for a browser: shapes, materials, lights and textures.
 
 MuJoCo says itself what is visible (``mjv_updateScene``). Each shape stands in the frame of a body,
 or of a site such as the goal; where these are, the browser's simulation says. The Sawyer's meshes

@@ -39,8 +39,8 @@ OPENING = {
     "camera": "first",
     "step": 15,
 }
-"""What a visitor sees first: two policies, and the camera that goes. Without First person, MAD has
-1.00 and Merged Only 0.00; without Third A both succeed most of the time."""
+"""The first comparison that a visitor sees: two policies, and the camera that goes. Without First
+person, MAD has 1.00 and Merged Only 0.00; without Third A both succeed most of the time."""
 LIVE = "metaworld/"
 """Tasks that a browser can simulate begin so; others are only recorded."""
 
@@ -108,7 +108,7 @@ def run_site(config: SiteConfig) -> dict[str, Any]:
 
 
 def site_words(result: dict[str, Any]) -> str:
-    """What was written, and how to look at it."""
+    """A summary of what was written, and how to look at it."""
     return (
         f"{result['out']}: {len(result['tasks'])} tasks, {len(result['policies'])} policies, "
         f"{result['bytes'] / 1e6:.1f} MB\n"
@@ -164,7 +164,7 @@ def begin(out: Path) -> int:
 
 
 def opening(policies: list[dict[str, Any]], seeds: range) -> dict[str, Any] | None:
-    """What is shown first, if its policies are there."""
+    """The first comparison, if its policies are there."""
     names = [policy["name"] for policy in policies]
     if OPENING["first"] not in names or OPENING["second"] not in names:
         return None

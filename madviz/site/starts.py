@@ -17,7 +17,7 @@ from madviz.types import Array
 
 _DATA = ("qpos", "qvel", "qacc_warmstart", "ctrl", "mocap_pos", "mocap_quat")
 _MOVED = ("body_pos", "site_pos")
-"""What Meta-World's resets change in a model."""
+"""The fields of a model that Meta-World's resets change."""
 
 
 def start_states(env: MetaWorld, seeds: Sequence[int]) -> dict[str, Array]:

@@ -53,7 +53,8 @@ def joined(parts: list[Mesh]) -> Mesh:
 
 
 def shape(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> Mesh:
-    """What MuJoCo draws for ``geom``. Raises UserError for a kind that no task here has."""
+    """The mesh that MuJoCo draws for ``geom``. Raises UserError for a kind that no task here
+    has."""
     kind = mujoco.mjtGeom(int(geom.type))
     size = np.asarray(geom.size, float)
     slices = model.vis.quality.numslices

@@ -77,5 +77,5 @@ def _read(model: mujoco.MjModel, context: mujoco.MjrContext, number: int) -> Tex
 
 
 def _differences(pixels: Array) -> Array:
-    """Of every pixel to its left neighbour, modulo 256."""
+    """The difference of every pixel to its left neighbour, modulo 256."""
     return np.diff(pixels, axis=2, prepend=np.zeros_like(pixels[:, :, :1]))

@@ -137,7 +137,7 @@ def _explain(config: Any) -> None:
 
 
 def _above(kinds: Mapping[str, Any], description: str) -> str:
-    """What stands above the options: ``description``, and names that may be given."""
+    """The text above the options: ``description``, and names that may be given."""
     parts = [description]
     for note in dict.fromkeys(note for kind in kinds.values() for note in notes(kind, Listed)):
         names = fill(", ".join(note.find()) or "none found", 94, break_on_hyphens=False)

@@ -28,7 +28,7 @@ _UNFIT = {
     stat.S_IFSOCK: "a socket",
     stat.S_IFLNK: "symbolic links in a circle",
 }
-"""What can be neither replaced nor written to."""
+"""Kinds of files that can be neither replaced nor written to."""
 
 
 def written_to(path: Path, option: str = "") -> bool:

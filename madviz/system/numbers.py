@@ -72,7 +72,7 @@ Port = Annotated[int, Range(int, 0, 65_535)]
 Share = Annotated[float, Range(float, 0, 1)]
 Weight = Annotated[float, Range(float, 0, 1_000_000)]
 Rate = Annotated[float, Range(float, 0, 1000, above=True)]
-"""Of learning, or a second."""
+"""A learning rate, or how often a second."""
 Distance = Annotated[float, Range(float, -90, 90)]
 """Metres or degrees that a camera goes, or its zoom."""
 Time = Annotated[float, Range(float, 0, 1_000_000, above=True)]

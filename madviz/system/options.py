@@ -1,4 +1,4 @@
-"""What an option of a command takes, beside its type: said once, where the option is declared.
+"""The values of an option of a command, beside its type: said once, where it is declared.
 
     method: Annotated[str, OneOf("method", METHODS)]       one of those in the table
     policy: Annotated[str, Listed("policies", found)]      any word; --help lists what was found
@@ -73,7 +73,7 @@ def bare(kind: Any) -> Any:
 
 
 def notes(kind: Any, wanted: type) -> Iterator[Any]:
-    """What annotates a type, or a part of it, and is a ``wanted``."""
+    """Everything that annotates a type, or a part of it, and is a ``wanted``."""
     for part in get_args(kind):
         if isinstance(part, wanted):
             yield part

@@ -13,14 +13,14 @@ from madviz.errors import UserError
 
 
 def load(reference: str) -> Any:
-    """What ``module:name`` names, imported now. Raises ImportError or AttributeError."""
+    """The object that ``module:name`` names, imported now. Raises ImportError or AttributeError."""
     module, _, name = reference.partition(":")
     return getattr(importlib.import_module(module), name)
 
 
 def made_by(reference: str, protocol: type) -> Any:
-    """What ``module:factory`` returns. Raises UserError where it cannot be imported, and where the
-    result lacks a part that ``protocol`` has, or has another kind of ``spec``."""
+    """The object that ``module:factory`` returns. Raises UserError where it cannot be imported, and
+    where the result lacks a part that ``protocol`` has, or has another kind of ``spec``."""
     try:
         with _importable_from_here():
             made = load(reference)()

@@ -59,7 +59,8 @@ def lowest_priority(pid: int) -> None:
 
 
 def _lower_session(pid: int, niceness: int) -> None:
-    """Of the session of ``pid``. Nothing happens where there are no autogroups."""
+    """Sets the priority of the session of ``pid``. Nothing happens where there are no
+    autogroups."""
     for _ in range(_TRIES):
         try:
             Path(f"/proc/{pid}/autogroup").write_text(str(niceness))

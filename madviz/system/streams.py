@@ -35,7 +35,7 @@ def open_standard_streams() -> None:
 
 @contextmanager
 def telling() -> Iterator[None]:
-    """What the block prints is the result of a command. If its reader has left, that is no mistake.
+    """Prints the result of a command in the block. If its reader has left, that is no mistake.
     Raises UserError where it can't be written for another reason."""
     try:
         yield

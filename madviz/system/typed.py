@@ -1,4 +1,4 @@
-"""What a file holds, as a type: msgspec checks it, and a mistake is one line for whoever wrote it.
+"""The content of a file as a type: msgspec checks it, and a mistake is one line.
 
 config.json: expected 'cameras[0].fovy' to be a number, found 'wide'; restore the file or retrain
 """
@@ -25,7 +25,7 @@ KINDS = {
     "object": "a table of named values",
     "null": "nothing",
 }
-"""What msgspec calls a type, in words."""
+"""Words for the names that msgspec has for types."""
 
 
 def typed(value: Any, kind: type[T], where: str | Path, fix: str) -> T:
@@ -77,7 +77,7 @@ def _known(kind: type, place: str) -> list[str]:
 
 
 def _at(kind: type, place: str) -> list[msgspec.inspect.Type]:
-    """What may stand at ``place``."""
+    """The type of what may stand at ``place``."""
     here = _choices(msgspec.inspect.type_info(kind))
     for name, _ in _steps(place):
         inner = [each for node in here for each in _inside(node, name)]
@@ -98,7 +98,7 @@ def _inside(node: msgspec.inspect.Type, name: str) -> list[msgspec.inspect.Type]
 
 
 def _found(value: Any, place: str) -> Any:
-    """What stands at ``cameras[0].fovy``; the whole where the place has no such path."""
+    """The value at ``cameras[0].fovy``; the whole where the place has no such path."""
     try:
         for name, index in _steps(place):
             value = value[int(index)] if index else value[name]

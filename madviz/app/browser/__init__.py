@@ -1,4 +1,4 @@
-"""What runs in a visitor's browser: styles and scripts, each a file of its own in this folder."""
+"""Styles and scripts that run in a visitor's browser, each a file of its own in this folder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import viser
 from viser._messages import RunJavascriptMessage
 
 SCRIPTS = ("grid", "phone", "screen", "patch", "help_key", "gpu_note")
-"""What every page runs."""
+"""The script that every page runs."""
 
 _ADD_STYLE = """
 const style = document.createElement('style');

@@ -1,4 +1,4 @@
-"""What every camera sends, and the switches that take it away."""
+"""The pictures of all cameras, and the switches that take them away."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ OCCLUSIONS = {
 }
 """Occlusions, and what their buttons say."""
 DROPPED = {"imagined": "what is imagined", "both": "truth beside it", "truth": "the truth"}
-"""What a dropped camera's tile shows, where the policy draws it."""
+"""The choices for a dropped camera's tile, where the policy draws it."""
 SLIDERS = {
     "strength": ("noise", "blur", "patch", "dropout", "delay"),
     "x": ("patch",),
@@ -66,7 +66,8 @@ class CameraControls:
         self._send = send
         self._state = CameraState()
         self._wanted: dict[str, float] = {}
-        """What a slider was dragged to and no frame has confirmed yet: not to be pulled back."""
+        """The value that a slider was dragged to and no frame has confirmed yet: it must not jump
+        back."""
         self.input: Choice
         self.occlusion: Choice
         self.sliders: dict[str, viser.GuiSliderHandle] = {}
@@ -105,7 +106,7 @@ class CameraControls:
         )
 
     def show(self, state: CameraState) -> list[Assign]:
-        """What has to change to show ``state``; a slider that is being dragged stays."""
+        """The changes that show ``state``; a slider that is being dragged stays."""
         self._state = state
         changes = []
         for field, handle in self.sliders.items():
@@ -285,7 +286,7 @@ class CamerasPanel(WidgetPanel):
 
 
 class DroppedChoice:
-    """What a dropped camera's tile shows, where the policy draws it."""
+    """The choice of what a dropped camera's tile shows, where the policy draws it."""
 
     def __init__(self, gui: viser.GuiApi, on_change: Callable[[], None]) -> None:
         self.value: Dropped = "imagined"
@@ -309,7 +310,8 @@ class DroppedChoice:
 
 
 class LinkControls:
-    """What the switches act on while A and B are compared, and the way back to one policy."""
+    """The choice of what the switches act on while A and B are compared, and the way back to one
+    policy."""
 
     def __init__(self, gui: viser.GuiApi, send: Callable[[Link | Compare], None]) -> None:
         self.choice = Choice(

@@ -78,7 +78,7 @@ class FailuresPanel(WidgetPanel):
 
 
 def failures_html(frame: Frame) -> str:
-    """What was chosen, and what of it comes next."""
+    """The chosen schedule, and which part of it comes next."""
     if not frame.schedule:
         return '<div class="mv dim">No failures are planned: cameras do what you say.</div>'
     name = next((o for o in SCENARIOS if o.schedule(frame.world.env) == frame.schedule), None)

@@ -1,4 +1,4 @@
-"""What the policy encodes the pictures to: feature norms, the merged feature and its terms.
+"""The features of the pictures: their norms, the merged feature and its terms.
 
 The strips show where a feature is active: its Z numbers in ``BINS`` groups, the mean size of each.
 All strips share one colour scale, so that a stream that adds little looks dark.
@@ -134,7 +134,7 @@ def curve_series(frame: Frame) -> tuple[uplot.Series, ...]:
 
 
 def curve_point(frame: Frame) -> list[float]:
-    """What every stream adds to the sum now, and the sum: a dropped stream adds nothing."""
+    """The term of every stream in the sum now, and the sum: a dropped stream adds nothing."""
     norms = np.where(frame.mask, frame.world.probe.norms, 0.0)
     return [*map(float, norms), frame.world.probe.merged_norm(frame.row)]
 

@@ -41,7 +41,8 @@ RANGES = {
     **{field: (-most, most, STEPS[field]) for field, most in LARGEST.items()},
     "zoom": (1 / MOST_ZOOM, MOST_ZOOM, 0.05),
 }
-"""Of every slider: from, to, step. As far as any command goes, for a slider shows every move."""
+"""Every slider's first value, last value and step. As far as any command goes, for a slider shows
+every move."""
 
 
 class MovePanel(WidgetPanel):
@@ -68,7 +69,8 @@ class MovePanel(WidgetPanel):
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
         self._shown: dict[str, SyncedInput] = {}
         self._wanted: dict[str, float] = {}
-        """What a slider was dragged to and no frame has confirmed yet: not to be pulled back."""
+        """The value that a slider was dragged to and no frame has confirmed yet: it must not jump
+        back."""
         self.handles: list = []
         self._choice: Choice | None = None
         self._style = gui.add_html("")

@@ -45,7 +45,8 @@ class Box:
 
 
 def parse_box(text: str, tiles: int) -> Box:
-    """What the script has written. Raises UserError for anything that it would not write."""
+    """The patch that the script has written. Raises UserError for anything that it would not
+    write."""
     found = _LINE.fullmatch(text)
     if found is None:
         raise UserError(
@@ -95,8 +96,8 @@ def field_style(field: viser.GuiTextHandle) -> str:
 
 
 def attributes(field: viser.GuiTextHandle, tiles: int, tile: int, column: int) -> str:
-    """What the script must know of a mosaic of ``tiles`` tiles, ``tile`` pixels wide, in columns
-    that are ``column`` wide."""
+    """The facts that the script needs of a mosaic of ``tiles`` tiles, ``tile`` pixels wide, in
+    columns that are ``column`` wide."""
     return (
         f'data-draw="{field._impl.uuid}" data-tiles="{tiles}" data-tile="{tile}" '
         f'data-pitch="{column + GAP}" data-inset="{(column - tile) // 2}" '

@@ -39,9 +39,9 @@ class PolicyChoice:
     """A policy that can be picked."""
 
     name: str
-    """What ``load_policy`` knows it by."""
+    """The name by which ``load_policy`` finds it."""
     label: str
-    """What it is, among those of its task."""
+    """The label among policies of the same task."""
     task: str = ""
     """'' where that is not known."""
     broken: bool = False
@@ -166,14 +166,14 @@ class PolicyPanel(WidgetPanel):
 
 
 def policy_words(spec: PolicySpec) -> str:
-    """What kind of policy this is, for somebody who never heard of it."""
+    """The kind of policy, for somebody who never heard of it."""
     if spec.method in METHODS:
         return METHODS[spec.method].page_words
     return f"Method {spec.method}, recipe {spec.recipe}."
 
 
 def purpose(method: str, setting: str, recipe: str) -> str:
-    """What a policy is, in a list of those of one task."""
+    """The label of a policy in a list of those of one task."""
     words = METHODS[method].page_words.rstrip(".") if method in METHODS else method
     more = [word for word in (setting, recipe) if word not in ("three", "light")]
     return f"{words} ({', '.join(more)})" if more else words

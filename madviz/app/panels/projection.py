@@ -98,7 +98,7 @@ def _points(frame: Frame) -> Array:
 
 
 def waiting_html(progress: float) -> str:
-    """What is missing until there is a map."""
+    """The sentence that says what is missing until there is a map."""
     done = f"{100 * progress:.0f}"
     return (
         '<div class="mv mv-map"><div>The map is made of the first '

@@ -50,7 +50,7 @@ class SaliencyPanel(WidgetPanel):
 
 
 def saliency_words(frame: Frame) -> str:
-    """What the colours on the pictures mean, or why there are none."""
+    """The sentence that says what the colours on the pictures mean, or why there are none."""
     if frame.explained is None:
         return "Shows on every picture which of its pixels the policy's output depends on."
     if frame.saliency is not None:

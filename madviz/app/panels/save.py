@@ -58,7 +58,7 @@ def file_name(saved: SavedSession) -> str:
 
 
 def save_html(frame: Frame) -> str:
-    """What the file is good for."""
+    """The sentence that says what the file is good for."""
     task = escape(frame.world.env.task.split("/")[-1])
     name = f"{task}-seed{frame.world.seed}.json"
     rows = {

@@ -52,9 +52,9 @@ class Column(NamedTuple):
     values: ShapleyValues | None
     digits: int
     total: str
-    """What the cameras share, in numbers."""
+    """The quantity that the cameras share."""
     words: str
-    """What a number means, or why there is none."""
+    """The meaning of a number, or why there is none."""
     doubt: Array | None = None
     """(C,) half the width of the interval."""
 

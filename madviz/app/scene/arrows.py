@@ -39,7 +39,7 @@ HEAD = 0.14
 """An action of length 1, and the distance of lines drawn side by side, in scene sizes; an arrow's
 head, in arrows."""
 NEAR = 0.4
-"""Of the distance to the eye; less would be as good until the visitor is very near."""
+"""As a share of the distance to the eye; less would be as good until the visitor is very near."""
 DASHES = 5
 OTHER = (170, 174, 180)
 DIM = 0.85
@@ -136,8 +136,8 @@ def arrows(frame: Frame, size: float) -> tuple[Array, Array]:
 
 
 def _linear(colour: tuple[int, ...]) -> Array:
-    """What viser's browser side turns into ``colour``: it takes the colours of lines, and of lines
-    only, for amounts of light, and they would come out pale."""
+    """The colour that viser's browser side turns into ``colour``: it takes the colours of lines,
+    and of lines only, for amounts of light, and they would come out pale."""
     return np.round(255 * (np.array(colour) / 255) ** 2.2).astype(np.uint8)
 
 

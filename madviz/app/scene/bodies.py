@@ -42,7 +42,7 @@ class Bodies:
         self._show(frame)
 
     def update(self, frame: Frame) -> list[Assign]:
-        """What has to change for the bodies to stand where ``frame`` has them."""
+        """The changes by which the bodies stand where ``frame`` has them."""
         if frame.world.bodies is not self._shown:
             self.remove()
             self._show(frame)

@@ -26,7 +26,7 @@ class FittedView:
         apply(self.update())
 
     def update(self) -> list[Assign]:
-        """What has to change where the picture has another shape than it had."""
+        """The changes where the picture has another shape than it had."""
         aspect = _aspect(self._camera)
         if abs(aspect - self._aspect) < 0.01:
             return []

@@ -51,7 +51,7 @@ class DrawnCopy:
 
     @property
     def bodies(self) -> ManiSkillBodies:
-        """What is drawn, as meshes for somebody else to draw; made when first asked for."""
+        """The drawn bodies, as meshes for somebody else to draw; made when first asked for."""
         if self._bodies is None:
             self._bodies = ManiSkillBodies(self._scene)
         return self._bodies

@@ -30,7 +30,7 @@ import numpy as np
 from madviz.types import Array
 
 STATE_DIM = {"pick-cube": 29, "place-sphere": 29}
-"""Of the tasks that also say whether the object is grasped; the others have 28."""
+"""The length of the state of tasks that also say whether the object is grasped; others have 28."""
 
 
 class Bare:

@@ -1,1 +1,1 @@
-"""What all tasks on MuJoCo share."""
+"""Code that all tasks on MuJoCo share."""

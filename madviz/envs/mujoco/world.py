@@ -1,4 +1,4 @@
-"""What every task on MuJoCo shares: cameras that stand anywhere, and the scene as a page draws it.
+"""Drawing for every task on MuJoCo: cameras that stand anywhere, and the scene for a page.
 
 The cameras of ``spec`` need not exist in the model: each is put into the scene by its pose when it
 is drawn. A task adds what only it knows, ``reset``, ``step``, ``hand`` and ``expert``, and says
@@ -18,7 +18,8 @@ from madviz.types import Array, Body, CameraSpec, EnvSpec, View
 
 
 class MuJoCoWorld(PlacedCameras):
-    """What draws in a ``madviz.types.Environment``. Only the thread that makes it may use it."""
+    """The part of a ``madviz.types.Environment`` that draws. Only the thread that makes it may use
+    it."""
 
     def __init__(self, spec: EnvSpec, model: Any, data: Any) -> None:
         """``model`` and ``data`` are MuJoCo's. Raises UserError where MuJoCo cannot draw, and for a
