@@ -33,7 +33,7 @@ PAPER = 500_000
 
 @dataclass(frozen=True)
 class BenchBufferConfig:
-    """What is recorded, and what is timed."""
+    """The recorded data and the timed operations."""
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
@@ -77,10 +77,12 @@ def bench_buffer(config: BenchBufferConfig) -> dict[str, Any]:
     spec = BufferSpec(
         streams, facts.state_dim, facts.action_dim, len(recorded), horizon=facts.horizon
     )
-    plain, packed = ReplayBuffer(spec), ReplayBuffer(replace(spec, packed=True))
+    plain = ReplayBuffer(spec)
+    packed = ReplayBuffer(replace(spec, packed=True))
     adding = {name: _add(b, recorded) for name, b in (("plain", plain), ("packed", packed))}
     times, cpu = _sampling({"plain": plain, "packed": packed}, config)
-    sizes, result = _sizes(packed, spec), {"schema": 1, "task": config.task}
+    sizes = _sizes(packed, spec)
+    result = {"schema": 1, "task": config.task}
     result |= {"streams": list(streams), "instants": len(recorded), "batch_size": config.batch_size}
     figures = {
         name: {
@@ -102,9 +104,11 @@ def bench_buffer(config: BenchBufferConfig) -> dict[str, Any]:
 
 def _record(env: Environment, decisions: int) -> Iterator[RecordedStep]:
     """Whole episodes of at least ``decisions`` in all, every second one the expert's."""
-    rng, cameras = np.random.default_rng(0), [camera.name for camera in env.spec.cameras]
+    rng = np.random.default_rng(0)
+    cameras = [camera.name for camera in env.spec.cameras]
     for episode in range(-(-decisions // env.spec.horizon)):
-        now, action = env.reset(episode), None
+        now = env.reset(episode)
+        action = None
         while True:
             frames = [env.view(camera).rgb for camera in cameras]
             yield RecordedStep(action, now.reward, now.state, frames)
@@ -149,7 +153,8 @@ def _sampling(
 
 def _timed(work: Callable[[], Any]) -> tuple[float, float, Any]:
     """Seconds by the clock, seconds of this thread, and what ``work`` returned."""
-    began, began_cpu = time.perf_counter(), time.thread_time()
+    began = time.perf_counter()
+    began_cpu = time.thread_time()
     result = work()
     return time.perf_counter() - began, time.thread_time() - began_cpu, result
 
@@ -169,10 +174,13 @@ def _fill(
 ) -> dict[str, Any]:
     """A packed buffer of ``spec.capacity`` transitions, made for real."""
     before = _occupied()
-    buffer, began = ReplayBuffer(spec), time.perf_counter()
+    buffer = ReplayBuffer(spec)
+    began = time.perf_counter()
     while len(buffer) < spec.capacity:
         _add(buffer, recorded)
-    seconds, count, grown = time.perf_counter() - began, len(buffer), _occupied() - before
+    seconds = time.perf_counter() - began
+    count = len(buffer)
+    grown = _occupied() - before
     rng = np.random.default_rng(0)
     times = [_timed(lambda: buffer.sample(config.batch_size, rng)) for _ in range(config.rounds)]
     return {

@@ -100,7 +100,8 @@ def _watched(visitors: Sequence[Visitor], pid: int, seconds: float) -> tuple[lis
     """Steps a second that each visitor got, and cores that the server used."""
     for visitor in visitors:
         visitor.steps.clear()
-    start, used = time.monotonic(), _cpu_seconds(pid)
+    start = time.monotonic()
+    used = _cpu_seconds(pid)
     time.sleep(seconds)
     taken = time.monotonic() - start
     cores = (_cpu_seconds(pid) - used) / taken
@@ -109,7 +110,7 @@ def _watched(visitors: Sequence[Visitor], pid: int, seconds: float) -> tuple[lis
 
 
 def _cpu_seconds(pid: int) -> float:
-    """Of a process and all its children that still live, since they began."""
+    """CPU seconds of a process and all its children that still live, since they began."""
     ticks = 0
     for one in family(pid):
         try:

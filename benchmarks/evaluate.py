@@ -50,7 +50,7 @@ class BenchEvaluateConfig:
     episodes: Count = 20
     """Episodes that our workers and the serial loop run."""
     seed: Seed = FIRST_SEED
-    """Of the first episode."""
+    """The seed of the first episode."""
     workers: Threads | None = None
     """Processes; by default one per core."""
     stock_decisions: Count = 10
@@ -67,7 +67,8 @@ def bench_evaluate(config: BenchEvaluateConfig) -> dict[str, Any]:
     seeds = range(config.seed, config.seed + config.episodes)
     condition = Condition(config.subset).noticed(spec.streams)
     jobs = [Job(config.policy, spec.digest, condition, seed) for seed in seeds]
-    here, there = Runner(), Workers(count)
+    here = Runner()
+    there = Workers(count)
     ours_seconds, ours = in_workers(jobs, there)
     serial_seconds, serial = in_turn(jobs, here)
     if ours != serial:
@@ -75,7 +76,8 @@ def bench_evaluate(config: BenchEvaluateConfig) -> dict[str, Any]:
     env, policy = here.opened(jobs[0])
     mask = mask_of(config.subset, spec.streams)
     frames = stock_frames(spec.task, IMAGE_SIZE)
-    repeat, decisions = env.spec.action_repeat, config.stock_decisions
+    repeat = env.spec.action_repeat
+    decisions = config.stock_decisions
     decision = stock_seconds(frames, policy, mask, repeat, decisions)
     frames.close()
     here.close()

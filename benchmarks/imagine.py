@@ -78,7 +78,7 @@ class ImagineConfig:
     frames: Count = 200
     """Frames that are judged, of other episodes."""
     seed: Seed = 0
-    """Of networks and batches."""
+    """The seed of networks and batches."""
     training: AutoencoderTraining = field(default_factory=AutoencoderTraining)
     """How it is trained."""
     network: AutoencoderConfig = field(default_factory=AutoencoderConfig)
@@ -134,7 +134,7 @@ def _check_streams(streams: tuple[str, ...], found: str) -> None:
 def judgement(
     config: ImagineConfig, model: MultiViewAutoencoder, judged: Dataset
 ) -> dict[str, Any]:
-    """What ``model`` draws of each hidden camera, and whether that is enough."""
+    """The quality of each hidden camera's picture by ``model``, and whether it is enough."""
     rows = imagined(model, judged, config.frames, config.seed)
     others = [row for row in rows if row["from"].count("+") == len(judged.streams) - 2]
     return {
@@ -226,7 +226,8 @@ def imagine_words(result: dict[str, Any]) -> str:
     if "policy" in result:
         model = result["policy"]
     else:
-        updates, seconds = result["training"]["updates"], result["cpu_seconds"]
+        updates = result["training"]["updates"]
+        seconds = result["cpu_seconds"]
         model = f"{updates} updates in {seconds} s of a processor"
     lines = [
         f"{result['task']}: {model}, {result['frames']} frames; dB over the pixels that move",

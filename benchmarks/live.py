@@ -170,7 +170,7 @@ def measure(config: LiveConfig, workers: int) -> dict[str, Any]:
 
 
 def options(config: LiveConfig, workers: int) -> list[str]:
-    """Of ``madviz explore`` at full speed."""
+    """The options of ``madviz explore`` at full speed."""
     return ["--policy", config.policy, "--workers", str(workers), "--speed", "None"]
 
 
@@ -214,7 +214,8 @@ def readout_ms(policy: str, repeats: int = 100) -> float:
     state = env.reset(seed=0).state
     shape = (len(loaded.spec.streams), 3 * loaded.spec.frame_stack, IMAGE_SIZE, IMAGE_SIZE)
     views = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
-    encoded, times = loaded.encode(views, state), []
+    encoded = loaded.encode(views, state)
+    times = []
     for _ in range(repeats):
         start = time.perf_counter()
         probe(loaded, encoded)

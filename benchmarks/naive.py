@@ -94,14 +94,16 @@ class NaiveLearner:
             q1, q2 = self.agent.critic(feature, batch.state, batch.action)
             return F.mse_loss(q1, target) + F.mse_loss(q2, target)
 
-        merged, alpha = torch.stack(features).sum(0), self.config.alpha
+        merged = torch.stack(features).sum(0)
+        alpha = self.config.alpha
         singular = sum(error(feature) for feature in features)
         return alpha * error(merged) + (1 - alpha) / len(features) * singular
 
     def _actor_loss(
         self, batch: Batch, features: list[Tensor], noise: Tensor
     ) -> tuple[Tensor, Tensor]:
-        merged, alpha = torch.stack(features).sum(0), self.config.alpha
+        merged = torch.stack(features).sum(0)
+        alpha = self.config.alpha
         temperature = self.agent.log_temperature.exp()
         self.agent.critic.requires_grad_(False)
         actor_loss = temperature_loss = torch.zeros((), device=merged.device)
@@ -122,7 +124,8 @@ def _shift(images: Tensor, shifts: Tensor, pad: int = 4) -> Tensor:
     size = images.shape[-1]
     padded = F.pad(images, (pad, pad, pad, pad), mode="replicate")
     step = 2 / (size + 2 * pad)
-    ends, kind = (-1 + step / 2, 1 - step / 2), {"dtype": images.dtype, "device": images.device}
+    ends = (-1 + step / 2, 1 - step / 2)
+    kind = {"dtype": images.dtype, "device": images.device}
     line = torch.linspace(*ends, size + 2 * pad, **kind)[:size]
     y, x = torch.meshgrid(line, line, indexing="ij")
     offset = (shifts + pad).to(images.dtype) * step

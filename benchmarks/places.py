@@ -47,7 +47,7 @@ STILL = 2e-3
 FURTHEST = 5.0
 """Spreads from its mean that a number counts at most."""
 PENALTIES = 10.0 ** np.arange(-4, 5)
-"""Of ridge regression, times the mean of the eigenvalues; chosen on a third of the fitted
+"""Penalties of ridge regression, times the mean of the eigenvalues; chosen on a third of the fitted
 episodes."""
 
 
@@ -68,12 +68,12 @@ class PlacesConfig:
     noise: Share = 0.2
     """Share of the expert's actions that are random, as in training."""
     seed: Seed = 0
-    """Of the random actions."""
+    """The seed of the random actions."""
 
 
 @dataclass(frozen=True)
 class SeenPlaces:
-    """What was seen in N frames, in the order of their episodes."""
+    """The features and places of N frames, in the order of their episodes."""
 
     features: Array
     """(V, N, Z) float32."""
@@ -133,8 +133,10 @@ def _episode(
     env: Environment, policy: Policy, config: PlacesConfig, seed: int
 ) -> Iterator[tuple[Array, ...]]:
     assert isinstance(env, KnowsPlaces)  # Any other was refused.
-    rng, spec = np.random.default_rng([config.seed, seed]), policy.spec
-    stack, now = stack_of(spec, env.spec), env.reset(seed)
+    rng = np.random.default_rng([config.seed, seed])
+    spec = policy.spec
+    stack = stack_of(spec, env.spec)
+    now = env.reset(seed)
     for step in range(env.spec.horizon):
         due = step % config.every
         # A stack of L frames needs the L - 1 before it.
@@ -180,8 +182,9 @@ def _rows(
     fitted: SeenPlaces,
     judged: SeenPlaces,
 ) -> list[dict[str, Any]]:
-    """Of one place, a row for each stream; none for a place that never changes."""
-    target, truth = fitted.places[:, index].astype(float), judged.places[:, index].astype(float)
+    """The rows of one place, one for each stream; none for a place that never changes."""
+    target = fitted.places[:, index].astype(float)
+    truth = judged.places[:, index].astype(float)
     if target.std(0).max() < STILL:
         return []
     mean = _error(np.broadcast_to(target.mean(0), truth.shape), truth)
@@ -229,7 +232,8 @@ def _solve(inputs: Array, targets: Array, new: Array, penalties: Array) -> list[
     middle = targets.mean(0)
     values, vectors = np.linalg.eigh(inputs @ inputs.T)
     values = values.clip(0)
-    turned, across = vectors.T @ (targets - middle), new @ inputs.T @ vectors
+    turned = vectors.T @ (targets - middle)
+    across = new @ inputs.T @ vectors
     unit = values.mean() or 1.0  # Features that never change leave the mean.
     return [middle + across @ (turned / (values + p * unit)[:, None]) for p in penalties]
 

@@ -55,7 +55,8 @@ class OurFrames:
     """The three views as madviz draws them, colour and depth."""
 
     def __init__(self, task: str, size: int) -> None:
-        self._env, self._size = make_env(task), size
+        self._env = make_env(task)
+        self._size = size
         self._env.reset(seed=0)
         self._idle = np.zeros(self._env.spec.action_dim, np.float32)
 

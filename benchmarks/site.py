@@ -167,7 +167,8 @@ def successes(
     page: Page, policy: dict[str, Any], config: BenchSiteConfig
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Success of a policy under each subset, and every episode."""
-    rows, played = {}, []
+    rows = {}
+    played = []
     cameras = [camera["name"] for camera in policy["cameras"]]
     seeds = page.evaluate("task => driver.seeds(task)", policy["task"])
     episodes = min(config.episodes, len(seeds))

@@ -32,7 +32,7 @@ from madviz.system.numbers import Count, ThreadsOrNone, Width
 
 @dataclass(frozen=True)
 class BenchUpdateConfig:
-    """What is timed, and how often."""
+    """The timed operations, and how often each is timed."""
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
@@ -43,9 +43,9 @@ class BenchUpdateConfig:
     hidden_dim: Width = 1024
     """Width of the heads' hidden layers."""
     threads: ThreadsOrNone = 0
-    """Of both; 0 leaves PyTorch's default, one per core."""
+    """Threads of both; 0 leaves PyTorch's default, one per core."""
     precision: Precision = "auto"
-    """Of ours; the naive one computes in float32."""
+    """Precision of our update; the naive one computes in float32."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where both compute, and where the transitions are."""
 

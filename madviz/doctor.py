@@ -1,4 +1,4 @@
-"""What this machine has, how fast it draws, and the command that fixes what is missing.
+"""A check of this machine: its parts, its drawing speed, and the command that adds a missing part.
 
 Nothing here may fail because something is missing: that is the case it is for. OpenGL back
 ends are therefore tried in processes of their own (a broken driver can take its process along, and
@@ -38,7 +38,7 @@ PACKAGES = (
     "numpy",
 )
 EXTENSIONS = ("avx2", "avx512f", "avx512_bf16", "amx_bf16", "amx_int8", "bf16")
-"""What makes a CPU quick here; ``bf16`` is what ARM calls it."""
+"""CPU extensions that make this package quick; ``bf16`` is what ARM calls it."""
 TESTED_MESA = (25, 0)
 """The bundled policies learned from its pictures."""
 
@@ -67,7 +67,7 @@ class Check:
 
     name: str
     found: str
-    """What was found, in words; '' if nothing."""
+    """The part that is there, in words; '' if none."""
     needed: bool = True
     """Whether madviz cannot run without it."""
     fix: str = ""
@@ -86,7 +86,8 @@ def install_line(what: str) -> str:
 
 def check_opengl(probe: Callable[[str], dict[str, str] | None], chosen: str = "egl") -> list[Check]:
     """EGL, OSMesa and the Mesa behind them. Only the back end that is ``chosen`` is needed."""
-    checks, mesa = [], ""
+    checks = []
+    mesa = ""
     for backend, label in (("egl", "EGL"), ("osmesa", "OSMesa")):
         answer = probe(backend)
         needed = backend == chosen
@@ -122,7 +123,8 @@ def probe_vulkan() -> dict[str, str] | None:
 
 
 def _ask(module: str, variables: dict[str, str]) -> dict[str, str] | None:
-    command, environment = [sys.executable, "-m", module], {**os.environ, **variables}
+    command = [sys.executable, "-m", module]
+    environment = {**os.environ, **variables}
     try:
         asked = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     except subprocess.TimeoutExpired:

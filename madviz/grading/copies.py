@@ -29,7 +29,7 @@ LARGEST = 50 << 20
 """Bytes of a copy."""
 NAME = re.compile(r"""check\(\s*["']([^"']+)["']""")
 REPORT = '__import__("madviz.grading.inside", fromlist=["report"]).report({!r}, globals())'
-"""What is run in place of a check; no name of it is the student's."""
+"""The code that runs in place of a check; no name of it is the student's."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,8 @@ def check_in(cell: NotebookNode) -> str:
 
 def prepare(file: Path, lesson: NotebookNode) -> Prepared:
     """A copy of ``lesson`` that can be run. Raises UserError for what is no notebook."""
-    notebook, edited = read_copy(file), set()
+    notebook = read_copy(file)
+    edited = set()
     cells = list(notebook.cells)
     for name, original in checks_of(lesson).items():
         same_id = [c for c in cells if c.get("id") == original.get("id") and c.cell_type == "code"]
@@ -106,7 +107,8 @@ def prepare(file: Path, lesson: NotebookNode) -> Prepared:
         found.metadata = NotebookNode(madviz=name)
     for cell in cells:
         if cell.cell_type == "code":
-            cell.outputs, cell.execution_count = [], None
+            cell.outputs = []
+            cell.execution_count = None
     notebook.cells = cells
     return Prepared(notebook, frozenset(edited))
 

@@ -52,7 +52,7 @@ class GradeConfig:
     out: Path = Path("grades.csv")
     """The table: student, lesson, exercise, passed, hint, error."""
     seconds: Count = 300
-    """Of one copy, at most; a cell may take half of it."""
+    """The time of one copy, at most; a cell may take half of it."""
     gigabytes: Count = 4
     """Memory of one copy, at most."""
     workers: Count = 1
@@ -87,7 +87,8 @@ def grade(config: GradeConfig) -> dict[str, Any]:
     written_to(config.out, "--out")
     if not config.returned.is_dir():
         raise UserError(f"expected a folder of returned notebooks, found none at {config.returned}")
-    began, lessons = time.monotonic(), handed_out(config.lessons)
+    began = time.monotonic()
+    lessons = handed_out(config.lessons)
     copies = list(returned(config.returned, list(lessons)))
     if not copies:
         raise UserError(f"expected returned notebooks in {config.returned}, found no file")
@@ -113,7 +114,8 @@ def grade(config: GradeConfig) -> dict[str, Any]:
 
 def announced(number: int, jobs: list, rows: list[Grade]) -> list[Grade]:
     """``rows`` of a copy, after a line about them."""
-    right, first = sum(row.passed for row in rows), rows[0]
+    right = sum(row.passed for row in rows)
+    first = rows[0]
     trouble = next((f"; {row.error}" for row in rows if row.error), "")
     say(
         f"{number + 1} of {len(jobs)}: {first.student}, {first.lesson or 'no lesson'}: "
@@ -173,7 +175,7 @@ def table(rows: list[Grade]) -> str:
 
 
 def grade_words(result: dict[str, Any]) -> str:
-    """What was graded, in words: each exercise with how many copies have it right."""
+    """The grades in words: each exercise with how many copies have it right."""
     counted: dict[str, list[bool]] = {}
     for row in result["rows"]:
         if row["exercise"]:

@@ -1,5 +1,5 @@
-"""What a copy's kernel runs in place of a check: the installed package's judgement, as an output
-that a program reads. Nothing else of ``madviz.grading`` is loaded there."""
+"""The code that a copy's kernel runs in place of a check: the installed package's judgement, as an
+output that a program reads. Nothing else of ``madviz.grading`` is loaded there."""
 
 from __future__ import annotations
 

@@ -20,16 +20,17 @@ from madviz.errors import printable
 from madviz.soak.memory import family
 
 KEPT = ("PATH", "LANG", "PYTHONPATH", "LD_LIBRARY_PATH", "XDG_DATA_DIRS")
-"""What a copy gets of this process's environment."""
+"""The variables of this process's environment that a copy gets."""
 CELL = 0.5
-"""Of a copy's time, that one cell may take: so one endless cell leaves time for the others."""
+"""The share of a copy's time that one cell may take: so one endless cell leaves time for the
+others."""
 STEP = 0.1
 """Seconds between two looks at a copy that runs."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a copy may take."""
+    """The limits of a copy."""
 
     seconds: float
     memory: int
@@ -38,7 +39,7 @@ class Bounds:
 
 @dataclass
 class CopyRun:
-    """What came of a copy."""
+    """The result of a copy."""
 
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Each check that was reached: the fields of a ``Result``."""
@@ -58,7 +59,8 @@ def run_copy(
     """Runs ``notebook`` in an empty folder."""
     began = time.monotonic()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
-        work, report = Path(place, "work"), Path(place, "report")
+        work = Path(place, "work")
+        report = Path(place, "report")
         for folder in (work, Path(place, "home"), Path(place, "tmp")):
             folder.mkdir()
         nbformat.write(notebook, work / "copy.ipynb")
@@ -120,7 +122,8 @@ def environment(place: Path, policies: list[Path]) -> dict[str, str]:
 
 def read(report: Path) -> CopyRun:
     """The lines that a copy's process has written; the last one may be half of one."""
-    done, error = CopyRun(), ""
+    done = CopyRun()
+    error = ""
     lines = report.read_text().splitlines() if report.exists() else []
     for text in lines:
         try:

@@ -30,14 +30,16 @@ STARTUP = 120
 LARGEST_FILE = 1 << 30
 """Bytes of a file that a copy writes."""
 PR_SET_CHILD_SUBREAPER = 36
-"""Of Linux's prctl.h: a process whose parent has ended becomes this one's child."""
+"""The constant of Linux's prctl.h: a process whose parent has ended becomes this one's child."""
 
 
 class ReportFile:
     """Lines of JSON, written as they come."""
 
     def __init__(self, file: Path, seconds: float) -> None:
-        self._file, self._seconds, self.cell = file.open("a", buffering=1), seconds, 0
+        self._file = file.open("a", buffering=1)
+        self._seconds = seconds
+        self.cell = 0
 
     def line(self, **words: Any) -> None:
         self._file.write(json.dumps(words) + "\n")
@@ -70,7 +72,10 @@ def bound(memory: int) -> None:
 
 
 def main(words: list[str]) -> None:
-    copy, file, seconds, memory = Path(words[0]), Path(words[1]), float(words[2]), int(words[3])
+    copy = Path(words[0])
+    file = Path(words[1])
+    seconds = float(words[2])
+    memory = int(words[3])
     bound(memory)
     report = ReportFile(file, seconds)
     client = NotebookClient(

@@ -72,7 +72,7 @@ class CompareConfig:
     """Where to write the result; - is standard output."""
 
 
-class PolicyRow(TypedDict):
+class ComparedPolicy(TypedDict):
     """A policy that was compared."""
 
     name: str
@@ -103,7 +103,7 @@ class CompareFile(TypedDict):
     schema: int
     task: str
     definition: str
-    policies: list[PolicyRow]
+    policies: list[ComparedPolicy]
     comparisons: list[ComparisonRow]
     broken: list[BrokenRow]
 
@@ -246,7 +246,8 @@ def _opened(path: str) -> Store:
 
 
 def _stored(store: Store, evidence: Evidence, subset: str) -> Outcomes:
-    config, digest = evidence.config, checkpoint.describe(evidence.path).spec.digest
+    config = evidence.config
+    digest = checkpoint.describe(evidence.path).spec.digest
     try:
         name = name_of(mask_of(subset, config.streams), config.streams)
     except UserError:
@@ -276,7 +277,8 @@ def over_trainings(rates: Sequence[float]) -> Interval:
     """95% interval of the mean over independent trainings (Student's t), inside [0, 1]."""
     from scipy.stats import t
 
-    n, mean = len(rates), sum(rates) / len(rates)
+    n = len(rates)
+    mean = sum(rates) / len(rates)
     std = sqrt(sum((rate - mean) ** 2 for rate in rates) / (n - 1))
     half = float(t.ppf(0.975, n - 1)) * std / sqrt(n)
     return max(mean - half, 0.0), min(mean + half, 1.0)
@@ -314,14 +316,16 @@ def curves(found: Sequence[Evidence]) -> str:
             line = [[table[step].get(name, 0.0) for table in tables] for step in common]
             means = [sum(rates) / len(rates) for rates in line]
             ends = [over_trainings(r) if len(r) > 1 else (r[0], r[0]) for r in line]
-            lows, highs = [low for low, _ in ends], [high for _, high in ends]
+            lows = [low for low, _ in ends]
+            highs = [high for _, high in ends]
             panels.setdefault(name, {})[label] = figures.Line(common, means, lows, highs)
     return figures.lines(f"{found[0].config.task}: success while training", "steps", panels)
 
 
 def _curve(evidence: Evidence) -> dict[float, dict[str, float]]:
     """Success by subset, and on average, at every environment step that was measured."""
-    file, table = evidence.path / "curve.csv", {}
+    file = evidence.path / "curve.csv"
+    table = {}
     rows = csv.DictReader(file.read_text().splitlines()) if file.is_file() else []
     for row in rows:
         rates = {

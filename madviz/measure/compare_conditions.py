@@ -12,13 +12,14 @@ from typing import Any, TypedDict
 
 from madviz.errors import UserError
 from madviz.measure.episodes import unsupported
-from madviz.measure.statistics import PairedRow, RateRow, SuccessRate, pair
+from madviz.measure.statistics import PairedRow, SuccessRate, pair
 from madviz.measure.table import Table, seeds_of_run
 from madviz.observation.grammar import parse_condition
+from madviz.policies.measured import RateRow
 from madviz.subsets import cameras_of
 
 
-class ConditionRow(RateRow):
+class PlayedCondition(RateRow):
     """The success rate of one condition."""
 
     subset: str
@@ -41,7 +42,7 @@ class ConditionsFile(TypedDict):
     task: str
     definition: str
     seed: int
-    conditions: dict[str, ConditionRow]
+    conditions: dict[str, PlayedCondition]
     comparisons: list[ConditionPairRow]
     broken: list[Any]
     """Empty: a single policy that is broken is an error."""
@@ -65,7 +66,7 @@ def compare_conditions(
             raise unsupported(loaded.spec, mask)
     table.play([(c, s) for c in played.values() for s in seeds], workers, progress=True)
     outcomes = {word: table.outcomes(condition) for word, condition in played.items()}
-    rows: dict[str, ConditionRow] = {}
+    rows: dict[str, PlayedCondition] = {}
     for word in words:
         rows[word] = {
             "subset": played[word].subset,
@@ -96,7 +97,8 @@ def conditions_table(result: ConditionsFile) -> str:
         lines.append(f"  {word:{wide}} {SuccessRate.read(row)}")
     for pair_row in result["comparisons"]:
         low, high = pair_row["ci95"]
-        first, second = pair_row["first"], pair_row["second"]
+        first = pair_row["first"]
+        second = pair_row["second"]
         lines.append(
             f"{first} minus {second}, paired by seed: {pair_row['difference']:+.2f} "
             f"[{low:+.2f}, {high:+.2f}]   only {first} {pair_row['first_only']}, only "

@@ -26,12 +26,13 @@ import numpy as np
 
 from madviz.errors import UserError, saving, unknown
 from madviz.measure.episodes import FIRST_SEED, unsupported
-from madviz.measure.statistics import RateRow, SuccessRate
+from madviz.measure.statistics import SuccessRate
 from madviz.measure.table import Table, seeds_of_run
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, along
 from madviz.plots.figures import Line, lines
 from madviz.policies import checkpoint
+from madviz.policies.measured import RateRow
 from madviz.subsets import cameras_of, mask_of, name_of
 from madviz.system.files import write_bytes, written_to
 from madviz.system.numbers import Count, Distance, Seed, ThreadsOrNone
@@ -260,11 +261,13 @@ def displacement_table(result: DisplaceFile) -> str:
 
 def picture(result: DisplaceFile) -> str:
     """SVG: the rate over how far the camera went, in the axis' own unit, and its interval."""
-    points, start = result["points"], 1.0 if result["unit"] == "times" else 0.0
+    points = result["points"]
+    start = 1.0 if result["unit"] == "times" else 0.0
     # The axis begins at nothing, and zoom at 1; it says centimetres, because it has no decimals.
     scale, unit = (100, "cm") if result["unit"] == "m" else (1, result["unit"])
     if result["unit"] == "times":
-        scale, unit = 100, "% more or less"
+        scale = 100
+        unit = "% more or less"
     curves = {}
     for sign, way in zip((1, -1), WAYS[result["along"]], strict=True):
         side = [p for p in points if sign * (p["at"] - start) >= 0]

@@ -238,7 +238,8 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
 def write_measured(folder: Path, new: EvaluationFile) -> None:
     """Writes evaluation.json and card.md. Where that file has reporting seeds, development seeds go
     to development.json; and where it has those, they move there when reporting seeds come."""
-    file, known = checkpoint.EVALUATION, checkpoint.shipped_evaluation(folder)
+    file = checkpoint.EVALUATION
+    known = checkpoint.shipped_evaluation(folder)
     uses = (seeds_of(known), seeds_of(new)) if known else None
     if known and uses == (DEVELOPMENT, REPORTING):
         write_json(folder / checkpoint.DEVELOPMENT, known)

@@ -49,7 +49,8 @@ class Evidence:
     def alpha(self) -> float | None:
         """The alpha of the training; None where its method has fixed weights, whatever an older
         file says."""
-        known, said = METHODS.get(self.config.method), self.config.training.alpha
+        known = METHODS.get(self.config.method)
+        said = self.config.training.alpha
         return known.alpha_of(said) if known and said is not None else said
 
     @property
@@ -164,7 +165,9 @@ def _outcomes(file: Path, evaluation: EvaluationFile) -> dict[str, dict[int, boo
             )
         found[episode["subset"]][episode["seed"]] = episode["success"]
     for name, row in evaluation["subsets"].items():
-        rate, n, outcomes = row["success"], row["n"], found[name]
+        rate = row["success"]
+        n = row["n"]
+        outcomes = found[name]
         counted = sum(outcomes.values()) / len(outcomes) if outcomes else None
         if n != len(outcomes) or counted is None or abs(counted - rate) > 1e-9:
             raise UserError(

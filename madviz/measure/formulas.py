@@ -30,9 +30,11 @@ Numbers = Any
 
 def wilson_bounds(successes: Numbers, n: Numbers, confidence: float = 0.95) -> tuple[Array, Array]:
     """Wilson's interval of rates; ``n`` above 0. Counts need not be whole."""
-    successes, n = np.asarray(successes, float), np.asarray(n, float)
+    successes = np.asarray(successes, float)
+    n = np.asarray(n, float)
     z = NormalDist().inv_cdf(0.5 + confidence / 2)
-    rate, shrink = successes / n, 1 / (1 + z * z / n)
+    rate = successes / n
+    shrink = 1 / (1 + z * z / n)
     centre = shrink * (rate + z * z / (2 * n))
     half = shrink * z * np.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n))
     # At 0 of n and n of n the bound is exact; rounding must not push it off.
@@ -55,8 +57,10 @@ def newcombe(
     )
     n = both + first_only + second_only + neither
     tried = np.where(n == 0, 1, n)
-    first, second = both + first_only, both + second_only
-    p, q = first / tried, second / tried
+    first = both + first_only
+    second = both + second_only
+    p = first / tried
+    q = second / tried
     p_low, p_high = wilson_bounds(first, tried, confidence)
     q_low, q_high = wilson_bounds(second, tried, confidence)
     product = first * (second_only + neither) * second * (first_only + neither)
@@ -77,8 +81,10 @@ def mcnemar(first_only: Numbers, second_only: Numbers) -> Array:
     then be a fair coin. 1 where none did."""
     from scipy.stats import binom  # Most of a second; whoever only draws a page does without.
 
-    first_only, second_only = np.asarray(first_only), np.asarray(second_only)
-    fewer, different = np.minimum(first_only, second_only), first_only + second_only
+    first_only = np.asarray(first_only)
+    second_only = np.asarray(second_only)
+    fewer = np.minimum(first_only, second_only)
+    different = first_only + second_only
     return np.minimum(2 * binom.cdf(fewer, different, 0.5), 1.0)
 
 
@@ -91,7 +97,8 @@ def mcnemar_any_time(first_only: Numbers, second_only: Numbers) -> Array:
     at most 5 times in 100 (Ville's inequality)."""
     from scipy.stats import binom
 
-    first_only, second_only = np.asarray(first_only), np.asarray(second_only)
+    first_only = np.asarray(first_only)
+    second_only = np.asarray(second_only)
     different = first_only + second_only
     return np.minimum((different + 1) * binom.pmf(first_only, different, 0.5), 1.0)
 
@@ -101,7 +108,8 @@ def holm(p: Numbers) -> Array:
     any true null hypothesis of the family false at most 5 times in 100, however the tests hang
     together."""
     p = np.asarray(p, float)
-    order, count = np.argsort(p, -1), p.shape[-1]
+    order = np.argsort(p, -1)
+    count = p.shape[-1]
     steps = np.take_along_axis(p, order, -1) * np.arange(count, 0, -1)
     adjusted = np.minimum(np.maximum.accumulate(steps, -1), 1.0)
     result = np.empty_like(p)
@@ -143,7 +151,8 @@ def hierarchical_bootstrap(
     With K trainings the scatter between them is found too small by (K - 1) / K on average.
     """
     rng = np.random.default_rng(0)
-    total, count = np.zeros(draws), sum(len(episodes) for group in groups for episodes in group)
+    total = np.zeros(draws)
+    count = sum(len(episodes) for group in groups for episodes in group)
     for group in groups:
         drawn = rng.integers(0, len(group), (draws, len(group)))
         for number, episodes in enumerate(group):
@@ -177,7 +186,8 @@ def detectable(n: int, level: float, chance: float = 0.05, power: float = 0.8) -
         lost = (difference + chance) / share if share else 1.0
         return float((binom.pmf(different, n, share) * binom.sf(enough - 1, different, lost)).sum())
 
-    low, high = 0.0, 1 - 2 * chance
+    low = 0.0
+    high = 1 - 2 * chance
     if found(high) < power:
         return float("nan")
     while high - low > 0.0005:

@@ -27,7 +27,8 @@ from madviz.types import EnvSpec, PolicySpec
 
 FIRST_SEED = FIRST_SELECTION + 900
 """The last hundred selection seeds: evaluations while a policy trains use the first ones."""
-EPISODES, PICTURES = 8, 5
+EPISODES = 8
+PICTURES = 5
 
 
 @lru_cache(maxsize=4)

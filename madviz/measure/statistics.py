@@ -28,19 +28,10 @@ from madviz.measure.formulas import (
     newcombe,
     wilson_bounds,
 )
+from madviz.policies.measured import RateRow
 from madviz.types import Array
 
 Interval = tuple[float, float]
-
-
-class RateRow(TypedDict):
-    """A ``SuccessRate`` as documents hold it."""
-
-    success: float
-    n: int
-    """Episodes."""
-    ci95: list[float]
-    """Wilson's interval of ``success``."""
 
 
 @dataclass(frozen=True)

@@ -62,9 +62,11 @@ class Table:
         """The table of ``policy``, and the policy itself, loaded. Raises UserError for an unknown
         one."""
         if isinstance(policy, str | Path):
-            reference, loaded = str(policy), checkpoint.load_policy(policy)
+            reference = str(policy)
+            loaded = checkpoint.load_policy(policy)
         else:
-            reference, loaded = "", policy
+            reference = ""
+            loaded = policy
         table = Table(reference, loaded.spec, store, own)
         table.runner.adopt(reference, loaded)
         return table, loaded

@@ -73,11 +73,15 @@ class Occlusion:
     @property
     def effective(self) -> Occlusion:
         """This occlusion with the default for all that its kind does not use: two that do the same
-        are equal here, whatever the sliders of another kind were left at."""
-        place = {name: getattr(self, name) for name in PLACE} if self.kind == "patch" else {}
+        are equal here, whatever the sliders of another kind were left at. Numbers have six
+        digits, as in ``Condition.key``: a slider says 0.30000000000000004 for 0.3."""
+        place = {}
+        if self.kind == "patch":
+            place = {name: round(getattr(self, name), 6) for name in PLACE}
         if self.kind == "delay":
             return Occlusion("delay", self.late / LATEST)
-        return Occlusion(self.kind, self.strength if self.kind in WEIGHED else 1.0, **place)
+        strength = round(self.strength, 6) if self.kind in WEIGHED else 1.0
+        return Occlusion(self.kind, strength, **place)
 
     def apply(self, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
         """The frame that arrives instead of ``frame`` (H, W, C) uint8; ``before`` is the one that

@@ -1,4 +1,4 @@
-"""What happens to a camera, in words: one grammar for ``eval --occlude``, ``record --drop`` and the
+"""The grammar of camera failures: one grammar for ``eval --occlude``, ``record --drop`` and the
 page.
 
     camera[=what][@from[-to]]

@@ -49,7 +49,7 @@ class Event:
         return not self.dropped and self.occlusion.kind == "none"
 
     def state(self, intact: CameraState) -> CameraState:
-        """What the camera's switches are then; ``intact`` is how its policy likes it to be."""
+        """The state of the camera's switches then; ``intact`` is how its policy likes it to be."""
         switch = "off" if self.dropped else intact.input
         return CameraState(switch, self.occlusion)
 
@@ -64,7 +64,8 @@ def in_order(events: Sequence[Event]) -> Schedule:
 
 def events_of(failure: CameraFailure) -> list[Event]:
     """The beginning of a failure, and the return of its camera."""
-    dropped, occlusion = failure.occlusion is None, failure.occlusion or Occlusion()
+    dropped = failure.occlusion is None
+    occlusion = failure.occlusion or Occlusion()
     begins = Event(failure.begin, failure.camera, dropped, occlusion)
     return [begins] if failure.end is None else [begins, Event(failure.end, failure.camera)]
 
@@ -129,7 +130,8 @@ class Scenario:
             if span.camera < len(env.cameras):
                 begin = round(span.begin * env.horizon)
                 end = None if span.end is None else max(round(span.end * env.horizon), begin + 1)
-                camera, occlusion = env.cameras[span.camera].name, parse_what(span.what)
+                camera = env.cameras[span.camera].name
+                occlusion = parse_what(span.what)
                 events += events_of(CameraFailure(camera, occlusion, begin, end))
         return in_order(events)
 
@@ -201,8 +203,8 @@ def scenario(name: str) -> Scenario:
 
 
 def reached(schedule: Schedule, step: int, cameras: Sequence[str]) -> Schedule:
-    """What a session has to do when ``step`` arrives: the events of that step whose camera exists.
-    At step 0, cameras that fail later begin intact, however the last episode left them."""
+    """The schedule's part that is due when ``step`` arrives: the events of that step whose camera
+    exists. At step 0, cameras that fail later begin intact, however the last episode left them."""
     events = [event for event in schedule if event.step == step]
     if step == 0:
         named = dict.fromkeys(event.camera for event in schedule)

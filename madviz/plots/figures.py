@@ -27,14 +27,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-GRID, INK, MARK = "#dddddd", "#222222", "#b8860b"
+GRID = "#dddddd"
+INK = "#222222"
+MARK = "#b8860b"
 STRIPE = "#f3f3f3"
-BAR, PANEL, CELL = 13, 230, (48, 20)
+BAR = 13
+PANEL = 230
+CELL = (48, 20)
 """Pixels: the least width of a bar, the width of a panel with lines, width and height of a cell."""
 MARKERS = 12
 """On a line, at most about so many."""
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
-"""Of the curves in one figure, in their order: they can be told apart without colours."""
+"""Line styles of the curves in one figure, in their order: they can be told apart without
+colours."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,8 @@ def bars(
     group = max(BAR * (len(series) + 2), 60, *(7 * len(name) for name in groups))
     with _style(title):
         figure = _figure(_width(60 + group * len(groups), title, series), 250)
-        axes, step = figure.subplots(), 1 / (len(series) + 2)
+        axes = figure.subplots()
+        step = 1 / (len(series) + 2)
         _rate_axis(axes)
         axes.set_xlim(-0.5, len(groups) - 0.5)
         axes.set_xticks(range(len(groups)), groups)
@@ -95,7 +101,8 @@ def dots(
     left = 30 + 6.2 * max(map(len, groups), default=0)
     with _style(title):
         figure = _figure(_width(left + 430, title, series), 70 + size * len(groups))
-        axes, step = figure.subplots(), 0.8 / len(series)
+        axes = figure.subplots()
+        step = 0.8 / len(series)
         _rate_axis(axes, "x", -1 if signed else 0)
         axes.set_ylim(len(groups) - 0.5, -0.5)
         axes.set_yticks(range(len(groups)), groups)

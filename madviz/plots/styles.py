@@ -74,7 +74,7 @@ SPARE = (
 )
 """For series that are no method, in the order in which they come."""
 HATCHES = ("", "///", "...", "xxx", "---", "|||")
-"""Of the series in one figure of bars, in their order."""
+"""Hatches of the series in one figure of bars, in their order."""
 
 
 def styles(labels: Iterable[str], hatched: bool = False) -> dict[str, Style]:

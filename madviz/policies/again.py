@@ -15,7 +15,9 @@ from madviz.policies.config import TrainingRecord
 
 RUNS = "runs"
 """Where the commands put what they train, as ``madviz train`` does by itself."""
-OUT, RESUME, STEPS = "--out", "--resume", ".steps"
+OUT = "--out"
+RESUME = "--resume"
+STEPS = ".steps"
 
 
 def words_again(training: TrainingRecord) -> list[str]:

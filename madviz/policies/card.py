@@ -28,7 +28,7 @@ def write_card(folder: str | Path) -> Path:
 
 
 def card_text(folder: str | Path) -> str:
-    """What card.md of ``folder`` has to be."""
+    """The text of card.md for ``folder``."""
     found = checkpoint.describe(folder)
     measured = (found.path / checkpoint.EVALUATION).is_file()
     evaluation = checkpoint.own_evaluation(found) if measured else None
@@ -73,9 +73,10 @@ def _success(evaluation: EvaluationFile | None, name: str) -> str:
 
 
 def _seeds(evaluation: EvaluationFile) -> str:
-    """What seeds the rows have. All begin with the same one; a row that was measured in another go
-    may have more of them."""
-    use, first = seeds_of(evaluation), evaluation["seed"]
+    """The seeds of the rows. All begin with the same one; a row that was measured in another go may
+    have more of them."""
+    use = seeds_of(evaluation)
+    first = evaluation["seed"]
     words = f"{use.capitalize()} seeds" if use in (DEVELOPMENT, REPORTING) else "Seeds"
     if len({row["n"] for row in evaluation["subsets"].values()}) > 1:
         return f"{words} from {first} on, in each row as many as it has episodes"

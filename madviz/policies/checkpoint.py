@@ -48,12 +48,14 @@ if TYPE_CHECKING:
 
     from madviz.agent.agent import Agent
 
-CONFIG, WEIGHTS, EVALUATION = "config.json", "weights.safetensors", "evaluation.json"
+CONFIG = "config.json"
+WEIGHTS = "weights.safetensors"
+EVALUATION = "evaluation.json"
 DEVELOPMENT = "development.json"
 """As evaluation.json, on development seeds (seeds.py), once that holds others."""
 CARD = "card.md"
 IN_RUN = "policy"
-"""What the policy's folder is called inside the folder of a sweep's run."""
+"""The name of the policy's folder inside the folder of a sweep's run."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +224,8 @@ def _agent(path: Path, config: PolicyConfig, networks: NetworkConfig, weights: b
 def _check_tensors(
     where: Path, found: Mapping[str, Tensor], expected: Mapping[str, Tensor]
 ) -> None:
-    missing, extra = sorted(expected.keys() - found.keys()), sorted(found.keys() - expected.keys())
+    missing = sorted(expected.keys() - found.keys())
+    extra = sorted(found.keys() - expected.keys())
     if missing or extra:
         raise UserError(
             f"{where}: expected {len(expected)} tensors of a policy, found {len(found)} "

@@ -13,7 +13,7 @@ from madviz.envs.registry import SETTINGS, known_tasks
 from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.policies.config import PolicyConfig, read_config
-from madviz.policies.measured import EvaluationFile, as_evaluation, seeds_of
+from madviz.policies.measured import EvaluationFile, RateRow, as_evaluation, seeds_of
 from madviz.system.files import read_json
 
 NO_POLICY = "policies: none found"
@@ -27,14 +27,6 @@ class ListConfig:
     """Write the list to this file; ``-`` is standard output, and then nothing else goes there."""
     all: bool = False
     """Also list policies without weights, of which only success rates are here."""
-
-
-class RateRow(TypedDict):
-    """Success on one subset."""
-
-    success: float
-    n: int
-    ci95: list[float]
 
 
 class PolicyRow(TypedDict):
@@ -54,7 +46,7 @@ class PolicyRow(TypedDict):
     success: dict[str, RateRow]
     """By subset; empty where it was not evaluated."""
     seeds: str
-    """What the seeds of its episodes serve, ``reporting`` or another use; '' as above."""
+    """The use of its episodes' seeds, ``reporting`` or another use; '' as above."""
     weights: bool
     """Whether it can act; else only what was measured is here."""
 
@@ -84,7 +76,7 @@ class MergeRow(TypedDict):
 
 
 class Everything(TypedDict):
-    """What ``madviz list --json`` prints."""
+    """The document that ``madviz list --json`` prints."""
 
     schema: int
     tasks: list[str]
@@ -128,7 +120,8 @@ def list_measured() -> tuple[list[PolicyRow], list[BrokenRow]]:
 
 
 def list_everything() -> Everything:
-    """What ``madviz list --json`` prints; a method ``supports`` what its own merge does."""
+    """The document that ``madviz list --json`` prints; a method ``supports`` what its own merge
+    does."""
     policies, broken = list_policies()
     measured, broken_too = list_measured()
     methods: dict[str, MethodRow] = {}
@@ -188,7 +181,8 @@ def catalogue(listed: dict[str, Any]) -> str:
     lines += [f"  {name:17} {', '.join(SETTINGS[name].streams)}" for name in listed["settings"]]
     lines.append("methods:")
     lines += [f"  {name:17} {about['summary']}" for name, about in listed["methods"].items()]
-    policies, bare = listed["policies"], listed["without_weights"]
+    policies = listed["policies"]
+    bare = listed["without_weights"]
     lines.append("policies, and their success with all their cameras:" if policies else NO_POLICY)
     lines += [_policy_line(policy) for policy in policies]
     if listed["all"]:
@@ -220,5 +214,6 @@ def _policy_line(policy: PolicyRow) -> str:
 
 
 def run_list(config: ListConfig) -> dict[str, Any]:
-    """What ``madviz list --json`` writes; ``all``: whether the text names ``without_weights``."""
+    """The document that ``madviz list --json`` writes; ``all``: whether the text names
+    ``without_weights``."""
     return {**list_everything(), "all": config.all}

@@ -21,6 +21,16 @@ Rate = Annotated[float, Meta(ge=0, le=1)]
 Seed = Annotated[int, Meta(ge=0, le=2**62)]
 
 
+class RateRow(TypedDict):
+    """A success rate as documents hold it."""
+
+    success: float
+    n: int
+    """Episodes."""
+    ci95: list[float]
+    """Wilson's interval of ``success``."""
+
+
 class SubsetRow(TypedDict):
     """The success rates of one subset."""
 

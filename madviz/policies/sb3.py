@@ -25,7 +25,8 @@ from madviz.errors import UserError
 from madviz.subsets import camera_of
 from madviz.types import Array, Encoded, PolicySpec, Readout
 
-PREFIX, AT = "sb3:", "@"
+PREFIX = "sb3:"
+AT = "@"
 VARIABLE = "MADVIZ_TRUST"
 
 
@@ -86,7 +87,8 @@ class Sb3Policy:
 
     def __init__(self, policy: Any, task: str, file: Path) -> None:
         """``policy``: of Stable-Baselines3, whose spaces are tables."""
-        self._policy, env = policy, env_spec(task)
+        self._policy = policy
+        env = env_spec(task)
         known = {camera.name: camera for camera in env.cameras}
         parts = dict(getattr(policy.observation_space, "spaces", {}))
         state = parts.pop("agent_pos", None)

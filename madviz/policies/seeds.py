@@ -17,9 +17,14 @@ from collections.abc import Iterable
 
 from madviz.errors import UserError
 
-FIRST_TRAINING, FIRST_SELECTION, FIRST_LIVE = 0, 1_000, 2_000
-FIRST_DEVELOPMENT, FIRST_REPORTING, FIRST_LEARNING = 5_000, 10_000, 1_000_000
-DEVELOPMENT, REPORTING = "development", "reporting"
+FIRST_TRAINING = 0
+FIRST_SELECTION = 1_000
+FIRST_LIVE = 2_000
+FIRST_DEVELOPMENT = 5_000
+FIRST_REPORTING = 10_000
+FIRST_LEARNING = 1_000_000
+DEVELOPMENT = "development"
+REPORTING = "reporting"
 USES = {
     FIRST_TRAINING: "training",
     FIRST_SELECTION: "selection",
@@ -53,6 +58,7 @@ def seeds_from(first: int, count: int) -> range:
 def use_of(seeds: Iterable[int]) -> str:
     """``development``, ``reporting`` or another use of all of ``seeds``; several are joined with
     ``and``."""
-    firsts, names = list(USES), list(USES.values())
+    firsts = list(USES)
+    names = list(USES.values())
     places = sorted({bisect_right(firsts, seed) - 1 for seed in seeds})
     return " and ".join(names[place] for place in places)

@@ -1,4 +1,4 @@
-"""What a recording is of, and how its frames are put into words; all writers use these."""
+"""The facts of a recording, and its frames in words; all writers use these."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from madviz.session.frame import Frame, occlusion_words
 
 @dataclass(frozen=True)
 class Facts:
-    """What a recording is of."""
+    """The facts of a recording."""
 
     command: str
     """Makes it again."""
     failures: tuple[str, ...]
-    """What happens to cameras, in the language of schedules."""
+    """The failures of cameras, in the language of schedules."""
     fps: float = 10.0
     """Decisions in a second of film."""
     tile: int = 252

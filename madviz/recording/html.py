@@ -44,7 +44,8 @@ class HtmlWriter:
     """See the module. Keeps of every step its numbers, and of all pictures the few it shows."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
-        self._path, self._facts = path, facts
+        self._path = path
+        self._facts = facts
         self._last: Frame | None = None
         self._marks: dict[int, str] = {}
         self._pictures: dict[int, str] = {}
@@ -58,7 +59,8 @@ class HtmlWriter:
         marked = world.step in self._marks and len(self._marks) <= MOST_MARKED
         if marked or world.step % every == 0 or frame.ended:
             self._pictures[world.step] = jpeg_url(mosaic(frame, TILE))
-        probe, row = world.probe, frame.row
+        probe = world.probe
+        row = frame.row
         self._note("norms", probe.norms)
         self._note("merged", np.array([probe.merged_norm(row)]))
         self._note("cosines", probe.cosines(row))
@@ -108,7 +110,8 @@ class HtmlWriter:
         return f'<div class="strip">{"".join(figures)}</div>'
 
     def _curves(self, last: Frame) -> str:
-        streams, own = last.world.policy.streams, colours_on_white(last.world.env.cameras)
+        streams = last.world.policy.streams
+        own = colours_on_white(last.world.env.cameras)
         colours = {stream: own[camera_of(stream)] for stream in streams}
         colours |= {"merged": MERGED_ON_WHITE, "Q": "#0b6e99", "reward": "#5c8a3a"}
         hands = [f"a{index}" for index in range(last.world.env.action_dim)]

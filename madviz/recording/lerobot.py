@@ -74,11 +74,15 @@ def expert_decisions(
     to what is kept; its standard deviation is another one in each episode, from 0 to ``noise``."""
     rng = np.random.default_rng([seed, 11])
     pushed = slow_noise(rng, noise * rng.random(), env.spec.action_dim)
-    stack, intact = StreamStack(env.spec, streams, length=1), Ablation()
-    now, everything = env.reset(seed), np.ones(len(streams), bool)
+    stack = StreamStack(env.spec, streams, length=1)
+    intact = Ablation()
+    now = env.reset(seed)
+    everything = np.ones(len(streams), bool)
     for step in range(env.spec.horizon):
         stack.push({one.name: env.view(one.name) for one in env.spec.cameras}, intact, seed, step)
-        pictures, state, action = stack.newest, now.state, env.expert()
+        pictures = stack.newest
+        state = now.state
+        action = env.expert()
         now = env.step(np.clip(action + next(pushed), -1, 1).astype(np.float32))
         yield Decision(pictures, everything, state, action, now.reward, now.success)
 
@@ -88,7 +92,9 @@ def policy_decisions(
 ) -> Iterator[Decision]:
     """The episode of ``seed`` in which cameras fail as ``schedule`` says. Raises UserError where
     the policy cannot act on what is left."""
-    spec, stack, ablation = policy.spec, stack_of(policy.spec, env.spec), Ablation()
+    spec = policy.spec
+    stack = stack_of(policy.spec, env.spec)
+    ablation = Ablation()
     names = [camera.name for camera in env.spec.cameras]
     now = env.reset(seed)
     with closing(player_of(policy, seed)) as player:
@@ -102,7 +108,8 @@ def policy_decisions(
                     "let them fail otherwise, as in third_a=black@5"
                 )
             stack.push({name: env.view(name) for name in names}, ablation, seed, step)
-            pictures, state = stack.newest, now.state
+            pictures = stack.newest
+            state = now.state
             action = player.act(policy.encode(stack.views, state), mask)
             now = env.step(action)
             yield Decision(pictures, mask, state, action, now.reward, now.success)
@@ -143,7 +150,9 @@ class LeRobotFolder:
     """The folder, episode by episode. ``close`` completes it."""
 
     def __init__(self, folder: Path, task: str, fps: float) -> None:
-        self._folder, self._task, self._fps = folder, task, fps
+        self._folder = folder
+        self._task = task
+        self._fps = fps
         self._features: dict[str, dict[str, Any]] = {}
         self._episodes: list[dict[str, Any]] = []
         self._columns: dict[str, list[Array]] = {}
@@ -153,7 +162,8 @@ class LeRobotFolder:
 
     def add(self, decisions: Sequence[Decision]) -> bool:
         """Writes an episode; whether it ended in success."""
-        columns, pictures = self._numbers(decisions), list(decisions[0].pictures)
+        columns = self._numbers(decisions)
+        pictures = list(decisions[0].pictures)
         if not self._features:
             self._features = features(decisions[0], columns)
         stats = {name: described(column) for name, column in columns.items()}
@@ -168,7 +178,8 @@ class LeRobotFolder:
             data[name] = _column(column)
             self._columns.setdefault(name, []).append(column)
         place = self._write(pa.table(data))
-        first, self._frames = self._frames, self._frames + len(decisions)
+        first = self._frames
+        self._frames = self._frames + len(decisions)
         self._episodes.append(
             {
                 "episode_index": len(self._episodes),
@@ -203,7 +214,8 @@ class LeRobotFolder:
 
     def _numbers(self, decisions: Sequence[Decision]) -> dict[str, Array]:
         """Column -> (T, n), every row of which has n numbers."""
-        steps, length = np.arange(len(decisions)), len(decisions)
+        steps = np.arange(len(decisions))
+        length = len(decisions)
 
         def all_of(values: list[Any], kind: type[np.generic]) -> Array:
             return np.asarray(values, kind).reshape(length, -1)
@@ -226,7 +238,8 @@ class LeRobotFolder:
         """Appends an episode; the number of the file that has it."""
         if self._writer is not None and self._data_file().stat().st_size > FILE_BYTES:
             self._writer.close()
-            self._writer, self._file = None, self._file + 1
+            self._writer = None
+            self._file = self._file + 1
         if self._writer is None:
             self._writer = pq.ParquetWriter(self._data_file(), table.schema)
         self._writer.write_table(table)
@@ -242,7 +255,7 @@ class LeRobotFolder:
 
 
 def features(one: Decision, columns: dict[str, Array]) -> dict[str, dict[str, Any]]:
-    """What LeRobot has to know of every column."""
+    """LeRobot's description of every column."""
     found: dict[str, dict[str, Any]] = {}
     for name, picture in one.pictures.items():
         shape = [*picture.shape[:2], 3]
@@ -306,7 +319,8 @@ def tally(frames: Sequence[Array]) -> Array:
 
 def described_pictures(tallied: Array, count: int) -> dict[str, Any]:
     """Statistics of pictures from their ``tally``, each (3, 1, 1), of values from 0 to 1."""
-    values, total = np.arange(256) / 255, tallied.sum(1)
+    values = np.arange(256) / 255
+    total = tallied.sum(1)
     mean = tallied @ values / total
     below = tallied.cumsum(1) / total[:, None]
     found = {
@@ -325,7 +339,8 @@ def _key(stream: str) -> str:
 
 def _column(column: Array) -> pa.Array:
     """(T, n): lists of n, or plain values where n is 1."""
-    kind, size = KINDS[str(column.dtype)], column.shape[1]
+    kind = KINDS[str(column.dtype)]
+    size = column.shape[1]
     flat = pa.array(column.ravel(), kind)
     return flat if size == 1 else pa.FixedSizeListArray.from_arrays(flat, size)
 

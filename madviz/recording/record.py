@@ -241,7 +241,8 @@ def run_dataset(config: RecordConfig) -> dict[str, Any]:
     world = env_spec(str(config.expert)) if spec is None else spec
     seeds = range(config.seed, config.seed + config.episodes)
     with closing(make_env(world.task, world.render_profile, world.cameras)) as env, one_thread():
-        schedule, streams = _schedule(config, env), tuple(one.name for one in env.spec.cameras)
+        schedule = _schedule(config, env)
+        streams = tuple(one.name for one in env.spec.cameras)
         played = (
             lerobot.policy_decisions(policy, env, schedule, seed)
             if policy
@@ -270,7 +271,8 @@ def write_all(out: Path, facts: Facts, episode: Iterator[Frame]) -> tuple[Frame,
     finds all of it: until then it has another name, and if the episode stops there is none."""
     try:
         with replacing(out) as part:
-            writer, last = writer_for(part, facts), None
+            writer = writer_for(part, facts)
+            last = None
             try:
                 for last in episode:
                     writer.add(last)
@@ -306,7 +308,8 @@ def record_words(result: dict[str, Any]) -> str:
 def command_of(config: RecordConfig) -> str:
     """The command line that makes the recording again. Of paths only the last part: a report that
     is given away says nothing about whose folders it came from."""
-    policy, words = config.policy, ["madviz", "record"]
+    policy = config.policy
+    words = ["madviz", "record"]
     if config.replay is not None:
         words += ["--replay", config.replay.name]
     if policy is not None:
@@ -323,7 +326,7 @@ def command_of(config: RecordConfig) -> str:
 
 
 def _schedule(config: RecordConfig, env: Environment) -> Schedule:
-    """Of the scenario and of ``--drop`` together."""
+    """The schedule of the scenario and of ``--drop`` together."""
     named = scenario(config.scenario).schedule(env.spec) if config.scenario else ()
     cameras = [camera.name for camera in env.spec.cameras]
     return in_order([*named, *parse_schedule(config.drop, cameras)])

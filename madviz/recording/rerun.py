@@ -33,7 +33,8 @@ BATCHES = rr.ChunkBatcherConfig(flush_tick=60.0, flush_num_bytes=8_000_000)
 every path: on a busy machine more than half of the file."""
 NEUTRAL = (130, 130, 140)
 """The merged feature's colour here: the page's white is nothing on rerun's light ground."""
-FOV, ASPECT = float(np.radians(55)), 1.2
+FOV = float(np.radians(55))
+ASPECT = 1.2
 """Vertical field of view of rerun's eye, which a blueprint cannot set, and the shape of the scene's
 part of the layout: narrower than in any window that is wider than high."""
 OTHERS = (NEUTRAL, (77, 182, 255), (255, 138, 61), (60, 170, 100))
@@ -43,7 +44,8 @@ class RerunWriter:
     """See the module."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
-        self._path, self._facts = path, facts
+        self._path = path
+        self._facts = facts
         self._stream = rr.RecordingStream("madviz", batcher_config=BATCHES)
         self._begun = False
 
@@ -102,8 +104,10 @@ class RerunWriter:
 
     def _camera(self, frame: Frame, name: str) -> None:
         """Its pose and opening, and what arrives of it; dark where that is nothing."""
-        world, off = frame.world, not frame.uses(name)
-        pose, picture = world.poses[name], world.views[name].rgb
+        world = frame.world
+        off = not frame.uses(name)
+        pose = world.poses[name]
+        picture = world.views[name].rgb
         w, x, y, z = (float(number) for number in pose.wxyz)
         size = picture.shape[0]
         path = f"world/cameras/{name}"
@@ -127,7 +131,8 @@ class RerunWriter:
         self._stream.log(path, image)
 
     def _curves(self, frame: Frame) -> None:
-        probe, row = frame.world.probe, frame.row
+        probe = frame.world.probe
+        row = frame.row
         values = {
             "features/norm": [*probe.norms, probe.merged_norm(row)],
             "features/cosine": probe.cosines(row),
@@ -179,7 +184,7 @@ def first_eye(frame: Frame) -> rrb.EyeControls3D:
 
 
 def about(frame: Frame, facts: Facts) -> str:
-    """What the recording is of, for the viewer's text panel."""
+    """The recording's facts, for the viewer's text panel."""
     failing = ", ".join(facts.failures) or "none"
     return "\n\n".join(
         [

@@ -20,7 +20,8 @@ from madviz.recording.facts import Facts, condition_words, headline, verdict
 from madviz.session.frame import Frame
 from madviz.types import Array
 
-CAPTION, CURVE = 52, 64
+CAPTION = 52
+CURVE = 64
 """Pixels under the mosaic: two lines of text, and the curve."""
 _GROUND = (30, 31, 34)
 HOLD = 1.5
@@ -31,7 +32,8 @@ class VideoWriter:
     """See the module."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
-        self._path, self._facts = path, facts
+        self._path = path
+        self._facts = facts
         self._film: Any = None
         self._q: list[float] = []
         self._marks: list[int] = []
@@ -58,7 +60,8 @@ class VideoWriter:
     def close(self) -> None:
         if self._film is None or self._last is None:
             return
-        film, self._film = self._film, None
+        film = self._film
+        self._film = None
         for _ in range(round(HOLD * self._facts.fps)):
             film.append_data(self._last)
         film.close()
@@ -111,7 +114,8 @@ def _curve(values: list[float], marks: list[int], horizon: int, width: int) -> A
     known = [value for value in values if np.isfinite(value)]
     if not known:
         return canvas
-    low, high = min(known), max(known)
+    low = min(known)
+    high = max(known)
     span = max(high - low, 1e-6)
     across = (width - 60) / max(horizon, 1)
     for mark in marks:

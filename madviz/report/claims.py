@@ -32,7 +32,9 @@ COMPONENTS = ("naive-both", "merged-only", "singular-only")
 LEAD = {"metaworld": 0.30, "maniskill": 0.36}
 """Paper, section on robustness: MAD's lead over the baselines, in success rate."""
 TASKS = {"metaworld": 15, "maniskill": 5}
-FIVE_LEAD, COMPONENT_LEAD, BEST_ALPHA = 0.48, 0.29, "alpha 0.8"
+FIVE_LEAD = 0.48
+COMPONENT_LEAD = 0.29
+BEST_ALPHA = "alpha 0.8"
 SEVERAL = 3
 """Trainings of a row from which on its interval over them says something."""
 
@@ -153,12 +155,13 @@ def _size(claim: float) -> Judge:
 
 
 def _recipes(table: ResultTable) -> list[str]:
-    """What follows ``mad`` in the labels: '' for the light recipe, ', paper' and so on."""
+    """The suffixes after ``mad`` in the labels: '' for the light recipe, ', paper' and so on."""
     return [label.removeprefix("mad") for label in table.labels if label.split(",")[0] == "mad"]
 
 
 def _overall(table: ResultTable) -> list[str]:
-    lead, count = LEAD[table.suite], TASKS[table.suite]
+    lead = LEAD[table.suite]
+    count = TASKS[table.suite]
     over = f"{100 * lead:+.0f} points over its baselines, on {count} tasks"
     names = ", ".join(COMPONENTS)
     parts = f"{100 * COMPONENT_LEAD:+.0f} points over {names}, on five Meta-World tasks"
@@ -224,7 +227,7 @@ def _alpha(table: ResultTable) -> list[str]:
 
 
 def _best_alpha(table: ResultTable, task: str, rows: Sequence[Row]) -> str:
-    """Of ``rows``, those of one task and recipe."""
+    """The best alpha among ``rows`` of one task and recipe."""
     # A row of several trainings beside a row of one: another training alone may change the order.
     shared = set.intersection(*(row.training_seeds for row in rows))
     fewer = any(row.training_seeds != shared for row in rows)
@@ -282,15 +285,16 @@ def _compared(
     paper: str,
     judge: Judge,
 ) -> list[str]:
-    """What the first of two rows has more than the second, beside the paper's sentence; nothing
-    where a row is missing or no episodes can be paired."""
+    """The difference of two rows, beside the paper's sentence; nothing where a row is missing or no
+    episodes can be paired."""
     rows = table.pair(*labels)
     gap = difference(*rows, columns) if rows else None
     return [f"{words}: {points(gap)}. {paper}{beside(table, gap, judge)}."] if gap else []
 
 
 def _occlusion(table: ResultTable) -> list[str]:
-    said, lines = "The paper reports 63% for MAD and 62% for Single Camera", []
+    said = "The paper reports 63% for MAD and 62% for Single Camera"
+    lines = []
     for rest in _recipes(table):
         words = f"MAD{rest} minus single, with every camera it has"
         lines += _compared(table, (f"mad{rest}", "single"), ("all",), words, said, same)
@@ -315,15 +319,20 @@ def _blind(table: ResultTable) -> list[str]:
 
 
 def _modality(table: ResultTable) -> list[str]:
-    mad, depth, both = "mad, one-rgbd", "single, one-depth", "single, one-rgbd"
-    words, said = "MAD minus single on depth alone", "The paper finds MAD ahead"
+    mad = "mad, one-rgbd"
+    depth = "single, one-depth"
+    both = "single, one-rgbd"
+    words = "MAD minus single on depth alone"
+    said = "The paper finds MAD ahead"
     lines = _compared(table, (mad, depth), ("depth",), words, said, ahead)
-    words, said = "MAD minus single on colour and depth", "The paper finds them alike"
+    words = "MAD minus single on colour and depth"
+    said = "The paper finds them alike"
     return lines + _compared(table, (mad, both), ("all",), words, said, same)
 
 
 def _resolution(table: ResultTable) -> list[str]:
-    words, said = "MAD with mixed sizes minus MAD with one", "The paper reports no loss"
+    words = "MAD with mixed sizes minus MAD with one"
+    said = "The paper reports no loss"
     return _compared(table, ("mad", "mad, one size"), THREE, words, said, same)
 
 

@@ -190,7 +190,8 @@ def _section(tables: Sequence[ResultTable], sweep: str) -> str:
 def _row_line(task: str, row: Row, columns: Sequence[str], table: ResultTable) -> str:
     cells = [_cell(row.rate(column)) for column in columns]
     if table.mean_of:
-        mean, measured = row.mean(table.mean_of), row.measured(table.mean_of)
+        mean = row.mean(table.mean_of)
+        measured = row.measured(table.mean_of)
         whole = mean is None or measured == list(table.mean_of)
         cells.append(_cell(mean) if whole else f"{mean} ({', '.join(measured)})")
     learned = "" if table.imitation or "," in row.label else " (reinforcement)"

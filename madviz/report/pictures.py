@@ -23,8 +23,10 @@ DIFFERENCES: tuple[Callable[[Evidence], str], ...] = (
     lambda each: f"alpha {each.config.training.alpha or 0:g}",
     lambda each: each.folder,
 )
-"""What curves of one method and seed, on one task, may differ in."""
-TWENTY, METHODS, CURVE = "twenty.svg", "methods.svg", "reinforcement-"
+"""The facts in which curves of one method, seed and task may differ."""
+TWENTY = "twenty.svg"
+METHODS = "methods.svg"
+CURVE = "reinforcement-"
 """Names of pictures; the last is the beginning of a task's."""
 
 
@@ -98,7 +100,7 @@ def is_ours(file: Path) -> bool:
 
 
 def task_of(name: str) -> str:
-    """Of the picture ``name`` of ``curves``."""
+    """The task of the picture ``name`` of ``curves``."""
     return name.removeprefix(CURVE).removesuffix(".svg").replace("-", "/", 1)
 
 

@@ -155,7 +155,7 @@ def _write_all(folder: Path, files: Mapping[str, str], ours: Callable[[Path], bo
 
 
 def report_words(result: dict[str, Any]) -> str:
-    """What was written, as lines."""
+    """The written files, as lines."""
     met = sum(each["verdict"] == "met" for each in result["bar"])
     lines = [
         f"{result['path']}: {result['policies']} policies, {len(result['tables'])} tables, "

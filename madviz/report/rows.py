@@ -52,12 +52,12 @@ class Row:
 
     @property
     def training_seeds(self) -> set[int]:
-        """Of its trainings, on whichever task."""
+        """The seeds of its trainings, on any task."""
         return {seed for _, seed in self._trained}
 
     @property
     def seeds(self) -> str:
-        """What the seeds of its episodes serve, see ``madviz.policies.seeds``."""
+        """The use of its episodes' seeds, see ``madviz.policies.seeds``."""
         return use_of(unit[2] for cell in self.cells.values() for unit in cell)
 
     def on(self, tasks: Collection[str]) -> Row:
@@ -136,9 +136,11 @@ class Difference:
 
 
 def difference(first: Row, second: Row, columns: Sequence[str]) -> Difference | None:
-    """Of the means over the columns both rows have; None where no episodes can be paired."""
+    """The difference of the means over the columns that both rows have; None where no episodes can
+    be paired."""
     shared = [c for c in first.measured(columns) if c in second.measured(columns)]
-    mine, theirs = first.shares(shared), second.shares(shared)
+    mine = first.shares(shared)
+    theirs = second.shares(shared)
     units = [unit for unit in mine if unit in theirs]
     if not shared or not units:
         return None

@@ -46,7 +46,7 @@ class ResultTable:
 
     @property
     def name(self) -> str:
-        """Of its picture and in the CSV file: ``overall-metaworld``."""
+        """The name of its picture and in the CSV file: ``overall-metaworld``."""
         learning = "" if self.imitation or self.layout.key == "scratch" else "-reinforcement"
         return f"{self.layout.key}-{self.suite}{learning}"
 
@@ -57,7 +57,7 @@ class ResultTable:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Of its averages, in their order."""
+        """The labels of its averages, in their order."""
         return tuple(row.label for row in self.averages)
 
     def pair(self, first: str, second: str) -> tuple[Row, Row] | None:
@@ -102,7 +102,7 @@ def _same_seeds(chosen: Sequence[tuple[str, Evidence]]) -> list[tuple[str, Evide
 def _table(
     layout: Layout, suite: str, imitation: bool, mine: Sequence[tuple[str, Evidence]]
 ) -> ResultTable:
-    """Of the policies of one suite, each with its row's label."""
+    """The table of the policies of one suite, each with its row's label."""
     labels = sorted({label for label, _ in mine}, key=rank)
     columns, mean_of = _columns(layout, [each for _, each in mine])
     rows = []
@@ -145,7 +145,8 @@ def _columns(layout: Layout, mine: Sequence[Evidence]) -> tuple[tuple[str, ...],
 
 def _average(label: str, rows: Sequence[tuple[str, Row]]) -> Row:
     """The row of ``label`` over its tasks, with episodes that all of ``rows`` have."""
-    seeds, whole = _shared_seeds(rows), Row(label)
+    seeds = _shared_seeds(rows)
+    whole = Row(label)
     for task, row in rows:
         if row.label == label:
             for column, cell in row.cells.items():
@@ -168,7 +169,7 @@ def _shared_seeds(rows: Sequence[tuple[str, Row]]) -> dict[str, set[int]]:
 
 
 def _row(label: str, columns: Sequence[str], members: Sequence[Evidence]) -> Row:
-    """Of the policies of one task."""
+    """The row of the policies of one task."""
     row = Row(label)
     for each in members:
         counts = False
@@ -177,7 +178,8 @@ def _row(label: str, columns: Sequence[str], members: Sequence[Evidence]) -> Row
             alone = len(each.config.streams) == 1 and column == "all" and "third_b" in columns
             found = None if alone else each.of(column)
             for seed, success in (found or {}).items():
-                cell, unit = row.cells.setdefault(column, {}), (each.config.task, each.seed, seed)
+                cell = row.cells.setdefault(column, {})
+                unit = (each.config.task, each.seed, seed)
                 counts |= unit not in cell
                 cell.setdefault(unit, success)
         # A policy that adds no episode (Single Camera with this camera, of another setting) is not

@@ -24,7 +24,9 @@ TWENTY = (
     *(f"metaworld/{task}" for task in METAWORLD_TASKS),
     *(f"maniskill/{task}" for task in MANISKILL_TASKS),
 )
-LEAST_ALL, LEAST_MEAN, LEAST_EPISODES = 0.92, 0.80, 100
+LEAST_ALL = 0.92
+LEAST_MEAN = 0.80
+LEAST_EPISODES = 100
 """A policy meets the threshold with these rates, on at least so many episodes of each subset."""
 WEAK = 0.70
 """A single camera below this success rate is weak."""
@@ -39,7 +41,7 @@ class Verdict:
     """None where no policy was trained and measured."""
     mean: SuccessRate | None
     reasons: tuple[str, ...]
-    """What it falls short of; none: the threshold is met."""
+    """The requirements that it misses; none: the threshold is met."""
 
     @property
     def words(self) -> str:

@@ -53,7 +53,8 @@ class SuiteNumbers:
     """Whether the last step of an episode still expects a future."""
 
 
-METAWORLD, MANISKILL = SuiteNumbers(0.99, 25_000, True), SuiteNumbers(0.8, 20_000, False)
+METAWORLD = SuiteNumbers(0.99, 25_000, True)
+MANISKILL = SuiteNumbers(0.8, 20_000, False)
 
 
 @dataclass(frozen=True)

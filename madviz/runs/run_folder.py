@@ -38,7 +38,8 @@ Event = dict[str, Any]
 """A report of a run: ``kind`` and numbers; a page draws it, a terminal prints it."""
 
 
-LOCK, FINISHED = "lock", "finished"
+LOCK = "lock"
+FINISHED = "finished"
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""What a policy of madviz's makes of messages: one session for each connection.
+"""A policy's answers to messages: one session for each connection.
 
 A look holds the pictures of one step by stream, the state, and nothing of the past. Whoever sends
 one frame of a camera, (H, W, 3), leaves the stack to the server; whoever sends all of them,
@@ -19,7 +19,7 @@ from madviz.types import Array, Player, Policy
 
 
 class BadLook(Exception):
-    """What was expected of a look, and what was found."""
+    """The error of a look: what was expected, and what was found."""
 
 
 class ServedEpisodes:
@@ -27,14 +27,17 @@ class ServedEpisodes:
 
     def __init__(self, policy: Policy, state_dim: int) -> None:
         """``state_dim``: S of the environment it acts in."""
-        self._policy, self._spec, self._state_dim = policy, policy.spec, state_dim
+        self._policy = policy
+        self._spec = policy.spec
+        self._state_dim = state_dim
         self._frames: dict[str, list[Array]] = {}
         self._player: Player | None = None
 
     def begin(self, seed: int = 0) -> None:
         """Another episode: nothing of the last one is remembered."""
         self.close()
-        self._frames, self._player = {}, player_of(self._policy, seed)
+        self._frames = {}
+        self._player = player_of(self._policy, seed)
 
     def act(self, images: Any, state: Any) -> Array:
         """(A,) float32. Raises BadLook."""
@@ -64,7 +67,8 @@ class ServedEpisodes:
 
     def _stack(self, stream: str, picture: Any) -> Array:
         """(3 x frames, H, W) uint8, the oldest frame first; black where nothing was sent."""
-        size, frames = self._spec.image_size, self._spec.frame_stack
+        size = self._spec.image_size
+        frames = self._spec.frame_stack
         if picture is None:
             newest = np.zeros((3, size, size), np.uint8)
         else:
@@ -77,7 +81,8 @@ class ServedEpisodes:
         return np.concatenate(past)
 
     def _picture(self, stream: str, picture: Any) -> Array:
-        size, deepest = self._spec.image_size, 3 * self._spec.frame_stack
+        size = self._spec.image_size
+        deepest = 3 * self._spec.frame_stack
         shape = np.shape(picture)
         good = isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and len(shape) == 3
         if not good or shape[2] not in (3, deepest) or 0 in shape or max(shape[:2]) > 4096:

@@ -70,7 +70,8 @@ class PolicyServer:
         self, policy: Policy, host: str = "127.0.0.1", port: int = 0, token: str | None = None
     ) -> None:
         """Raises UserError for a place that cannot be served."""
-        self._policy, self._token = policy, token
+        self._policy = policy
+        self._token = token
         self._env = env_spec(policy.spec.task, policy.spec.render_profile)
         self._facts = served(policy)
         self._computing = threading.Lock()
@@ -147,7 +148,8 @@ class PolicyServer:
             try:
                 found = unpack(data)
                 message = found if isinstance(found, dict) else {}
-                kind, payload = message.get("type"), message.get("payload")
+                kind = message.get("type")
+                payload = message.get("payload")
                 if not isinstance(payload, dict):
                     raise BadLook("expected a message with type and payload, found another")
                 answer = self._answer(episodes, str(kind), payload)
@@ -209,7 +211,7 @@ def _chosen(connection: ServerConnection, offered: Sequence[Subprotocol]) -> Sub
 
 
 def _first_words(connection: ServerConnection) -> bytes | str | None:
-    """What a client says by itself; None where it waits to be greeted."""
+    """The first message that a client sends by itself; None where it waits to be greeted."""
     if connection.subprotocol == OURS:
         return connection.recv()
     try:

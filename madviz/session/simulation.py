@@ -40,10 +40,6 @@ from madviz.subsets import every_mask, row_of
 from madviz.types import Array, Encoded, Environment, Policy, ResetsInPieces, TimeStep, View
 
 
-def _nothing() -> None:
-    """Called between two cameras where nobody waits for them."""
-
-
 class Simulation:
     """See the module. Belongs to the thread that created ``env``."""
 
@@ -132,11 +128,11 @@ class Simulation:
         mask = self.ablation.mask(self.policy.spec.streams)
         return foresee(self.policy, self._encoded, mask, self.now.step, str(self.condition))
 
-    def begin(self, seed: int, between: Callable[[], None] = _nothing) -> None:
+    def begin(self, seed: int, between: Callable[[], None] = lambda: None) -> None:
         """Starts the episode of ``seed``; camera settings stay. ``between`` is called as in
         ``step``, and meets the last step of the episode before."""
         # Before the very first episode there is no step that commands could touch.
-        pause = between if self._recent else _nothing
+        pause = between if self._recent else lambda: None
         if isinstance(self.env, ResetsInPieces):
             time_step = self.env.reset_in_pieces(seed, pause)
         else:

@@ -42,7 +42,7 @@ TILE = 84
 SCENE = 240
 """Pixels, square, of the scene from outside."""
 SCENE_EVERY = 2
-"""Of the steps at which it is drawn."""
+"""The distance between steps at which the scene is drawn."""
 QUALITY = 60
 GROUPS = 112
 """Numbers that are kept of a merged feature: the norm of each group of its numbers."""

@@ -63,14 +63,14 @@ class SoakConfig:
     workers: ThreadsOrNone = 0
     """Processes that measure success in the background."""
     seed: Seed = 0
-    """Of what the visitors do at random."""
+    """The seed of the visitors' random actions."""
     round_seconds: Annotated[float, Range(float, 0, 3600, above=True)] = 20.0
     """After so long everybody leaves and what is left is counted. Take several times as long as the
     first picture takes: who leaves before it has tried nothing."""
 
 
 class Sample(NamedTuple):
-    """What the server takes while nobody visits it."""
+    """Memory and threads of the server while nobody visits it."""
 
     memory_mb: float
     threads: int
@@ -81,7 +81,9 @@ class Crowd:
     """Visitors of one page, who come, touch controls and go at random."""
 
     def __init__(self, url: str, pid: int, most: int, seed: int) -> None:
-        self._url, self._pid, self._most = url, pid, most
+        self._url = url
+        self._pid = pid
+        self._most = most
         self._rng = random.Random(seed)
         self._calm: int | None = None
         """Threads that were left after the last round."""
@@ -127,7 +129,8 @@ def soak(config: SoakConfig) -> dict[str, Any]:
     with tempfile.TemporaryFile("w+") as log, serving(words, log) as (url, process):
         crowd = Crowd(url, process.pid, config.visitors, config.seed)
         samples: list[Sample] = []
-        trouble, begun = "", time.monotonic()
+        trouble = ""
+        begun = time.monotonic()
         try:
             for one in rounds(crowd, 60 * config.minutes, config.round_seconds):
                 samples.append(one)
@@ -143,7 +146,8 @@ def soak(config: SoakConfig) -> dict[str, Any]:
         raise UserError(
             "\n".join([f"expected {FEWEST} rounds, found {len(samples)}", *errors[-10:]])
         )
-    verdict, served = judged(samples), crowd.updates >= crowd.visits
+    verdict = judged(samples)
+    served = crowd.updates >= crowd.visits
     return {
         "schema": 1,
         "policy": config.policy,
@@ -165,7 +169,8 @@ def soak(config: SoakConfig) -> dict[str, Any]:
 def rounds(crowd: Crowd, seconds: float, longest: float) -> Iterator[Sample]:
     """Rounds until the time is over, ``FEWEST`` at least."""
     length = min(longest, seconds / FEWEST)
-    end, done = time.monotonic() + seconds, 0
+    end = time.monotonic() + seconds
+    done = 0
     while done < FEWEST or time.monotonic() < end:
         yield crowd.round(length)
         done += 1
@@ -186,7 +191,8 @@ def judged(samples: Sequence[Sample]) -> dict[str, Any]:
     exceeded."""
     warm = samples[warm_up(len(samples)) :]
     part = max(1, len(warm) // 3)
-    first, last = warm[:part], warm[-part:]
+    first = warm[:part]
+    last = warm[-part:]
 
     before, after = (statistics.median(s.memory_mb for s in some) for some in (first, last))
     growth = after / before - 1
@@ -214,10 +220,11 @@ def judged(samples: Sequence[Sample]) -> dict[str, Any]:
 
 
 def settled(pid: int, calm: int | None = None, longest: float = SETTLING) -> Sample:
-    """What is left of ``pid`` and its children once their threads have been the same for 1 s, and
-    no more than ``calm`` if that is known: on a busy machine a simulator that is being opened takes
+    """A sample of ``pid`` and its children once their threads have been the same for 1 s, and no
+    more than ``calm`` if that is known: on a busy machine a simulator that is being opened takes
     seconds before it notices that nobody needs it any more. Waits ``longest`` seconds at most."""
-    seen, since = sample(pid), time.monotonic()
+    seen = sample(pid)
+    since = time.monotonic()
     deadline = since + longest
     most = math.inf if calm is None else calm
     while time.monotonic() < deadline:
@@ -257,7 +264,8 @@ def growth_an_hour(result: dict[str, Any]) -> float:
 
 def soak_words(result: dict[str, Any]) -> str:
     """The result in a few lines."""
-    memory, threads = result["memory_mb"], result["threads"]
+    memory = result["memory_mb"]
+    threads = result["threads"]
     lines = [
         f"{result['visits']} visits, {result['touches']} touches, {result['updates']} updates in "
         f"{result['minutes']:.1f} min",

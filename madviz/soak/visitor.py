@@ -154,7 +154,8 @@ class Visitor:
         inner = msgspec.msgpack.decode(self._unpack.decompress(data[16 : 16 + size]))
         for message in inner["messages"]:
             self.messages += 1
-            kind, uuid = message["type"], message.get("uuid", "")
+            kind = message["type"]
+            uuid = message.get("uuid", "")
             if kind == "GuiRemoveMessage":
                 self.controls.pop(uuid, None)
                 self.texts.pop(uuid, None)

@@ -52,7 +52,7 @@ class Grid(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     settings: Names = ("three",)
     recipes: Names = ("light",)
     seeds: Annotated[tuple[int, ...], msgspec.Meta(min_length=1)] = (1,)
-    """Of training."""
+    """The seeds of training."""
     train: Table = {}
     """More options of ``madviz train``; a list is one more axis."""
 
@@ -74,7 +74,7 @@ class SweepFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """What a sweep file asks for."""
+    """The content of a sweep file."""
 
     name: str
     """The file's name without its ending; the default folder is runs/NAME."""

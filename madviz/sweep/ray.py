@@ -40,14 +40,16 @@ class RayBackend:
         if self._mine:
             self._connect(address or os.environ.get("RAY_ADDRESS"), cpus)
         self._check_cores(cpus)
-        self._jobs, self._cpus = jobs, cpus
+        self._jobs = jobs
+        self._cpus = cpus
         self._arguments = (own_tasks(), out.resolve(), tuple(program), cpus)
         self._task = self._ray.remote(num_cpus=cpus, max_retries=RETRIES)(_on_node)
         self._running: dict[Any, Run] = {}
 
     @property
     def slots(self) -> int:
-        """What fits on the nodes that are alive now; 1 at least, which then waits for a node."""
+        """The number of runs that fit on the nodes that are alive now; 1 at least, which then waits
+        for a node."""
         fits = sum(int(cores // self._cpus) for cores in self._cores())
         return max(min(fits, self._jobs or fits), 1)
 
@@ -95,7 +97,7 @@ class RayBackend:
             )
 
     def _cores(self) -> list[float]:
-        """Of every node that is alive."""
+        """The cores of every node that is alive."""
         return [n["Resources"].get("CPU", 0) for n in self._ray.nodes() if n["Alive"]]
 
 

@@ -33,12 +33,15 @@ from typing import Any, Literal, NotRequired, TypedDict
 
 from madviz.errors import UserError
 from madviz.policies.checkpoint import CONFIG, EVALUATION, IN_RUN
-from madviz.policies.listing import RateRow
+from madviz.policies.measured import RateRow
 from madviz.system.files import read_json, write_json
 from madviz.system.lock import locked
 from madviz.system.typed import typed
 
-RESULT, WORDS, LOG, CLAIM = "result.json", "run.json", "log.txt", "claim"
+RESULT = "result.json"
+WORDS = "run.json"
+LOG = "log.txt"
+CLAIM = "claim"
 State = Literal["finished", "failed", "busy", "stopped"]
 POLL_SECONDS = 0.1
 FIX = "restore it, or remove the run's folder"
@@ -64,18 +67,18 @@ class Run:
     """The words after ``madviz eval``, without ``--policy``."""
 
     def words(self) -> dict[str, Any]:
-        """What run.json holds."""
+        """The content of run.json."""
         return {"train": list(self.train), "eval": list(self.evaluate)}
 
 
 class RunResult(TypedDict):
-    """What a summary reads of result.json, and of an evaluation."""
+    """The part of result.json and of an evaluation that a summary reads."""
 
     subsets: dict[str, RateRow]
 
 
 class TrainedConfig(TypedDict):
-    """What a sweep reads of config.json."""
+    """The part of config.json that a sweep reads."""
 
     training: NotRequired[dict[str, Any]]
 
@@ -88,7 +91,7 @@ class RunOutcome:
     """``busy``: another process works on it; ``stopped``: this one was asked to stop."""
     error: str = ""
     seconds: float = 0.0
-    """Of work in this attempt."""
+    """Seconds of work in this attempt."""
 
 
 def finished(folder: Path) -> bool:
@@ -143,7 +146,8 @@ def carry_out(
     its evaluation, which change no result. ``stop`` ends the commands with
     SIGTERM.
     """
-    folder, began = out / run.name, time.monotonic()
+    folder = out / run.name
+    began = time.monotonic()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if why := broken(folder):
@@ -195,7 +199,7 @@ def trained(policy: Path) -> bool:
 
 
 def expected_seconds(folder: Path) -> float | None:
-    """What the run's training says it will take in all; None before it says so."""
+    """The total time that the run's training predicts; None before it says so."""
     file = folder / IN_RUN / "curve.csv"
     try:
         *_, last = csv.DictReader(file.read_text().splitlines())
@@ -214,7 +218,9 @@ class _Commands:
     def __init__(
         self, folder: Path, program: Sequence[str], claim: int, stop: threading.Event
     ) -> None:
-        self._folder, self._claim, self._stop = folder, claim, stop
+        self._folder = folder
+        self._claim = claim
+        self._stop = stop
         self._program = list(program) or [sys.executable, "-m", "madviz"]
 
     def run(self, verb: str, *words: str) -> None:

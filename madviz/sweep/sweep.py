@@ -65,7 +65,7 @@ class SweepConfig:
     jobs: Threads | None = None
     """Runs at a time; by default one for every two cores here, and what fits on a cluster."""
     address: str | None = None
-    """Of the Ray cluster; by default $RAY_ADDRESS, or a new one on this machine."""
+    """The address of the Ray cluster; by default $RAY_ADDRESS, or a new one on this machine."""
     cpus: Threads = 2
     """Cores that a run takes on a Ray cluster."""
     dry_run: bool = False
@@ -87,7 +87,7 @@ class Backend(Protocol):
         ...
 
     def collect(self, seconds: float) -> list[tuple[Run, RunOutcome]]:
-        """What ended since the last call; waits up to ``seconds`` for something."""
+        """The runs that ended since the last call; waits up to ``seconds`` for something."""
         ...
 
     def close(self) -> None:
@@ -100,7 +100,9 @@ class LocalBackend:
 
     def __init__(self, out: Path, jobs: int, program: Sequence[str] = ()) -> None:
         self.slots = jobs
-        self._out, self._program, self._stop = out, program, threading.Event()
+        self._out = out
+        self._program = program
+        self._stop = threading.Event()
         self._workers = max((os.cpu_count() or 1) // jobs, 1)
         self._pool = ThreadPoolExecutor(jobs)
         self._running: dict[Future[RunOutcome], Run] = {}
@@ -166,7 +168,9 @@ def carry_all_out(
     now: Callable[[], float] = time.monotonic,
 ) -> dict[str, RunOutcome]:
     """Every run's last outcome, by name. A busy run goes to the end of the queue."""
-    waiting, running, outcomes = deque(runs), 0, dict[str, RunOutcome]()
+    waiting = deque(runs)
+    running = 0
+    outcomes = dict[str, RunOutcome]()
     earliest: dict[str, float] = {}
     while waiting or running:
         for _ in range(len(waiting)):
@@ -209,9 +213,13 @@ class Watch:
         expects: Callable[[Run], float | None] = lambda run: None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._now, self._expects, self._slots = now, expects, 1
+        self._now = now
+        self._expects = expects
+        self._slots = 1
         self._said = now()
-        self._total, self._left, self._failed = total, left, 0
+        self._total = total
+        self._left = left
+        self._failed = 0
         self._begun: dict[Run, float] = {}
         self._seconds: list[float] = []
         console = Console(stderr=True)
@@ -289,10 +297,12 @@ class Watch:
 def _summary(
     plan: SweepPlan, out: Path, config: SweepConfig, outcomes: dict[str, RunOutcome]
 ) -> dict[str, Any]:
-    """What ``--json`` writes. Results are read from the folders, whoever put them there."""
+    """The document that ``--json`` writes. Results are read from the folders, whoever put them
+    there."""
     runs: list[dict[str, Any]] = []
     for run in plan.runs:
-        folder, outcome = out / run.name, outcomes.get(run.name)
+        folder = out / run.name
+        outcome = outcomes.get(run.name)
         described: dict[str, Any] = {"name": run.name, "path": str(folder), **run.words()}
         if why := broken(folder):
             runs.append({**described, "state": "failed", "error": why})

@@ -1,4 +1,4 @@
-"""What the notebooks share: episodes, figures, small trainings, exercises that check themselves.
+"""The base of the notebooks: episodes, figures, small trainings, exercises that check themselves.
 
     episode      its time steps, and how a policy acts at each
     rates        successes in words, with their intervals

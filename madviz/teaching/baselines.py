@@ -37,7 +37,8 @@ def run_cases(
     for name in names or known:
         cameras, black = known[name]
         left = [camera for camera in cameras if camera in policy.spec.streams]
-        subset, black = "+".join(left), black if black in left else ""
+        subset = "+".join(left)
+        black = black if black in left else ""
         if not left or not policy.supports(mask_of(subset, policy.spec.streams)):
             continue
         if (subset, black) not in ran:

@@ -53,7 +53,7 @@ class Moment:
     policy: Policy
     env: EnvSpec
     views: dict[str, View]
-    """What each camera really sees."""
+    """The true picture of each camera."""
     arrived: dict[str, Array]
     """(H, W, C) uint8 by stream: what reached the policy, occlusions applied."""
     stack: Array
@@ -100,7 +100,8 @@ def moments(
         closing(player_of(policy, seed)) as player,
     ):
         stack = stack_of(spec, env.spec)
-        now, step = env.reset(seed), 0
+        now = env.reset(seed)
+        step = 0
         while True:
             views = {camera: env.view(camera) for camera in cameras_of(spec.streams)}
             stack.push(views, ablation, seed, step)
@@ -118,7 +119,8 @@ def moments(
             if now.last:
                 return
             encoded = policy.encode(moment.stack, moment.state)
-            now, step = env.step(player.act(encoded, mask)), step + 1
+            now = env.step(player.act(encoded, mask))
+            step = step + 1
 
 
 def moment_at(
@@ -139,7 +141,8 @@ def occluded(moment: Moment, occlusions: Mapping[str, Occlusion]) -> Moment:
     """The same time step as if cameras had failed during all frames of the stack, without an effect
     on the actions before. A frozen camera shows the oldest frame of the stack, and so does a late
     one: older frames are not there."""
-    stack, streams = moment.stack.copy(), moment.policy.spec.streams
+    stack = moment.stack.copy()
+    streams = moment.policy.spec.streams
     for index, stream in enumerate(streams):
         occlusion = occlusions.get(camera_of(stream), Occlusion())
         frames = frames_of(moment.stack, index)

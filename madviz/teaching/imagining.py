@@ -55,10 +55,11 @@ def foreseen_sheet(
     after: Sequence[int] = (1, 3, 5, 10, 15),
     size: int = 112,
 ) -> Picture:
-    """What ``stream`` shows ``after`` so many decisions, and below what was foreseen at ``step``
-    from ``subset``, without a picture since. Raises UserError where the episode is too short, and
-    for a policy without a world model. ``after``: 15 at most."""
-    moment, policy = episode[step], episode[step].policy
+    """The picture of ``stream`` ``after`` so many decisions, and below what was foreseen at
+    ``step`` from ``subset``, without a picture since. Raises UserError where the episode is too
+    short, and for a policy without a world model. ``after``: 15 at most."""
+    moment = episode[step]
+    policy = episode[step].policy
     if step + max(after) >= len(episode):
         raise UserError(f"expected {max(after)} decisions after step {step}; begin earlier")
     streams = policy.spec.streams
@@ -67,9 +68,11 @@ def foreseen_sheet(
     place = streams.index(stream)
     assert isinstance(policy, Imagines), "what has a world model can draw"
     usual = policy.mean_pictures()[place]
-    happened, foreseen = {}, {}
+    happened = {}
+    foreseen = {}
     for n in after:
-        truth, drawn = episode[step + n].arrived[stream], future.pictures[n - 1, place]
+        truth = episode[step + n].arrived[stream]
+        drawn = future.pictures[n - 1, place]
         happened[f"after {n}"] = truth
         foreseen[f"foreseen {n}: {moving_psnr(drawn, truth, usual):.0f} dB"] = drawn
     return sheet({**happened, **foreseen}, size, columns=len(after))

@@ -1,4 +1,4 @@
-"""What a lesson draws: a function for each picture, figure or table.
+"""The pictures of the lessons: a function for each picture, figure or table.
 
 They take moments, policies or counts and return what draws itself (``madviz.teaching.show``), so
 that a widget can show it, too. What a lesson computes stands in its cells.
@@ -30,7 +30,7 @@ from madviz.types import Array, Policy, PolicySpec
 
 
 def camera_sheet(moment: Moment, modality: str = "rgb", size: int = 168) -> Picture:
-    """What every camera really sees: colour, or depth from near (dark) to far (bright)."""
+    """The true picture of every camera: colour, or depth from near (dark) to far (bright)."""
     shown = {}
     for name, view in moment.views.items():
         camera = moment.env.camera(name)
@@ -58,7 +58,8 @@ def occlusion_sheet(moment: Moment, camera: str = "first", size: int = 140) -> P
     before = frames_of(moment.stack, moment.policy.spec.streams.index(camera))[0]
     shown = {}
     for kind in get_args(OcclusionKind):
-        occlusion, rng = Occlusion(kind), noise_generator(0, moment.step, camera)
+        occlusion = Occlusion(kind)
+        rng = noise_generator(0, moment.step, camera)
         seen = before if occlusion.late else frame
         if kind == "mean":
             seen = mean_pictures(moment.env, moment.policy.spec.streams)[camera]
@@ -71,14 +72,16 @@ def occlusion_sheet(moment: Moment, camera: str = "first", size: int = 140) -> P
 
 def subset_table(moment: Moment, every: bool = True) -> TextTable:
     """Norm of the merged feature, action and Q under every subset (or the trained ones)."""
-    probe, spec = moment.probe, moment.policy.spec
+    probe = moment.probe
+    spec = moment.policy.spec
     rows = []
     for row, mask in enumerate(probe.masks):
         name = name_of(mask, spec.streams)
         if (every or name in spec.trained_subsets) and probe.supported[row]:
             action = " ".join(f"{a:+.2f}" for a in probe.readout.action[row])
             trained = name in spec.trained_subsets
-            merged, q = probe.merged_norm(row), float(probe.readout.q[row])
+            merged = probe.merged_norm(row)
+            q = float(probe.readout.q[row])
             rows.append([name, int(mask.sum()), trained, merged, action, q])
     return table(["cameras", "views", "trained", "norm of M", "action", "Q"], rows)
 

@@ -43,7 +43,8 @@ def attention_shares(policy: TorchPolicy, moment: Moment, subset: str) -> TextTa
 def _shares(query: torch.Tensor, key: torch.Tensor, mask: Array, itself: bool) -> Array:
     """(1, T, D) twice, (V,) -> (V, V) shares, zeros where no view may be attended to. The values
     are replaced by the one-hot index of their view, so that the outputs are the shares."""
-    views, tokens = len(mask), query.shape[1]
+    views = len(mask)
+    tokens = query.shape[1]
     places = tokens // views
     who = np.tile(mask, (views, 1)) & (itself | ~np.eye(views, dtype=bool))
     allowed = torch.from_numpy(who.repeat(places, 0).repeat(places, 1))

@@ -1,4 +1,4 @@
-"""What lesson 6 shows: MAD and nine baselines, small on ``toy/reach``, without some cameras.
+"""The outcomes of lesson 6: MAD and nine baselines, small on ``toy/reach``, without some cameras.
 
 A camera can be missing in one of two ways. It is *dropped*: the merge does without it. Or it *sends
 black*, and the policy takes that for its picture. A merge that has a place for every camera (pixels
@@ -42,10 +42,11 @@ COMPARED = (
     "single",
 )
 """Methods in the order of the tables."""
-ROUNDS, UPDATES = 6, 100
-"""Of every training, as in lesson 3."""
+ROUNDS = 6
+UPDATES = 100
+"""Rounds and updates of every training, as in lesson 3."""
 EPISODES = 40
-"""Of every case."""
+"""Episodes of every case."""
 
 Outcomes = Mapping[str, str]
 """Case -> a digit for each episode, 1 for success; a case that the policy refuses is missing."""

@@ -1,4 +1,5 @@
-"""What a lesson shows: pictures, figures, tables and source, each a value that draws itself.
+"""The values that a lesson shows: pictures, figures, tables and source, each a value that draws
+itself.
 
 A notebook asks a value for ``_repr_png_``, ``_repr_svg_`` or ``_repr_html_`` and shows the first it
 knows; a page that only displays saved notebooks does the same. So the objects here do not need
@@ -145,7 +146,8 @@ def sheet(pictures: Mapping[str, Array], size: int = 168, columns: int = 0) -> P
     canvas = np.full((rows * (size + LABEL + GAP) - GAP, columns * (size + GAP) - GAP, 3), 255)
     canvas = canvas.astype(np.uint8)
     for index, (label, pixels) in enumerate(pictures.items()):
-        top, left = index // columns * (size + LABEL + GAP), index % columns * (size + GAP)
+        top = index // columns * (size + LABEL + GAP)
+        left = index % columns * (size + GAP)
         canvas[top : top + LABEL, left : left + size] = _label(label, size)
         colour = np.broadcast_to(pixels, (*pixels.shape[:2], 3)).astype(np.uint8)
         enlarged = cv2.resize(colour, (size, size), interpolation=cv2.INTER_NEAREST)

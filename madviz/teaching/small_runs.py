@@ -93,7 +93,8 @@ def train_light(
     out = (
         root / f"{resolve(config).spec.name}-{light.rounds}x{light.updates_per_round}-{own}-{seed}"
     )
-    began, done = time.monotonic(), trained(out)
+    began = time.monotonic()
+    done = trained(out)
     if not done:
         resume = (out / "resume" / "run.json").exists()
         with suppress(Interrupted):

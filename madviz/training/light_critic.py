@@ -31,7 +31,9 @@ GAMMA = 0.97
 STEPS = 10
 MOST_EPISODES = 100
 """The newest episodes that are encoded: 190 MB of features with three streams."""
-_BATCH, _LEARNING_RATE, _TARGET_RATE = 256, 5e-4, 0.02
+_BATCH = 256
+_LEARNING_RATE = 5e-4
+_TARGET_RATE = 0.02
 
 
 def n_step_returns(rewards: Array, horizon: int) -> tuple[Array, Array, Array]:

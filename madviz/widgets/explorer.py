@@ -90,8 +90,10 @@ class Explorer(StaticBox):
         begin()
         loaded = checkpoint.load_policy(policy) if isinstance(policy, str) else policy
         self.session = Session(env_factory or open_env, loaded, seed=seed)
-        self.painted, self._tile = 0, tile
-        self._ready, self._closing = threading.Event(), threading.Event()
+        self.painted = 0
+        self._tile = tile
+        self._ready = threading.Event()
+        self._closing = threading.Event()
         if not playing:
             self.session.send(Pause())
         self.session.subscribe(lambda frame: self._ready.set())
@@ -102,14 +104,15 @@ class Explorer(StaticBox):
             self.session.close()
             raise
         self.picture = ipywidgets.Image(format="jpeg", layout=PICTURE)
-        self.words, self.table = ipywidgets.HTML(), ipywidgets.HTML()
+        self.words = ipywidgets.HTML()
+        self.table = ipywidgets.HTML()
         self.play = ipywidgets.Button(button_style="info", layout={"width": "90px"})
         self.play.on_click(lambda _: self._toggle())
         self._states = {c.name: first.camera(c.name) for c in first.world.env.cameras}
-        """Of every camera, as it was asked for or shown last."""
+        """The state of every camera, as it was asked for or shown last."""
         self._followed = dict(self._states)
-        """Of every camera, as the newest frame had it: switches follow what changes, for an older
-        frame would take back what was just chosen."""
+        """The state of every camera, as the newest frame had it: switches follow what changes, for
+        an older frame would take back what was just chosen."""
         self._following: int | None = None
         """The thread that assigns to switches now, which is nobody's click."""
         self.switches = {c.name: self._camera_row(first, c) for c in first.world.env.cameras}
@@ -192,7 +195,8 @@ class Explorer(StaticBox):
         """Puts the switches of cameras that were changed where they are now."""
         self._following = threading.get_ident()
         for camera, row in self.switches.items():
-            state, controls = frame.camera(camera), cast(Any, row.children)
+            state = frame.camera(camera)
+            controls = cast(Any, row.children)
             if state != self._followed[camera]:
                 self._followed[camera] = self._states[camera] = state
                 _, switch, fails = controls

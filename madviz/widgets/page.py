@@ -44,7 +44,8 @@ class LivePage:
     """A running page; displaying it shows it in the notebook. ``close`` ends it."""
 
     def __init__(self, app, where: Where, height: int) -> None:
-        self._app, self._height = app, height
+        self._app = app
+        self._height = height
         self.port: int = app.server.get_port()
         asked: str | None = app.gate.visit
         self.url = address(self.port, where) + (f"?token={asked}" if asked else "")
@@ -159,7 +160,8 @@ def quietly() -> Iterator[None]:
     """Keeps viser from printing a banner into the cell: it has the kernel's address, which a
     browser elsewhere cannot open."""
     console = rich.get_console()
-    before, console.quiet = console.quiet, True
+    before = console.quiet
+    console.quiet = True
     try:
         yield
     finally:
@@ -167,7 +169,8 @@ def quietly() -> Iterator[None]:
 
 
 def address(port: int, where: Where = "auto") -> str:
-    """What a browser should open for ``port`` of this machine; always with a slash at the end.
+    """The address that a browser should open for ``port`` of this machine; always with a slash at
+    the end.
 
     Raises UserError if the proxy is asked for and the notebook's server cannot be found, and in
     Colab.

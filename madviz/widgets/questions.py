@@ -23,7 +23,8 @@ class TryOut(StaticBox):
     def __init__(self, draw: Draws, **choices: Any) -> None:
         """``draw`` returns something of ``madviz.teaching.show``."""
         self.controls = {name: control_for(value) for name, value in choices.items()}
-        self._draw, self.drawing = draw, ipywidgets.HTML()
+        self._draw = draw
+        self.drawing = ipywidgets.HTML()
         for name, control in self.controls.items():
             control.description = name.replace("_", " ")
             control.style.description_width = "110px"

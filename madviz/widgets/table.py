@@ -28,7 +28,8 @@ def words_html(frame: Frame) -> str:
 
 def table_html(frame: Frame) -> str:
     """The present subset, trained ones and others: action, its distance from the present one, Q."""
-    probe, streams = frame.world.probe, frame.world.policy.streams
+    probe = frame.world.probe
+    streams = frame.world.policy.streams
     head = "".join(f"<th>{w}</th>" for w in ("cameras", "", "action", "differs by", "Q"))
     rows = [
         _subset_row(frame, row, name_of(probe.masks[row], streams)) for row in shown_rows(frame)
@@ -38,13 +39,15 @@ def table_html(frame: Frame) -> str:
 
 def shown_rows(frame: Frame) -> list[int]:
     """At most ROWS rows of the probe: the present subset, then the trained ones, then the rest."""
-    here, trained = frame.row, frame.trained_rows
+    here = frame.row
+    trained = frame.trained_rows
     rows = range(len(frame.world.probe.masks))
     return sorted(rows, key=lambda row: (row != here, row not in trained, row))[:ROWS]
 
 
 def _subset_row(frame: Frame, row: int, name: str) -> str:
-    probe, note = frame.world.probe, []
+    probe = frame.world.probe
+    note = []
     if row == frame.row:
         note.append("now")
     if row not in frame.trained_rows:

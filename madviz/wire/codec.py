@@ -26,10 +26,13 @@ from madviz.types import Array
 
 Protocol = Literal["vla-eval", "openpi"]
 MOST_BYTES = 64 * 2**20
-"""Of one message. Ten pictures of 1024 pixels, three frames each, are 94 MB; of 640, 37 MB."""
+"""The largest size of one message. Ten pictures of 1024 pixels, three frames each, are 94 MB; of
+640, 37 MB."""
 MOST_PIXELS = 4096 * 4096
 DEEPEST = 16
-_MARK, _SCALAR, _IMAGE = "__ndarray__", "__npgeneric__", "__image__"
+_MARK = "__ndarray__"
+_SCALAR = "__npgeneric__"
+_IMAGE = "__image__"
 
 
 class BadMessage(Exception):
@@ -54,7 +57,7 @@ def pack(message: Any, protocol: Protocol) -> bytes:
 
 
 def unpack(data: bytes | str) -> Any:
-    """What ``pack`` of either protocol wrote, with keys as text. Raises BadMessage."""
+    """The value that ``pack`` of either protocol wrote, with keys as text. Raises BadMessage."""
     if isinstance(data, str):
         raise BadMessage(f"the text {data.strip().splitlines()[-1] if data.strip() else ''!r:.200}")
     try:
@@ -88,7 +91,9 @@ def _text(key: str | bytes) -> str:
 
 
 def _array(table: dict[str, Any]) -> Array:
-    data, kind, shape = table.get("data"), _text(table.get("dtype") or ""), table.get("shape")
+    data = table.get("data")
+    kind = _text(table.get("dtype") or "")
+    shape = table.get("shape")
     if not isinstance(data, bytes) or not isinstance(shape, list):
         raise BadMessage("an array without data or shape")
     try:
@@ -108,7 +113,8 @@ def _picture(table: dict[str, Any]) -> Array:
     """(H, W, C) uint8 of a PNG or JPEG, whose size is looked at before it is unpacked."""
     from PIL import Image, UnidentifiedImageError
 
-    data, kind = table.get("data"), table.get("format")
+    data = table.get("data")
+    kind = table.get("format")
     if kind == "raw":
         return _array(table)
     if not isinstance(data, bytes) or kind not in ("png", "jpeg"):

@@ -15,7 +15,7 @@ from madviz.errors import UserError
 from madviz.wire.codec import MOST_BYTES, BadMessage, Protocol, pack, unpack
 
 OURS = Subprotocol("madviz.vla-eval")
-"""What two programs of madviz's own agree on before the first message."""
+"""The subprotocol that two programs of madviz agree on before the first message."""
 OPENING = 10.0
 """Seconds to connect in."""
 FIRST = 60.0
@@ -33,7 +33,8 @@ class PolicyConnection:
     comes after a late or broken answer would be taken for the answer to another question."""
 
     def __init__(self, address: str, timeout: float) -> None:
-        self.address, self._timeout = address, timeout
+        self.address = address
+        self._timeout = timeout
         self._socket: ClientConnection | None = None
         self.answered = False
         """Whether the server has computed an answer before, and so needs no time to get ready."""
@@ -76,7 +77,8 @@ class PolicyConnection:
 
     def close(self) -> None:
         """Hangs up; the next question connects again."""
-        socket, self._socket = self._socket, None
+        socket = self._socket
+        self._socket = None
         if socket is not None:
             socket.close()
 
@@ -108,7 +110,7 @@ class PolicyConnection:
         return found
 
     def heard_first(self, within: float) -> Any:
-        """What the other side says by itself; None where it waits to be spoken to."""
+        """The message that the other side sends by itself; None where it waits to be spoken to."""
         assert self._socket is not None
         try:
             return unpack(self._socket.recv(within))

@@ -28,7 +28,7 @@ from madviz.wire.wiring import Wiring
 
 @dataclass(frozen=True)
 class ServedLook:
-    """What a server is shown at one step."""
+    """The input of a server at one step."""
 
     pictures: dict[str, Array]
     """(H, W, C) uint8 by stream."""
@@ -44,7 +44,9 @@ class ServedPolicy:
     ) -> None:
         """``supported``: the subsets it can act on, by name; None: those that ``wiring`` says. Its
         ``protocol`` must be known. Nothing is connected yet."""
-        self.spec, self.address, self.wiring = spec, address, wiring
+        self.spec = spec
+        self.address = address
+        self.wiring = wiring
         self._supported = supported
         self._connection = PolicyConnection(address, wiring.timeout)
         self._speaker: Speaker | None = None
@@ -66,7 +68,8 @@ class ServedPolicy:
         return Encoded(np.zeros((len(views), 1), np.float32), state, ServedLook(pictures))
 
     def read(self, encoded: Encoded, masks: Array) -> Readout:
-        """What it would do if an episode began with this look; a pass for each of ``masks``."""
+        """The actions of a policy whose episode begins with this look; a pass for each of
+        ``masks``."""
         masks = np.atleast_2d(masks)
         with self._lock:
             actions = np.stack([self._asked(encoded, mask)[0] for mask in masks])
@@ -133,7 +136,8 @@ class ServedPolicy:
         return answers[mask.tobytes()]
 
     def _checked(self, connection: PolicyConnection, found: dict[str, Any]) -> Array:
-        key, count = self.wiring.action, self.spec.action_dim
+        key = self.wiring.action
+        count = self.spec.action_dim
         expected = f"{key!r} of {count} finite numbers, or rows of them"
         if key not in found:
             named = ", ".join(sorted(map(str, found)))
@@ -153,7 +157,9 @@ class ServedPlayer:
     """Acts in one episode, over its own connection; takes ``chunk`` decisions of every answer."""
 
     def __init__(self, policy: ServedPolicy, seed: int) -> None:
-        self._policy, self._seed, self._step = policy, seed, 0
+        self._policy = policy
+        self._seed = seed
+        self._step = 0
         self._connection = PolicyConnection(policy.address, policy.wiring.timeout)
         self._plan: list[Array] = []
         self._speaker: Speaker | None = (

@@ -25,7 +25,7 @@ LISTEN = 1.0
 OURS = "madviz"
 """Under this key of the greeting, servers of madviz's own say all about the policy."""
 VERSION = 1
-"""Of vla-eval's protocol."""
+"""The version of vla-eval's protocol."""
 
 
 class Speaker(Protocol):
@@ -34,7 +34,8 @@ class Speaker(Protocol):
     name: Name
 
     def greet(self, connection: PolicyConnection) -> dict[str, Any]:
-        """What the server says of itself. The connection is open, and nothing was said on it."""
+        """The server's description of itself. The connection is open, and nothing was said on
+        it."""
         ...
 
     def begin(self, connection: PolicyConnection, seed: int, task: str) -> None:
@@ -118,7 +119,8 @@ class OpenPi:
         self._greeting = greeting
 
     def greet(self, connection: PolicyConnection) -> dict[str, Any]:
-        greeting, self._greeting = self._greeting, None
+        greeting = self._greeting
+        self._greeting = None
         found = connection.hear("a greeting of openpi", OPENING) if greeting is None else greeting
         if not isinstance(found, dict):
             raise connection.wrong("a greeting of openpi", _kind(found))

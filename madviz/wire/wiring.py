@@ -87,7 +87,7 @@ class Wiring(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=Tr
 
     @property
     def largest(self) -> int:
-        """What all cameras are drawn with."""
+        """The size with which all cameras are drawn."""
         return self.size if isinstance(self.size, int) else max(self.size.values())
 
     def _stream(self, name: str) -> str:
@@ -98,7 +98,8 @@ class Wiring(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=Tr
 
 
 class PolicyFacts(msgspec.Struct, kw_only=True, frozen=True):
-    """What a server of madviz's own says besides, so that a policy there is the policy here."""
+    """The further facts that a server of madviz sends, so that a policy there is the policy
+    here."""
 
     wiring: Wiring
     name: Annotated[str, Meta(max_length=200)]
@@ -144,7 +145,7 @@ def checked(wiring: Wiring, where: str | Path) -> Wiring:
 
 
 def policy_spec(wiring: Wiring, address: str) -> PolicySpec:
-    """What madviz has to know of the policy behind ``wiring``."""
+    """The specification of the policy behind ``wiring``."""
     env = env_of(wiring)
     own = {camera.name: camera for camera in _cameras(wiring.task)}
     text = msgspec.json.encode(wiring, order="sorted")
@@ -206,7 +207,7 @@ def wiring_of(spec: PolicySpec, history: bool) -> Wiring:
 
 
 def served(policy: Policy) -> dict[str, Any]:
-    """What ``madviz serve`` says of ``policy`` in its handshake."""
+    """The facts of ``policy`` in the handshake of ``madviz serve``."""
     spec = policy.spec
     known = [name_of(m, spec.streams) for m in every_mask(len(spec.streams)) if policy.supports(m)]
     return {

@@ -38,9 +38,12 @@ from madviz.world_model.autoencoder import QUESTIONS, TokenReader, symlog
 from madviz.world_model.rssm import Belief, Rssm, balanced_kl, joined, mlp
 from madviz.world_model.sizes import MvMwmOptions
 
-BALANCE, FREE = 0.8, 0.1
+BALANCE = 0.8
+FREE = 0.1
 """Share of the KL that moves the prior, and nats that cost nothing: the paper's."""
-FEATURES, REWARD, STATE = 1.0, 100.0, 10.0
+FEATURES = 1.0
+REWARD = 100.0
+STATE = 10.0
 """Weights of the errors in features, in the reward's symlog and in the state's. At equal weights
 the features, which are thousands of numbers, leave little to the reward, which is one: after 200
 updates on toy/reach 0.70 of its variance was predicted with these, and 0.02 with 4 and 10."""

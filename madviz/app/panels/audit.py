@@ -19,7 +19,7 @@ from madviz.observation.condition import Condition
 from madviz.session.frame import Frame, NoFrame
 
 EPISODES = ("20", "50", "100")
-"""Of each condition; as many as workers play at most."""
+"""Episodes of each condition; as many as workers play at most."""
 IDEA = (
     "<b>Does this policy use its cameras?</b> Workers play the same scenes with each camera "
     "removed, with each one alone, and with none; what they find is filled in here."
@@ -81,7 +81,7 @@ class AuditPanel(WidgetPanel):
 
 
 def audit_html(frame: Frame, status: AuditStatus, measures: bool = True) -> str:
-    """What is asked, how far it is, what was found, and the rates so far."""
+    """The question, the progress, the verdicts and the rates so far."""
     lines = [f"<div>{IDEA}</div>"]
     if not measures:
         lines.append(f'<div style="color:{NOTE}">Nothing is measured: --workers is 0.</div>')
@@ -113,7 +113,8 @@ def _sentences(status: AuditStatus) -> str:
 def _table(frame: Frame, status: AuditStatus) -> str:
     """A row for each camera removed and alone and for none, a column for each way."""
     assert status.plan is not None
-    cameras, colours = status.plan.cameras, camera_colours(frame.world.env.cameras)
+    cameras = status.plan.cameras
+    colours = camera_colours(frame.world.env.cameras)
     rows: dict[tuple[str | None, str], dict[str, AuditRow]] = {}
     for row in cameras.rows():
         rows.setdefault((row.camera, row.what), {})[row.how] = row

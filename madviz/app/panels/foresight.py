@@ -27,9 +27,12 @@ from madviz.types import Array
 
 SHOWN = (1, 2, 3, 4, 5, 7, 9, 11, 13, 15)
 """Decisions that have a picture, counted from 1."""
-TILE, GAP = 52, 2
+TILE = 52
+GAP = 2
 """Pixels of a picture, and between two."""
-WIDTH, HEIGHT, LEFT = 600, 64, 44
+WIDTH = 600
+HEIGHT = 64
+LEFT = 44
 """Units of the reward's drawing, and left of it."""
 HINT = "From this step on, with the cameras that are on now. The episode goes on meanwhile."
 _GROUND = 30

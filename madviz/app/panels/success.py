@@ -50,7 +50,9 @@ class SuccessPanel(WidgetPanel):
     ) -> None:
         """``visitor`` has the present condition measured, if the switch for it begins with
         ``measures``; None only watches."""
-        self._frame, self._rates, self._visitor = frame, rates, visitor
+        self._frame = frame
+        self._rates = rates
+        self._visitor = visitor
         self._wanted: dict[Hashable, tuple[PolicySpec, Condition]] = {}
         """By side: what is measured for it."""
         self._known: dict[Hashable, tuple[Outcome, ...]] = {}
@@ -108,7 +110,7 @@ class SuccessPanel(WidgetPanel):
         super().remove()
 
     def _sides(self, frame: Frame) -> list[tuple[Hashable, Frame]]:
-        """What measures for A and, where there is one, for B; and their frames."""
+        """The keys under which A and, where there is one, B are measured; and their frames."""
         first = (self._visitor, frame)
         return [first] if frame.second is None else [first, (side_b(self._visitor), frame.second)]
 
@@ -153,13 +155,16 @@ class Curve:
     def __init__(self) -> None:
         self._points: deque[tuple[float, ...]] = deque(maxlen=HISTORY)
         self._key: tuple[PolicySpec, Condition] | None = None
-        self._n, self._episodes = 0, 0
+        self._n = 0
+        self._episodes = 0
 
     def add(self, policy: PolicySpec, condition: Condition, rate: SuccessRate) -> bool:
         """Whether there is something new to draw."""
-        key, before = (policy, condition), self._key
+        key = (policy, condition)
+        before = self._key
         if key != before:
-            self._key, self._n = key, 0
+            self._key = key
+            self._n = 0
             if before is not None:
                 # A vertical line: up and down again at the same place. The chart knows no gaps, so
                 # the others stay where they were, and the line waits below the visible range.
@@ -168,7 +173,8 @@ class Curve:
                 self._points += [(x, *held, BELOW), (x, *held, 1.0), (x, *held, BELOW)]
         if rate.n == self._n:
             return key != before
-        self._n, self._episodes = rate.n, self._episodes + 1
+        self._n = rate.n
+        self._episodes = self._episodes + 1
         self._points.append((self._episodes, *rate_point(rate), BELOW))
         return True
 
@@ -231,13 +237,15 @@ def _bar_row(
     """``side``: A or B, of which B leaves out what A's row above it says; '' where there is one."""
     spec = frame.world.policy
     known = {} if condition.key() else rates.shipped(spec)
-    shipped, live = known.get(condition.subset, NOTHING), rates.live(spec, condition)
+    shipped = known.get(condition.subset, NOTHING)
+    live = rates.live(spec, condition)
     mask = mask_of(condition.subset, frame.world.policy.streams)
     label = subset_label(frame, condition.subset)
     short = label if len(label) <= LABEL else condition.subset
     if condition.key():
         words = " · " + ", ".join(p.split(",")[0] for p in condition.key().split(";"))
-        label, short = label + words, short + words
+        label = label + words
+        short = short + words
     dagger = "" if frame.world.probe.row(mask) in frame.trained_rows else "† "
     joined = rates.best(spec, condition)
     number = f"<b>{joined.value:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"

@@ -42,7 +42,9 @@ HINTS = {
     "go on": "Goes on exactly where it was stopped.",
     "watch": "Puts the newest weights to work in this page.",
 }
-WIDTH, HEIGHT, LEFT = 600, 70, 40
+WIDTH = 600
+HEIGHT = 70
+LEFT = 40
 """Pixels of the curves."""
 READ_EVERY = 3.0
 """Seconds between two reads of the run's files."""

@@ -85,7 +85,8 @@ CONDITION_HEADS = ("cameras", "how", "success", "against all cameras", "p")
 def _verdict_rows(found: AuditFile) -> list[list[str]]:
     rows = []
     for name, verdict in found["verdict"].items():
-        removed, alone = deciding(found, name, "removed"), deciding(found, name, "alone")
+        removed = deciding(found, name, "removed")
+        alone = deciding(found, name, "alone")
         above = alone.get("above_none")
         rows.append(
             [
@@ -102,7 +103,8 @@ def _verdict_rows(found: AuditFile) -> list[list[str]]:
 
 
 def _condition_row(found: AuditFile, row: ConditionRow) -> list[str]:
-    label, how = condition_label(found, row), HOW_WORDS[row["how"]]
+    label = condition_label(found, row)
+    how = HOW_WORDS[row["how"]]
     return [label, how, str(_rate(row)), change(row), f"{row['p_holm']:.2g}"]
 
 
@@ -151,7 +153,8 @@ def _bar(row: ConditionRow) -> figures.Bar:
 
 
 def _facts(found: AuditFile) -> list[tuple[str, str]]:
-    n, seed = found["intact"]["n"], found["seed"]
+    n = found["intact"]["n"]
+    seed = found["seed"]
     used = range(seed, seed + n)
     return [
         ("policy", found["policy"]),

@@ -19,9 +19,10 @@ from madviz.measure.audit.lost_cameras import INTACT, AuditRow, How, What
 from madviz.measure.audit.schedule import AuditPlan, Outcomes, scale
 from madviz.measure.audit.verdict import VERDICTS, Judgement, Look, table
 from madviz.measure.formulas import agresti_min, holm, mcnemar, newcombe
-from madviz.measure.statistics import RateRow, SuccessRate
+from madviz.measure.statistics import SuccessRate
 from madviz.observation.condition import Condition
 from madviz.policies.config import definition_of
+from madviz.policies.measured import RateRow
 from madviz.types import Array, EnvSpec, PolicySpec
 
 Seen = dict[Condition, Array]
@@ -163,7 +164,8 @@ def _rows(plan: AuditPlan, seen: Seen, look: Look, judgement: Judgement) -> list
     p |= dict(zip(others, against_intact, strict=True))
     documents = {row: _row(row, seen, float(p[row])) for row in rows}
     for each, p_alone in zip(deciding, judgement.p_alone, strict=True):
-        alone, floor = seen[each.alone.condition], seen[each.floor.condition]
+        alone = seen[each.alone.condition]
+        floor = seen[each.floor.condition]
         documents[each.alone]["above_none"] = _difference(alone, floor, p_alone)
     return list(documents.values())
 

@@ -98,8 +98,10 @@ def _intact(found: AuditFile) -> str:
 
 
 def _camera(found: AuditFile, name: str) -> str:
-    label, verdict = found["labels"][name], found["verdict"][name]
-    removed, alone = deciding(found, name, "removed"), deciding(found, name, "alone")
+    label = found["labels"][name]
+    verdict = found["verdict"][name]
+    removed = deciding(found, name, "removed")
+    alone = deciding(found, name, "alone")
     without = f"without it success changes by {change(removed)}"
     if makes_no_difference(removed):
         without += ", so that makes no difference"

@@ -116,7 +116,8 @@ def judged(outcomes: PairedOutcomes, look: Look) -> Judgement:
     """The verdict of every camera at ``look``, from the episodes up to it."""
     seen = outcomes.first(look.episodes)
     intact = np.broadcast_to(seen.intact[..., None, :], seen.removed.shape)
-    fall, gain = table(intact, seen.removed), table(seen.alone, seen.floor)
+    fall = table(intact, seen.removed)
+    gain = table(seen.alone, seen.floor)
     p = np.stack([mcnemar(t[1], t[2]) for t in (fall, gain)], -1)
     flat = holm(p.reshape(*p.shape[:-2], -1)).reshape(p.shape)
     flat = np.minimum(flat * (LEVEL / look.share), 1.0)

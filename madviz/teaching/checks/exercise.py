@@ -17,7 +17,7 @@ Judge = Callable[..., None]
 
 
 class Missing(Exception):
-    """What an answer lacks, in a sentence for the student."""
+    """The missing part of an answer, in a sentence for the student."""
 
 
 class Blank(Missing):
@@ -26,16 +26,16 @@ class Blank(Missing):
 
 @dataclass(frozen=True)
 class Result:
-    """What a check found."""
+    """The result of a check."""
 
     name: str
     passed: bool
     missing: str = ""
-    """What is missing or wrong, in plain words; '' where the answer is right."""
+    """The missing or wrong part, in plain words; '' where the answer is right."""
     empty: bool = False
     """Whether nothing was answered yet."""
     error: str = ""
-    """What the student's code raised, in one line; '' where it raised nothing."""
+    """The error that the student's code raised, in one line; '' where it raised nothing."""
     hints: tuple[str, ...] = ()
     """Those that the student has seen by now, and ``judge`` gives none."""
 
@@ -44,13 +44,13 @@ class Result:
 
     @property
     def lines(self) -> list[str]:
-        """What a failed check shows."""
+        """The lines that a failed check shows."""
         words = [f"{self.name}: {self.missing}"]
         return words + [f"Hint {i} of {HINTS}: {hint}" for i, hint in enumerate(self.hints, 1)]
 
 
 HINTS = 3
-"""Of every check."""
+"""The number of hints of every check."""
 
 
 class NotYet(UserError):
@@ -70,7 +70,7 @@ class Exercise:
 
     name: str
     asks: str
-    """What to write, in a few words."""
+    """The task, in a few words."""
     hints: tuple[str, ...]
     judge: Judge
     """Takes the answers; raises Missing. Its parameters are the names in the notebook."""
@@ -122,7 +122,7 @@ def blank(answer: Any) -> bool:
 
 
 def call(function: Any, *given: Any) -> Any:
-    """What a student's function returns for copies of ``given``."""
+    """The result of a student's function for copies of ``given``."""
     if not callable(function):
         raise Missing(f"expected a function, found {function!r:.60}")
     found = function(*deepcopy(given))

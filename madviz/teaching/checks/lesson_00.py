@@ -9,8 +9,10 @@ from urllib.parse import parse_qsl
 from madviz.teaching.checks.exercise import exercise, expect, number
 from madviz.teaching.rates import shipped
 
-MAD, MERGED_ONLY = "metaworld-hammer-mad-light", "metaworld-hammer-merged-only-light"
-WITHOUT_FIRST, ALONE = "third_a+third_b", "first"
+MAD = "metaworld-hammer-mad-light"
+MERGED_ONLY = "metaworld-hammer-merged-only-light"
+WITHOUT_FIRST = "third_a+third_b"
+ALONE = "first"
 
 
 @exercise(

@@ -8,7 +8,11 @@ import numpy as np
 
 from madviz.teaching.checks.exercise import call, exercise, expect, number, same
 
-CAMERAS, FRAMES, COLOURS, SIDE, STATE = 3, 3, 3, 84, 24
+CAMERAS = 3
+FRAMES = 3
+COLOURS = 3
+SIDE = 84
+STATE = 24
 PICTURES = CAMERAS * FRAMES * COLOURS * SIDE * SIDE
 
 

@@ -10,7 +10,7 @@ from madviz.subsets import every_mask
 from madviz.teaching.checks.exercise import call, exercise, expect, same
 
 FEATURES = np.array([[1.0, 0.0, 2.0, 4.0], [3.0, 1.0, 0.0, 4.0], [5.0, 0.5, 7.0, 1.0]])
-"""Of three cameras."""
+"""Numbers of three cameras."""
 
 
 @exercise(

@@ -20,7 +20,8 @@ SINGLES = np.array([1.0, 2.0, 6.0])
     "Alpha times the first, plus what is left of one times the second.",
 )
 def loss(loss: Any) -> None:
-    merged, singles = 10.0, SINGLES
+    merged = 10.0
+    singles = SINGLES
     found = number(call(loss, merged, singles, 1.0), "one number")
     expect(not np.isclose(found, singles.mean()), "alpha and 1 - alpha have changed places")
     expect(np.isclose(found, merged), "with alpha = 1 it has to be the merged loss")

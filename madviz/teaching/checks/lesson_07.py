@@ -11,7 +11,7 @@ from madviz.teaching.checks.exercise import call, exercise, expect, same
 
 ACTIONS = np.array([[0.9, -0.2], [-0.5, 0.1], [0.3, 0.7]])
 SCORES = np.array([2.0, -1.0, 0.5])
-"""Of three cameras."""
+"""Numbers of three cameras."""
 
 
 @exercise(

@@ -9,12 +9,13 @@ from madviz.teaching.checks.exercise import Blank, blank, call, exercise, expect
 
 PARTS = ("question", "conditions", "episodes", "first_seed", "expect", "wrong_if")
 LIVE_SEEDS = range(2000, 3000)
-FEWEST, BUDGET = 5, 24
+FEWEST = 5
+BUDGET = 24
 """Episodes of each condition at least; of all together at most, for two minutes of computing."""
 WIDEST = 0.6
 """An expectation is narrower than that, or nearly any result agrees with it."""
 WORDS = 5
-"""Of a sentence, at least."""
+"""Words of a sentence, at least."""
 
 
 @exercise(

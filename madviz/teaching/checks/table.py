@@ -29,7 +29,7 @@ def of_lesson(name: str) -> list[Exercise]:
 
 
 def judge(name: str, *answers: Any) -> Result:
-    """What a check says about answers, without hints. Raises UserError for unknown names."""
+    """The verdict of a check on answers, without hints. Raises UserError for unknown names."""
     if name not in CHECKS:
         raise unknown("check", name, list(CHECKS))
     return CHECKS[name].of(answers)
