@@ -77,9 +77,17 @@ def test_a_block_of_figures_without_an_end_takes_no_text(monkeypatch: pytest.Mon
     fill = importlib.import_module("fill_figures").filled
     block = "<!-- figures: machine2 -->\n"
     with pytest.raises(ValueError, match="found one without"):
-        fill(f"{block}important\n<!-- figures: tree -->\n<!-- end -->\n")
+        fill(f"{block}important\n<!-- figures: packages -->\n<!-- end -->\n")
     with pytest.raises(KeyError, match="machine2"):
         fill(f"{block}<!-- end -->\n")
+
+
+def test_files_that_the_architecture_names_are_there() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    named = re.findall(r"`([a-z_/]+\.(?:py|js))`", text)
+    places = (ROOT, ROOT / "madviz")
+    missing = [name for name in named if not any((place / name).is_file() for place in places)]
+    assert len(named) > 20 and missing == []
 
 
 def test_pictures_of_the_page_are_all_shown_and_small() -> None:

@@ -5,7 +5,8 @@
     results.md        results/RESULTS.md with its pictures
     tried.md          results/tried.json: what was tried and did not help
 
-They are never written to docs/, so they cannot go stale there.
+architecture.md also gets the list of files, under its last heading. None of this is written to
+docs/, so it cannot go stale there.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import package_tree
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 import madviz
 from benchmarks.__main__ import PROGRAM
@@ -42,6 +45,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         name = file.relative_to(RESULTS).as_posix()
         files.append(File.generated(config, name, content=file.read_bytes()))
     return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Adds every file of the package to the page on the architecture, which ends with a heading for
+    them."""
+    if page.file.src_uri != "architecture.md":
+        return markdown
+    return f"{markdown.rstrip()}\n\n{package_tree.files()}"
 
 
 def help_of(*words: str, module: str = "madviz") -> str:

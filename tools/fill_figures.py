@@ -9,15 +9,14 @@ A block stands between ``<!-- figures: NAME -->`` and ``<!-- end -->``. Each NAM
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from pathlib import Path
 
 import measurements
+import package_tree
 from policy_files import LABELS, ROOT, SINGLES, Evaluation, evaluation, methods, rate, seeds
 
 from madviz.report.claims import signed
@@ -150,67 +149,12 @@ def gap(first: Row, second: Row, subsets: Sequence[str]) -> str:
     return f"{signed(found.value)} points [{signed(low)}, {signed(high)}]"
 
 
-def tree() -> str:
-    """The folders, each with the first sentence of its docstring."""
-    described = {
-        "checkpoints/": "policies: configuration, weights, evaluation, curve, card",
-        "results/": "results of all methods, their pictures, and the sweeps that make them",
-        "notebooks/": "ten lessons",
-        "docs/": "the documentation's pages",
-        "tests/": "fast, slow and browser tests",
-        "integrations/": "LeRobot, vla-eval, openpi, Stable-Baselines3, each in an environment",
-        "tools/ typings/": "installation, docs and figures; types of MuJoCo for the type checker",
-        "madviz/": "the package",
-    }
-    lines = [f"{name:16} {text}" for name, text in described.items()]
-    for folder, depth in folders(ROOT / "madviz"):
-        name = "  " * depth + folder.name + "/"
-        lines.append(f"{name:16} {summary(folder / '__init__.py')}")
-    return "```text\n" + "\n".join(lines) + "\n```\n"
-
-
-def files() -> str:
-    """Every file of the package, in its folder, with the first sentence of its docstring."""
-    lines = ["madviz/"]
-    lines += [line(file, 1) for file in modules(ROOT / "madviz")]
-    for folder, depth in folders(ROOT / "madviz"):
-        name = "  " * depth + folder.name + "/"
-        lines.append(f"{name:26} {summary(folder / '__init__.py')}")
-        lines += [line(file, depth + 1) for file in modules(folder)]
-    return "```tree\n" + "\n".join(lines) + "\n```\n"
-
-
-def folders(package: Path) -> Iterator[tuple[Path, int]]:
-    """The packages inside ``package`` with their depth, each before those inside it."""
-    for init in sorted(package.rglob("__init__.py"), key=lambda file: file.parent.parts):
-        if init.parent != package:
-            yield init.parent, len(init.parent.relative_to(package).parts)
-
-
-def modules(folder: Path) -> list[Path]:
-    return [file for file in sorted(folder.glob("*.py")) if file.name[0] != "_"]
-
-
-def line(file: Path, depth: int) -> str:
-    return f"{'  ' * depth + file.name:26} {summary(file)}"
-
-
-def summary(file: Path) -> str:
-    """The first sentence of a file's docstring, without markup; only what is before its colon where
-    it is long."""
-    text = ast.get_docstring(ast.parse(file.read_text())) or ""
-    first = " ".join(text.split("\n\n")[0].split()).replace("``", "").replace("*", "")
-    sentence = re.split(r"(?<=[a-z0-9)])[.;] ", first)[0].rstrip(".:")
-    return sentence if len(sentence) <= 90 else re.split(r"(?<=[a-z0-9)]): ", sentence)[0]
-
-
 BLOCKS: dict[str, Callable[[], str]] = {
     "findings": findings,
     "mv-mae": partial(included, "mv-mae"),
     "mv-mwm": partial(included, "mv-mwm"),
     "beside-imagining": measurements.beside_imagining,
-    "tree": tree,
-    "files": files,
+    "packages": package_tree.packages,
     "benchmarks": measurements.benchmarks,
     "priorities": measurements.priorities,
     "class-server": measurements.class_server,
