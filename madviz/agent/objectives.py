@@ -52,9 +52,9 @@ def td_target(
 ) -> Float[Tensor, "R B"]:
     """y from the next step's ``reads``; ``noise`` draws a' from the actor."""
     state = _tile(batch.next_state, len(reads))
-    mean, log_std = agent.actor(reads, state)
-    action, log_prob = squash(mean, log_std, noise)
-    q = torch.minimum(*agent.target(reads, state, action))
+    mean, log_std = agent.actor(reads, state)  # (R, B, A) each
+    action, log_prob = squash(mean, log_std, noise)  # (R, B, A), (R, B)
+    q = torch.minimum(*agent.target(reads, state, action))  # (R, B); twins, against overestimation
     value = q - agent.log_temperature.exp() * log_prob
     return batch.reward + batch.discount * value
 
@@ -68,7 +68,8 @@ def critic_losses(
 ) -> Float[Tensor, " N"]:
     """Squared errors of ``rows`` against ``target``: summed over the twins, mean over B."""
     count = len(rows)
-    q1, q2 = agent.critic(rows, _tile(state, count), _tile(action, count))
+    q1, q2 = agent.critic(rows, _tile(state, count), _tile(action, count))  # (N, B) each
+    # With R = 1 every row has the merged row's target: that is what makes the views agree.
     return ((q1 - target).square() + (q2 - target).square()).mean(1)
 
 
@@ -84,12 +85,12 @@ def actor_losses(
     Features are taken as data: the encoder learns from the critic alone.
     """
     state = _tile(batch.state, len(rows))
-    mean, log_std = agent.actor(rows.detach(), state)
-    action, log_prob = squash(mean, log_std, noise)
+    mean, log_std = agent.actor(rows.detach(), state)  # (N, B, A) each
+    action, log_prob = squash(mean, log_std, noise)  # (N, B, A), (N, B)
     # One projection of M serves the N actions that are judged on it.
-    hidden = agent.critic.trunk(reads.detach())
-    hidden = hidden.expand(len(rows), *hidden.shape[1:])
-    q = torch.minimum(*agent.critic.heads(hidden, state, action))
+    hidden = agent.critic.trunk(reads.detach())  # (R, B, 50)
+    hidden = hidden.expand(len(rows), *hidden.shape[1:])  # (N, B, 50)
+    q = torch.minimum(*agent.critic.heads(hidden, state, action))  # (N, B)
     temperature = agent.log_temperature.detach().exp()
     return (temperature * log_prob - q).mean(1), log_prob
 

@@ -56,12 +56,14 @@ def shares(count: int) -> Array:
     """(C, 2^C) float64: Shapley values = shares @ values, values in the order of ``every_mask``."""
     if count < 1:
         raise UserError("expected one camera or more, found none; name the cameras of a policy")
-    sets = every_mask(count)
-    sizes = sets.sum(1)
+    sets = every_mask(count)  # (2^C, C)
+    sizes = sets.sum(1)  # (2^C,)
+    # The share of all orders in which a camera comes after exactly k others.
     orders = [factorial(k) * factorial(count - k - 1) / factorial(count) for k in range(count)]
     matrix = np.empty((count, len(sets)))
     for camera in range(count):
         there = sets[:, camera]
+        # A set with the camera counts for it, the same set without it against it.
         matrix[camera, there] = [orders[size - 1] for size in sizes[there]]
         matrix[camera, ~there] = [-orders[size] for size in sizes[~there]]
     return matrix
@@ -89,8 +91,8 @@ def camera_masks(streams: tuple[str, ...], present: Array | None = None) -> Arra
     Streams that are not ``present`` (V,) are in no set, so the value of a dropped camera is 0.
     """
     cameras = cameras_of(streams)
-    owner = np.array([cameras.index(camera_of(stream)) for stream in streams])
-    masks = every_mask(len(cameras))[:, owner]
+    owner = np.array([cameras.index(camera_of(stream)) for stream in streams])  # (V,)
+    masks = every_mask(len(cameras))[:, owner]  # (2^C, C) -> (2^C, V)
     return masks if present is None else masks & np.asarray(present, bool)
 
 
@@ -116,7 +118,7 @@ def action_shapley(
     far the action goes from blind to seeing, |a(none) - a(all)|.
     """
     rows = _rows(probe, camera_masks(streams, present))
-    actions = probe.readout.action[rows].astype(np.float64)
+    actions = probe.readout.action[rows].astype(np.float64)  # (2^C, A); all present first.
     return _values(-np.linalg.norm(actions - actions[0], axis=1))
 
 
@@ -146,8 +148,8 @@ def success_interval(
     for index, name in enumerate(names):  # Sets that are one subset are one measurement.
         weights[:, place[name]] += shares(len(weights))[:, index]
     mean, low, high = (np.array([rates[name][end] for name in place]) for end in range(3))
-    middle = weights @ mean
-    ends = np.stack([weights * (low - mean), weights * (high - mean)])
+    middle = weights @ mean  # (C,)
+    ends = np.stack([weights * (low - mean), weights * (high - mean)])  # (2, C, rates)
     below = np.sqrt((np.minimum(ends[0], ends[1]) ** 2).sum(1))
     above = np.sqrt((np.maximum(ends[0], ends[1]) ** 2).sum(1))
     return middle - below, middle + above

@@ -109,6 +109,7 @@ def holm(p: Numbers) -> Array:
     together."""
     p = np.asarray(p, float)
     order = np.argsort(p, -1)
+    # The smallest p-value counts as often as there are tests, the next one once less, ...
     count = p.shape[-1]
     steps = np.take_along_axis(p, order, -1) * np.arange(count, 0, -1)
     adjusted = np.minimum(np.maximum.accumulate(steps, -1), 1.0)
@@ -154,12 +155,12 @@ def hierarchical_bootstrap(
     total = np.zeros(draws)
     count = sum(len(episodes) for group in groups for episodes in group)
     for group in groups:
-        drawn = rng.integers(0, len(group), (draws, len(group)))
+        drawn = rng.integers(0, len(group), (draws, len(group)))  # (draws, K): a training each
         for number, episodes in enumerate(group):
             values = np.asarray(episodes, float)
             for slot in range(len(group)):
-                here = np.flatnonzero(drawn[:, slot] == number)
-                picked = rng.integers(0, len(values), (len(here), len(values)))
+                here = np.flatnonzero(drawn[:, slot] == number)  # The draws that have it there.
+                picked = rng.integers(0, len(values), (len(here), len(values)))  # Episodes anew.
                 # Every training that is drawn weighs as one, however many episodes it has.
                 share = sum(map(len, group)) / len(group)
                 total[here] += share * values[picked].mean(1)

@@ -163,14 +163,14 @@ class ReplayBuffer:
 
     def newest(self) -> tuple[Tensor, Tensor]:
         """Views (L, V, C, H, W) uint8 and states (L, S) of every lane's newest time step."""
-        index = np.arange(self._count - self.spec.lanes, self._count)
+        index = np.arange(self._count - self.spec.lanes, self._count)  # (L,)
         return self._frames.stacks([self._history(index)])[0], self._column("state", index)
 
     def actions(self) -> Array:
         """(age, L, A): the actions of the episodes so far, with which they can be replayed."""
         lanes = self.spec.lanes
         age = self.age
-        index = np.arange(self._count - (age + 1) * lanes, self._count - lanes)
+        index = np.arange(self._count - (age + 1) * lanes, self._count - lanes)  # (age * L,)
         return self._numbers["action"][self._row(index)].reshape(age, lanes, self.spec.action_dim)
 
     def sample(self, size: int, rng: np.random.Generator) -> Batch:
@@ -180,7 +180,7 @@ class ReplayBuffer:
     def batch(self, index: Array) -> Batch:
         """The transitions that begin at the time steps numbered ``index`` (B,)."""
         names = ("state", "action", "reward", "discount")
-        following = index + self.spec.lanes
+        following = index + self.spec.lanes  # (B,); the lanes take turns.
         histories = [self._history(index), self._history(following)]
         views, next_views = self._frames.stacks(histories)
         return Batch(
@@ -192,10 +192,10 @@ class ReplayBuffer:
 
     def stretch(self, index: Array, ahead: int) -> Stretch:
         """From the time steps numbered ``index`` (B,), ``ahead`` decisions on."""
-        later = index[:, None] + self.spec.lanes * np.arange(1, ahead + 1)
-        history = np.concatenate([self._history(index), later], 1)
-        shown = self._frames.stacks([history])[0]
-        known = np.concatenate([index[:, None], later], 1).T
+        later = index[:, None] + self.spec.lanes * np.arange(1, ahead + 1)  # (B, ahead)
+        history = np.concatenate([self._history(index), later], 1)  # (B, stack + ahead)
+        shown = self._frames.stacks([history])[0]  # (B, V, 3 (stack + ahead), H, W)
+        known = np.concatenate([index[:, None], later], 1).T  # (1 + ahead, B)
         done = known[:-1]
         return Stretch(
             frames=shown.unflatten(2, (-1, 3)).permute(2, 0, 1, 3, 4, 5),
@@ -295,6 +295,7 @@ class ReplayBuffer:
     def _usable(self, index: Array) -> Array:
         """Whether a transition begins at these time steps whose whole stack is still there."""
         row = self._row(index)
+        # A stack reaches no further back than its episode's first step.
         reach = np.minimum(self._numbers["age"][row], self.spec.frame_stack - 1)
         return self._numbers["goes_on"][row] & (index - reach * self.spec.lanes >= self._oldest)
 
@@ -324,7 +325,8 @@ class ReplayBuffer:
 
     def _history(self, index: Array) -> Array:
         """(B, stack): the time steps that the stacks at ``index`` (B,) show, oldest first."""
-        past = np.arange(self.spec.frame_stack)[::-1]
+        past = np.arange(self.spec.frame_stack)[::-1]  # (stack,)
+        # At the beginning of an episode the first frame stands in for those before it.
         back = np.minimum(past, self._numbers["age"][self._row(index)][:, None])
         return index[:, None] - back * self.spec.lanes
 

@@ -1,4 +1,4 @@
-"""For lesson 8: saliency, norms of features, Shapley values of the cameras, an episode as a file.
+"""Figures of lesson 8: saliency, feature norms, Shapley values, an episode as a file.
 
 An episode is played once and stored as a list of moments; everything here is computed from that
 list, so that the simulator runs once for all figures. 100 moments of three cameras are 20 MB.
@@ -25,8 +25,6 @@ from madviz.subsets import camera_of, mask_of
 from madviz.teaching import Moment, frames_of
 from madviz.teaching.show import Figure, Picture, TextTable, sheet, table
 
-"""The colour of the sum, on white."""
-
 
 def saliency_sheet(
     moment: Moment, subset: str = "all", target: Target = "action", size: int = 168
@@ -40,21 +38,22 @@ def saliency_sheet(
     maps = saliency(moment.policy, moment.stack, moment.state, mask, target)
     if maps is None:
         raise UserError(f"{moment.policy.spec.name} has no saliency for {subset!r}; try 'all'")
-    shown = {}
+    pictures = {}
     for index, stream in enumerate(streams):
-        frame = frames_of(moment.stack, index)[-1].mean(2, keepdims=True)
-        glow = heat(np.sqrt(maps[index]))
-        weight = 0.15 + 0.85 * np.sqrt(maps[index])[..., None]
-        shown[stream] = (weight * glow + (1 - weight) * 0.5 * frame).astype(np.uint8)
-    return sheet(shown, size)
+        grey = frames_of(moment.stack, index)[-1].mean(2, keepdims=True)  # (H, W, 1)
+        strength = np.sqrt(maps[index])  # (H, W); the root lets weak places show.
+        weight = 0.15 + 0.85 * strength[..., None]  # (H, W, 1)
+        mixed = weight * heat(strength) + (1 - weight) * 0.5 * grey  # (H, W, 3)
+        pictures[stream] = mixed.astype(np.uint8)
+    return sheet(pictures, size)
 
 
 def norm_curves(episode: Sequence[Moment]) -> Figure:
     """The norm of every stream's feature over an episode, and of their sum."""
-    streams = episode[0].policy.spec.streams
-    series = {
-        name: [float(m.probe.norms[i]) for m in episode] for i, name in enumerate(streams)
-    } | {"sum": [m.probe.merged_norm(0) for m in episode]}
+    series: dict[str, list[float]] = {}
+    for index, stream in enumerate(episode[0].policy.spec.streams):
+        series[stream] = [float(moment.probe.norms[index]) for moment in episode]
+    series["sum"] = [moment.probe.merged_norm(0) for moment in episode]
     return _drawn("norm of the features", series, episode)
 
 
@@ -62,9 +61,9 @@ def shapley_curves(episode: Sequence[Moment]) -> Figure:
     """Shapley values of the cameras for the action, over an episode: by how much each brings it
     nearer to the action on all."""
     streams = episode[0].policy.spec.streams
-    values = [action_shapley(m.probe, streams).cameras for m in episode]
+    values = [action_shapley(moment.probe, streams).cameras for moment in episode]
     cameras = dict.fromkeys(map(camera_of, streams))
-    series = {name: [float(w[i]) for w in values] for i, name in enumerate(cameras)}
+    series = {name: [float(value[i]) for value in values] for i, name in enumerate(cameras)}
     return _drawn("Shapley values for the action", series, episode)
 
 
