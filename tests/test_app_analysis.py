@@ -23,8 +23,8 @@ from madviz.app.panels.shapley import (
     shapley_html,
     success_column,
 )
-from madviz.app.rates import SuccessRates
 from madviz.app.scene.arrows import NEAR, ArrowsPanel, arrows, towards
+from madviz.app.success_rates import SuccessRates
 from madviz.drawing import mosaic
 from madviz.drawing.colours import CAMERA_COLOURS, NOTE, rgb
 from madviz.envs.registry import make_env

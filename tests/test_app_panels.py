@@ -19,9 +19,9 @@ from madviz.app.panels.policy import PolicyChoice, PolicyPanel, status_html
 from madviz.app.panels.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
 from madviz.app.panels.success import SuccessPanel
 from madviz.app.panels.words import WordsPanel
-from madviz.app.rates import SuccessRates
 from madviz.app.scene.scene import ScenePanel
 from madviz.app.screen import Screen
+from madviz.app.success_rates import SuccessRates
 from madviz.drawing.viewpoint import focus
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion

@@ -20,9 +20,9 @@ from madviz.app.page import Page
 from madviz.app.panel import Assign
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.panels.training import TrainingPanel
-from madviz.app.rates import SuccessRates
 from madviz.app.refresh import AFTER, FASTEST, Refresh, TimedPanel
 from madviz.app.server import ExploreConfig, explore, first_choice
+from madviz.app.success_rates import SuccessRates
 from madviz.app.users import Limits, Users
 from madviz.envs.registry import make_env
 from madviz.errors import UserError

@@ -30,7 +30,7 @@ from madviz.app.panels.success import (
 )
 from madviz.app.panels.words import WordsPanel, both_sides, sentence
 from madviz.app.pictures import picture
-from madviz.app.rates import SuccessRates, side_b
+from madviz.app.success_rates import SuccessRates, side_b
 from madviz.envs.registry import make_env
 from madviz.measure.live import Request, Tally
 from madviz.measure.statistics import SuccessRate

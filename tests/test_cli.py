@@ -20,7 +20,7 @@ import pytest
 from benchmarks.__main__ import BENCHMARKS, PROGRAM
 from benchmarks.__main__ import main as benchmark
 from madviz import cli
-from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.envs.registry import SETTINGS, TASKS
 from madviz.errors import UserError, perhaps, saving, unknown

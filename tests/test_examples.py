@@ -14,7 +14,7 @@ from madviz.envs.registry import choose, make_env
 from madviz.errors import UserError
 from madviz.examples.own_policy import Finder
 from madviz.measure.evaluate import evaluate
-from madviz.sweep.plan import read_plan
+from madviz.sweep.sweep_plan import read_plan
 from madviz.training.config import TrainConfig
 from madviz.training.light import LightConfig
 from madviz.training.train import train

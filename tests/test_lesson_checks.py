@@ -16,7 +16,7 @@ from madviz.errors import UserError
 from madviz.measure.statistics import Paired
 from madviz.subsets import mask_of, name_of
 from madviz.teaching import checks
-from madviz.teaching.checks import CHECKS, NotYet, judge, lesson_02, table
+from madviz.teaching.checks import CHECKS, NotYet, check_table, judge, lesson_02
 from madviz.teaching.checks.exercise import HINTS
 from madviz.teaching.outcomes import one_missing, read_outcomes
 
@@ -258,7 +258,7 @@ def test_hints_come_in_steps_and_are_not_the_answer(name: str) -> None:
 
 
 def test_the_next_hint_is_shown_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table, "_failed", type(table._failed)())
+    monkeypatch.setattr(check_table, "_failed", type(check_table._failed)())
     seen = []
     for _ in range(4):
         with pytest.raises(NotYet) as raised:
@@ -272,7 +272,7 @@ def test_the_next_hint_is_shown_each_time(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_hints_can_be_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table, "_failed", type(table._failed)())
+    monkeypatch.setattr(check_table, "_failed", type(check_table._failed)())
     with pytest.raises(NotYet) as raised:
         teaching.check("02.merge", nothing, hint=2)
     assert len(raised.value.result.hints) == 2

@@ -16,7 +16,7 @@ from dataclasses import replace
 import pytest
 
 from madviz.app.panels.success import bars_html
-from madviz.app.rates import SuccessRates
+from madviz.app.success_rates import SuccessRates
 from madviz.errors import UserError
 from madviz.measure.episodes import Job, Runner
 from madviz.measure.live import Evaluator

@@ -7,7 +7,7 @@ import pytest
 
 from madviz.app.live_audit import AuditStatus, LiveAudit
 from madviz.app.panels.audit import audit_html
-from madviz.app.rates import SuccessRates
+from madviz.app.success_rates import SuccessRates
 from madviz.errors import UserError
 from madviz.measure.audit.audit import audit
 from madviz.measure.audit.schedule import AuditPlan

@@ -13,8 +13,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from madviz.agent.agent import Agent
-from madviz.agent.merges import table
-from madviz.agent.merges.table import MERGES, merge_class, own_options
+from madviz.agent.merges import merge_table
+from madviz.agent.merges.merge_table import MERGES, merge_class, own_options
 from madviz.agent.merges.vib import VibOptions
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
@@ -211,7 +211,7 @@ def test_q_mean_is_blind_to_absent_views() -> None:
 def test_every_row_of_the_table_has_a_file_of_its_name() -> None:
     files = [merge_class(name).__module__.rpartition(".")[2] for name in MERGES]
     assert [file.replace("_", "-") for file in files] == list(MERGES)
-    folder = Path(table.__file__).parent
+    folder = Path(merge_table.__file__).parent
     here = {file.stem for file in folder.glob("[a-z]*.py")} - {"base", "table"}
     assert here < set(files), "a merge that no row names"
 

@@ -16,8 +16,8 @@ import torch
 from safetensors.torch import load_file
 
 from madviz.agent.agent import Agent, TorchPolicy
+from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.merges.mvd import contrastive_loss
-from madviz.agent.merges.table import MERGES
 from madviz.agent.merges.vib import kl_loss
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from madviz.agent.agent import Agent, TorchPolicy
-from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS

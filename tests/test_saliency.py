@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from madviz.agent.agent import Agent, TorchPolicy
-from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.merges.vib import VibOptions
 from madviz.agent.networks import Encoder, NetworkConfig, Trunk
 from madviz.analysis import saliency as module

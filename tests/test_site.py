@@ -16,9 +16,9 @@ from madviz.envs.tasks import METAWORLD_SUCCESS
 from madviz.errors import UserError
 from madviz.policies.checkpoint import describe
 from madviz.site import runtime, site
+from madviz.site.drawn_scene import drawn_scene, scene_file
 from madviz.site.files import write_packed, write_shared
 from madviz.site.mjcf import model_text
-from madviz.site.scene import drawn_scene, scene_file
 from madviz.site.starts import start_states
 from madviz.site.tessellation import box, cylinder, sphere
 from madviz.site.textures import Texture, read_textures

@@ -16,9 +16,9 @@ import pytest
 from madviz import cli
 from madviz.errors import UserError
 from madviz.sweep import sweep
-from madviz.sweep.plan import read_plan
 from madviz.sweep.run import Run, RunOutcome, carry_out, claimed, expected_seconds
 from madviz.sweep.sweep import LocalBackend, Watch, carry_all_out, run_sweep
+from madviz.sweep.sweep_plan import read_plan
 from tests.sweeps import assert_done_once, config, lines, stand_in, sweep_file, wait_for
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from madviz import cli
 from madviz.errors import UserError
-from madviz.sweep.plan import read_plan
 from madviz.sweep.sweep import SweepConfig, run_sweep
+from madviz.sweep.sweep_plan import read_plan
 from tests.sweeps import config
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from madviz.sweep.plan import read_plan
+from madviz.sweep.sweep_plan import read_plan
 from tests.evidence import write_policy
 from tests.reports import GOOD, report
 

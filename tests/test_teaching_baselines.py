@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from madviz import teaching
-from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.errors import UserError
 from madviz.measure.statistics import pair

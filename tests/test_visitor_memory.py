@@ -25,8 +25,8 @@ from websockets.uri import parse_uri
 
 from madviz.app import connection
 from madviz.app.connection import BURST, LARGEST, PACE, Pace, is_downloading
-from madviz.app.rates import MOST_CONDITIONS, SuccessRates
 from madviz.app.server import App
+from madviz.app.success_rates import MOST_CONDITIONS, SuccessRates
 from madviz.app.toolkit import download, guarded, one_at_a_time
 from madviz.app.users import Limits
 from madviz.envs.registry import make_env

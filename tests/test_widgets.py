@@ -24,11 +24,10 @@ from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Play, SetSpeed
 from madviz.teaching.inside import record
 from madviz.teaching.lessons import interval_figure
-from madviz.widgets import Explorer, Predict, TryOut, Viewer, live_page
-from madviz.widgets import page as widgets_page
+from madviz.widgets import Explorer, Predict, TryOut, Viewer, live_page, notebook_page
 from madviz.widgets.explorer import MOST
+from madviz.widgets.explorer_table import ROWS, table_html
 from madviz.widgets.questions import control_for
-from madviz.widgets.table import ROWS, table_html
 from tests.fakes import AllOrNothing, Chunked, FakePolicy
 from tests.sessions import frame_with
 
@@ -226,13 +225,13 @@ def test_a_prediction_is_shown_beside_the_measurement() -> None:
 
 
 def test_the_address_behind_a_proxy_ends_with_a_slash(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert widgets_page.address(4123, "direct") == "http://127.0.0.1:4123/"
+    assert notebook_page.address(4123, "direct") == "http://127.0.0.1:4123/"
     monkeypatch.setenv("JUPYTERHUB_SERVICE_PREFIX", "/user/ada/")
-    assert widgets_page.address(4123) == "/user/ada/proxy/4123/"
-    monkeypatch.setattr(widgets_page, "base_url", lambda: None)
-    assert widgets_page.address(4123) == "http://127.0.0.1:4123/"
+    assert notebook_page.address(4123) == "/user/ada/proxy/4123/"
+    monkeypatch.setattr(notebook_page, "base_url", lambda: None)
+    assert notebook_page.address(4123) == "http://127.0.0.1:4123/"
     with pytest.raises(UserError, match="where='direct'"):
-        widgets_page.address(4123, "proxy")
+        notebook_page.address(4123, "proxy")
 
 
 def test_the_server_is_the_one_this_kernel_belongs_to(
@@ -243,10 +242,10 @@ def test_the_server_is_the_one_this_kernel_belongs_to(
     monkeypatch.delenv("JUPYTERHUB_SERVICE_PREFIX", raising=False)
     monkeypatch.setattr(connect, "get_connection_file", lambda: str(tmp_path / "kernel-1.json"))
     (tmp_path / "jpserver-77.json").write_text('{"base_url": "/class/"}')
-    monkeypatch.setattr(widgets_page.os, "getppid", lambda: 77)
-    assert widgets_page.address(9) == "/class/proxy/9/"
-    monkeypatch.setattr(widgets_page.os, "getppid", lambda: 78)
-    assert widgets_page.base_url() is None
+    monkeypatch.setattr(notebook_page.os, "getppid", lambda: 77)
+    assert notebook_page.address(9) == "/class/proxy/9/"
+    monkeypatch.setattr(notebook_page.os, "getppid", lambda: 78)
+    assert notebook_page.base_url() is None
 
 
 def test_the_live_page_answers_and_frees_its_port(capsys: pytest.CaptureFixture[str]) -> None:
@@ -287,7 +286,7 @@ def test_a_recording_is_served_by_this_machine(tmp_path: Path) -> None:
 
 
 def test_a_viewer_that_does_not_start_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(widgets_page, "rerun_program", lambda: "false")
+    monkeypatch.setattr(notebook_page, "rerun_program", lambda: "false")
     with pytest.raises(UserError, match="found none"):
         Viewer(Path("nothing.rrd"))
 

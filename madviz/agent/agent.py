@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Bool, Float, Shaped, UInt8
 from torch import Tensor, nn
 
-from madviz.agent.merges.table import MERGES, merge_class
+from madviz.agent.merges.merge_table import MERGES, merge_class
 from madviz.agent.networks import Actor, Critic, NetworkConfig
 from madviz.errors import UserError
 from madviz.subsets import name_of

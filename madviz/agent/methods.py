@@ -9,9 +9,9 @@ MAD with three streams and alpha 0.8 reads each sample four times:
     weight      0.8                          0.0667   0.0667     0.0667     (0.2 in equal parts)
     targets     from the merged feature, in every row
 
-A method also names its *merge* (``merges/table.py``): how the streams of a row become one feature.
-Every merge but the sum is a method of its own, too: Merged Only with that merge. Those of MVD and
-VIB bring a loss besides.
+A method also names its *merge* (``merges/merge_table.py``): how the streams of a row become one
+feature. Every merge but the sum is a method of its own, too: Merged Only with that merge. Those of
+MVD and VIB bring a loss besides.
 
 Everything that trains (the losses, imitation, checkpoints' cards) asks this table, so that another
 weighting or another list of subsets is another row of it and no other code. No torch here.
@@ -30,7 +30,7 @@ from typing import Literal
 
 import numpy as np
 
-from madviz.agent.merges.table import MERGES, SEVERAL_STREAMS, MergeFacts, Needs
+from madviz.agent.merges.merge_table import MERGES, SEVERAL_STREAMS, MergeFacts, Needs
 from madviz.errors import UserError, unknown
 from madviz.subsets import every_mask, mad_subsets, mask_of, name_of, single_streams
 from madviz.types import Array

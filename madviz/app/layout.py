@@ -35,11 +35,11 @@ from madviz.app.panels.success import SuccessPanel
 from madviz.app.panels.timeline import TimelinePanel
 from madviz.app.panels.training import TrainingPanel
 from madviz.app.panels.words import WordsPanel
-from madviz.app.rates import SuccessRates
 from madviz.app.refresh import FASTEST, Refresh, TimedPanel
 from madviz.app.scene.arrows import ArrowsPanel
 from madviz.app.scene.scene import ScenePanel, extent
 from madviz.app.session_maker import References
+from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
 from madviz.app.tour import Tour
 from madviz.session.commands import SetSaliency

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from madviz.app.rates import SuccessRates
+from madviz.app.success_rates import SuccessRates
 from madviz.errors import UserError
 from madviz.measure.audit.document import AuditFacts, AuditFile, audit_document, facts_of
 from madviz.measure.audit.lost_cameras import Cameras

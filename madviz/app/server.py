@@ -16,8 +16,8 @@ from madviz.app.address import Address, check_port, reached_at, with_token
 from madviz.app.connection import guard
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice, purpose
-from madviz.app.rates import SuccessRates
 from madviz.app.session_maker import References, SessionMaker
+from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import theme
 from madviz.app.users import MOST_WAITING, Limits, Users
 from madviz.app.viser_patches import patch_sender

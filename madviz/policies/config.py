@@ -30,7 +30,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from madviz.agent.merges.table import MERGES, own_options
+from madviz.agent.merges.merge_table import MERGES, own_options
 from madviz.agent.sizes import NetworkConfig
 from madviz.errors import UserError, unknown
 from madviz.observation.streams import IMAGE_SIZE

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict
 
-from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.envs.registry import SETTINGS, known_tasks
 from madviz.errors import UserError

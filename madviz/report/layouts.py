@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-from madviz.agent.merges import table as merges
+from madviz.agent.merges import merge_table
 from madviz.agent.methods import METHODS
 from madviz.measure.evidence import Evidence
 
 THREE = ("all", "first", "third_a", "third_b")
-MERGES = tuple(name for name, merge in merges.MERGES.items() if not merge.own_loss)
+MERGES = tuple(name for name, merge in merge_table.MERGES.items() if not merge.own_loss)
 """The merges that the paper compares by themselves, in its order."""
 ORDER = (
     "mad",

@@ -1,9 +1,9 @@
 """``madviz report``: RESULTS.md, rates.csv, pictures and sweep files, from policy folders alone.
 
-    config.json       ->  evidence.py  ->  tables.py     ->  page.py      RESULTS.md
-    evaluation.json       episodes         threshold.py      pictures.py  pictures/*.svg
-    development.json                                         rates.py     rates.csv
-    curve.csv                                                sweeps.py    sweeps/*.toml
+    config.json       ->  evidence.py  ->  tables.py     ->  results_page.py  RESULTS.md
+    evaluation.json       episodes         threshold.py      pictures.py      pictures/*.svg
+    development.json                                         rates_csv.py     rates.csv
+    curve.csv                                                sweeps.py        sweeps/*.toml
 
 Nothing is typed, and without ``--evaluate`` nothing is run: the same files give the same bytes, so
 that a committed RESULTS.md can be checked against what it was made from. Tables for which there are
@@ -24,8 +24,8 @@ from madviz.policies.seeds import DEVELOPMENT, REPORTING, use_of
 from madviz.report import pictures
 from madviz.report.evaluate import EPISODES, evaluate_all
 from madviz.report.layouts import BASELINES, LAYOUTS
-from madviz.report.page import page
-from madviz.report.rates import rates_csv
+from madviz.report.rates_csv import rates_csv
+from madviz.report.results_page import page
 from madviz.report.sweeps import is_sweep_of_a_table, sweep_text
 from madviz.report.tables import ResultTable, build
 from madviz.report.threshold import TWENTY, Verdict, judge, verdict_json

@@ -28,7 +28,7 @@ from madviz.session.commands import SetCamera, SetPolicy
 from madviz.session.comparison import MOST_PAIRS, SecondSimulation
 from madviz.session.frame import Frame, Pair, SessionPace
 from madviz.session.journal import Journal
-from madviz.session.plan import SessionPlan
+from madviz.session.scheduled import SessionPlan
 from madviz.session.session_file import SavedEpisode
 from madviz.session.simulation import Simulation, open_simulation
 from madviz.session.timeline import Timeline

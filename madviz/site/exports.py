@@ -14,10 +14,10 @@ from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyFolder, load_policy, shipped_evaluation
 from madviz.policies.measured import seeds_of
+from madviz.site.drawn_scene import drawn_scene, scene_file
 from madviz.site.files import write_packed, write_shared
 from madviz.site.graph import policy_graph
 from madviz.site.mjcf import model_text
-from madviz.site.scene import drawn_scene, scene_file
 from madviz.site.starts import start_states
 from madviz.types import PolicySpec
 

@@ -1,6 +1,6 @@
 """``madviz sweep FILE``: many trainings and their evaluations, from one small file.
 
-    madviz sweep settings.toml --dry-run       what it would do (the file: see plan.py)
+    madviz sweep settings.toml --dry-run       what it would do (the file: see sweep_plan.py)
     madviz sweep settings.toml                 here, a process for each run
     madviz sweep settings.toml --backend ray   on a cluster; every node must see the same --out
 
@@ -30,7 +30,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from madviz.runs.curve import duration
-from madviz.sweep.plan import SweepPlan, read_plan
 from madviz.sweep.run import (
     Run,
     RunOutcome,
@@ -41,6 +40,7 @@ from madviz.sweep.run import (
     finished,
     result_rows,
 )
+from madviz.sweep.sweep_plan import SweepPlan, read_plan
 from madviz.system.numbers import Threads, check_numbers
 from madviz.system.signals import terminable
 from madviz.system.streams import say

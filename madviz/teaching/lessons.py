@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from madviz.agent.agent import Agent, TorchPolicy
-from madviz.agent.merges.table import MERGES, own_options
+from madviz.agent.merges.merge_table import MERGES, own_options
 from madviz.agent.methods import METHODS, method
 from madviz.agent.networks import NetworkConfig
 from madviz.drawing.colours import heat

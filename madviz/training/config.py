@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
-from madviz.agent.merges.table import MERGES, own_options
+from madviz.agent.merges.merge_table import MERGES, own_options
 from madviz.agent.methods import METHODS, Method, method
 from madviz.agent.sizes import NetworkConfig, OwnOptions
 from madviz.envs.custom import allow_task

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from madviz.agent.agent import Agent, autocast
 from madviz.agent.merges.base import Noise
-from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import Method
 from madviz.agent.objectives import critic_losses, weighted
 from madviz.runs.demonstrations import Dataset

@@ -7,7 +7,7 @@ Each shows its present state also where a notebook is only displayed, and has no
 """
 
 from madviz.widgets.explorer import Explorer
-from madviz.widgets.page import LivePage, Viewer, live_page
+from madviz.widgets.notebook_page import LivePage, Viewer, live_page
 from madviz.widgets.questions import Predict, TryOut
 
 __all__ = ["Explorer", "LivePage", "Predict", "TryOut", "Viewer", "live_page"]

@@ -39,8 +39,8 @@ from madviz.session.session import EnvFactory, Session
 from madviz.subsets import modality_of
 from madviz.teaching import begin
 from madviz.types import CameraSpec, Environment, Policy
+from madviz.widgets.explorer_table import table_html, words_html
 from madviz.widgets.static import StaticBox
-from madviz.widgets.table import table_html, words_html
 
 INPUTS: dict[str, CameraInput] = {"colour": "rgb", "depth": "depth", "both": "both", "off": "off"}
 OCCLUSIONS: dict[str, OcclusionKind] = {

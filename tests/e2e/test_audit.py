@@ -8,8 +8,8 @@ from pathlib import Path
 
 from madviz.app.address import Address
 from madviz.app.layout import Shared
-from madviz.app.rates import SuccessRates
 from madviz.app.server import App
+from madviz.app.success_rates import SuccessRates
 from madviz.app.users import Limits
 from madviz.envs.registry import make_env
 from madviz.session.session import Session

@@ -3,9 +3,9 @@
     views -- encode --> features -- rows(masks, noise) --> N merged features --> actor, critic
 
 ``encode`` runs once per time step, ``rows`` once per set of subsets. Every merge is one module in a
-file of its own, with its options and, if it has one, its loss; ``table.py`` has a row for each.
-Stochastic merges (MVD, VIB) take their random tensor as argument ``noise``, so that the same call
-gives the same numbers.
+file of its own, with its options and, if it has one, its loss; ``merge_table.py`` has a row for
+each. Stochastic merges (MVD, VIB) take their random tensor as argument ``noise``, so that the same
+call gives the same numbers.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ import numpy as np
 import viser
 from viser import uplot
 
-from madviz.agent.merges.table import MERGES
+from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.app.markup import dot
 from madviz.app.panel import Assign

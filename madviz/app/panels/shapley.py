@@ -24,7 +24,7 @@ from madviz.analysis.shapley import (
 from madviz.app.markup import band, dot, track
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import subset_label
-from madviz.app.rates import SuccessRates
+from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import FAINT, MUTED, NOTE, camera_colours
 from madviz.observation.condition import Condition

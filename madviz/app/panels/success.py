@@ -14,7 +14,7 @@ from madviz.app.markup import band, dot, track
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_POINTS, small_axes
 from madviz.app.panels.subsets import presence, subset_label
-from madviz.app.rates import NOTHING, SuccessRates, side_b
+from madviz.app.success_rates import NOTHING, SuccessRates, side_b
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.measure.statistics import SuccessRate

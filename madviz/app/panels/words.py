@@ -7,7 +7,7 @@ from html import escape
 import viser
 
 from madviz.app.panel import Assign
-from madviz.app.rates import SuccessRates
+from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import NOTE
 from madviz.session.frame import Change, Frame, deed, words

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs.maniskill.bodies import ManiSkillBodies
 from madviz.envs.maniskill.meshes import lighten
+from madviz.envs.maniskill.sapien_bodies import ManiSkillBodies
 from madviz.envs.maniskill.shaders import STOCK, shader_pack
 from madviz.envs.maniskill.tasks import build
 from madviz.errors import UserError

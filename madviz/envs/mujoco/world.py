@@ -65,7 +65,7 @@ class MuJoCoWorld(PlacedCameras):
 
     def _drawn_bodies(self) -> Any:
         if self._bodies is None:
-            from madviz.envs.mujoco.bodies import MuJoCoBodies
+            from madviz.envs.mujoco.mujoco_bodies import MuJoCoBodies
 
             self._bodies = MuJoCoBodies(self._model, self._data)
         return self._bodies

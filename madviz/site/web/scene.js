@@ -1,5 +1,5 @@
 /**
- * A task's scene as `madviz/site/scene.py` wrote it: what is drawn, without OpenGL.
+ * A task's scene as `madviz/site/drawn_scene.py` wrote it: what is drawn, without OpenGL.
  */
 import {readTensors} from './tensors.js';
 

@@ -33,10 +33,10 @@ simulator: functions are called with arrays of its own, numbers and words are co
 ``Missing`` with a sentence, or returns nothing where all is right.
 """
 
+from madviz.teaching.checks.check_table import CHECKS as CHECKS
+from madviz.teaching.checks.check_table import check as check
+from madviz.teaching.checks.check_table import judge as judge
+from madviz.teaching.checks.check_table import of_lesson as of_lesson
 from madviz.teaching.checks.exercise import Exercise as Exercise
 from madviz.teaching.checks.exercise import NotYet as NotYet
 from madviz.teaching.checks.exercise import Result as Result
-from madviz.teaching.checks.table import CHECKS as CHECKS
-from madviz.teaching.checks.table import check as check
-from madviz.teaching.checks.table import judge as judge
-from madviz.teaching.checks.table import of_lesson as of_lesson

@@ -7,7 +7,7 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from madviz.teaching.checks.exercise import exercise, expect, number
-from madviz.teaching.rates import shipped
+from madviz.teaching.counted import shipped
 
 MAD = "metaworld-hammer-mad-light"
 MERGED_ONLY = "metaworld-hammer-merged-only-light"
