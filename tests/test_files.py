@@ -67,7 +67,7 @@ def test_who_writes_files_goes_through_one_place():
     )
     package = Path(files.__file__).parent.parent
     found = {path.stem for path in package.rglob("*.py") if direct.search(path.read_text())}
-    assert found == {"files", "priority", "store", "update"}
+    assert found == {"files", "priority", "store"}
 
 
 def test_what_cannot_be_read_is_named(tmp_path):
