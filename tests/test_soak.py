@@ -230,6 +230,7 @@ def wait_until(true) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_a_server_does_not_grow_in_three_minutes_of_visits():
     result = soak(SoakConfig(minutes=3.0, policy="tests.fakes:FakePolicy"))
     assert result["errors"] == []
