@@ -113,7 +113,7 @@ class Evaluator:
         with self._lock:
             if self._wanted.get(visitor) != request:
                 self._errors.pop(request, None)  # Asking anew is trying anew.
-                self._pool.forgive()
+                self._pool.forget_deaths()
                 if visitor in self._wanted:
                     self._wanted[visitor] = request
                 else:  # Newcomers are served first, then they queue.

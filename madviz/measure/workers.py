@@ -130,7 +130,7 @@ class Pool:
             finally:
                 self._filling = False
 
-    def forgive(self) -> None:
+    def forget_deaths(self) -> None:
         """Forgets how often processes died: the next jobs are others."""
         with self.lock:
             self._deaths = 0

@@ -39,7 +39,7 @@ HEAD = 0.14
 """An action of length 1, and the distance of lines drawn side by side, in scene sizes; an arrow's
 head, in arrows."""
 NEAR = 0.4
-"""As a share of the distance to the eye; less would be as good until the visitor is very near."""
+"""Share of the distance to the eye; less would be as good until the visitor is very near."""
 DASHES = 5
 OTHER = (170, 174, 180)
 DIM = 0.85
