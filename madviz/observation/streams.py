@@ -61,9 +61,9 @@ def to_channels(frame: Array) -> Array:
 
 @dataclass
 class StreamStack:
-    """The last ``depth`` frames of every stream, occlusions applied as they arrive.
+    """The last ``length`` frames of every stream, occlusions applied as they arrive.
 
-    An occlusion that begins now spoils one frame of the stack now and all of them ``depth`` steps
+    An occlusion that begins now spoils one frame of the stack now and all of them ``length`` steps
     later, as a failing camera would. ``replace_last`` re-applies a changed ablation to the newest
     frames only: it is what makes a toggle visible before the next step.
     """

@@ -91,7 +91,8 @@ class TrainConfig:
     per core for ``paper``, one per core without a worker for the others. Sums are split between
     threads, so another number is another run."""
     own: OwnOptions = field(default_factory=OwnOptions)
-    """The method's own options, for the methods that have any: ``VibOptions``, ``MvMaeOptions``."""
+    """Options of the method's merge, if it has any: ``VibOptions``, ``MvMaeOptions``,
+    ``MvMwmOptions``."""
     light: Annotated[LightConfig, Recipe("light", train_light), Only("recipe", "light")] = field(
         default_factory=LightConfig
     )
