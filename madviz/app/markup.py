@@ -33,7 +33,7 @@ def band(left: float, width: float, colour: str, style: str = "") -> str:
 
 def error_html(before: str, error: str, after: str = "") -> str:
     """The message of an error, for a visitor; under it, closed, where in the code it was raised,
-    for whoever wrote the policy. ``error`` is a message, a traceback, or both in this order."""
+    for the author of the policy. ``error`` is a message, a traceback, or both in this order."""
     said, _, trace = error.partition(TRACEBACK)
     said = said.strip() or trace.strip().rpartition("\n")[2]
     html = f"<b>{escape(before)}{escape(said)}</b><div>{escape(after)}</div>"

@@ -50,7 +50,7 @@ class SuiteNumbers:
     eval_every: int
     """Simulator steps."""
     bootstraps: bool
-    """Whether the last step of an episode still expects a future."""
+    """True where the target goes on past an episode's last step."""
 
 
 METAWORLD = SuiteNumbers(0.99, 25_000, True)
@@ -76,8 +76,9 @@ class RunConfig(RecipeOptions):
     discount: Share | None = None
     """Gamma; by default 0.99, and 0.8 for ManiSkill."""
     time_limit: Literal["suite", "goes-on", "ends"] = "suite"
-    """Whether the last step of an episode still expects a future, as nothing really ends there; by
-    default it does, and in ManiSkill its reward is all."""
+    """``goes-on``: the target goes on past an episode's last step, as nothing really ends there.
+    ``ends``: the last reward is all. ``suite``: as in the paper's code, it goes on in Meta-World
+    and ends in ManiSkill."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """The networks learn there; ``auto`` takes CUDA where there is one."""
     eval_every: Steps | None = None

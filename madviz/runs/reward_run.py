@@ -175,7 +175,7 @@ class RewardRun(Generic[Learns, Options]):
 
     @property
     def finished(self) -> bool:
-        """Whether all decisions are taken."""
+        """True once all decisions are taken."""
         return self.step >= self.config.steps
 
     def acting_agent(self) -> Agent:

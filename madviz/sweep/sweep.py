@@ -297,8 +297,8 @@ class Watch:
 def _summary(
     plan: SweepPlan, out: Path, config: SweepConfig, outcomes: dict[str, RunOutcome]
 ) -> dict[str, Any]:
-    """The document that ``--json`` writes. Results are read from the folders, whoever put them
-    there."""
+    """The document that ``--json`` writes. Results are read from the folders,
+    whichever run put them there."""
     runs: list[dict[str, Any]] = []
     for run in plan.runs:
         folder = out / run.name

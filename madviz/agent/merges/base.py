@@ -51,9 +51,9 @@ class Merge(nn.Module):
     """Name of the optimiser that steps these networks on a loss of their own: ``own_loss``, or
     ``reconstruction_loss`` of a merge that ``draws``; empty: there is none."""
     draws = False
-    """Whether it learns to draw pictures, and can be asked what a missing camera would see."""
+    """True where the merge learns to draw pictures: it can show a missing camera's view."""
     foresees = False
-    """Whether it has a world model, which goes on without pictures."""
+    """True where the merge has a world model, which goes on without pictures."""
 
     def __init__(self, config: NetworkConfig, streams: Streams) -> None:
         """``config.own`` holds the merge's own options."""

@@ -73,7 +73,7 @@ class Cameras:
 
     streams: tuple[str, ...]
     supports: Callable[[Array], bool]
-    """Whether the policy can act on a mask (V,) bool, as ``Policy.supports``."""
+    """Tells whether the policy can act on a mask (V,) bool, as ``Policy.supports``."""
     hows: tuple[How, ...] = HOWS
     """The ways to play. Rows that verdicts rest on are played anyway."""
 
