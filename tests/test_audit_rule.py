@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from madviz.envs.registry import SETTINGS
-from madviz.measure.audit.lost_cameras import Cameras
+from madviz.measure.audit.lost_cameras import INTACT, Cameras
 from madviz.measure.audit.schedule import AuditPlan
 from madviz.measure.audit.sentences import plan_words
 from madviz.measure.audit.verdict import (
@@ -152,6 +152,33 @@ def test_the_four_verdicts():
         "redundant",
         "no use shown",
     ]
+
+
+def test_a_camera_is_settled_by_both_of_its_tests():
+    """Without a fall it takes the change within 5 points, and an answer about the camera alone."""
+    same = np.ones((1, 400), bool)
+    unclear = np.arange(400)[None] % 20 < 1  # Alone 5 % succeed, with no camera 0 %: no 5 points.
+    few = np.arange(400)[None] < 8  # 2 %: within 5 points, and not significant.
+    some = np.arange(400)[None] < 22  # 5.5 %: significant.
+    none = np.zeros((1, 400), bool)
+    for alone, floor, settled in (
+        (few, none, True),
+        (some, none, True),
+        (unclear, np.roll(unclear, 1, -1) & (np.arange(400) < 200), False),
+    ):
+        world = PairedOutcomes(same[0], same, alone, floor)
+        assert judged(world, Look(400, LEVEL)).settled[0] == settled
+    lost = PairedOutcomes(same[0], np.arange(400)[None] % 2 < 1, none, none)  # Exactly half.
+    assert not judged(lost, Look(400, LEVEL)).settled[0]
+
+
+def test_an_audit_ends_at_the_look_that_settles_all():
+    plan = AuditPlan(Cameras(THREE, lambda mask: True), 100, 5000)
+    outcomes = {c: dict.fromkeys(range(5000, 5100), c == INTACT) for c in plan.deciding}
+    look, judgement = plan.stopped(outcomes)
+    assert judgement.settled.all() and look.episodes == plan.looks[0].episodes < 100
+    assert plan.reached(outcomes)[0] == look, "what was played later does not count"
+    assert {seed for _, seed in plan.wanted(outcomes)} == set(range(5000, 5000 + look.episodes))
 
 
 def test_a_p_value_counts_the_other_tests_and_the_share_of_its_look():
