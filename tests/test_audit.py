@@ -149,7 +149,7 @@ def test_the_document_has_the_schema(monkeypatch):
 def test_rows_and_shapley_values_are_those_of_independent_formulas(monkeypatch):
     World(one_needed, monkeypatch)
     cameras = Cameras(THREE, lambda mask: True)
-    plan, store = AuditPlan(cameras, 40, 5000), Store(MEMORY)
+    plan, store = AuditPlan(cameras, 40, 60_000), Store(MEMORY)
     found = audit(Looker("x", THREE), episodes=40, store=store)
 
     def outcomes(played):

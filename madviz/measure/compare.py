@@ -124,9 +124,9 @@ def compare_policies(config: CompareConfig) -> CompareFile:
     policies, broken = readable(folders)
     if len(policies) < 2 or policies[0].path != folders[0]:
         raise UserError(f"nothing to compare: {'; '.join(map(_broken_line, broken))}")
-    on_development = alike(policies)
-    if len(on_development) == len(policies):
-        policies = on_development
+    shared = alike(policies)
+    if len(shared) == len(policies):
+        policies = shared
     first = policies[0]
     for other in policies[1:]:
         _same_terms(first, other)
