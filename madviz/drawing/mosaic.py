@@ -115,15 +115,8 @@ def badge(frame: Frame, camera: str) -> str:
         return f"OFF, {drawn.psnr:.0f} dB"
     if state.input == "off":
         return "OFF"
-    occlusion = state.occlusion
-    plain = {"black": "BLACK", "freeze": "FROZEN", "mean": "MEAN"}
-    if occlusion.kind in plain:
-        return plain[occlusion.kind]
-    if occlusion.kind == "delay":
-        return f"LATE BY {occlusion.late}"
-    if occlusion.kind != "none":
-        word = {"dropout": "LOSSY"}.get(occlusion.kind, occlusion.kind.upper())
-        return f"{word} {100 * occlusion.strength:.0f} %"
+    if state.occlusion.kind != "none":
+        return state.occlusion.badge
     words = []
     for modality in ("rgb", "depth"):
         if state.input in (modality, "both"):

@@ -14,35 +14,17 @@ from madviz.app.panels.policy import policy_words, verdict
 from madviz.app.screen import Screen
 from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.mosaic import GAP, Dropped, mosaic
-from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.ablation import KINDS, PLACE, CameraState, Occlusion
 from madviz.session.commands import Compare, Link, SetCamera
 from madviz.session.frame import Frame, untouched
 from madviz.subsets import modality_of
 from madviz.types import CameraSpec
 
 INPUTS = {"rgb": "RGB", "depth": "depth", "both": "both", "off": "off"}
-OCCLUSIONS = {
-    "none": "none",
-    "black": "black",
-    "mean": "mean",
-    "noise": "noise",
-    "freeze": "freeze",
-    "blur": "blur",
-    "patch": "patch",
-    "dropout": "lossy",
-    "delay": "late",
-}
-"""Occlusions, and what their buttons say."""
 DROPPED = {"imagined": "what is imagined", "both": "truth beside it", "truth": "the truth"}
 """The choices for a dropped camera's tile, where the policy draws it."""
-SLIDERS = {
-    "strength": ("noise", "blur", "patch", "dropout", "delay"),
-    "x": ("patch",),
-    "y": ("patch",),
-    "width": ("patch",),
-    "height": ("patch",),
-}
-"""Each fraction of an occlusion, and the kinds it matters to."""
+SLIDERS = ("strength", *PLACE)
+"""The fractions of an occlusion; each has a slider, which shows where its kind uses it."""
 HINTS = {
     "input": "What the policy gets of this camera. Off drops it: the policy acts without it.",
     "occlusion": "A failing camera: it stays in the sum, but sends a broken picture.",
@@ -80,8 +62,9 @@ class CameraControls:
 
     def add_occlusion(self) -> None:
         """Buttons: how the camera fails."""
+        buttons = {kind: row.button for kind, row in KINDS.items()}
         self.occlusion = Choice(
-            self._gui, "Occlude", OCCLUSIONS, self._on_occlusion, HINTS["occlusion"]
+            self._gui, "Occlude", buttons, self._on_occlusion, HINTS["occlusion"]
         )
 
     def add_slider(self, field: str) -> None:
@@ -111,7 +94,7 @@ class CameraControls:
         changes = []
         for field, handle in self.sliders.items():
             value = getattr(state.occlusion, field)
-            changes.append(Assign(handle, "visible", state.occlusion.kind in SLIDERS[field]))
+            changes.append(Assign(handle, "visible", field in KINDS[state.occlusion.kind].uses))
             if self._wanted.get(field, value) == value:
                 self._wanted.pop(field, None)
                 changes += self._shown[field].show(value)
