@@ -47,13 +47,9 @@ class CameraControls:
         self.name = name
         self._send = send
         self._state = CameraState()
-        self._wanted: dict[str, float] = {}
-        """The value that a slider was dragged to and no frame has confirmed yet: it must not jump
-        back."""
         self.input: Choice
         self.occlusion: Choice
-        self.sliders: dict[str, viser.GuiSliderHandle] = {}
-        self._shown: dict[str, SyncedInput] = {}
+        self.sliders: dict[str, SyncedInput] = {}
         self._gui = gui
 
     def add_input(self) -> None:
@@ -80,7 +76,7 @@ class CameraControls:
             hint=HINTS[field],
         )
         on_value(handle, lambda _, value: self._on_fraction(field, value))
-        self.sliders[field], self._shown[field] = handle, SyncedInput(handle)
+        self.sliders[field] = SyncedInput(handle)
 
     def style(self) -> str:
         """CSS that marks the active buttons."""
@@ -92,17 +88,16 @@ class CameraControls:
         """The changes that show ``state``; a slider that is being dragged stays."""
         self._state = state
         changes = []
-        for field, handle in self.sliders.items():
-            value = getattr(state.occlusion, field)
-            changes.append(Assign(handle, "visible", field in KINDS[state.occlusion.kind].uses))
-            if self._wanted.get(field, value) == value:
-                self._wanted.pop(field, None)
-                changes += self._shown[field].show(value)
+        for field, slider in self.sliders.items():
+            used = field in KINDS[state.occlusion.kind].uses
+            changes.append(Assign(slider.handle, "visible", used))
+            changes += slider.show(getattr(state.occlusion, field))
         return changes
 
     def cover(self, box: Box, tile: int) -> None:
         """A patch where a visitor has drawn a box on a tile of ``tile`` pixels."""
-        self._wanted.clear()
+        for slider in self.sliders.values():
+            slider.release()
         self._ask(patched(self._state, box, tile))
 
     def _ask(self, state: CameraState) -> None:
@@ -118,7 +113,7 @@ class CameraControls:
 
     def _on_fraction(self, field: str, value: float) -> None:
         occlusion = replace(self._state.occlusion, **{field: value})
-        self._wanted[field] = value
+        self.sliders[field].hold(value)
         self._ask(replace(self._state, occlusion=occlusion))
 
 
@@ -245,7 +240,7 @@ class CamerasPanel(WidgetPanel):
         for index, control in enumerate(self._controls):
             cells.append(Cell(control.input.handle, index + 1, label="above"))
             cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="15%"))
-            cells += [Cell(slider, index + 1) for slider in control.sliders.values()]
+            cells += [Cell(slider.handle, index + 1) for slider in control.sliders.values()]
         return cells
 
     def update(self, frame: Frame) -> list[Assign]:

@@ -18,7 +18,7 @@ import viser
 from madviz.analysis.foresight import DECISIONS, Foresight, mean_psnr
 from madviz.app.panel import Assign
 from madviz.app.panels.features import stream_label
-from madviz.app.toolkit import WidgetPanel, on_press
+from madviz.app.toolkit import HtmlPanel, on_press
 from madviz.drawing.colours import FAINT, INK, MUTED, NOTE
 from madviz.drawing.jpeg import jpeg_url
 from madviz.session.commands import Command, Foresee
@@ -38,26 +38,24 @@ HINT = "From this step on, with the cameras that are on now. The episode goes on
 _GROUND = 30
 
 
-class ForesightPanel(WidgetPanel):
+class ForesightPanel(HtmlPanel):
     """A button and what came of it. ``send`` None: read-only."""
 
     def __init__(
         self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
     ) -> None:
         self._of: Foresight | None = None
-        self._html = ""
+        self._drawn = ""
         self._button: Any = None
-        self.handles: list[Any] = []
         if send is not None:
             self._button = gui.add_button(f"imagine {DECISIONS} decisions", hint=HINT)
             self._button.visible = frame.world.foresees
             on_press(self._button, lambda: send(Foresee()))
-            self.handles.append(self._button)
-        self._drawing = gui.add_html(self._content(frame))
-        self.handles.append(self._drawing)
+            self.handles = [self._button]
+        super().__init__(gui, frame, self._content)
 
     def update(self, frame: Frame) -> list[Assign]:
-        changes = [Assign(self._drawing, "content", self._content(frame))]
+        changes = super().update(frame)
         if self._button is not None:
             changes.append(Assign(self._button, "visible", frame.world.foresees))
         return changes
@@ -66,8 +64,8 @@ class ForesightPanel(WidgetPanel):
         """Drawn anew where something has happened since."""
         if frame.foresight is not self._of:
             self._of = frame.foresight
-            self._html = foresight_html(self._of, frame) if self._of else ""
-        return self._html
+            self._drawn = foresight_html(self._of, frame) if self._of else ""
+        return self._drawn
 
 
 def foresight_html(foresight: Foresight, frame: Frame) -> str:

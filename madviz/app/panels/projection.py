@@ -17,9 +17,8 @@ import viser
 
 from madviz.analysis.projection import DECISIONS, Basis, FeatureMaps
 from madviz.app.markup import progress_bar
-from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_VIEWS, stream_label
-from madviz.app.toolkit import WidgetPanel
+from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import MERGED, MUTED, camera_colours
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
@@ -42,7 +41,7 @@ class Place:
     """(V + 1, Z) float32: the streams, and the merged feature on their scale (NaN: none)."""
 
 
-class ProjectionPanel(WidgetPanel):
+class ProjectionPanel(HtmlPanel):
     """One point per stream and one for what they are merged to, on axes that stay."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, height: int = 190) -> None:
@@ -52,13 +51,9 @@ class ProjectionPanel(WidgetPanel):
         self._of: tuple[PolicySpec | None, int] = (None, -1)
         """Policy and episode of the trail."""
         self._seen: tuple[int, int] = (-1, -1)
-        self._drawing = gui.add_html(self._html(frame))
-        self.handles = [self._drawing]
+        super().__init__(gui, frame, self._content)
 
-    def update(self, frame: Frame) -> list[Assign]:
-        return [Assign(self._drawing, "content", self._html(frame))]
-
-    def _html(self, frame: Frame) -> str:
+    def _content(self, frame: Frame) -> str:
         if frame.world.probe.merged_kind() == "no views":
             return f'<div class="mv mv-map">{NO_VIEWS}</div>'
         key = frame.world.policy

@@ -15,7 +15,7 @@ import viser
 
 from madviz.app.panel import Assign
 from madviz.app.pictures import strip_html
-from madviz.app.toolkit import Cell, SyncedInput, WidgetPanel, on_press, on_value, place
+from madviz.app.toolkit import Cell, HtmlPanel, SyncedInput, on_press, on_value, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.session.commands import Command, Fork, Scrub
 from madviz.session.frame import Frame, TimelinePoint
@@ -35,7 +35,7 @@ HINTS = {
 }
 
 
-class TimelinePanel(WidgetPanel):
+class TimelinePanel(HtmlPanel):
     """A slider over the steps, two lanes, and the branch. ``send`` None: read-only."""
 
     def __init__(
@@ -48,15 +48,13 @@ class TimelinePanel(WidgetPanel):
         self._send = send
         self._clock = clock
         self._horizon = frame.world.env.horizon
-        self.handles: list = []
         self._slider: SyncedInput | None = None
         self._dragged = -AFTER_DRAG
         self._crossed = False
         """When a visitor moved the slider last, and whether it was set right since."""
         if send is not None:
             self._add_controls(gui, send, frame)
-        self._drawing = gui.add_html(timeline_html(frame))
-        self.handles.append(self._drawing)
+        super().__init__(gui, frame, timeline_html)
 
     def _add_controls(
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
@@ -85,10 +83,8 @@ class TimelinePanel(WidgetPanel):
         self._send(Scrub(step))
 
     def update(self, frame: Frame) -> list[Assign]:
-        changes = [Assign(self._drawing, "content", timeline_html(frame))]
-        if self._slider is None:
-            return changes
-        if self._clock() - self._dragged < AFTER_DRAG:
+        changes = super().update(frame)
+        if self._slider is None or self._clock() - self._dragged < AFTER_DRAG:
             return changes
         if not self._crossed:
             return [*changes, *self._slider.show(frame.world.step)]

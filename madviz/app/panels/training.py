@@ -17,7 +17,7 @@ import viser
 from madviz.agent.methods import METHODS
 from madviz.app.markup import progress_bar
 from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, WidgetPanel, guarded, notify, on_value, one_at_a_time, place
+from madviz.app.toolkit import Cell, HtmlPanel, guarded, notify, on_value, one_at_a_time, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
 from madviz.envs.registry import known_tasks
 from madviz.session.commands import Command, SetPolicy
@@ -50,7 +50,7 @@ READ_EVERY = 3.0
 """Seconds between two reads of the run's files."""
 
 
-class TrainingPanel(WidgetPanel):
+class TrainingPanel(HtmlPanel):
     """Controls and curves. ``send`` None: read-only."""
 
     unsettled = True
@@ -68,11 +68,9 @@ class TrainingPanel(WidgetPanel):
         self._clock = clock
         self._read_at = -READ_EVERY
         self._status = JobStatus()
-        self.handles: list = []
         if send is not None:
             self._add_controls(gui, send, frame)
-        self._html = gui.add_html(training_html(self._status))
-        self.handles.append(self._html)
+        super().__init__(gui, frame, lambda _: training_html(self._status))
 
     def _add_controls(
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
@@ -125,7 +123,7 @@ class TrainingPanel(WidgetPanel):
         if self._clock() - self._read_at >= READ_EVERY:
             self._read_at = self._clock()
             self._status = self._job.status()
-        return [Assign(self._html, "content", training_html(self._status))]
+        return super().update(frame)
 
 
 def training_html(status: JobStatus) -> str:
