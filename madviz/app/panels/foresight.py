@@ -16,10 +16,11 @@ import numpy as np
 import viser
 
 from madviz.analysis.foresight import DECISIONS, Foresight, mean_psnr
+from madviz.app.chart import Lane, chart
 from madviz.app.panel import Assign
 from madviz.app.panels.features import stream_label
 from madviz.app.toolkit import HtmlPanel, on_press
-from madviz.drawing.colours import FAINT, INK, MUTED, NOTE
+from madviz.drawing.colours import INK, MUTED, NOTE
 from madviz.drawing.jpeg import jpeg_url
 from madviz.session.commands import Command, Foresee
 from madviz.session.frame import Frame
@@ -130,30 +131,16 @@ def _reward_svg(foresight: Foresight) -> str:
     foreseen = [float(r) for r in foresight.future.reward]
     got = [one.reward for one in foresight.happened]
     known = [r for r in (*foreseen, *got) if np.isfinite(r)] or [0.0]
-    low = min(*known, 0.0)
-    high = max(*known, 1e-6)
     right = WIDTH - 106
-    base = HEIGHT - 8
     top = 8
-
-    def line(values: Sequence[float], colour: str, dashes: str = "") -> str:
-        places = " ".join(
-            f"{LEFT + (right - LEFT) * n / (len(foreseen) - 1):.0f},"
-            f"{base - (base - top) * (value - low) / (high - low):.0f}"
-            for n, value in enumerate(values)
-        )
-        return (
-            f'<polyline points="{places}" fill="none" stroke="{colour}" stroke-width="1.8" '
-            f'stroke-dasharray="{dashes}"/>'
-        )
-
-    return (
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" style="width:100%;display:block" font-size="11" '
-        f'font-family="inherit" fill="{MUTED}">'
-        f'<line x1="{LEFT}" x2="{right}" y1="{base}" y2="{base}" stroke="{FAINT}"/>'
-        f'<text x="{LEFT - 4}" y="{top + 8}" text-anchor="end">{high:.2f}</text>'
-        f'<text x="{LEFT - 4}" y="{base}" text-anchor="end">{low:.2f}</text>'
-        f"{line(foreseen, NOTE, '5 3')}{line(got, INK)}"
+    low = min(*known, 0.0)
+    lane = Lane(LEFT, right, top, HEIGHT - 8, len(foreseen) - 1, low, max(*known, 1e-6))
+    dashed = 'stroke-dasharray="5 3"'
+    return chart(
+        WIDTH,
+        HEIGHT,
+        f"{lane.scale('.2f')}{lane.curve(foreseen, NOTE, 1.8, dashed)}"
+        f"{lane.curve(got, INK, 1.8)}"
         f'<text x="{right + 8}" y="{top + 10}" fill="{NOTE}">reward foreseen</text>'
-        f'<text x="{right + 8}" y="{top + 28}" fill="{INK}">reward got</text></svg>'
+        f'<text x="{right + 8}" y="{top + 28}" fill="{INK}">reward got</text>',
     )

@@ -16,6 +16,7 @@ import numpy as np
 import viser
 
 from madviz.analysis.projection import DECISIONS, Basis, FeatureMaps
+from madviz.app.chart import chart, polyline
 from madviz.app.markup import progress_bar
 from madviz.app.panels.features import NO_VIEWS, stream_label
 from madviz.app.toolkit import HtmlPanel
@@ -121,8 +122,7 @@ def map_html(frame: Frame, basis: Basis, trail: list[Place], height: int) -> str
         names += _name(MERGED, "merged, at the size of one", False)
     return (
         f'<div class="mv mv-map"><div>{names}</div>'
-        f'<svg viewBox="0 0 {WIDTH} {height}" style="width:100%;display:block;background:#222428">'
-        f"{shapes}</svg>"
+        f"{chart(WIDTH, height, shapes, 'background:#222428')}"
         '<div class="dim">A point is what a picture becomes inside the policy; near means alike. '
         f"These two directions show {100 * basis.share:.0f} % of what changed in the first "
         f"{DECISIONS} time steps. Hollow: dropped.</div></div>"
@@ -145,15 +145,11 @@ def _way(points: Array, colour: str, dashed: bool) -> str:
     if len(points) < 2:
         return ""
     cuts = np.linspace(0, len(points) - 1, len(FADES) + 1).astype(int)
-    dash = ' stroke-dasharray="4 3"' if dashed else ""
-    lines = ""
-    for start, end, fade in zip(cuts[:-1], cuts[1:], FADES, strict=True):
-        path = " ".join(f"{x:.0f},{y:.0f}" for x, y in points[start : end + 1])
-        lines += (
-            f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="1.6"'
-            f' stroke-opacity="{fade}"{dash}/>'
-        )
-    return lines
+    dash = 'stroke-dasharray="4 3"' if dashed else ""
+    return "".join(
+        polyline(points[start : end + 1], colour, style=f'stroke-opacity="{fade}" {dash}')
+        for start, end, fade in zip(cuts[:-1], cuts[1:], FADES, strict=True)
+    )
 
 
 def _dot(point: Array, colour: str, present: bool, radius: int) -> str:
