@@ -11,6 +11,7 @@ import viser
 from madviz.app.panel import Assign, apply
 from madviz.app.panels.patch import HINT, Box, attributes, field_style, parse_box, patched
 from madviz.app.panels.policy import policy_words, verdict
+from madviz.app.panels.subsets import MODALITY_WORDS
 from madviz.app.screen import Screen
 from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.mosaic import GAP, Dropped, mosaic
@@ -343,8 +344,8 @@ def unused_note(frame: Frame) -> str:
     missing = asked - known
     if not missing:
         return ""
-    word = {"rgb": "colour", "depth": "depth"}[missing.pop()]
-    takes = {"rgb": "colour", "depth": "depth"}[untouched(frame.world.policy).input]
+    word = MODALITY_WORDS[missing.pop()]
+    takes = MODALITY_WORDS[untouched(frame.world.policy).input]
     return (
         f'<div class="mv dim">This policy takes {takes} only: {word} is shown, but does not reach '
         "it. A camera that gives only that counts as dropped.</div>"

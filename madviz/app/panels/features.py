@@ -21,7 +21,7 @@ from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.app.markup import dot
 from madviz.app.panel import Assign
-from madviz.app.panels.subsets import MODALITY_WORDS
+from madviz.app.panels.subsets import stream_label
 from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import MERGED, camera_colours, heat
 from madviz.session.frame import Frame
@@ -46,13 +46,6 @@ def small_axes(width: int) -> tuple[uplot.Axis, uplot.Axis]:
         uplot.Axis(size=22, font="11px sans-serif", gap=3, ticks=ticks),
         uplot.Axis(size=width, font="11px sans-serif", gap=3, ticks=ticks),
     )
-
-
-def stream_label(frame: Frame, stream: str) -> str:
-    """``Third A``, or ``Third A depth`` where a policy has both."""
-    label = frame.world.env.camera(camera_of(stream)).label
-    several = len({modality_of(name) for name in frame.world.policy.streams}) > 1
-    return f"{label} {MODALITY_WORDS[modality_of(stream)]}" if several else label
 
 
 class FeaturesPanel(HtmlPanel):

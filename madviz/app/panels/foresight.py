@@ -18,7 +18,7 @@ import viser
 from madviz.analysis.foresight import DECISIONS, Foresight, mean_psnr
 from madviz.app.chart import Lane, chart
 from madviz.app.panel import Assign
-from madviz.app.panels.features import stream_label
+from madviz.app.panels.subsets import stream_label
 from madviz.app.toolkit import HtmlPanel, on_press
 from madviz.drawing.colours import INK, MUTED, NOTE
 from madviz.drawing.jpeg import jpeg_url

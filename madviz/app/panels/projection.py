@@ -18,7 +18,8 @@ import viser
 from madviz.analysis.projection import DECISIONS, Basis, FeatureMaps
 from madviz.app.chart import chart, polyline
 from madviz.app.markup import progress_bar
-from madviz.app.panels.features import NO_VIEWS, stream_label
+from madviz.app.panels.features import NO_VIEWS
+from madviz.app.panels.subsets import stream_label
 from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import MERGED, MUTED, camera_colours
 from madviz.session.frame import Frame

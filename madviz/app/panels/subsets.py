@@ -152,12 +152,15 @@ def subset_label(frame: Frame, subset: str) -> str:
     special = {"all": "all", "none": "state only", "rgb": "all colour", "depth": "all depth"}
     if subset in special:
         return special[subset]
-    parts = []
-    for stream in subset.split("+"):
-        label = frame.world.env.camera(camera_of(stream)).label
-        several = "." in stream
-        parts.append(f"{label} {MODALITY_WORDS[modality_of(stream)]}" if several else label)
-    return " + ".join(parts)
+    return " + ".join(stream_label(frame, stream, "." in stream) for stream in subset.split("+"))
+
+
+def stream_label(frame: Frame, stream: str, with_modality: bool | None = None) -> str:
+    """``Third A``, or ``Third A depth`` where a policy has both modalities, or as it is asked."""
+    if with_modality is None:
+        with_modality = len(set(map(modality_of, frame.world.policy.streams))) > 1
+    label = frame.world.env.camera(camera_of(stream)).label
+    return f"{label} {MODALITY_WORDS[modality_of(stream)]}" if with_modality else label
 
 
 def action_bars(action: np.ndarray) -> str:
