@@ -186,7 +186,11 @@ class CamerasPanel(WidgetPanel):
             field = self._field if name == "A" else None
             self._mosaics.append(Mosaic(gui, frame, width, paired, alt, field))
         self._mosaics[1].screen.handle.visible = False
-        self._dropped = DroppedChoice(gui, self._on_dropped)
+        self._dropped: Dropped = "imagined"
+        self._drop = Choice(
+            gui, "Dropped cameras show", DROPPED, self._choose_dropped, HINTS["dropped"]
+        )
+        self._drop.handle.visible = False
         self._link = LinkControls(gui, send) if send is not None else None
         if send is not None:
             self._build(gui, send, frame.world.env.cameras)
@@ -195,8 +199,7 @@ class CamerasPanel(WidgetPanel):
         screens = [one.screen for one in self._mosaics]
         self._note = gui.add_html("")
         grid = place(gui, "cameras", count, self._cells())
-        styles = [self._style, self._dropped.style]
-        self.handles = [*styles, *self._titles, *screens, *grid, self._note]
+        self.handles = [self._style, *self._titles, *screens, *grid, self._note]
 
     def _build(
         self,
@@ -219,13 +222,23 @@ class CamerasPanel(WidgetPanel):
         paired = frame.second is not None
         for index, side in enumerate((frame, frame.second)):
             if side is not None:
-                changes.append(self._mosaics[index].show(side, paired, self._dropped.value))
+                changes.append(self._mosaics[index].show(side, paired, self._dropped))
                 title = side_html("AB"[index], side) if paired else ""
                 changes.append(Assign(self._titles[index], "content", title))
         return changes
 
-    def _on_dropped(self) -> None:
-        apply([*self._pictures(self._frame), *self._dropped.show(self._frame)])
+    def _choose_dropped(self, _: viser.ClientHandle, value: str) -> None:
+        self._dropped = value  # type: ignore[assignment]
+        apply([*self._pictures(self._frame), self._marks(self._frame)])
+
+    def _marks(self, frame: Frame) -> Assign:
+        """CSS that marks the active buttons and hides the field."""
+        marks = "".join(control.style() for control in self._controls)
+        marks += self._drop.style(self._dropped)
+        marks += field_style(self._field) if self._field else ""
+        if self._link is not None:
+            marks += self._link.choice.style("both" if frame.linked else "a")
+        return Assign(self._style, "content", f"<style>{marks}</style>")
 
     def _draw(self, text: str) -> None:
         box = parse_box(text, len(self._controls))
@@ -237,7 +250,7 @@ class CamerasPanel(WidgetPanel):
         if self._link is not None:
             cells.append(Cell(self._link.choice.handle, 1, max(count - 1, 1), "11em"))
             cells.append(Cell(self._link.end, count))
-        cells.append(Cell(self._dropped.choice.handle, 1, max(count, 1), "11em"))
+        cells.append(Cell(self._drop.handle, 1, max(count, 1), "11em"))
         for index, control in enumerate(self._controls):
             cells.append(Cell(control.input.handle, index + 1, label="above"))
             cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="15%"))
@@ -249,43 +262,18 @@ class CamerasPanel(WidgetPanel):
         paired = frame.second is not None
         changes = [Assign(self._mosaics[1].screen.handle, "visible", paired)]
         changes += [Assign(title, "visible", paired) for title in self._titles]
-        changes += [*self._pictures(frame), *self._dropped.show(frame)]
+        # The choice is there where a policy draws what a dropped camera would see.
+        drawn = bool(frame.world.imagined or (frame.second and frame.second.world.imagined))
+        changes += [*self._pictures(frame), Assign(self._drop.handle, "visible", drawn)]
         for control in self._controls:
             changes += control.show(frame.camera(control.name))
-        marks = "".join(control.style() for control in self._controls)
-        marks += field_style(self._field) if self._field else ""
         if self._link is not None:
             changes += self._link.show(paired)
-            marks += self._link.choice.style("both" if frame.linked else "a")
-        changes.append(Assign(self._style, "content", f"<style>{marks}</style>"))
+        changes.append(self._marks(frame))
         hinted = self._field is not None and not paired
         hint = f'<div class="mv"><span class="dim">{HINT}</span></div>' if hinted else ""
         changes.append(Assign(self._note, "content", unused_note(frame) or hint))
         return changes
-
-
-class DroppedChoice:
-    """The choice of what a dropped camera's tile shows, where the policy draws it."""
-
-    def __init__(self, gui: viser.GuiApi, on_change: Callable[[], None]) -> None:
-        self.value: Dropped = "imagined"
-        self._on_change = on_change
-        self.choice = Choice(gui, "Dropped cameras show", DROPPED, self._choose, HINTS["dropped"])
-        self.choice.handle.visible = False
-        self.style = gui.add_html("")
-
-    def _choose(self, _: viser.ClientHandle, value: str) -> None:
-        self.value = value  # type: ignore[assignment]
-        self._on_change()
-
-    def show(self, frame: Frame) -> list[Assign]:
-        """Whether it is to be seen, and what is chosen."""
-        drawn = bool(frame.world.imagined or (frame.second and frame.second.world.imagined))
-        style = f"<style>{self.choice.style(self.value)}</style>"
-        return [
-            Assign(self.choice.handle, "visible", drawn),
-            Assign(self.style, "content", style),
-        ]
 
 
 class LinkControls:

@@ -31,7 +31,13 @@ from madviz.session.frame import Frame
 from madviz.types import PolicySpec
 
 SPEEDS: dict[str, float | None] = {"1": 1.0, "5": 5.0, "10": 10.0, "20": 20.0, "max": None}
-RUNS = {"play": "▶ play", "pause": "pause", "step": "step", "again": "again", "next": "next"}
+RUNS: dict[str, Command] = {
+    "play": Play(),
+    "pause": Pause(),
+    "step": StepOnce(),
+    "again": Reset(),
+    "next": Reset(next_seed=True),
+}
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,6 @@ class PolicyPanel(HtmlPanel):
         choices: Sequence[PolicyChoice],
         named: Reference = own_name,
     ) -> None:
-        self._send = send
         task = frame.world.env.task
         names = offered(choices, task)
         current = named(frame.world.policy)
@@ -131,7 +136,9 @@ class PolicyPanel(HtmlPanel):
         hint = "Swap the policy in mid-episode."
         self._picker = PolicyPicker(gui, "Policy", names, named, frame, hint)
         on_value(self._picker.handle, lambda _, label: send(SetPolicy(names[label])))
-        self._run = Choice(gui, "Episode", RUNS, self._on_run, "Space, S, R and N do it, too.")
+        labels = {name: name for name in RUNS} | {"play": "▶ play"}
+        hint = "Space, S, R and N do it, too."
+        self._run = Choice(gui, "Episode", labels, lambda _, name: send(RUNS[name]), hint)
         self._speed = Choice(
             gui,
             "Speed",
@@ -159,17 +166,6 @@ class PolicyPanel(HtmlPanel):
             Cell(auto, 7, 2, "2.8em"),
         ]
         self.handles = place(gui, "run", 8, cells)
-
-    def _on_run(self, _: viser.ClientHandle, name: str) -> None:
-        assert self._send is not None
-        table: dict[str, Command] = {
-            "play": Play(),
-            "pause": Pause(),
-            "step": StepOnce(),
-            "again": Reset(),
-            "next": Reset(next_seed=True),
-        }
-        self._send(table[name])
 
     def update(self, frame: Frame) -> list[Assign]:
         changes = super().update(frame)
