@@ -74,6 +74,9 @@ def test_a_slider_being_dragged_is_not_pulled_back(server):
     use(slider, 0.8)
     apply(panel.update(old))
     assert slider.value == 0.8
+    earlier = frame_with(SetCamera("first", CameraState("rgb", Occlusion("blur", 0.6))))
+    apply(panel.update(earlier))
+    assert slider.value == 0.8, "a frame on its way knows nothing of the drag yet"
     apply(panel.update(frame_with(sent[-1])))
     apply(panel.update(old))
     assert slider.value == 0.5, "once confirmed, later states are shown again"

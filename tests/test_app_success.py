@@ -74,6 +74,13 @@ def test_success_bars_tell_shipped_from_measured(server):
     panel.remove()
 
 
+def test_two_policies_with_other_streams_each_have_the_bars_that_mean_something_to_them():
+    html = bars_html(frame_with(Compare("toy-rgbd")), SuccessRates())
+    assert html.count("<b>A</b>") == 5, "all, each camera alone, no camera"
+    assert html.count("<b>B</b>") > 5
+    assert "First person depth" in html
+
+
 def test_a_ninth_bar_makes_all_of_them_lower_so_that_the_panel_needs_no_scrolling():
     pairs = ("first+third_a", "first+third_b", "third_a+third_b")
     rates = SuccessRates(lambda spec: {name: {"success": 1.0, "n": 100} for name in pairs})

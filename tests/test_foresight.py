@@ -239,17 +239,15 @@ def test_only_who_foresees_has_the_button(server: viser.ViserServer) -> None:
 def test_the_panel_is_drawn_when_something_has_happened(session: Recorder) -> None:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     panel = ForesightPanel(server.gui, None, session.frames[-1])
-    assert panel._drawing.content == ""
+    assert panel._text.content == ""
     frame = session.ask(Foresee())
     apply(panel.update(frame))
-    drawing = panel._drawing.content
+    drawing = panel._text.content
     assert drawing == foresight_html(foresight_of(frame), frame)
     assert "from <b>all</b>" in drawing and "0 have been taken" in drawing
     assert drawing.count("<img") == 6 and drawing.count("polyline") == 2
     apply(panel.update(session.steps(1)))
-    assert panel._drawing.content != drawing and "dB where something moves" in (
-        panel._drawing.content
-    )
+    assert panel._text.content != drawing and "dB where something moves" in (panel._text.content)
     apply(panel.update(session.ask(Reset(next_seed=True), Foresee(on=False))))
-    assert panel._drawing.content == ""
+    assert panel._text.content == ""
     server.stop()

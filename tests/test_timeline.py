@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from madviz.app.chart import Lane
 from madviz.app.panel import apply
 from madviz.app.panels.timeline import AFTER_DRAG, TimelinePanel, marks, timeline_html
 from madviz.envs.registry import make_env
@@ -124,3 +125,9 @@ def test_policies_may_be_swapped_in_the_past() -> None:
     frame = play(Scrub(3), SetPolicy("toy-other"))
     assert (frame.world.step, frame.world.policy.name) == (3, "toy-other")
     assert frame.branch is not None and frame.branch.frame.world.policy.name == "toy-mad"
+
+
+def test_a_lane_spans_its_scale_and_leaves_out_what_is_not_finite():
+    lane = Lane(left=0, right=10, top=0, bottom=20, last=2, low=0.0, high=2.0)
+    curve = lane.curve([0.0, float("nan"), 2.0], "#fff")
+    assert 'points="0.0,20.0 10.0,0.0"' in curve

@@ -7,6 +7,7 @@ import numpy as np
 
 from madviz.drawing.colours import NOTE, rgb
 from madviz.drawing.jpeg import jpeg_url
+from madviz.drawing.mosaic import of_stream
 from madviz.session.frame import Frame
 from madviz.types import Array
 
@@ -21,9 +22,8 @@ def picture(frame: Frame, camera: str) -> Array:
     state = frame.camera(camera)
     if not frame.uses(camera):
         return (0.25 * raw.mean(axis=2, keepdims=True)).astype(np.uint8).repeat(3, axis=2)
-    seen = raw
-    for name in (camera, f"{camera}.rgb"):
-        seen = frame.world.arrived.get(name, seen)
+    arrived = of_stream(frame.world.arrived, camera, "rgb")
+    seen = raw if arrived is None else arrived  # (H, W, 3)
     return seen if state.occlusion.kind == "none" else striped(seen)
 
 

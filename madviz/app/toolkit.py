@@ -25,6 +25,7 @@ import viser
 from madviz.app.connection import MISTAKES, is_downloading, note
 from madviz.app.panel import Assign
 from madviz.errors import UserError
+from madviz.session.frame import Frame
 
 LEFT_WIDTH = 640
 LEFT_WIDTH_WIDE = 790
@@ -223,9 +224,26 @@ class SyncedInput:
     def __init__(self, handle: Any) -> None:
         self.handle = handle
         self._last = handle.value
+        self._held: Any = None
+
+    def hold(self, value: Any) -> None:
+        """Keeps the ``value`` that a slider was dragged to until a state confirms it: it must not
+        jump back."""
+        self._held = value
+
+    def release(self) -> None:
+        """Follows the state again, whatever the slider was dragged to."""
+        self._held = None
+
+    def confirms(self, value: Any) -> bool:
+        """Whether a state with ``value`` is as the visitor wants it."""
+        return self._held in (None, value)
 
     def show(self, value: Any, force: bool = False) -> list[Assign]:
         """The change where ``value`` is another than the last one; always if ``force``."""
+        if not self.confirms(value):
+            return []
+        self.release()
         if value == self._last and not force:
             return []
         self._last = value
@@ -258,9 +276,23 @@ def on_press(button: viser.GuiButtonHandle, work: Callable[[], None]) -> None:
 class WidgetPanel:
     """Base of a panel that is made of widgets: whatever is in ``handles`` is taken off the page."""
 
-    handles: list[Any]
+    handles: Sequence[Any] = ()
 
     def remove(self) -> None:
         """See ``panel.Panel``."""
         for handle in self.handles:
             handle.remove()
+
+
+class HtmlPanel(WidgetPanel):
+    """Base of a panel whose last widget is a text, which is made anew for every frame."""
+
+    def __init__(self, gui: viser.GuiApi, frame: Frame, html: Callable[[Frame], str]) -> None:
+        """Adds the text, ``html`` of a frame; what stands above it is in ``handles`` already."""
+        self._html = html
+        self._text = gui.add_html(html(frame))
+        self.handles = [*self.handles, self._text]
+
+    def update(self, frame: Frame) -> list[Assign]:
+        """See ``panel.Panel``."""
+        return [Assign(self._text, "content", self._html(frame))]

@@ -13,8 +13,9 @@ nothing here knows viser.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -31,6 +32,7 @@ HEADER = 24
 SCALE = 18
 """Pixels between tiles, of a tile's title, of the depth scale under a tile."""
 _GROUND = (30, 31, 34)
+T = TypeVar("T")
 Dropped = Literal["imagined", "both", "truth"]
 """The content of a dropped camera's tile where a policy imagines it; the truth where none does."""
 CORNER = 0.38
@@ -71,8 +73,14 @@ def imagined_of(frame: Frame, camera: str) -> Imagined | None:
     not."""
     if frame.camera(camera).input != "off":
         return None
-    found = frame.world.imagined
-    return found.get(f"{camera}.rgb", found.get(camera))
+    return of_stream(frame.world.imagined, camera, "rgb")
+
+
+def of_stream(table: Mapping[str, T], camera: str, modality: str) -> T | None:
+    """The entry of a camera's stream; None where the policy has no such stream. A policy of colour
+    alone calls its streams by their cameras."""
+    found = table.get(f"{camera}.{modality}")
+    return table.get(camera) if found is None and modality == "rgb" else found
 
 
 def _true_picture(frame: Frame, camera: CameraSpec, dropped: Dropped, tile: int) -> Array | None:
@@ -115,19 +123,12 @@ def badge(frame: Frame, camera: str) -> str:
         return f"OFF, {drawn.psnr:.0f} dB"
     if state.input == "off":
         return "OFF"
-    occlusion = state.occlusion
-    plain = {"black": "BLACK", "freeze": "FROZEN", "mean": "MEAN"}
-    if occlusion.kind in plain:
-        return plain[occlusion.kind]
-    if occlusion.kind == "delay":
-        return f"LATE BY {occlusion.late}"
-    if occlusion.kind != "none":
-        word = {"dropout": "LOSSY"}.get(occlusion.kind, occlusion.kind.upper())
-        return f"{word} {100 * occlusion.strength:.0f} %"
+    if state.occlusion.kind != "none":
+        return state.occlusion.badge
     words = []
     for modality in ("rgb", "depth"):
         if state.input in (modality, "both"):
-            unused = _stream_picture(frame, camera, modality) is None
+            unused = of_stream(frame.world.arrived, camera, modality) is None
             words.append(modality.upper() + (" (NOT USED)" if unused else ""))
     return " + ".join(words)
 
@@ -147,30 +148,20 @@ def _tile(frame: Frame, camera: CameraSpec, tile: int) -> Array:
     return _colour_picture(frame, camera, tile)
 
 
-def _stream_picture(frame: Frame, camera: str, modality: str) -> Array | None:
-    """The frame that arrived from ``camera`` in ``modality``; None where the policy has no such
-    stream."""
-    for name in (f"{camera}.{modality}", camera if modality == "rgb" else ""):
-        if name in frame.world.arrived:
-            return frame.world.arrived[name]
-    return None
-
-
 def glow(picture: Array, frame: Frame, camera: str, modality: str) -> Array:
     """``picture`` (H, W, 3) with the saliency of its stream laid over it, if there is any."""
-    maps = frame.saliency or {}
-    shares = maps.get(f"{camera}.{modality}", maps.get(camera) if modality == "rgb" else None)
+    shares = of_stream(frame.saliency or {}, camera, modality)  # (H, W)
     if shares is None:
         return picture
     shares = cv2.resize(shares, picture.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-    weight = GLOW * np.sqrt(shares)[..., None]
-    colours = heat(shares, cv2.COLORMAP_INFERNO)
+    weight = GLOW * np.sqrt(shares)[..., None]  # (H, W, 1)
+    colours = heat(shares, cv2.COLORMAP_INFERNO)  # (H, W, 3)
     dimmed = (1 - 0.5 * GLOW) * picture
     return (dimmed * (1 - weight) + colours * weight).astype(np.uint8)
 
 
 def _colour_picture(frame: Frame, camera: CameraSpec, tile: int) -> Array:
-    arrived = _stream_picture(frame, camera.name, "rgb")
+    arrived = of_stream(frame.world.arrived, camera.name, "rgb")
     if arrived is None:
         arrived = frame.world.views[camera.name].rgb
     return glow(_enlarge(arrived, tile), frame, camera.name, "rgb")
@@ -178,7 +169,7 @@ def _colour_picture(frame: Frame, camera: CameraSpec, tile: int) -> Array:
 
 def _depth_picture(frame: Frame, camera: CameraSpec, tile: int, height: int) -> Array:
     """(height, tile, 3): the middle rows of the depth picture above a scale in metres."""
-    arrived = _stream_picture(frame, camera.name, "depth")
+    arrived = of_stream(frame.world.arrived, camera.name, "depth")
     if arrived is None:
         arrived = depth_code(frame.world.views[camera.name].depth, camera.depth_range)
     picture = heat(_enlarge(arrived[..., 0], tile) / 255.0)

@@ -12,7 +12,7 @@ Noise and losses are drawn from (seed, step, stream), so a replayed session give
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeVar, get_args
 
@@ -31,24 +31,13 @@ OcclusionKind = Literal[
 ]
 PLACE = ("x", "y", "width", "height")
 """Where a patch is: its middle from the left and the top, and its sides."""
-WEIGHED = ("noise", "blur", "patch", "dropout", "delay")
-"""Kinds that have a strength."""
 LATEST = 10
 """Decisions by which a delayed picture is late at most; a second at normal speed."""
 
 
 @dataclass(frozen=True)
 class Occlusion:
-    """How a camera fails. All but ``kind`` are fractions in [0, 1].
-
-    black   every pixel 0                     noise   blend with uniform noise by ``strength``
-    freeze  the picture of the moment         blur    Gaussian, sigma = 8 px x ``strength``
-    patch   a black rectangle, ``width`` and ``height`` as shares of the picture, whose middle is at
-            (``x``, ``y``), blended by ``strength``
-    dropout a picture is lost with probability ``strength``, and the last one that came stays
-    delay   every picture comes late, by ``strength`` x 10 decisions
-    mean    the mean of what the camera sees in other episodes, the same picture all the time
-    """
+    """How a camera fails (see ``KINDS``). All but ``kind`` are fractions in [0, 1]."""
 
     kind: OcclusionKind = "none"
     strength: float = 1.0
@@ -58,8 +47,8 @@ class Occlusion:
     height: float = 0.4
 
     def __post_init__(self) -> None:
-        if self.kind not in get_args(OcclusionKind):
-            raise unknown("occlusion", str(self.kind), list(get_args(OcclusionKind)))
+        if self.kind not in KINDS:
+            raise unknown("occlusion", str(self.kind), list(KINDS))
         for name in ("strength", *PLACE):
             value = getattr(self, name)
             if not (isinstance(value, int | float) and 0 <= value <= 1):
@@ -71,49 +60,62 @@ class Occlusion:
         return round(LATEST * self.strength) if self.kind == "delay" else 0
 
     @property
+    def predicate(self) -> str:
+        """The sentence about a camera, without its name: ``sends 70 % noise``."""
+        return self._filled_in(KINDS[self.kind].predicate)
+
+    @property
+    def badge(self) -> str:
+        """The words on a camera's picture: ``NOISE 70 %``."""
+        return self._filled_in(KINDS[self.kind].badge)
+
+    def _filled_in(self, template: str) -> str:
+        return template.format(strength=f"{100 * self.strength:.0f} %", late=self.late)
+
+    @property
     def effective(self) -> Occlusion:
         """This occlusion with the default for all that its kind does not use: two that do the same
         are equal here, whatever the sliders of another kind were left at. Numbers have six
         digits, as in ``Condition.key``: a slider says 0.30000000000000004 for 0.3."""
-        place = {}
-        if self.kind == "patch":
-            place = {name: round(getattr(self, name), 6) for name in PLACE}
         if self.kind == "delay":
             return Occlusion("delay", self.late / LATEST)
-        strength = round(self.strength, 6) if self.kind in WEIGHED else 1.0
-        return Occlusion(self.kind, strength, **place)
+        used = {name: round(getattr(self, name), 6) for name in KINDS[self.kind].uses}
+        return Occlusion(self.kind, **used)
 
     def apply(self, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
         """The frame that arrives instead of ``frame`` (H, W, C) uint8; ``before`` is the one that
         arrived last, None at the first step. Pure: neither input is written to. A ``frame`` that is
         delayed is one of ``late`` decisions ago already, and one that is the mean is the mean
         picture: who keeps frames chooses it."""
-        if self.kind in ("none", "delay", "mean"):
-            return frame
-        if self.kind == "black":
-            return np.zeros_like(frame)
-        if self.kind == "freeze":
-            return frame if before is None else before
-        if self.kind == "dropout":
-            lost = rng.random() < self.strength
-            return before if lost and before is not None else frame
-        if self.kind == "blur":
-            sigma = 8 * self.strength
-            blurred = frame if sigma < 0.1 else cv2.GaussianBlur(frame, (0, 0), sigma)
-            return np.asarray(blurred).reshape(frame.shape)
-        if self.kind == "noise":
-            noise = rng.integers(0, 256, frame.shape, np.uint8)
-            return cv2.addWeighted(frame, 1 - self.strength, noise, self.strength, 0).reshape(
-                frame.shape
-            )
-        return self._patched(frame)
+        return KINDS[self.kind].arrives(self, frame, before, rng)
 
-    def _patched(self, frame: Array) -> Array:
-        rows = _covered(self.y, self.height, frame.shape[0])
-        columns = _covered(self.x, self.width, frame.shape[1])
-        patched = frame.copy()
-        patched[rows, columns] = frame[rows, columns] * (1 - self.strength)
-        return patched
+
+def _whole(how: Occlusion, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
+    return frame
+
+
+def _lost(how: Occlusion, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
+    lost = rng.random() < how.strength
+    return before if lost and before is not None else frame
+
+
+def _blurred(how: Occlusion, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
+    sigma = 8 * how.strength
+    blurred = frame if sigma < 0.1 else cv2.GaussianBlur(frame, (0, 0), sigma)
+    return np.asarray(blurred).reshape(frame.shape)
+
+
+def _noisy(how: Occlusion, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
+    noise = rng.integers(0, 256, frame.shape, np.uint8)
+    return cv2.addWeighted(frame, 1 - how.strength, noise, how.strength, 0).reshape(frame.shape)
+
+
+def _patched(how: Occlusion, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
+    rows = _covered(how.y, how.height, frame.shape[0])
+    columns = _covered(how.x, how.width, frame.shape[1])
+    patched = frame.copy()
+    patched[rows, columns] = frame[rows, columns] * (1 - how.strength)
+    return patched
 
 
 def _covered(middle: float, share: float, count: int) -> slice:
@@ -121,6 +123,80 @@ def _covered(middle: float, share: float, count: int) -> slice:
     return slice(
         round(max(middle - share / 2, 0) * count), round(min(middle + share / 2, 1) * count)
     )
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A way in which a camera fails. Page, notebooks, recordings and commands read these rows."""
+
+    button: str
+    """Its button on the page; commands know the kind by this word, too."""
+    menu: str
+    """Its line in a notebook's menu, after the camera's name."""
+    predicate: str
+    """See ``Occlusion.predicate``. ``{strength}`` and ``{late}`` are filled in, here and below."""
+    badge: str = ""
+    arrives: Callable[[Occlusion, Array, Array | None, np.random.Generator], Array] = _whole
+    """The rule behind ``Occlusion.apply``."""
+    uses: tuple[str, ...] = ()
+    """The fractions of an ``Occlusion`` that matter; the page has a slider for each."""
+
+
+_STRENGTH = ("strength",)
+KINDS: dict[OcclusionKind, Kind] = {
+    "none": Kind("none", "sees", "sends its picture again"),
+    # Every pixel is 0.
+    "black": Kind(
+        "black", "sends black", "sends black", "BLACK", lambda _, frame, *__: np.zeros_like(frame)
+    ),
+    # The mean of what the camera sees in other episodes, the same picture all the time.
+    "mean": Kind("mean", "sends its mean", "sends its mean picture", "MEAN"),
+    # Blended with uniform noise by ``strength``.
+    "noise": Kind(
+        "noise", "sends noise", "sends {strength} noise", "NOISE {strength}", _noisy, _STRENGTH
+    ),
+    # The picture that arrived at the step before the first one it spoils. A click while step t is
+    # shown spoils t, so t - 1 is held; a click while t + 1 is drawn spoils t + 1, so t is held.
+    "freeze": Kind(
+        "freeze",
+        "is frozen",
+        "is frozen",
+        "FROZEN",
+        lambda _, frame, before, rng: frame if before is None else before,
+    ),
+    # Gaussian, sigma = 8 px x ``strength``.
+    "blur": Kind(
+        "blur", "is blurred", "is blurred by {strength}", "BLUR {strength}", _blurred, _STRENGTH
+    ),
+    # A black rectangle, ``width`` and ``height`` as shares of the picture, whose middle is at
+    # (``x``, ``y``), blended by ``strength``.
+    "patch": Kind(
+        "patch",
+        "has a patch",
+        "has a patch in view",
+        "PATCH {strength}",
+        _patched,
+        ("strength", *PLACE),
+    ),
+    # A picture is lost with probability ``strength``, and the last one that came stays.
+    "dropout": Kind(
+        "lossy",
+        "loses pictures",
+        "loses {strength} of its pictures",
+        "LOSSY {strength}",
+        _lost,
+        _STRENGTH,
+    ),
+    # Every picture comes late, by ``strength`` x ``LATEST`` decisions.
+    "delay": Kind(
+        "late",
+        "is late",
+        "sends what it saw {late} steps ago",
+        "LATE BY {late}",
+        uses=_STRENGTH,
+    ),
+}
+"""By ``OcclusionKind``, in the order in which page and notebooks offer them."""
 
 
 def by_sides(values: dict[str, T]) -> dict[str, T]:

@@ -25,15 +25,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import get_args
 
 from madviz.errors import UserError, unknown
-from madviz.observation.ablation import PLACE, Occlusion, OcclusionKind, by_sides
+from madviz.observation.ablation import KINDS, PLACE, Occlusion, by_sides
 from madviz.observation.condition import Condition
 from madviz.system.streams import say
 
-SAME = {"dropped": "off", "frozen": "freeze", "lossy": "dropout", "late": "delay"}
-"""The page's words."""
+SAME = {"dropped": "off", "frozen": "freeze", **{row.button: kind for kind, row in KINDS.items()}}
+"""The words of audit and page."""
 DROPPED = "off"
 """The word for a dropped camera: ``third_a@20`` is short for ``third_a=off@20``."""
 HOW = "camera@step, camera@from-to or camera=black@step, for example third_b=noise:0.5@10-30"
@@ -80,7 +79,7 @@ def parse_what(what: str) -> Occlusion | None:
     kind = SAME.get(kind, kind)
     if kind == DROPPED and not numbers:
         return None
-    known = [name for name in get_args(OcclusionKind) if name != "none"]
+    known = [name for name in KINDS if name != "none"]
     if kind not in known:
         raise unknown("failure", kind, [DROPPED, *known])
     most = 1 + len(PLACE) if kind == "patch" else 1

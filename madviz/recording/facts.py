@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from madviz.session.frame import Frame, occlusion_words
+from madviz.session.frame import Frame
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def condition_words(frame: Frame) -> str:
     parts = [frame.condition.subset]
     for name, occlusion in sorted(frame.world.ablation.occlusions().items()):
         if frame.uses(name):
-            parts.append(f"{frame.world.env.camera(name).label} {occlusion_words(occlusion)}")
+            parts.append(f"{frame.world.env.camera(name).label} {occlusion.predicate}")
     return ", ".join(parts)
 
 

@@ -15,7 +15,7 @@ from madviz.analysis.foresight import Foresight
 from madviz.analysis.imagination import Imagined
 from madviz.analysis.probes import Probe
 from madviz.analysis.saliency import Target
-from madviz.observation.ablation import Ablation, CameraState, Occlusion
+from madviz.observation.ablation import Ablation, CameraState
 from madviz.observation.condition import Condition
 from madviz.observation.schedule import Schedule
 from madviz.subsets import mask_of, modality_of
@@ -274,25 +274,9 @@ def _deed(before: CameraState, after: CameraState) -> str:
     if after.input == "off" and not occluded:
         return "dropped"
     if before.input == after.input:
-        return occlusion_words(after.occlusion)
+        return after.occlusion.predicate
     if before.input == "off":
         return "is back"
     return {"rgb": "gives colour", "depth": "gives depth", "both": "gives colour and depth"}[
         after.input
     ]
-
-
-def occlusion_words(occlusion: Occlusion) -> str:
-    """An occlusion as a predicate: ``sends black``."""
-    strength = f"{100 * occlusion.strength:.0f} %"
-    return {
-        "none": "sends its picture again",
-        "black": "sends black",
-        "mean": "sends its mean picture",
-        "noise": f"sends {strength} noise",
-        "freeze": "is frozen",
-        "blur": f"is blurred by {strength}",
-        "patch": "has a patch in view",
-        "dropout": f"loses {strength} of its pictures",
-        "delay": f"sends what it saw {occlusion.late} steps ago",
-    }[occlusion.kind]

@@ -7,7 +7,6 @@ that a widget can show it, too. What a lesson computes stands in its cells.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import get_args
 
 import numpy as np
 import torch
@@ -19,7 +18,7 @@ from madviz.agent.networks import NetworkConfig
 from madviz.drawing.colours import heat
 from madviz.errors import UserError
 from madviz.measure.mean_picture import mean_pictures
-from madviz.observation.ablation import Occlusion, OcclusionKind, noise_generator
+from madviz.observation.ablation import KINDS, Occlusion, noise_generator
 from madviz.observation.streams import depth_code
 from madviz.subsets import every_mask, name_of
 from madviz.teaching import Moment, frames_of
@@ -57,7 +56,7 @@ def occlusion_sheet(moment: Moment, camera: str = "first", size: int = 140) -> P
     frame = moment.views[camera].rgb
     before = frames_of(moment.stack, moment.policy.spec.streams.index(camera))[0]
     shown = {}
-    for kind in get_args(OcclusionKind):
+    for kind in KINDS:
         occlusion = Occlusion(kind)
         rng = noise_generator(0, moment.step, camera)
         seen = before if occlusion.late else frame

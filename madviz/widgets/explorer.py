@@ -31,7 +31,7 @@ from madviz.drawing.jpeg import jpeg
 from madviz.drawing.mosaic import mosaic
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
+from madviz.observation.ablation import KINDS, CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.policies import checkpoint
 from madviz.session.commands import Command, Pause, Play, Reset, SetCamera, SetSpeed, StepOnce
 from madviz.session.frame import Frame, NoFrame
@@ -43,17 +43,6 @@ from madviz.widgets.explorer_table import table_html, words_html
 from madviz.widgets.static import StaticBox
 
 INPUTS: dict[str, CameraInput] = {"colour": "rgb", "depth": "depth", "both": "both", "off": "off"}
-OCCLUSIONS: dict[str, OcclusionKind] = {
-    "sees": "none",
-    "sends black": "black",
-    "sends its mean": "mean",
-    "sends noise": "noise",
-    "is frozen": "freeze",
-    "is blurred": "blur",
-    "has a patch": "patch",
-    "loses pictures": "dropout",
-    "is late": "delay",
-}
 PICTURE = {"max_width": "100%", "align_self": "flex-start"}
 SPEEDS = {"3 a second": 3.0, "10 a second": 10.0, "20 a second": 20.0, "as fast as it goes": 0.0}
 """Decisions; 0 for no limit (a menu shows nothing for None)."""
@@ -266,7 +255,7 @@ class Explorer(StaticBox):
             options=inputs, value=frame.camera(camera.name).input, style={"button_width": "70px"}
         )
         fails: Any = ipywidgets.Dropdown(
-            options=OCCLUSIONS,
+            options={row.menu: kind for kind, row in KINDS.items()},
             value=frame.camera(camera.name).occlusion.kind,
             layout={"width": "140px"},
         )

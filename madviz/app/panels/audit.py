@@ -10,7 +10,7 @@ import viser
 from madviz.app.live_audit import AuditStatus, LiveAudit
 from madviz.app.markup import dot, progress_bar
 from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, WidgetPanel, on_press, place
+from madviz.app.toolkit import Cell, HtmlPanel, on_press, place
 from madviz.drawing.colours import GOOD, NOTE, camera_colours
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, AuditRow
 from madviz.measure.audit.sentences import in_words, plan_words
@@ -37,7 +37,7 @@ HINTS = {
 }
 
 
-class AuditPanel(WidgetPanel):
+class AuditPanel(HtmlPanel):
     """Controls, progress and a table. ``newest`` is what the page shows; None: read-only."""
 
     unsettled = True
@@ -53,7 +53,6 @@ class AuditPanel(WidgetPanel):
         self._audit = audit
         self._newest = newest
         self._shown: AuditStatus | None = None
-        self.handles: list = []
         if newest is not None and audit.measures:
             episodes = gui.add_dropdown(
                 "Episodes", EPISODES, initial_value="50", hint=HINTS["episodes"]
@@ -64,8 +63,9 @@ class AuditPanel(WidgetPanel):
             on_press(stop, audit.stop)
             cells = [Cell(episodes, 1, 4, "5em"), Cell(start, 5, 4), Cell(stop, 9, 4)]
             self.handles = place(gui, "audit", 12, cells)
-        self._html = gui.add_html(audit_html(frame, audit.status(), audit.measures))
-        self.handles.append(self._html)
+        super().__init__(
+            gui, frame, lambda frame: audit_html(frame, audit.status(), audit.measures)
+        )
 
     def _start(self, episodes: int) -> None:
         frame = self._newest() if self._newest else None
@@ -77,7 +77,7 @@ class AuditPanel(WidgetPanel):
         if status is self._shown:
             return []
         self._shown = status
-        return [Assign(self._html, "content", audit_html(frame, status, self._audit.measures))]
+        return super().update(frame)
 
 
 def audit_html(frame: Frame, status: AuditStatus, measures: bool = True) -> str:

@@ -11,38 +11,21 @@ import viser
 from madviz.app.panel import Assign, apply
 from madviz.app.panels.patch import HINT, Box, attributes, field_style, parse_box, patched
 from madviz.app.panels.policy import policy_words, verdict
+from madviz.app.panels.subsets import MODALITY_WORDS
 from madviz.app.screen import Screen
 from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
 from madviz.drawing.mosaic import GAP, Dropped, mosaic
-from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.ablation import KINDS, PLACE, CameraState, Occlusion
 from madviz.session.commands import Compare, Link, SetCamera
 from madviz.session.frame import Frame, untouched
 from madviz.subsets import modality_of
 from madviz.types import CameraSpec
 
 INPUTS = {"rgb": "RGB", "depth": "depth", "both": "both", "off": "off"}
-OCCLUSIONS = {
-    "none": "none",
-    "black": "black",
-    "mean": "mean",
-    "noise": "noise",
-    "freeze": "freeze",
-    "blur": "blur",
-    "patch": "patch",
-    "dropout": "lossy",
-    "delay": "late",
-}
-"""Occlusions, and what their buttons say."""
 DROPPED = {"imagined": "what is imagined", "both": "truth beside it", "truth": "the truth"}
 """The choices for a dropped camera's tile, where the policy draws it."""
-SLIDERS = {
-    "strength": ("noise", "blur", "patch", "dropout", "delay"),
-    "x": ("patch",),
-    "y": ("patch",),
-    "width": ("patch",),
-    "height": ("patch",),
-}
-"""Each fraction of an occlusion, and the kinds it matters to."""
+SLIDERS = ("strength", *PLACE)
+"""The fractions of an occlusion; each has a slider, which shows where its kind uses it."""
 HINTS = {
     "input": "What the policy gets of this camera. Off drops it: the policy acts without it.",
     "occlusion": "A failing camera: it stays in the sum, but sends a broken picture.",
@@ -65,13 +48,9 @@ class CameraControls:
         self.name = name
         self._send = send
         self._state = CameraState()
-        self._wanted: dict[str, float] = {}
-        """The value that a slider was dragged to and no frame has confirmed yet: it must not jump
-        back."""
         self.input: Choice
         self.occlusion: Choice
-        self.sliders: dict[str, viser.GuiSliderHandle] = {}
-        self._shown: dict[str, SyncedInput] = {}
+        self.sliders: dict[str, SyncedInput] = {}
         self._gui = gui
 
     def add_input(self) -> None:
@@ -80,8 +59,9 @@ class CameraControls:
 
     def add_occlusion(self) -> None:
         """Buttons: how the camera fails."""
+        buttons = {kind: row.button for kind, row in KINDS.items()}
         self.occlusion = Choice(
-            self._gui, "Occlude", OCCLUSIONS, self._on_occlusion, HINTS["occlusion"]
+            self._gui, "Occlude", buttons, self._on_occlusion, HINTS["occlusion"]
         )
 
     def add_slider(self, field: str) -> None:
@@ -97,7 +77,7 @@ class CameraControls:
             hint=HINTS[field],
         )
         on_value(handle, lambda _, value: self._on_fraction(field, value))
-        self.sliders[field], self._shown[field] = handle, SyncedInput(handle)
+        self.sliders[field] = SyncedInput(handle)
 
     def style(self) -> str:
         """CSS that marks the active buttons."""
@@ -109,17 +89,16 @@ class CameraControls:
         """The changes that show ``state``; a slider that is being dragged stays."""
         self._state = state
         changes = []
-        for field, handle in self.sliders.items():
-            value = getattr(state.occlusion, field)
-            changes.append(Assign(handle, "visible", state.occlusion.kind in SLIDERS[field]))
-            if self._wanted.get(field, value) == value:
-                self._wanted.pop(field, None)
-                changes += self._shown[field].show(value)
+        for field, slider in self.sliders.items():
+            used = field in KINDS[state.occlusion.kind].uses
+            changes.append(Assign(slider.handle, "visible", used))
+            changes += slider.show(getattr(state.occlusion, field))
         return changes
 
     def cover(self, box: Box, tile: int) -> None:
         """A patch where a visitor has drawn a box on a tile of ``tile`` pixels."""
-        self._wanted.clear()
+        for slider in self.sliders.values():
+            slider.release()
         self._ask(patched(self._state, box, tile))
 
     def _ask(self, state: CameraState) -> None:
@@ -135,7 +114,7 @@ class CameraControls:
 
     def _on_fraction(self, field: str, value: float) -> None:
         occlusion = replace(self._state.occlusion, **{field: value})
-        self._wanted[field] = value
+        self.sliders[field].hold(value)
         self._ask(replace(self._state, occlusion=occlusion))
 
 
@@ -207,7 +186,11 @@ class CamerasPanel(WidgetPanel):
             field = self._field if name == "A" else None
             self._mosaics.append(Mosaic(gui, frame, width, paired, alt, field))
         self._mosaics[1].screen.handle.visible = False
-        self._dropped = DroppedChoice(gui, self._on_dropped)
+        self._dropped: Dropped = "imagined"
+        self._drop = Choice(
+            gui, "Dropped cameras show", DROPPED, self._choose_dropped, HINTS["dropped"]
+        )
+        self._drop.handle.visible = False
         self._link = LinkControls(gui, send) if send is not None else None
         if send is not None:
             self._build(gui, send, frame.world.env.cameras)
@@ -216,8 +199,7 @@ class CamerasPanel(WidgetPanel):
         screens = [one.screen for one in self._mosaics]
         self._note = gui.add_html("")
         grid = place(gui, "cameras", count, self._cells())
-        styles = [self._style, self._dropped.style]
-        self.handles = [*styles, *self._titles, *screens, *grid, self._note]
+        self.handles = [self._style, *self._titles, *screens, *grid, self._note]
 
     def _build(
         self,
@@ -240,13 +222,23 @@ class CamerasPanel(WidgetPanel):
         paired = frame.second is not None
         for index, side in enumerate((frame, frame.second)):
             if side is not None:
-                changes.append(self._mosaics[index].show(side, paired, self._dropped.value))
+                changes.append(self._mosaics[index].show(side, paired, self._dropped))
                 title = side_html("AB"[index], side) if paired else ""
                 changes.append(Assign(self._titles[index], "content", title))
         return changes
 
-    def _on_dropped(self) -> None:
-        apply([*self._pictures(self._frame), *self._dropped.show(self._frame)])
+    def _choose_dropped(self, _: viser.ClientHandle, value: str) -> None:
+        self._dropped = value  # type: ignore[assignment]
+        apply([*self._pictures(self._frame), self._marks(self._frame)])
+
+    def _marks(self, frame: Frame) -> Assign:
+        """CSS that marks the active buttons and hides the field."""
+        marks = "".join(control.style() for control in self._controls)
+        marks += self._drop.style(self._dropped)
+        marks += field_style(self._field) if self._field else ""
+        if self._link is not None:
+            marks += self._link.choice.style("both" if frame.linked else "a")
+        return Assign(self._style, "content", f"<style>{marks}</style>")
 
     def _draw(self, text: str) -> None:
         box = parse_box(text, len(self._controls))
@@ -258,11 +250,11 @@ class CamerasPanel(WidgetPanel):
         if self._link is not None:
             cells.append(Cell(self._link.choice.handle, 1, max(count - 1, 1), "11em"))
             cells.append(Cell(self._link.end, count))
-        cells.append(Cell(self._dropped.choice.handle, 1, max(count, 1), "11em"))
+        cells.append(Cell(self._drop.handle, 1, max(count, 1), "11em"))
         for index, control in enumerate(self._controls):
             cells.append(Cell(control.input.handle, index + 1, label="above"))
             cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="15%"))
-            cells += [Cell(slider, index + 1) for slider in control.sliders.values()]
+            cells += [Cell(slider.handle, index + 1) for slider in control.sliders.values()]
         return cells
 
     def update(self, frame: Frame) -> list[Assign]:
@@ -270,43 +262,18 @@ class CamerasPanel(WidgetPanel):
         paired = frame.second is not None
         changes = [Assign(self._mosaics[1].screen.handle, "visible", paired)]
         changes += [Assign(title, "visible", paired) for title in self._titles]
-        changes += [*self._pictures(frame), *self._dropped.show(frame)]
+        # The choice is there where a policy draws what a dropped camera would see.
+        drawn = bool(frame.world.imagined or (frame.second and frame.second.world.imagined))
+        changes += [*self._pictures(frame), Assign(self._drop.handle, "visible", drawn)]
         for control in self._controls:
             changes += control.show(frame.camera(control.name))
-        marks = "".join(control.style() for control in self._controls)
-        marks += field_style(self._field) if self._field else ""
         if self._link is not None:
             changes += self._link.show(paired)
-            marks += self._link.choice.style("both" if frame.linked else "a")
-        changes.append(Assign(self._style, "content", f"<style>{marks}</style>"))
+        changes.append(self._marks(frame))
         hinted = self._field is not None and not paired
         hint = f'<div class="mv"><span class="dim">{HINT}</span></div>' if hinted else ""
         changes.append(Assign(self._note, "content", unused_note(frame) or hint))
         return changes
-
-
-class DroppedChoice:
-    """The choice of what a dropped camera's tile shows, where the policy draws it."""
-
-    def __init__(self, gui: viser.GuiApi, on_change: Callable[[], None]) -> None:
-        self.value: Dropped = "imagined"
-        self._on_change = on_change
-        self.choice = Choice(gui, "Dropped cameras show", DROPPED, self._choose, HINTS["dropped"])
-        self.choice.handle.visible = False
-        self.style = gui.add_html("")
-
-    def _choose(self, _: viser.ClientHandle, value: str) -> None:
-        self.value = value  # type: ignore[assignment]
-        self._on_change()
-
-    def show(self, frame: Frame) -> list[Assign]:
-        """Whether it is to be seen, and what is chosen."""
-        drawn = bool(frame.world.imagined or (frame.second and frame.second.world.imagined))
-        style = f"<style>{self.choice.style(self.value)}</style>"
-        return [
-            Assign(self.choice.handle, "visible", drawn),
-            Assign(self.style, "content", style),
-        ]
 
 
 class LinkControls:
@@ -365,8 +332,8 @@ def unused_note(frame: Frame) -> str:
     missing = asked - known
     if not missing:
         return ""
-    word = {"rgb": "colour", "depth": "depth"}[missing.pop()]
-    takes = {"rgb": "colour", "depth": "depth"}[untouched(frame.world.policy).input]
+    word = MODALITY_WORDS[missing.pop()]
+    takes = MODALITY_WORDS[untouched(frame.world.policy).input]
     return (
         f'<div class="mv dim">This policy takes {takes} only: {word} is shown, but does not reach '
         "it. A camera that gives only that counts as dropped.</div>"

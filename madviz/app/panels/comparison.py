@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import viser
 
 from madviz.app.panel import Assign
-from madviz.app.panels.policy import PolicyChoice, offered
+from madviz.app.panels.policy import PolicyChoice, PolicyPicker, offered
 from madviz.app.session_maker import Reference, own_name
-from madviz.app.toolkit import Cell, SyncedInput, WidgetPanel, on_press, place
+from madviz.app.toolkit import Cell, HtmlPanel, on_press, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, NOTE
 from madviz.measure.statistics import Paired
 from madviz.session.commands import Command, Compare
@@ -32,7 +32,7 @@ HINTS = {
 }
 
 
-class ComparisonPanel(WidgetPanel):
+class ComparisonPanel(HtmlPanel):
     """Controls and the tally. ``send`` None: read-only."""
 
     def __init__(
@@ -44,43 +44,32 @@ class ComparisonPanel(WidgetPanel):
         named: Reference = own_name,
     ) -> None:
         self._frame = frame
-        self._named = named
-        self.handles = []
-        self._names = offered(choices, frame.world.env.task)
-        self._labels = {name: label for label, name in self._names.items()}
-        self._shown: SyncedInput | None = None
-        if send is not None and self._names:
-            self._add_controls(gui, send)
-        self._html = gui.add_html(comparison_html(frame))
-        self.handles.append(self._html)
+        self._picker: PolicyPicker | None = None
+        names = offered(choices, frame.world.env.task)
+        if send is not None and names:
+            self._picker = PolicyPicker(gui, "B", names, named, frame, HINTS["policy"])
+            self._add_controls(gui, send, self._picker)
+        super().__init__(gui, frame, comparison_html)
 
-    def _add_controls(self, gui: viser.GuiApi, send: Callable[[Command], None]) -> None:
-        picker = gui.add_dropdown(
-            "B",
-            list(self._names),
-            initial_value=self._labels.get(
-                self._named(self._frame.world.policy), next(iter(self._names))
-            ),
-            hint=HINTS["policy"],
-        )
+    def _add_controls(
+        self, gui: viser.GuiApi, send: Callable[[Command], None], picker: PolicyPicker
+    ) -> None:
         start = gui.add_button("start B", hint=HINTS["start"])
         stop = gui.add_button("end B", hint=HINTS["stop"])
 
         def begin() -> None:
-            send(Compare(self._names[picker.value], self._frame.world.ablation))
+            send(Compare(picker.names[picker.handle.value], self._frame.world.ablation))
 
         for button, work in ((start, begin), (stop, lambda: send(Compare(None)))):
             on_press(button, work)
-        cells = [Cell(picker, 1, 6, "1.2em"), Cell(start, 7, 2), Cell(stop, 9, 2)]
+        cells = [Cell(picker.handle, 1, 6, "1.2em"), Cell(start, 7, 2), Cell(stop, 9, 2)]
         self.handles = place(gui, "versus", 10, cells)
-        self._shown = SyncedInput(picker)
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
-        changes = [Assign(self._html, "content", comparison_html(frame))]
-        if self._shown is not None and frame.second is not None:
-            acting = self._named(frame.second.world.policy)
-            changes += self._shown.show(self._labels.get(acting, acting))
+        changes = super().update(frame)
+        if self._picker is not None and frame.second is not None:
+            changes += self._picker.show(frame.second)
         return changes
 
 

@@ -7,8 +7,7 @@ from html import escape
 
 import viser
 
-from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, WidgetPanel, on_press, place
+from madviz.app.toolkit import Cell, HtmlPanel, on_press, place
 from madviz.drawing.colours import NOTE
 from madviz.observation.grammar import HOW
 from madviz.observation.schedule import (
@@ -30,7 +29,7 @@ HINTS = {
 }
 
 
-class FailuresPanel(WidgetPanel):
+class FailuresPanel(HtmlPanel):
     """A dropdown of scenarios, a line for one's own, and what is to come."""
 
     def __init__(
@@ -39,11 +38,9 @@ class FailuresPanel(WidgetPanel):
         """``send`` None: read-only."""
         self._send = send
         self._env = frame.world.env
-        self.handles: list = []
         if send is not None:
             self._add_controls(gui)
-        self._words = gui.add_html(failures_html(frame))
-        self.handles.append(self._words)
+        super().__init__(gui, frame, failures_html)
 
     def _add_controls(self, gui: viser.GuiApi) -> None:
         names = [*(one.name for one in SCENARIOS), OWN]
@@ -72,9 +69,6 @@ class FailuresPanel(WidgetPanel):
     def end(self) -> None:
         assert self._send is not None
         self._send(SetSchedule())
-
-    def update(self, frame: Frame) -> list[Assign]:
-        return [Assign(self._words, "content", failures_html(frame))]
 
 
 def failures_html(frame: Frame) -> str:

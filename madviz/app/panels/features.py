@@ -21,8 +21,8 @@ from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.app.markup import dot
 from madviz.app.panel import Assign
-from madviz.app.panels.subsets import MODALITY_WORDS
-from madviz.app.toolkit import WidgetPanel
+from madviz.app.panels.subsets import stream_label
+from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import MERGED, camera_colours, heat
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
@@ -48,14 +48,7 @@ def small_axes(width: int) -> tuple[uplot.Axis, uplot.Axis]:
     )
 
 
-def stream_label(frame: Frame, stream: str) -> str:
-    """``Third A``, or ``Third A depth`` where a policy has both."""
-    label = frame.world.env.camera(camera_of(stream)).label
-    several = len({modality_of(name) for name in frame.world.policy.streams}) > 1
-    return f"{label} {MODALITY_WORDS[modality_of(stream)]}" if several else label
-
-
-class FeaturesPanel(WidgetPanel):
+class FeaturesPanel(HtmlPanel):
     """Curves of norms and, below them, a table: strip, norm and cosine of every stream."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, height: int = 150) -> None:
@@ -69,14 +62,14 @@ class FeaturesPanel(WidgetPanel):
         """Episode and step of the newest point; decisions seen in all."""
         self._holder = gui.add_folder(None)
         self._rebuild(frame)
-        self._table = gui.add_html(features_html(frame))
-        self.handles = [self._table, self._holder]
+        self.handles = [self._holder]
+        super().__init__(gui, frame, features_html)
 
     def update(self, frame: Frame) -> list[Assign]:
         if frame.world.policy.streams != self._streams:
             self._rebuild(frame)
         self.note(frame)
-        changes = [Assign(self._table, "content", features_html(frame))]
+        changes = super().update(frame)
         if len(self._history) > 1:
             changes.append(Assign(self._plot, "data", tuple(np.array(self._history).T)))
         return changes

@@ -16,10 +16,11 @@ import numpy as np
 import viser
 
 from madviz.analysis.foresight import DECISIONS, Foresight, mean_psnr
+from madviz.app.chart import Lane, chart
 from madviz.app.panel import Assign
-from madviz.app.panels.features import stream_label
-from madviz.app.toolkit import WidgetPanel, on_press
-from madviz.drawing.colours import FAINT, INK, MUTED, NOTE
+from madviz.app.panels.subsets import stream_label
+from madviz.app.toolkit import HtmlPanel, on_press
+from madviz.drawing.colours import INK, MUTED, NOTE
 from madviz.drawing.jpeg import jpeg_url
 from madviz.session.commands import Command, Foresee
 from madviz.session.frame import Frame
@@ -38,26 +39,24 @@ HINT = "From this step on, with the cameras that are on now. The episode goes on
 _GROUND = 30
 
 
-class ForesightPanel(WidgetPanel):
+class ForesightPanel(HtmlPanel):
     """A button and what came of it. ``send`` None: read-only."""
 
     def __init__(
         self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
     ) -> None:
         self._of: Foresight | None = None
-        self._html = ""
+        self._drawn = ""
         self._button: Any = None
-        self.handles: list[Any] = []
         if send is not None:
             self._button = gui.add_button(f"imagine {DECISIONS} decisions", hint=HINT)
             self._button.visible = frame.world.foresees
             on_press(self._button, lambda: send(Foresee()))
-            self.handles.append(self._button)
-        self._drawing = gui.add_html(self._content(frame))
-        self.handles.append(self._drawing)
+            self.handles = [self._button]
+        super().__init__(gui, frame, self._content)
 
     def update(self, frame: Frame) -> list[Assign]:
-        changes = [Assign(self._drawing, "content", self._content(frame))]
+        changes = super().update(frame)
         if self._button is not None:
             changes.append(Assign(self._button, "visible", frame.world.foresees))
         return changes
@@ -66,8 +65,8 @@ class ForesightPanel(WidgetPanel):
         """Drawn anew where something has happened since."""
         if frame.foresight is not self._of:
             self._of = frame.foresight
-            self._html = foresight_html(self._of, frame) if self._of else ""
-        return self._html
+            self._drawn = foresight_html(self._of, frame) if self._of else ""
+        return self._drawn
 
 
 def foresight_html(foresight: Foresight, frame: Frame) -> str:
@@ -132,30 +131,16 @@ def _reward_svg(foresight: Foresight) -> str:
     foreseen = [float(r) for r in foresight.future.reward]
     got = [one.reward for one in foresight.happened]
     known = [r for r in (*foreseen, *got) if np.isfinite(r)] or [0.0]
-    low = min(*known, 0.0)
-    high = max(*known, 1e-6)
     right = WIDTH - 106
-    base = HEIGHT - 8
     top = 8
-
-    def line(values: Sequence[float], colour: str, dashes: str = "") -> str:
-        places = " ".join(
-            f"{LEFT + (right - LEFT) * n / (len(foreseen) - 1):.0f},"
-            f"{base - (base - top) * (value - low) / (high - low):.0f}"
-            for n, value in enumerate(values)
-        )
-        return (
-            f'<polyline points="{places}" fill="none" stroke="{colour}" stroke-width="1.8" '
-            f'stroke-dasharray="{dashes}"/>'
-        )
-
-    return (
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" style="width:100%;display:block" font-size="11" '
-        f'font-family="inherit" fill="{MUTED}">'
-        f'<line x1="{LEFT}" x2="{right}" y1="{base}" y2="{base}" stroke="{FAINT}"/>'
-        f'<text x="{LEFT - 4}" y="{top + 8}" text-anchor="end">{high:.2f}</text>'
-        f'<text x="{LEFT - 4}" y="{base}" text-anchor="end">{low:.2f}</text>'
-        f"{line(foreseen, NOTE, '5 3')}{line(got, INK)}"
+    low = min(*known, 0.0)
+    lane = Lane(LEFT, right, top, HEIGHT - 8, len(foreseen) - 1, low, max(*known, 1e-6))
+    dashed = 'stroke-dasharray="5 3"'
+    return chart(
+        WIDTH,
+        HEIGHT,
+        f"{lane.scale('.2f')}{lane.curve(foreseen, NOTE, 1.8, dashed)}"
+        f"{lane.curve(got, INK, 1.8)}"
         f'<text x="{right + 8}" y="{top + 10}" fill="{NOTE}">reward foreseen</text>'
-        f'<text x="{right + 8}" y="{top + 28}" fill="{INK}">reward got</text></svg>'
+        f'<text x="{right + 8}" y="{top + 28}" fill="{INK}">reward got</text>',
     )

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from html import escape
 
 import viser
 
 from madviz.app.markup import dot
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, apply
 from madviz.app.scene.gizmo import Gizmo
 from madviz.app.session_maker import Reference, own_name
-from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
+from madviz.app.toolkit import Cell, Choice, HtmlPanel, SyncedInput, on_press, on_value, place
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.drawing.viewpoint import extent
 from madviz.observation.displacement import LARGEST, MOST_ZOOM, Displacement, MoveCamera
@@ -45,7 +46,7 @@ RANGES = {
 every move."""
 
 
-class MovePanel(WidgetPanel):
+class MovePanel(HtmlPanel):
     """See the module. ``send`` None: read-only."""
 
     def __init__(
@@ -68,16 +69,12 @@ class MovePanel(WidgetPanel):
         self._moves = dict(frame.world.ablation.moves)
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
         self._shown: dict[str, SyncedInput] = {}
-        self._wanted: dict[str, float] = {}
-        """The value that a slider was dragged to and no frame has confirmed yet: it must not jump
-        back."""
-        self.handles: list = []
         self._choice: Choice | None = None
         self._style = gui.add_html("")
+        self.handles = [self._style]
         if send is not None:
             self._add_controls(gui, frame)
-        self._words = gui.add_html(move_html(frame, named))
-        self.handles += [self._style, self._words]
+        super().__init__(gui, frame, partial(move_html, named=named))
 
     def _add_controls(self, gui: viser.GuiApi, frame: Frame) -> None:
         labels = {camera.name: camera.label for camera in frame.world.env.cameras}
@@ -100,7 +97,7 @@ class MovePanel(WidgetPanel):
             arrows = gui.add_checkbox("arrows", False, hint=HINTS["arrows"])
             on_value(arrows, lambda _, on: self._show_arrows(bool(on)))
             cells.append(Cell(arrows, 1, 4))
-        self.handles = place(gui, "move", 12, cells)
+        self.handles = [self._style, *place(gui, "move", 12, cells)]
 
     @property
     def _move(self) -> Displacement:
@@ -109,15 +106,14 @@ class MovePanel(WidgetPanel):
     def _choose(self, camera: str) -> None:
         if camera in self._names:
             self._camera = camera
-            self._wanted.clear()
+            self._release()
             if self._gizmo is not None and self._gizmo.camera:
                 self._show_arrows(True)
             # No frame may come while an episode is paused, so this does not wait for one.
-            for change in [*self._show_sliders(), self._marks()]:
-                setattr(change.handle, change.name, change.value)
+            apply([*self._show_sliders(), self._marks()])
 
     def _drag(self, field: str, value: float) -> None:
-        self._wanted[field] = value
+        self._shown[field].hold(value)
         move = replace(self._move, **{field: value})
         self._moves[self._camera] = move
         self._ask(self._camera, move)
@@ -125,11 +121,14 @@ class MovePanel(WidgetPanel):
     def _show_arrows(self, on: bool) -> None:
         assert self._gizmo is not None
         self._gizmo.camera = self._camera if on else ""
-        for change in self._gizmo.update(self._frame):
-            setattr(change.handle, change.name, change.value)
+        apply(self._gizmo.update(self._frame))
+
+    def _release(self) -> None:
+        for shown in self._shown.values():
+            shown.release()
 
     def _reset(self, cameras: list[str]) -> None:
-        self._wanted.clear()
+        self._release()
         for camera in cameras:
             self._moves.pop(camera, None)
             self._ask(camera, None)
@@ -140,14 +139,12 @@ class MovePanel(WidgetPanel):
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
-        changes = [Assign(self._words, "content", move_html(frame, self._named))]
+        changes = super().update(frame)
         changes += self._gizmo.update(frame) if self._gizmo is not None else []
         if self._choice is None:
             return changes
         now = frame.world.ablation.moves.get(self._camera, Displacement())
-        confirmed = all(getattr(now, field) == value for field, value in self._wanted.items())
-        if confirmed:
-            self._wanted.clear()
+        if all(shown.confirms(getattr(now, field)) for field, shown in self._shown.items()):
             self._moves = dict(frame.world.ablation.moves)
             changes += self._show_sliders()
         return [*changes, self._marks()]

@@ -14,7 +14,7 @@ from madviz.app.markup import error_html, progress_bar
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import action_bars
 from madviz.app.session_maker import Reference, own_name
-from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
+from madviz.app.toolkit import Cell, Choice, HtmlPanel, SyncedInput, on_press, on_value, place
 from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.session.commands import (
     Command,
@@ -31,7 +31,13 @@ from madviz.session.frame import Frame
 from madviz.types import PolicySpec
 
 SPEEDS: dict[str, float | None] = {"1": 1.0, "5": 5.0, "10": 10.0, "20": 20.0, "max": None}
-RUNS = {"play": "▶ play", "pause": "pause", "step": "step", "again": "again", "next": "next"}
+RUNS: dict[str, Command] = {
+    "play": Play(),
+    "pause": Pause(),
+    "step": StepOnce(),
+    "again": Reset(),
+    "next": Reset(next_seed=True),
+}
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,34 @@ def offered(choices: Sequence[PolicyChoice], task: str) -> dict[str, str]:
     return {one.label: one.name for one in choices if one.task in (task, "")}
 
 
-class PolicyPanel(WidgetPanel):
+class PolicyPicker:
+    """A dropdown of policies that follows the one that acts."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        label: str,
+        names: dict[str, str],
+        named: Reference,
+        frame: Frame,
+        hint: str,
+    ) -> None:
+        """``names`` by what they are called, as from ``offered``; it begins with the policy of
+        ``frame``, or with the first where that one is not among them."""
+        self.names = names
+        self._named = named
+        self._labels = {name: label for label, name in names.items()}
+        current = self._labels.get(named(frame.world.policy), next(iter(names)))
+        self.handle = gui.add_dropdown(label, list(names), initial_value=current, hint=hint)
+        self._shown = SyncedInput(self.handle)
+
+    def show(self, frame: Frame, force: bool = False) -> list[Assign]:
+        """The change by which it names the policy of ``frame``; ``force`` as in ``SyncedInput``."""
+        name = self._named(frame.world.policy)
+        return self._shown.show(self._labels.get(name, name), force)
+
+
+class PolicyPanel(HtmlPanel):
     """Picker, transport, and the state of the episode. ``send`` None: read-only."""
 
     def __init__(
@@ -65,34 +98,31 @@ class PolicyPanel(WidgetPanel):
         choices: Sequence[PolicyChoice],
         named: Reference = own_name,
     ) -> None:
-        self._gui = gui
-        self._send = send
-        self._named = named
         task = frame.world.env.task
-        self._names = offered(choices, task)
-        self._labels = {name: label for label, name in self._names.items()}
+        names = offered(choices, task)
+        current = named(frame.world.policy)
+        if current not in names.values():
+            names = {current: current, **names}
         self._tasks: dict[str, str] = {}
         """Each with the first policy for it."""
         for one in choices:
             self._tasks.setdefault(one.task or task, one.name)
-        self.handles: list = []
         self._run: Choice | None = None
         self._speed: Choice | None = None
         if send is not None:
-            self._add_controls(gui, send, frame)
+            self._add_controls(gui, send, frame, names, named)
         self._style = gui.add_html("")
-        self._status = gui.add_html(status_html(frame))
-        self.handles += [self._style, self._status]
+        self.handles = [*self.handles, self._style]
+        super().__init__(gui, frame, status_html)
 
     def _add_controls(
-        self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
+        self,
+        gui: viser.GuiApi,
+        send: Callable[[Command], None],
+        frame: Frame,
+        names: dict[str, str],
+        named: Reference,
     ) -> None:
-        labels = list(self._names)
-        name = self._named(frame.world.policy)
-        current = self._labels.setdefault(name, name)
-        if current not in labels:
-            labels = [current, *labels]
-            self._names[current] = name
         tasks = list({frame.world.env.task: "", **self._tasks})
         self._task = gui.add_dropdown(
             "Task",
@@ -103,12 +133,12 @@ class PolicyPanel(WidgetPanel):
         )
         on_value(self._task, lambda _, task: send(SetPolicy(self._tasks[task])))
         self._shown_task = SyncedInput(self._task)
-        self._picker = gui.add_dropdown(
-            "Policy", labels, initial_value=current, hint="Swap the policy in mid-episode."
-        )
-        on_value(self._picker, lambda _, label: send(SetPolicy(self._names[label])))
-        self._shown_policy = SyncedInput(self._picker)
-        self._run = Choice(gui, "Episode", RUNS, self._on_run, "Space, S, R and N do it, too.")
+        hint = "Swap the policy in mid-episode."
+        self._picker = PolicyPicker(gui, "Policy", names, named, frame, hint)
+        on_value(self._picker.handle, lambda _, label: send(SetPolicy(names[label])))
+        labels = {name: name for name in RUNS} | {"play": "▶ play"}
+        hint = "Space, S, R and N do it, too."
+        self._run = Choice(gui, "Episode", labels, lambda _, name: send(RUNS[name]), hint)
         self._speed = Choice(
             gui,
             "Speed",
@@ -128,7 +158,7 @@ class PolicyPanel(WidgetPanel):
         on_value(auto, lambda _, on: send(SetAutoNext(bool(on))))
         cells = [
             Cell(self._task, 1, 8),
-            Cell(self._picker, 1, 8),
+            Cell(self._picker.handle, 1, 8),
             Cell(self._run.handle, 1, 8),
             Cell(self._speed.handle, 1, 8),
             Cell(seed, 1, 4),
@@ -137,19 +167,8 @@ class PolicyPanel(WidgetPanel):
         ]
         self.handles = place(gui, "run", 8, cells)
 
-    def _on_run(self, _: viser.ClientHandle, name: str) -> None:
-        assert self._send is not None
-        table: dict[str, Command] = {
-            "play": Play(),
-            "pause": Pause(),
-            "step": StepOnce(),
-            "again": Reset(),
-            "next": Reset(next_seed=True),
-        }
-        self._send(table[name])
-
     def update(self, frame: Frame) -> list[Assign]:
-        changes = [Assign(self._status, "content", status_html(frame))]
+        changes = super().update(frame)
         if self._run is None or self._speed is None:
             return changes
         speed = next((name for name, rate in SPEEDS.items() if rate == frame.pace.speed), "")
@@ -157,12 +176,10 @@ class PolicyPanel(WidgetPanel):
         marks += self._speed.style(speed)
         changes.append(Assign(self._style, "content", f"<style>{marks}</style>"))
         changes += self._shown_auto.show(frame.pace.auto_next)
-        name = self._named(frame.world.policy)
-        label = self._labels.get(name, name)
         # After an error the policy may be another than the one that was picked.
         failed = bool(frame.pace.error)
         changes += self._shown_task.show(frame.world.env.task, force=failed)
-        return changes + self._shown_policy.show(label, force=failed)
+        return changes + self._picker.show(frame, force=failed)
 
 
 def policy_words(spec: PolicySpec) -> str:

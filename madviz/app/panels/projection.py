@@ -16,10 +16,11 @@ import numpy as np
 import viser
 
 from madviz.analysis.projection import DECISIONS, Basis, FeatureMaps
+from madviz.app.chart import chart, polyline
 from madviz.app.markup import progress_bar
-from madviz.app.panel import Assign
-from madviz.app.panels.features import NO_VIEWS, stream_label
-from madviz.app.toolkit import WidgetPanel
+from madviz.app.panels.features import NO_VIEWS
+from madviz.app.panels.subsets import stream_label
+from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import MERGED, MUTED, camera_colours
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
@@ -42,7 +43,7 @@ class Place:
     """(V + 1, Z) float32: the streams, and the merged feature on their scale (NaN: none)."""
 
 
-class ProjectionPanel(WidgetPanel):
+class ProjectionPanel(HtmlPanel):
     """One point per stream and one for what they are merged to, on axes that stay."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, height: int = 190) -> None:
@@ -52,13 +53,9 @@ class ProjectionPanel(WidgetPanel):
         self._of: tuple[PolicySpec | None, int] = (None, -1)
         """Policy and episode of the trail."""
         self._seen: tuple[int, int] = (-1, -1)
-        self._drawing = gui.add_html(self._html(frame))
-        self.handles = [self._drawing]
+        super().__init__(gui, frame, self._content)
 
-    def update(self, frame: Frame) -> list[Assign]:
-        return [Assign(self._drawing, "content", self._html(frame))]
-
-    def _html(self, frame: Frame) -> str:
+    def _content(self, frame: Frame) -> str:
         if frame.world.probe.merged_kind() == "no views":
             return f'<div class="mv mv-map">{NO_VIEWS}</div>'
         key = frame.world.policy
@@ -126,8 +123,7 @@ def map_html(frame: Frame, basis: Basis, trail: list[Place], height: int) -> str
         names += _name(MERGED, "merged, at the size of one", False)
     return (
         f'<div class="mv mv-map"><div>{names}</div>'
-        f'<svg viewBox="0 0 {WIDTH} {height}" style="width:100%;display:block;background:#222428">'
-        f"{shapes}</svg>"
+        f"{chart(WIDTH, height, shapes, 'background:#222428')}"
         '<div class="dim">A point is what a picture becomes inside the policy; near means alike. '
         f"These two directions show {100 * basis.share:.0f} % of what changed in the first "
         f"{DECISIONS} time steps. Hollow: dropped.</div></div>"
@@ -150,15 +146,11 @@ def _way(points: Array, colour: str, dashed: bool) -> str:
     if len(points) < 2:
         return ""
     cuts = np.linspace(0, len(points) - 1, len(FADES) + 1).astype(int)
-    dash = ' stroke-dasharray="4 3"' if dashed else ""
-    lines = ""
-    for start, end, fade in zip(cuts[:-1], cuts[1:], FADES, strict=True):
-        path = " ".join(f"{x:.0f},{y:.0f}" for x, y in points[start : end + 1])
-        lines += (
-            f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="1.6"'
-            f' stroke-opacity="{fade}"{dash}/>'
-        )
-    return lines
+    dash = 'stroke-dasharray="4 3"' if dashed else ""
+    return "".join(
+        polyline(points[start : end + 1], colour, style=f'stroke-opacity="{fade}" {dash}')
+        for start, end, fade in zip(cuts[:-1], cuts[1:], FADES, strict=True)
+    )
 
 
 def _dot(point: Array, colour: str, present: bool, radius: int) -> str:

@@ -7,13 +7,11 @@ maps themselves are drawn into the tiles (``mosaic.py``).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import viser
 
 from madviz.analysis.saliency import Target
-from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, Choice, WidgetPanel, place
+from madviz.app.toolkit import Cell, Choice, HtmlPanel, place
 from madviz.session.frame import Frame
 
 OPTIONS: dict[str, str] = {"": "off", "q": "for its Q", "action": "for its action"}
@@ -21,13 +19,12 @@ OPTIONS: dict[str, str] = {"": "off", "q": "for its Q", "action": "for its actio
 HINT = "Lights up the pixels that matter; takes as long as a step."
 
 
-class SaliencyPanel(WidgetPanel):
+class SaliencyPanel(HtmlPanel):
     """Three buttons and a line. ``ask`` None: read-only."""
 
     def __init__(
         self, gui: viser.GuiApi, ask: Callable[[Target | None], None] | None, frame: Frame
     ) -> None:
-        self.handles: list[Any] = []
         self._choice: Choice | None = None
         if ask is not None:
 
@@ -37,13 +34,9 @@ class SaliencyPanel(WidgetPanel):
             self._choice = Choice(gui, "Saliency", OPTIONS, choose, HINT)
             cell = Cell(self._choice.handle, 1, 1, "7.5em")
             self.handles = place(gui, "saliency", 1, [cell])
-        self._line = gui.add_html(self._html(frame))
-        self.handles.append(self._line)
+        super().__init__(gui, frame, self._content)
 
-    def update(self, frame: Frame) -> list[Assign]:
-        return [Assign(self._line, "content", self._html(frame))]
-
-    def _html(self, frame: Frame) -> str:
+    def _content(self, frame: Frame) -> str:
         style = self._choice.style(frame.explained or "") if self._choice else ""
         said = saliency_words(frame)
         return f'<style>{style}</style><div class="mv mv-saliency dim">{said}</div>'

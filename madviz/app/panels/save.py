@@ -8,8 +8,7 @@ from html import escape
 
 import viser
 
-from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, WidgetPanel, download, guarded, one_at_a_time, place
+from madviz.app.toolkit import Cell, HtmlPanel, download, guarded, one_at_a_time, place
 from madviz.session.frame import Frame
 from madviz.session.session_file import SavedSession
 
@@ -19,7 +18,7 @@ HINTS = {
 }
 
 
-class SavePanel(WidgetPanel):
+class SavePanel(HtmlPanel):
     """Two buttons, and what to do with what they save. Watchers may save, too: it only reads."""
 
     def __init__(
@@ -31,9 +30,8 @@ class SavePanel(WidgetPanel):
         several = gui.add_button("save the last 20", hint=HINTS["all"])
         one.on_click(one_at_a_time(lambda event: self._download(event.client, True)))
         several.on_click(one_at_a_time(lambda event: self._download(event.client, False)))
-        cells = [Cell(one, 1), Cell(several, 2)]
-        self._words = gui.add_html(save_html(frame))
-        self.handles = [*place(gui, "save", 2, cells), self._words]
+        self.handles = place(gui, "save", 2, [Cell(one, 1), Cell(several, 2)])
+        super().__init__(gui, frame, save_html)
 
     def _download(self, client: viser.ClientHandle | None, present_only: bool) -> None:
         if client is None:
@@ -44,9 +42,6 @@ class SavePanel(WidgetPanel):
             download(client, file_name(saved), saved.to_json().encode())
 
         guarded(client, save)
-
-    def update(self, frame: Frame) -> list[Assign]:
-        return [Assign(self._words, "content", save_html(frame))]
 
 
 def file_name(saved: SavedSession) -> str:

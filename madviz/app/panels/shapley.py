@@ -7,6 +7,7 @@ been measured, and then has an interval. Bars of one column share one scale.
 
 from __future__ import annotations
 
+from functools import partial
 from html import escape
 from typing import NamedTuple
 
@@ -22,10 +23,9 @@ from madviz.analysis.shapley import (
     success_shapley,
 )
 from madviz.app.markup import band, dot, track
-from madviz.app.panel import Assign
 from madviz.app.panels.subsets import subset_label
 from madviz.app.success_rates import SuccessRates
-from madviz.app.toolkit import WidgetPanel
+from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import FAINT, MUTED, NOTE, camera_colours
 from madviz.observation.condition import Condition
 from madviz.session.frame import Frame
@@ -59,16 +59,11 @@ class Column(NamedTuple):
     """(C,) half the width of the interval."""
 
 
-class ShapleyPanel(WidgetPanel):
+class ShapleyPanel(HtmlPanel):
     """A table with a row per camera and a column per game; below it, what the numbers mean."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, rates: SuccessRates) -> None:
-        self._rates = rates
-        self._table = gui.add_html(shapley_html(frame, rates))
-        self.handles = [self._table]
-
-    def update(self, frame: Frame) -> list[Assign]:
-        return [Assign(self._table, "content", shapley_html(frame, self._rates))]
+        super().__init__(gui, frame, partial(shapley_html, rates=rates))
 
 
 def shapley_html(frame: Frame, rates: SuccessRates) -> str:

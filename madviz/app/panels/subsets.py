@@ -11,7 +11,7 @@ import viser
 from madviz.analysis.shapley import camera_masks
 from madviz.app.markup import band, track
 from madviz.app.panel import Assign, apply
-from madviz.app.toolkit import SyncedInput, WidgetPanel, on_value
+from madviz.app.toolkit import HtmlPanel, SyncedInput, on_value
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.session.commands import Command, ReadSubsets
 from madviz.session.frame import Frame
@@ -30,7 +30,7 @@ FEW = 16
 """Rows up to which all are shown; six streams have 64, four pages of them."""
 
 
-class SubsetsPanel(WidgetPanel):
+class SubsetsPanel(HtmlPanel):
     """A table with a row per subset: its action as bars, how far that is from other actions, its Q,
     whether it was trained."""
 
@@ -49,15 +49,17 @@ class SubsetsPanel(WidgetPanel):
             "Every row", False, hint="Also sets in which a camera gives half of what it could."
         )
         self._everything.visible = len(frame.world.probe.masks) > FEW
-        self._table = gui.add_html(subsets_html(frame, everything=False))
-        self.handles = [self._read, self._everything, self._table]
+        self.handles = [self._read, self._everything]
+        super().__init__(gui, frame, self._content)
         on_value(self._everything, lambda *_: apply(self.update(self._frame)))
+
+    def _content(self, frame: Frame) -> str:
+        return subsets_html(frame, bool(self._everything.value))
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
-        html = subsets_html(frame, bool(self._everything.value))
         return [
-            Assign(self._table, "content", html),
+            *super().update(frame),
             Assign(self._everything, "visible", len(frame.world.probe.masks) > FEW),
             Assign(self._read, "visible", self._may_read and not frame.world.policy.reads_together),
             *self._reads.show(frame.pace.reads_all),
@@ -150,12 +152,15 @@ def subset_label(frame: Frame, subset: str) -> str:
     special = {"all": "all", "none": "state only", "rgb": "all colour", "depth": "all depth"}
     if subset in special:
         return special[subset]
-    parts = []
-    for stream in subset.split("+"):
-        label = frame.world.env.camera(camera_of(stream)).label
-        several = "." in stream
-        parts.append(f"{label} {MODALITY_WORDS[modality_of(stream)]}" if several else label)
-    return " + ".join(parts)
+    return " + ".join(stream_label(frame, stream, "." in stream) for stream in subset.split("+"))
+
+
+def stream_label(frame: Frame, stream: str, with_modality: bool | None = None) -> str:
+    """``Third A``, or ``Third A depth`` where a policy has both modalities, or as it is asked."""
+    if with_modality is None:
+        with_modality = len(set(map(modality_of, frame.world.policy.streams))) > 1
+    label = frame.world.env.camera(camera_of(stream)).label
+    return f"{label} {MODALITY_WORDS[modality_of(stream)]}" if with_modality else label
 
 
 def action_bars(action: np.ndarray) -> str:

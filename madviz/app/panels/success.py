@@ -210,6 +210,8 @@ def bars_html(frame: Frame, rates: SuccessRates) -> str:
     there is a B, its bar stands under A's."""
     sides = [frame] if frame.second is None else [frame, frame.second]
     own = [bar_rows(side, rates) for side in sides]
+    # Where the two have other streams, a row of one may have no meaning for the other.
+    alike = len({side.world.policy.streams for side in sides}) == 1
     conditions = list(dict.fromkeys(row for rows in own for row in rows))
     conditions.sort(key=lambda row: row.subset == "none")
     height = 15 if len(sides) == 2 else 20 if len(conditions) < 9 else 17
@@ -217,7 +219,7 @@ def bars_html(frame: Frame, rates: SuccessRates) -> str:
         _bar_row(side, condition, rates, "" if len(sides) == 1 else "AB"[index], height)
         for condition in conditions
         for index, side in enumerate(sides)
-        if condition in own[index] or side.world.policy.streams == frame.world.policy.streams
+        if condition in own[index] or alike
     ]
     key = (
         f"{dot(MUTED, 'height:5px')}shipped{dot(GOOD, 'height:5px;margin-left:8px')}"

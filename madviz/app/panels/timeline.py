@@ -9,14 +9,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from html import escape
+from typing import Literal
 
 import numpy as np
 import viser
 
+from madviz.app.chart import Lane, chart
 from madviz.app.panel import Assign
 from madviz.app.pictures import strip_html
-from madviz.app.toolkit import Cell, SyncedInput, WidgetPanel, on_press, on_value, place
-from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
+from madviz.app.toolkit import Cell, HtmlPanel, SyncedInput, on_press, on_value, place
+from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.session.commands import Command, Fork, Scrub
 from madviz.session.frame import Frame, TimelinePoint
 
@@ -35,7 +37,7 @@ HINTS = {
 }
 
 
-class TimelinePanel(WidgetPanel):
+class TimelinePanel(HtmlPanel):
     """A slider over the steps, two lanes, and the branch. ``send`` None: read-only."""
 
     def __init__(
@@ -48,15 +50,13 @@ class TimelinePanel(WidgetPanel):
         self._send = send
         self._clock = clock
         self._horizon = frame.world.env.horizon
-        self.handles: list = []
         self._slider: SyncedInput | None = None
         self._dragged = -AFTER_DRAG
         self._crossed = False
         """When a visitor moved the slider last, and whether it was set right since."""
         if send is not None:
             self._add_controls(gui, send, frame)
-        self._drawing = gui.add_html(timeline_html(frame))
-        self.handles.append(self._drawing)
+        super().__init__(gui, frame, timeline_html)
 
     def _add_controls(
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
@@ -85,10 +85,8 @@ class TimelinePanel(WidgetPanel):
         self._send(Scrub(step))
 
     def update(self, frame: Frame) -> list[Assign]:
-        changes = [Assign(self._drawing, "content", timeline_html(frame))]
-        if self._slider is None:
-            return changes
-        if self._clock() - self._dragged < AFTER_DRAG:
+        changes = super().update(frame)
+        if self._slider is None or self._clock() - self._dragged < AFTER_DRAG:
             return changes
         if not self._crossed:
             return [*changes, *self._slider.show(frame.world.step)]
@@ -101,20 +99,9 @@ class TimelinePanel(WidgetPanel):
 
 def timeline_html(frame: Frame) -> str:
     """Both lanes and what stands under them."""
-    lanes = [
-        ("reward", [moment.reward for moment in frame.history], _branch(frame, "reward")),
-        ("Q", [moment.q for moment in frame.history], _branch(frame, "q")),
-    ]
-    drawn = "".join(
-        _lane(label, index, live, first, frame.world.env.horizon)
-        for index, (label, live, first) in enumerate(lanes)
-    )
-    height = TOP + len(lanes) * (LANE + 8) + 18
-    svg = (
-        f'<svg viewBox="0 0 {WIDTH} {height}" style="width:100%;display:block" font-size="11" '
-        f'font-family="inherit" fill="{MUTED}">{_marks(frame, height)}{drawn}'
-        f"{_axis(frame, height)}</svg>"
-    )
+    drawn = _lane(frame, "reward", 0) + _lane(frame, "q", 1)
+    height = TOP + 2 * (LANE + 8) + 18
+    svg = chart(WIDTH, height, f"{_marks(frame, height)}{drawn}{_axis(frame, height)}")
     return f'<div class="mv mv-timeline">{svg}<div>{_words(frame)}</div>{_first(frame)}</div>'
 
 
@@ -131,40 +118,27 @@ def marks(history: Sequence[TimelinePoint]) -> list[tuple[int, str]]:
     return found
 
 
-def _branch(frame: Frame, name: str) -> list[float]:
-    return [getattr(moment, name) for moment in frame.branch.history] if frame.branch else []
-
-
 def _x(step: float, horizon: int) -> float:
     return LEFT + (WIDTH - LEFT - 6) * step / horizon
 
 
-def _lane(
-    label: str, index: int, live: Sequence[float], first: Sequence[float], horizon: int
-) -> str:
+def _lane(frame: Frame, name: Literal["reward", "q"], index: int) -> str:
     """One curve over the original run's, on one scale that holds both."""
-    top = TOP + index * (LANE + 8) + 4
+    live = [getattr(moment, name) for moment in frame.history]
+    first = [getattr(moment, name) for moment in frame.branch.history] if frame.branch else []
     known = np.array([*live, *first], float)
     known = known[np.isfinite(known)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
-    low, high = min(low, 0.0), max(high, low + 1e-6, 1e-6)
-    parts = [
-        f'<line x1="{LEFT}" x2="{WIDTH - 6}" y1="{top + LANE}" y2="{top + LANE}" stroke="{FAINT}"/>'
-        f'<text x="{LEFT - 6}" y="{top + 10}" text-anchor="end">{high:.3g}</text>'
-        f'<text x="{LEFT - 6}" y="{top + LANE}" text-anchor="end">{low:.3g}</text>'
-        f'<text x="4" y="{top + LANE / 2 + 4}">{label}</text>'
-    ]
-    for values, style in (
-        (first, f'stroke="{NOTE}" stroke-dasharray="4 4" stroke-opacity="0.8"'),
-        (live, 'stroke="#fff" stroke-width="1.6"'),
-    ):
-        points = " ".join(
-            f"{_x(step, horizon):.1f},{top + LANE * (1 - (value - low) / (high - low)):.1f}"
-            for step, value in enumerate(values)
-            if np.isfinite(value)
-        )
-        parts.append(f'<polyline points="{points}" fill="none" {style}/>')
-    return "".join(parts)
+    low = min(low, 0.0)
+    high = max(high, low + 1e-6, 1e-6)
+    top = TOP + index * (LANE + 8) + 4
+    lane = Lane(LEFT, WIDTH - 6, top, top + LANE, frame.world.env.horizon, low, high)
+    label = {"reward": "reward", "q": "Q"}[name]
+    dashed = 'stroke-dasharray="4 4" stroke-opacity="0.8"'
+    return (
+        f'{lane.scale(".3g")}<text x="4" y="{top + LANE / 2 + 4}">{label}</text>'
+        f"{lane.curve(first, NOTE, 1, dashed)}{lane.curve(live, '#fff')}"
+    )
 
 
 def _marks(frame: Frame, height: int) -> str:

@@ -15,10 +15,11 @@ from html import escape
 import viser
 
 from madviz.agent.methods import METHODS
+from madviz.app.chart import Lane, chart
 from madviz.app.markup import progress_bar
 from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, WidgetPanel, guarded, notify, on_value, one_at_a_time, place
-from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE
+from madviz.app.toolkit import Cell, HtmlPanel, guarded, notify, on_value, one_at_a_time, place
+from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.envs.registry import known_tasks
 from madviz.session.commands import Command, SetPolicy
 from madviz.session.frame import Frame
@@ -50,7 +51,7 @@ READ_EVERY = 3.0
 """Seconds between two reads of the run's files."""
 
 
-class TrainingPanel(WidgetPanel):
+class TrainingPanel(HtmlPanel):
     """Controls and curves. ``send`` None: read-only."""
 
     unsettled = True
@@ -68,11 +69,9 @@ class TrainingPanel(WidgetPanel):
         self._clock = clock
         self._read_at = -READ_EVERY
         self._status = JobStatus()
-        self.handles: list = []
         if send is not None:
             self._add_controls(gui, send, frame)
-        self._html = gui.add_html(training_html(self._status))
-        self.handles.append(self._html)
+        super().__init__(gui, frame, lambda _: training_html(self._status))
 
     def _add_controls(
         self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
@@ -125,7 +124,7 @@ class TrainingPanel(WidgetPanel):
         if self._clock() - self._read_at >= READ_EVERY:
             self._read_at = self._clock()
             self._status = self._job.status()
-        return [Assign(self._html, "content", training_html(self._status))]
+        return super().update(frame)
 
 
 def training_html(status: JobStatus) -> str:
@@ -169,31 +168,22 @@ def _curves(status: JobStatus) -> str:
     """The loss, and the success of recorded or evaluated episodes where the recipe reports it."""
     losses = [name for name in ("loss", "critic_loss") if name in status.rows[0]]
     rates = [name for name in status.rows[0] if "success" in name]
-    parts = [_curve(status, name, name.replace("_", " "), MUTED, None) for name in losses[:1]]
-    parts += [
-        _curve(status, name, name.replace("_", " "), colour, 1.0)
-        for name, colour in zip(rates[:2], (GOOD, BAD), strict=False)
-    ]
+    parts = [_curve(status, name, MUTED, None) for name in losses[:1]]
+    parts += [_curve(status, *row, 1.0) for row in zip(rates[:2], (GOOD, BAD), strict=False)]
     return "".join(parts)
 
 
-def _curve(status: JobStatus, name: str, label: str, colour: str, high: float | None) -> str:
-    values = [(i, row[name]) for i, row in enumerate(status.rows) if math.isfinite(row[name])]
-    top = high or max((value for _, value in values), default=1.0) or 1.0
-    last = max(len(status.rows) - 1, 1)
-    right = (WIDTH - LEFT - 6) / last
-    floor = HEIGHT - 14
-    points = " ".join(
-        f"{LEFT + right * i:.1f},{floor - (HEIGHT - 24) * value / top:.1f}" for i, value in values
-    )
-    newest = f"{values[-1][1]:.3g}" if values else "none yet"
-    return (
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" style="width:100%;display:block" font-size="11" '
-        f'fill="{MUTED}"><text x="{LEFT}" y="10">{escape(label)}: {newest} '
-        f"(row {len(status.rows)})</text>"
-        f'<text x="{LEFT - 6}" y="18" text-anchor="end">{top:.2g}</text>'
-        f'<text x="{LEFT - 6}" y="{HEIGHT - 14}" text-anchor="end">0</text>'
-        f'<line x1="{LEFT}" x2="{WIDTH - 6}" y1="{HEIGHT - 14}" y2="{HEIGHT - 14}" '
-        f'stroke="{FAINT}"/>'
-        f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.6"/></svg>'
+def _curve(status: JobStatus, name: str, colour: str, high: float | None) -> str:
+    """``high``: the value at the top of the scale; None: the greatest."""
+    values = [row[name] for row in status.rows]
+    known = [value for value in values if math.isfinite(value)]
+    top = high or max(known, default=1.0) or 1.0
+    lane = Lane(LEFT, WIDTH - 6, 10, HEIGHT - 14, max(len(values) - 1, 1), 0.0, top)
+    newest = f"{known[-1]:.3g}" if known else "none yet"
+    label = escape(name.replace("_", " "))
+    return chart(
+        WIDTH,
+        HEIGHT,
+        f'<text x="{LEFT}" y="10">{label}: {newest} (row {len(values)})</text>'
+        f"{lane.scale('.2g')}{lane.curve(values, colour)}",
     )

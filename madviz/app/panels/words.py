@@ -6,15 +6,14 @@ from html import escape
 
 import viser
 
-from madviz.app.panel import Assign
 from madviz.app.success_rates import SuccessRates
-from madviz.app.toolkit import WidgetPanel
+from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import NOTE
 from madviz.session.frame import Change, Frame, deed, words
 from madviz.types import PolicySpec
 
 
-class WordsPanel(WidgetPanel):
+class WordsPanel(HtmlPanel):
     """See the module."""
 
     HINT = (
@@ -25,15 +24,11 @@ class WordsPanel(WidgetPanel):
     def __init__(self, gui: viser.GuiApi, frame: Frame, rates: SuccessRates) -> None:
         self._rates = rates
         self._last: tuple[Change, PolicySpec] | None = None
-        self._line = gui.add_html(self._html(frame))
-        self.handles = [self._line]
+        super().__init__(gui, frame, self._content)
 
-    def update(self, frame: Frame) -> list[Assign]:
+    def _content(self, frame: Frame) -> str:
         if frame.world.change is not None:
             self._last = (frame.world.change, frame.world.policy)
-        return [Assign(self._line, "content", self._html(frame))]
-
-    def _html(self, frame: Frame) -> str:
         if self._last is None or self._last[1] != frame.world.policy:
             said = f'<span class="dim">{self.HINT}</span>'
         else:

@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, apply
 from madviz.app.toolkit import guarded
 from madviz.observation.displacement import Displacement, dragged, moved_on, turned
 from madviz.session.frame import Frame
@@ -73,8 +73,7 @@ class Gizmo:
             asked = dragged(pose, move, np.asarray(target.position, float))
         self._on_move(self.camera, asked)
         if not self._dragging:
-            for change in self._stand(moved_on(pose, move, asked)):
-                setattr(change.handle, change.name, change.value)
+            apply(self._stand(moved_on(pose, move, asked)))
 
     def _is_turned(self, wxyz: Array) -> bool:
         """Whether ``wxyz`` (4,) are none of the axes that were sent lately."""

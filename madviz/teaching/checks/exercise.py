@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from madviz.errors import UserError, printable
+from madviz.subsets import every_mask
 from madviz.types import Array
 
 Judge = Callable[..., None]
@@ -143,6 +144,12 @@ def same(found: Any, expected: Array, words: str) -> None:
     shapes = f"expected an array of the shape {expected.shape}, found {array.shape}"
     expect(array.shape == expected.shape, shapes)
     expect(np.allclose(array, expected, atol=1e-5), words)
+
+
+def some_cameras() -> Iterator[tuple[Array, str]]:
+    """(3,) bool, every set of three cameras but the empty one, and the words for it."""
+    for present in every_mask(3)[:-1]:
+        yield present, f"with present = {present.tolist()}"
 
 
 def number(found: Any, words: str = "a number") -> float:
