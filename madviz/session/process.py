@@ -37,7 +37,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
@@ -58,7 +58,7 @@ from madviz.session.commands import (
 )
 from madviz.session.frame import Frame, NoFrame
 from madviz.session.inbox import Outbox, PipeInbox
-from madviz.session.live_session import MOST_WAITING, TOO_MANY, FrameSource
+from madviz.session.live_session import MOST_WAITING, TOO_MANY, LiveSession
 from madviz.session.session import Session
 from madviz.session.session_file import SavedSession
 from madviz.session.transfer import FrameDecoder, FrameEncoder
@@ -97,7 +97,7 @@ class Beginning(NamedTuple):
     commands: tuple[Command, ...] = ()
 
 
-class SessionProcess(FrameSource):
+class SessionProcess(LiveSession):
     """See the module. What a ``Session`` offers to a page, and may be called from any thread."""
 
     def __init__(self, make: MakeSession, noted: Noted = lambda name, spec: None) -> None:
@@ -145,7 +145,7 @@ class SessionProcess(FrameSource):
             raise UserError(answer)
         return answer
 
-    def start(self) -> SessionProcess:
+    def start(self) -> Self:
         """Starts the process, and a thread that reads what comes from it."""
         self._thread.start()
         return self
