@@ -129,7 +129,6 @@ class Panels:
         self.refresh = Refresh(self.panels)
         if greet:
             tour.greet()
-        self.curves = next(t.panel for t in tabbed if isinstance(t.panel, FeaturesPanel))
 
     def remove(self) -> None:
         """Takes panels and scene off the page."""
