@@ -203,7 +203,9 @@ def replay_row(
         "success": episode.success,
         "success_here": again.success,
         "compared": "bits" if bits else "outcome",
-        "same_bits": {name: again.sha256[name] == episode.sha256[name] for name in STREAMS},
+        "same_bits": {
+            name: getattr(again.sha256, name) == getattr(episode.sha256, name) for name in STREAMS
+        },
         "same": same,
         "first_difference": first_difference(episode.trace, again.trace) if bits else None,
         "reasons": [] if same else _reasons(episode, saved, find),

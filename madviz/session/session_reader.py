@@ -26,8 +26,12 @@ from madviz.observation.ablation import (
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import SetCamera
 from madviz.session.session_file import (
+    MOST_STEPS,
     TRACE,
+    Digest,
+    EpisodeFields,
     Maker,
+    PolicyName,
     SavedCommand,
     SavedEpisode,
     SavedPolicy,
@@ -38,29 +42,16 @@ from madviz.types import CameraSpec
 
 LONGEST = 4_000_000
 """Bytes in a file."""
-MOST_STEPS = 10_000
 NEXT = "save the session again, or fix the file"
 
 Name = Annotated[str, Meta(pattern=r"\A[a-z][a-z0-9_]{0,23}\Z")]
-PolicyName = Annotated[str, Meta(pattern=r"\A[^/\\:\x00-\x1f\x7f. ][^/\\:\x00-\x1f\x7f]{0,119}\Z")]
-Digest = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9._-]{0,128}\Z")]
-Task = Annotated[
-    str,
-    Meta(pattern=r"\A([a-z0-9]{1,20}/[a-z0-9-]{1,60}|[A-Za-z0-9_.]{1,120}:[A-Za-z0-9_]{1,60})\Z"),
-]
 Short = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]{1,60}\Z")]
-Sha256 = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Metres = Annotated[float, Meta(ge=-100, le=100)]
 Range = Annotated[float, Meta(ge=0, le=1000)]
 Unit = Annotated[float, Meta(ge=-1, le=1)]
 Move = Annotated[float, Meta(ge=-90, le=90)]
 Step = Annotated[int, Meta(ge=0, le=MOST_STEPS)]
-
-
-class _Policy(Struct, forbid_unknown_fields=True):
-    name: PolicyName
-    digest: Digest
 
 
 class _Camera(Struct, forbid_unknown_fields=True):
@@ -106,26 +97,8 @@ class _Command(Struct, forbid_unknown_fields=True):
     digest: Digest | UnsetType = UNSET
 
 
-class _Hashes(Struct, forbid_unknown_fields=True):
-    actions: Sha256
-    rewards: Sha256
-    success: Sha256
-
-
-class _Episode(Struct, forbid_unknown_fields=True):
-    policy: _Policy
-    task: Task
-    render_profile: Literal["fast", "full"]
-    cameras: Annotated[list[_Camera], Meta(min_length=1, max_length=16)]
-    seed: Annotated[int, Meta(ge=0, le=2**31 - 1)]
-    start: Annotated[list[_Command], Meta(max_length=16)]
-    commands: Annotated[list[_Command], Meta(max_length=10_000)]
-    steps: Annotated[int, Meta(ge=1, le=MOST_STEPS)]
-    ended: bool
-    success: bool
-    success_any: bool
-    sha256: _Hashes
-    trace: Annotated[str, Meta(pattern=r"\A[0-9a-f]*\Z")]
+class _Episode(EpisodeFields[_Camera, _Command, _Command], frozen=True, forbid_unknown_fields=True):
+    """An episode, with its lists as a file has them."""
 
 
 class _Session(Struct, forbid_unknown_fields=True):
@@ -181,34 +154,21 @@ def _check(holds: bool, path: str, expected: str, found: object) -> None:
         raise UserError(f"expected {path} to be {expected}, found {found!r:.50}")
 
 
-def _episode(found: _Episode, path: str) -> SavedEpisode:
-    cameras = [_camera(one, f"{path}.cameras[{i}]") for i, one in enumerate(found.cameras)]
+def _episode(fields: _Episode, path: str) -> SavedEpisode:
+    cameras = [_camera(one, f"{path}.cameras[{i}]") for i, one in enumerate(fields.cameras)]
     names = [camera.name for camera in cameras]
     _check(len(set(names)) == len(names), f"{path}.cameras", "cameras with a name each", names)
-    digits = TRACE * found.steps
-    _check(len(found.trace) == digits, f"{path}.trace", f"{digits} digits", found.trace)
-    start = [_start(one, names, f"{path}.start[{i}]") for i, one in enumerate(found.start)]
+    digits = TRACE * fields.steps
+    _check(len(fields.trace) == digits, f"{path}.trace", f"{digits} digits", fields.trace)
+    start = [_start(one, names, f"{path}.start[{i}]") for i, one in enumerate(fields.start)]
     commands = [
-        _command(one, names, found.steps, f"{path}.commands[{i}]")
-        for i, one in enumerate(found.commands)
+        _command(one, names, fields.steps, f"{path}.commands[{i}]")
+        for i, one in enumerate(fields.commands)
     ]
     steps = [command.step for command in commands]
     _check(steps == sorted(steps), f"{path}.commands", "in the order of their steps", steps)
-    return SavedEpisode(
-        policy=SavedPolicy(found.policy.name, found.policy.digest),
-        task=found.task,
-        render_profile=found.render_profile,
-        cameras=tuple(cameras),
-        seed=found.seed,
-        start=tuple(start),
-        commands=tuple(commands),
-        steps=found.steps,
-        ended=found.ended,
-        success=found.success,
-        success_any=found.success_any,
-        sha256=structs.asdict(found.sha256),
-        trace=found.trace,
-    )
+    lists = {"cameras": tuple(cameras), "start": tuple(start), "commands": tuple(commands)}
+    return SavedEpisode(**(structs.asdict(fields) | lists))
 
 
 def _camera(found: _Camera, path: str) -> CameraSpec:
