@@ -14,7 +14,6 @@ import pytest
 import viser
 import zstandard
 
-from madviz.app.address import check_port
 from madviz.app.layout import Shared
 from madviz.app.page import Page
 from madviz.app.panel import Assign, Panel
@@ -30,6 +29,7 @@ from madviz.session.commands import Pause, SetSpeed
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.soak.visitor import Visitor
+from madviz.system.hosts import check_port
 from tests.fakes import FakePolicy, policies
 from tests.pages import await_that, browser, choices_of, fake_app
 from tests.sessions import frame_with

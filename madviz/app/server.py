@@ -12,7 +12,6 @@ from pathlib import Path
 import viser
 
 from madviz.app.access import Gate
-from madviz.app.address import Address, check_port, reached_at, with_token
 from madviz.app.connection import guard
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice, purpose
@@ -35,7 +34,14 @@ from madviz.session.process import SessionProcess, prepare
 from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
-from madviz.system.hosts import machine_token, new_token, stays_here
+from madviz.system.hosts import (
+    check_port,
+    machine_token,
+    new_token,
+    reached_at,
+    stays_here,
+    with_token,
+)
 from madviz.system.numbers import Count, CountOrNone, Port, Rate, ThreadsOrNone, check_numbers
 from madviz.system.processes import limit_heaps
 from madviz.system.streams import say, telling
@@ -83,6 +89,17 @@ class ExploreConfig:
     itself."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a page is served, and who gets in."""
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    """0 takes a free one."""
+    gate: Gate | None = None
+    """None lets everybody in; one with a presenter's token makes the page a presentation."""
 
 
 class App:

@@ -2,8 +2,8 @@
 
 The Structs below say what a file may hold, and msgspec holds a file against them: types, ranges,
 names. Keys that nobody knows and keys that come twice are refused, because a misspelt command that
-is passed over would make another episode. What is left to whoever replays the episode: whether
-task, policies and cameras exist here, and whether the episode is as long as it says.
+is passed over would make another episode. A replay checks the rest: whether task, policies and
+cameras exist here, and whether the episode is as long as it says.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def parse(content: bytes, where: str) -> SavedSession:
         raise UserError(f"{where}: expected JSON, found a mistake: {error}; {NEXT}") from error
     session = typed(document, _Session, where, NEXT)
     try:
-        episodes = [_episode(one, f"episodes[{i}]") for i, one in enumerate(session.episodes)]
+        episodes = [_episode(fields, f"episodes[{i}]") for i, fields in enumerate(session.episodes)]
     except UserError as error:
         raise UserError(f"{where}: {error}; {NEXT}") from error
     return SavedSession(tuple(episodes), session.versions, session.made_by)
@@ -143,10 +143,10 @@ def _refuse(constant: str) -> NoReturn:
 
 
 def _each_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
+    table = dict(pairs)
+    if len(table) != len(pairs):
         raise ValueError("a key that comes twice")
-    return found
+    return table
 
 
 def _check(holds: bool, path: str, expected: str, found: object) -> None:
@@ -155,15 +155,15 @@ def _check(holds: bool, path: str, expected: str, found: object) -> None:
 
 
 def _episode(fields: _Episode, path: str) -> SavedEpisode:
-    cameras = [_camera(one, f"{path}.cameras[{i}]") for i, one in enumerate(fields.cameras)]
+    cameras = [_camera(camera, f"{path}.cameras[{i}]") for i, camera in enumerate(fields.cameras)]
     names = [camera.name for camera in cameras]
     _check(len(set(names)) == len(names), f"{path}.cameras", "cameras with a name each", names)
     digits = TRACE * fields.steps
     _check(len(fields.trace) == digits, f"{path}.trace", f"{digits} digits", fields.trace)
-    start = [_start(one, names, f"{path}.start[{i}]") for i, one in enumerate(fields.start)]
+    start = [_start(command, names, f"{path}.start[{i}]") for i, command in enumerate(fields.start)]
     commands = [
-        _command(one, names, fields.steps, f"{path}.commands[{i}]")
-        for i, one in enumerate(fields.commands)
+        _command(command, names, fields.steps, f"{path}.commands[{i}]")
+        for i, command in enumerate(fields.commands)
     ]
     steps = [command.step for command in commands]
     _check(steps == sorted(steps), f"{path}.commands", "in the order of their steps", steps)
@@ -171,54 +171,54 @@ def _episode(fields: _Episode, path: str) -> SavedEpisode:
     return SavedEpisode(**(structs.asdict(fields) | lists))
 
 
-def _camera(found: _Camera, path: str) -> CameraSpec:
-    near, far = found.depth_range
+def _camera(fields: _Camera, path: str) -> CameraSpec:
+    near, far = fields.depth_range
     _check(near < far, f"{path}.depth_range", "[near, far] with near < far", [near, far])
-    _check(0.9 < math.hypot(*found.wxyz) < 1.1, f"{path}.wxyz", "of norm 1", found.wxyz)
-    return CameraSpec(**structs.asdict(found))
+    _check(0.9 < math.hypot(*fields.wxyz) < 1.1, f"{path}.wxyz", "of norm 1", fields.wxyz)
+    return CameraSpec(**structs.asdict(fields))
 
 
-def _start(found: _Command, cameras: list[str], path: str) -> SetCamera | MoveCamera:
-    command = _switch(found, cameras, path)
-    _check(found.step is UNSET, path, "a camera without a step", found.step)
+def _start(fields: _Command, cameras: list[str], path: str) -> SetCamera | MoveCamera:
+    command = _switch(fields, cameras, path)
+    _check(fields.step is UNSET, path, "a camera without a step", fields.step)
     return command
 
 
-def _command(found: _Command, cameras: list[str], steps: int, path: str) -> SavedCommand:
-    step = found.step
+def _command(fields: _Command, cameras: list[str], steps: int, path: str) -> SavedCommand:
+    step = fields.step
     if step is UNSET or not 0 <= step <= steps:
         raise UserError(f"expected {path}.step to be from 0 to {steps}, found {step!r}")
-    if found.policy is UNSET or found.digest is UNSET:
-        return SavedCommand(step, _switch(found, cameras, path))
-    _check(_keys(found) == {"step", "policy", "digest"}, path, "a policy alone", _keys(found))
-    return SavedCommand(step, SavedPolicy(found.policy, found.digest))
+    if fields.policy is UNSET or fields.digest is UNSET:
+        return SavedCommand(step, _switch(fields, cameras, path))
+    _check(_keys(fields) == {"step", "policy", "digest"}, path, "a policy alone", _keys(fields))
+    return SavedCommand(step, SavedPolicy(fields.policy, fields.digest))
 
 
-def _switch(found: _Command, cameras: list[str], path: str) -> SetCamera | MoveCamera:
+def _switch(fields: _Command, cameras: list[str], path: str) -> SetCamera | MoveCamera:
     """How a camera is set, or where it is moved to."""
-    keys = _keys(found) - {"step"}
-    if found.camera is UNSET or found.camera not in cameras:
+    keys = _keys(fields) - {"step"}
+    if fields.camera is UNSET or fields.camera not in cameras:
         raise UserError(
-            f"expected {path}.camera to be one of {', '.join(cameras)}, found {found.camera!r}"
+            f"expected {path}.camera to be one of {', '.join(cameras)}, found {fields.camera!r}"
         )
-    if found.move is not UNSET:
+    if fields.move is not UNSET:
         _check(keys == {"camera", "move"}, path, "a camera and its move alone", sorted(keys))
-        move = found.move and Displacement(**structs.asdict(found.move))
-        return MoveCamera(found.camera, move)
-    if found.input is UNSET or not keys <= {"camera", "input", "occlusion"}:
+        move = fields.move and Displacement(**structs.asdict(fields.move))
+        return MoveCamera(fields.camera, move)
+    if fields.input is UNSET or not keys <= {"camera", "input", "occlusion"}:
         raise UserError(f"expected {path} to have camera and input, found {sorted(keys)}")
-    occlusion = Occlusion() if found.occlusion is UNSET else _occlusion(found.occlusion, path)
-    return SetCamera(found.camera, CameraState(found.input, occlusion))
+    occlusion = Occlusion() if fields.occlusion is UNSET else _occlusion(fields.occlusion, path)
+    return SetCamera(fields.camera, CameraState(fields.input, occlusion))
 
 
-def _occlusion(found: _Occlusion, path: str) -> Occlusion:
-    sides = _keys(found) - {"kind", "strength", "x", "y"}
+def _occlusion(fields: _Occlusion, path: str) -> Occlusion:
+    sides = _keys(fields) - {"kind", "strength", "x", "y"}
     expected = "width and height, or size"
     _check(sides in ({"width", "height"}, {"size"}), f"{path}.occlusion", expected, sorted(sides))
-    values = {name: getattr(found, name) for name in ("strength", "x", "y", *sides)}
-    return Occlusion(found.kind, **by_sides(values))
+    values = {name: getattr(fields, name) for name in ("strength", "x", "y", *sides)}
+    return Occlusion(fields.kind, **by_sides(values))
 
 
-def _keys(found: Struct) -> set[str]:
+def _keys(fields: Struct) -> set[str]:
     """The keys that stand in the file."""
-    return {name for name in found.__struct_fields__ if getattr(found, name) is not UNSET}
+    return {name for name in fields.__struct_fields__ if getattr(fields, name) is not UNSET}

@@ -55,10 +55,12 @@ class Simulation:
     ) -> None:
         self.env = env
         self.policy = policy
-        self.ablation = self._settled = ablation
+        self.ablation = ablation
+        self._settled = ablation
         self.journal = journal or Journal()
         self.outcomes: deque[Outcome] = deque(maxlen=20)
-        self.episode = self.seed = 0
+        self.episode = 0
+        self.seed = 0
         self.change: Change | None = None
         self._recent: deque[StepData] = deque()
         """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
@@ -155,14 +157,14 @@ class Simulation:
     def step(self, between: Callable[[], None]) -> None:
         """Takes one decision. ``between`` is called after every camera that is drawn, and may call
         ``set_camera``. Raises UserError if the policy cannot act on the present streams."""
-        mask = self.ablation.mask(self.policy.spec.streams)
+        mask = self.ablation.mask(self.policy.spec.streams)  # (V,)
         row = self.probe.row(mask)
         if not self.probe.supported[row]:
             raise UserError(
                 f"{self.policy.spec.name} cannot act on {self.condition.subset!r}; "
                 "switch another camera on"
             )
-        action = self._playing.decide(self._encoded, mask, self._reading()[1])
+        action = self._playing.decide(self._encoded, mask, self._reading()[1])  # (A,)
         time_step = self.env.step(action)
         self._actions.append(action)
         self.journal.decided(self.now.step, action, time_step)
@@ -210,7 +212,8 @@ class Simulation:
         self.env.spec.camera(name)
         before = self.ablation
         reading = self._reading()
-        self.ablation = self._settled = before.move(name, command.move)
+        self.ablation = before.move(name, command.move)
+        self._settled = self.ablation
         if self.ablation.moves == before.moves:
             return
         self._place(name)
@@ -328,7 +331,7 @@ class Simulation:
         self.policy = policy
         spec = policy.spec
         self._stack = stack_of(spec, self.env.spec)
-        self._masks = every_mask(len(spec.streams))
+        self._masks = every_mask(len(spec.streams))  # (N, V)
         self._recent = deque(self._recent, maxlen=max(spec.frame_stack, 3) + 1)
 
     def _place(self, camera: str) -> None:
@@ -343,7 +346,7 @@ class Simulation:
         env = self.env
         views = dict[str, View]()
         for camera in env.spec.cameras:
-            views[camera.name] = env.view(camera.name)
+            views[camera.name] = env.view(camera.name)  # (H, W, 3)
             between()
         poses = {camera.name: env.pose(camera.name) for camera in env.spec.cameras}
         return StepData(time_step, step, views, poses, env.bodies(), env.body_poses(), env.hand())
@@ -358,9 +361,10 @@ class Simulation:
         self._recent.append(data)
 
     def _read(self) -> None:
-        self._encoded = self.policy.encode(self._stack.views, self.now.time.state)
+        views = self._stack.views  # (V, C, H, W)
+        self._encoded = self.policy.encode(views, self.now.time.state)  # features (V, Z)
         only = None if self.policy.spec.reads_together else self._row
-        self.probe = probe(self.policy, self._encoded, self._masks, only)
+        self.probe = probe(self.policy, self._encoded, self._masks, only)  # actions (N, A), Q (N,)
 
     @property
     def _row(self) -> int:
