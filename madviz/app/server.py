@@ -15,7 +15,7 @@ from madviz.app.access import Gate
 from madviz.app.connection import guard
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice, purpose
-from madviz.app.session_maker import References, SessionMaker
+from madviz.app.session_maker import SessionMaker
 from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import theme
 from madviz.app.users import MOST_WAITING, Limits, Users
@@ -30,7 +30,7 @@ from madviz.policies.checkpoint import PolicyName
 from madviz.policies.listing import list_policies
 from madviz.policies.sb3 import trust
 from madviz.session.live_session import LiveSession
-from madviz.session.process import SessionProcess, prepare
+from madviz.session.process import References, SessionProcess, prepare
 from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
@@ -213,7 +213,7 @@ def open_app(config: ExploreConfig) -> App:
     )
 
     def new_session() -> SessionProcess:
-        return SessionProcess(make, references.note)
+        return SessionProcess(make, references)
 
     def evaluator(listener: Callable[[Tally], None]) -> Evaluator:
         return Evaluator(config.workers, Store(), listener)
