@@ -87,11 +87,11 @@ class Hashes(Struct, frozen=True, forbid_unknown_fields=True):
     """SHA-256 of each of ``STREAMS``, step after step."""
 
     actions: Sha256
-    """Of float32."""
+    """The actions are hashed as float32."""
     rewards: Sha256
-    """Of float64."""
+    """The rewards are hashed as float64."""
     success: Sha256
-    """Of one byte."""
+    """Success is hashed as one byte."""
 
 
 class EpisodeFields(
