@@ -88,18 +88,9 @@ def claims(table: ResultTable) -> list[str]:
 
 def points(gap: Difference) -> str:
     """``+73 points [+68, +78] on the mean of all, first; n = 100 on 1 task``."""
-    low, high = gap.interval
     tasks = f"{len(gap.tasks)} task{'s' * (len(gap.tasks) > 1)}"
     mean = "the mean of " if len(gap.columns) > 1 else ""
-    return (
-        f"{signed(gap.value)} points [{signed(low)}, {signed(high)}] "
-        f"on {mean}{', '.join(gap.columns)}; n = {gap.n} on {tasks}"
-    )
-
-
-def signed(share: float) -> str:
-    """Points with their sign; what rounds to nothing is +0, not -0."""
-    return f"{round(100 * share) + 0.0:+.0f}"
+    return f"{gap} on {mean}{', '.join(gap.columns)}; n = {gap.n} on {tasks}"
 
 
 def _lead(

@@ -134,6 +134,16 @@ class Difference:
     trainings: tuple[float, ...]
     """The difference of every training seed that all tasks have."""
 
+    def __str__(self) -> str:
+        """How a difference is written everywhere: ``+15 points [+2, +28]``."""
+        low, high = self.interval
+        return f"{signed(self.value)} points [{signed(low)}, {signed(high)}]"
+
+
+def signed(share: float) -> str:
+    """Points with their sign; what rounds to nothing is +0, not -0."""
+    return f"{round(100 * share) + 0.0:+.0f}"
+
 
 def difference(first: Row, second: Row, columns: Sequence[str]) -> Difference | None:
     """The difference of the means over the columns that both rows have; None where no episodes can

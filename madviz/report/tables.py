@@ -109,7 +109,7 @@ def _table(
     for task in sorted({each.config.task for _, each in mine}, key=_task_rank):
         for label in labels:
             members = [each for name, each in mine if (name, each.config.task) == (label, task)]
-            row = _row(label, columns, members)
+            row = row_of(label, columns, members)
             if row.cells:
                 rows.append((task, row))
     averages = tuple(_average(label, rows) for label in labels)
@@ -168,16 +168,17 @@ def _shared_seeds(rows: Sequence[tuple[str, Row]]) -> dict[str, set[int]]:
     return {task: set(sorted(seeds)[:least]) for task, seeds in shared.items()}
 
 
-def _row(label: str, columns: Sequence[str], members: Sequence[Evidence]) -> Row:
-    """The row of the policies of one task."""
+def row_of(label: str, columns: Sequence[str], members: Sequence[Evidence]) -> Row:
+    """The row of ``members``, the policies of one task. A policy with one camera has no cell for
+    all cameras where there are columns of single ones."""
     row = Row(label)
     for each in members:
         counts = False
         for column in columns:
             # All of one camera is not all cameras, where other rows have several.
             alone = len(each.config.streams) == 1 and column == "all" and "third_b" in columns
-            found = None if alone else each.of(column)
-            for seed, success in (found or {}).items():
+            outcomes = None if alone else each.of(column)
+            for seed, success in (outcomes or {}).items():
                 cell = row.cells.setdefault(column, {})
                 unit = (each.config.task, each.seed, seed)
                 counts |= unit not in cell

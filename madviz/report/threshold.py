@@ -10,7 +10,7 @@ interval of a rate at most 0.2 wide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from madviz.envs.registry import MANISKILL_TASKS, METAWORLD_TASKS
@@ -18,7 +18,7 @@ from madviz.measure.evidence import Evidence
 from madviz.measure.statistics import SuccessRate
 from madviz.report.layouts import THREE
 from madviz.report.rows import Row
-from madviz.report.tables import usual_alphas
+from madviz.report.tables import row_of, usual_alphas
 
 TWENTY = (
     *(f"metaworld/{task}" for task in METAWORLD_TASKS),
@@ -85,13 +85,8 @@ def judge(task: str, evidence: Sequence[Evidence]) -> Verdict:
 
 
 def _row(evidence: Evidence) -> Row:
-    row = Row(evidence.config.name, evidence=[evidence])
-    for column in THREE:
-        if outcomes := evidence.of(column):
-            row.cells[column] = {
-                (evidence.config.task, evidence.seed, seed): ok for seed, ok in outcomes.items()
-            }
-    return row
+    """The policy's row; it names the policy also where no episode counts."""
+    return replace(row_of(evidence.config.name, THREE, [evidence]), evidence=[evidence])
 
 
 def _reasons(task: str, row: Row, mean: SuccessRate | None) -> list[str]:
