@@ -194,7 +194,7 @@ def class_server() -> str:
 
 
 def _slowest(students: Sequence[dict[str, Any]], number: str) -> list[Any]:
-    """Of one lesson, the longest times and the largest memory of any student."""
+    """The longest times and the largest memory of any student in one lesson."""
     timed = [student[name] for student in students for name in student if name[:2] == number]
     times = [max(run[key] for run in timed) for key in ("opened_s", "kernel_s", "cells_s")]
     memory = [max(s["memory_mb"][f"{number} {part}"] for s in students) for part in MEASURED]

@@ -65,16 +65,16 @@ def methods(tables: Sequence[ResultTable]) -> str:
 def rates(table: ResultTable) -> str:
     """The table's rows with their intervals, each over the tasks that all of them have; a mean only
     of rows that have all columns."""
-    groups = [*table.columns, *(["mean"] if table.mean_of else [])]
+    columns = table.columns
+    groups = [*columns, *(["mean"] if table.layout.mean else [])]
     tasks = set.intersection(*(set(row.tasks) for row in table.averages))
     series = {}
     for whole in table.averages:
         row = whole.on(tasks) if tasks else whole
-        found = [row.rate(column) for column in table.columns]
-        if table.mean_of:
-            complete = row.measured(table.mean_of) == list(table.mean_of)
-            found.append(row.mean(table.mean_of) if complete else None)
-        series[row.label] = [bar(rate) for rate in found]
+        measured = [row.rate(column) for column in columns]
+        if table.layout.mean:
+            measured.append(row.mean(columns) if all(measured) else None)
+        series[row.label] = [bar(rate) for rate in measured]
     where = " and ".join(sorted(tasks)) or table.suite
     uses = " and ".join(sorted({row.seeds for row in table.averages}))
     return figures.dots(f"{table.layout.title}: {where}, {uses} seeds", groups, series)

@@ -41,10 +41,9 @@ def rates_csv(verdicts: Sequence[Verdict], tables: Sequence[ResultTable]) -> str
     for table in tables:
         for task, row in table.rows:
             writer.writerows(_lines(table.name, task, row, table.columns))
-        for row in table.averages:
-            if len(row.tasks) > 1:
-                task = f"average of {len(row.tasks)}"
-                writer.writerows(_lines(table.name, task, row, table.columns))
+        for row in table.over_tasks:
+            task = f"average of {len(row.tasks)}"
+            writer.writerows(_lines(table.name, task, row, table.columns))
     return text.getvalue()
 
 
