@@ -26,7 +26,7 @@ from madviz.report.threshold import TWENTY, WEAK, judge
 START = "<!-- figures: "
 BLOCK = re.compile(rf"({START}(\S+) -->\n)(?:(?!{START}).)*?(<!-- end -->)", re.DOTALL)
 LACKING = {("maniskill/poke-cube", "first"): " (it does not see the goal)"}
-"""What ``python -m benchmarks places`` says of a weak camera, by task and camera."""
+"""The finding of ``python -m benchmarks places`` about a weak camera, by task and camera."""
 
 
 def count(measured: Row) -> str:
@@ -151,17 +151,17 @@ def filled(text: str) -> str:
     return BLOCK.sub(lambda match: match[1] + BLOCKS[match[2]]() + match[3], text)
 
 
-def main(words: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     stale = []
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         text = page.read_text()
         if (new := filled(text)) != text:
             stale.append(page.relative_to(ROOT))
-            if "--check" not in words:
+            if "--check" not in arguments:
                 page.write_text(new)
-    state = "out of date" if "--check" in words else "filled"
+    state = "out of date" if "--check" in arguments else "filled"
     print(*(f"{state}: {page}" for page in stale), sep="\n")
-    return 1 if stale and "--check" in words else 0
+    return 1 if stale and "--check" in arguments else 0
 
 
 if __name__ == "__main__":

@@ -18,9 +18,9 @@ from madviz.soak.soak import growth_an_hour
 from madviz.system.markdown import markdown_table
 
 CLASS_RUNS = ("lessons", "pages", "alone")
-"""Of results/class: files of ``python -m tests.e2e.class_server``."""
+"""Files of ``python -m tests.e2e.class_server`` in results/class."""
 MEASURED = ("kernel", "all")
-"""What the memory of a lesson is given for: its kernel, and all that the student runs."""
+"""Two parts of a lesson's memory: its kernel, and all that the student runs."""
 ABLATION = "imagine/ablation/toy"
 BESIDE_IMAGINING = (
     "metaworld-hammer-mv-mae-light",
@@ -142,7 +142,8 @@ def priorities() -> str:
 
 
 def class_server() -> str:
-    """What students took of a class server, from results/class, and what more would take."""
+    """The times and the memory of students on a class server, from results/class, and the
+    machine that more students need."""
     lessons, pages, alone = (read(f"class/{run}") for run in CLASS_RUNS)
     students = list(lessons["each"].values())
     cores = lessons["cores"]
@@ -221,8 +222,8 @@ def kernel_memory() -> str:
 
 
 def imagine() -> str:
-    """What `benchmarks imagine` measured, from results/imagine: one row for each camera that is
-    hidden while all others are seen."""
+    """Results of `benchmarks imagine`, from results/imagine: one row for each camera that is hidden
+    while all others are seen."""
     header = ("task", "network", "hidden", "imagined", "worst frame", "mean", "another episode")
     errors = ("imagined", "worst", "mean_picture", "other_episode", "gain")
     rows = [
@@ -275,7 +276,7 @@ def beside_imagining() -> str:
 
 
 def site_speed() -> str:
-    """What a visitor of a site downloads, and how fast it acts, from results/site/speed.json."""
+    """The size of a site's downloads, and how fast it acts, from results/site/speed.json."""
     result = read("site/speed")
     rows = [
         (backend, f"{speed['one']:.1f}", f"{speed['side_by_side']:.1f}")
@@ -289,23 +290,23 @@ def site_speed() -> str:
 
 
 def places() -> str:
-    """What `benchmarks places` read from features of policies with a weak camera, from
-    results/places, beside the success of each camera alone."""
+    """Results of `benchmarks places` for policies with a weak camera, from results/places, beside
+    the success of each camera alone."""
     rows = []
     for result in read_all("places/*").values():
         alone = row(result["policy"])
-        for found in sorted(result["rows"], key=lambda found: SINGLES.index(found["stream"])):
-            camera = found["stream"]
-            errors = (f"{found[source + '_cm']:.1f} cm" for source in ("feature", "state", "mean"))
-            place = (found["place"], f"{found['in_picture']:.2f}")
+        for place in sorted(result["rows"], key=lambda place: SINGLES.index(place["stream"])):
+            camera = place["stream"]
+            errors = (f"{place[source + '_cm']:.1f} cm" for source in ("feature", "state", "mean"))
+            picture = (place["place"], f"{place['in_picture']:.2f}")
             success = rates(alone, [camera])
-            rows.append((result["policy"], LABELS[camera], *success, *place, *errors))
+            rows.append((result["policy"], LABELS[camera], *success, *picture, *errors))
     header = ("policy", "camera", "success alone", "place", "in its picture", "from its feature")
     return table((*header, "from the state", "mean place"), rows)
 
 
 def soak() -> str:
-    """What the page's server took before and after each piece of `madviz soak`."""
+    """Memory and threads of the page's server before and after each piece of `madviz soak`."""
     rows = []
     for result in read_all("soak/*").values():
         memory = result["memory_mb"]
@@ -341,7 +342,7 @@ def site_success() -> str:
             policy = policies()[name]
             measured = {**policy.outcomes.get(subset, {}), **policy.development.get(subset, {})}
             python = {seed: measured[seed] for seed in browser}
-            success = (SuccessRate.counted(each.values()) for each in (browser, python))
+            success = (SuccessRate.counted(outcomes.values()) for outcomes in (browser, python))
             paired = pair(browser, python)
             only = f"{paired.first_only}, {paired.second_only}"
             label = LABELS.get(subset, subset)

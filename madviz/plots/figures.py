@@ -207,9 +207,9 @@ def curves(
             where = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.2}
             axes.legend(**where, ncols=len(series), handlelength=3.2)
         drawn = _svg(figure)
-    for step, words in marks.items():
+    for step, event in marks.items():
         group = f'<g class="mark {step}">'
-        drawn = drawn.replace(group, f"{group}<title>{unit} {step}: {escape(words)}</title>")
+        drawn = drawn.replace(group, f"{group}<title>{unit} {step}: {escape(event)}</title>")
     return drawn
 
 
@@ -270,7 +270,7 @@ def _finished(figure: Figure, title: str, legend: Mapping[str, Style]) -> str:
     if legend:
         handles = [
             Patch(facecolor=style.colour, edgecolor="white", hatch=style.hatch)
-            if any(one.hatch for one in legend.values())
+            if any(look.hatch for look in legend.values())
             else Line2D([], [], linestyle="", **marker_words(style))
             for style in legend.values()
         ]
@@ -312,8 +312,8 @@ def _cell(axes: Axes, x: int, y: int, rate: float | None) -> None:
     axes.add_patch(box)
     box.set_clip_on(False)
     ink = "white" if rate is not None and rate > 0.6 else INK
-    words = "–" if rate is None else f"{rate:.2f}"
-    axes.text(x, y, words, color=ink, ha="center", va="center", clip_on=False)
+    number = "–" if rate is None else f"{rate:.2f}"
+    axes.text(x, y, number, color=ink, ha="center", va="center", clip_on=False)
 
 
 def _width(plot: float, title: str, names: Collection[str]) -> float:

@@ -111,7 +111,7 @@ def _merge(evidence: Evidence, setting: str = "three") -> str | None:
 
 
 def any_method(evidence: Evidence) -> str | None:
-    """Everybody's row with three cameras, however views are merged."""
+    """The row of any policy that imitates with three cameras, however views are merged."""
     return _overall(evidence) or (_merge(evidence) if evidence.config.recipe == "light" else None)
 
 

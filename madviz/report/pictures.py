@@ -17,11 +17,11 @@ from madviz.report.threshold import WEAK, Verdict
 from madviz.runs.curve import success_lines
 
 DIFFERENCES: tuple[Callable[[Evidence], str], ...] = (
-    lambda each: each.config.recipe,
-    lambda each: each.config.merge,
-    lambda each: each.config.setting,
-    lambda each: f"alpha {each.config.training.alpha or 0:g}",
-    lambda each: each.folder,
+    lambda policy: policy.config.recipe,
+    lambda policy: policy.config.merge,
+    lambda policy: policy.config.setting,
+    lambda policy: f"alpha {policy.config.training.alpha or 0:g}",
+    lambda policy: policy.folder,
 )
 """The facts in which curves of one method, seed and task may differ."""
 TWENTY = "twenty.svg"
@@ -84,9 +84,9 @@ def curves(evidence: Sequence[Evidence]) -> dict[str, str]:
     """Success while training by reinforcement, by the picture's name: one for each task on which
     a training measured it by subset."""
     by_task: dict[str, list[Evidence]] = {}
-    for each in evidence:
-        if each.config.recipe != "light" and _curve(each).is_file():
-            by_task.setdefault(each.config.task, []).append(each)
+    for policy in evidence:
+        if policy.config.recipe != "light" and _curve(policy).is_file():
+            by_task.setdefault(policy.config.task, []).append(policy)
     drawn = {task: _curves_on(task, by_task[task]) for task in sorted(by_task)}
     return {f"{CURVE}{task.replace('/', '-')}.svg": text for task, text in drawn.items() if text}
 
@@ -106,10 +106,11 @@ def task_of(name: str) -> str:
 
 def _curves_on(task: str, evidence: Sequence[Evidence]) -> str:
     panels: dict[str, dict[str, figures.Line]] = {}
-    for each, label in zip(evidence, _told_apart(evidence), strict=True):
-        lines = success_lines(list(csv.DictReader(_curve(each).read_text().splitlines())))
+    for policy, label in zip(evidence, _told_apart(evidence), strict=True):
+        lines = success_lines(list(csv.DictReader(_curve(policy).read_text().splitlines())))
+        streams = policy.config.streams
         for subset, line in lines.items():
-            name = each.config.streams[0] if len(each.config.streams) == 1 else subset
+            name = streams[0] if len(streams) == 1 else subset
             panels.setdefault(name, {})[label] = line
     title = f"{task}: success at evaluations on selection seeds, 95% intervals"
     return figures.lines(title, "simulator steps", panels) if panels else ""
@@ -123,13 +124,17 @@ def _told_apart(evidence: Sequence[Evidence]) -> list[str]:
     """A name for each: its method and seed; and where several have the same, what else they
     differ in."""
     labels = [
-        each.config.method + (f", seed {each.seed}" if each.seed != 1 else "") for each in evidence
+        policy.config.method + (f", seed {policy.seed}" if policy.seed != 1 else "")
+        for policy in evidence
     ]
     for fact in DIFFERENCES:
         named = list(zip(labels, evidence, strict=True))
-        for place, (label, each) in enumerate(named):
-            alike = (other for name, other in named if name == label)
-            same_streams = [o for o in alike if o.config.streams == each.config.streams]
-            if len({fact(other) for other in same_streams}) > 1:
-                labels[place] = f"{label}, {fact(each)}"
+        for place, (label, policy) in enumerate(named):
+            alike = {
+                fact(other)
+                for name, other in named
+                if name == label and other.config.streams == policy.config.streams
+            }
+            if len(alike) > 1:
+                labels[place] = f"{label}, {fact(policy)}"
     return labels

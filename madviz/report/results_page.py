@@ -40,7 +40,7 @@ def page(
     sweeps: str,
 ) -> str:
     """The file's text. ``drawn``: the pictures by name; ``sweeps``: the folder of sweep files."""
-    bare = sum(not (each.path / WEIGHTS).is_file() for each in evidence)
+    bare = sum(not (policy.path / WEIGHTS).is_file() for policy in evidence)
     captions = {name: caption for name in drawn if (caption := _caption(name))}
     pictured = [f"![{text}](pictures/{name})\n\n{text}" for name, text in captions.items()]
     sections = [
@@ -96,14 +96,14 @@ def _caption(picture: str) -> str:
 def _seeds_words(verdicts: Sequence[Verdict], tables: Sequence[ResultTable]) -> str:
     rows = [v.row for v in verdicts if v.row] + [row for t in tables for row in t.averages]
     uses = {row.seeds for row in rows}
-    words = {
+    texts = {
         DEVELOPMENT: "*Development seeds* (5000 to 9999) served to improve experts, recipes and "
         "choices, so fresh scenes may give lower rates.",
         REPORTING: "*Reporting seeds* (10000 to 999999) served for nothing else. A policy whose "
         "weights were not stored stays on development seeds, and is compared with others on "
         "development seeds only.",
     }
-    return " ".join(text for use, text in words.items() if use in uses)
+    return " ".join(text for use, text in texts.items() if use in uses)
 
 
 def _threshold_section(verdicts: Sequence[Verdict], sweep: str) -> str:

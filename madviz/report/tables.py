@@ -57,7 +57,7 @@ class ResultTable:
     @property
     def evidence(self) -> list[Evidence]:
         """The policies in its rows."""
-        return [each for _, row in self.rows for each in row.evidence]
+        return [policy for _, row in self.rows for policy in row.evidence]
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -196,15 +196,15 @@ def usual_alphas(evidence: Sequence[Evidence]) -> list[Evidence]:
     whose alpha is that of the policy whose folder has the plain name; without one, the commonest.
     """
     groups: dict[tuple[str, ...], list[Evidence]] = {}
-    for each in evidence:
-        groups.setdefault(_kind(each), []).append(each)
+    for policy in evidence:
+        groups.setdefault(_kind(policy), []).append(policy)
     usual = {}
     for key, members in groups.items():
-        plain = [each.alpha for each in members if each.folder == each.config.name]
-        counted = Counter(each.alpha for each in members)
+        plain = [p.alpha for p in members if p.folder == p.config.name]
+        counted = Counter(policy.alpha for policy in members)
         commonest = min(counted, key=lambda a: (-counted[a], a or 0.0))
         usual[key] = plain[0] if plain else commonest
-    return [e for e in evidence if e.alpha == usual[_kind(e)]]
+    return [policy for policy in evidence if policy.alpha == usual[_kind(policy)]]
 
 
 def _kind(evidence: Evidence) -> tuple[str, ...]:
