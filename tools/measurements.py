@@ -165,21 +165,15 @@ def class_server() -> str:
     ]
     opened = [times["opened_s"] for times in timed]
     kernels = [times["kernel_s"] for times in timed]
-    lesson_header = (
-        "lesson",
-        "open (s)",
-        "new kernel (s)",
-        "all cells (s)",
-        "kernel (MB)",
-        "whole student (MB)",
-    )
+    times_header = ("lesson", "open (s)", "new kernel (s)", "all cells (s)")
+    memory_header = ("kernel (MB)", "whole student (MB)")
     return "\n".join(
         [
             f"Measured with {lessons['students']} students at once on {cores} cores, their "
             "browsers on the same cores, torch with its CUDA libraries. A login took "
             f"{min(logins):.0f} to {max(logins):.0f} s. Of each lesson the slowest, and the "
             "largest memory:\n",
-            table(lesson_header, slowest),
+            table((*times_header, *memory_header), slowest),
             "Memory is proportional: what several processes share counts once. So, with as many "
             "students for each core, one kernel each, and 2 GB for the system:\n",
             table(("students", "cores", "memory"), machines),

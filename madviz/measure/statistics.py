@@ -57,6 +57,11 @@ class SuccessRate:
         return cls.of(sum(successes), len(successes))
 
     @classmethod
+    def mean(cls, shares: Sequence[float], parts: int) -> SuccessRate:
+        """The mean over ``parts`` success rates of the same seeds, with ``mean_interval``."""
+        return cls(sum(shares) / len(shares), mean_interval(shares, parts), len(shares))
+
+    @classmethod
     def read(cls, row: RateRow) -> SuccessRate:
         """The rate that a document holds."""
         low, high = row["ci95"]

@@ -24,12 +24,11 @@ from functools import partial
 from madviz.agent.methods import METHODS
 from madviz.measure.compare import over_trainings
 from madviz.measure.statistics import Interval
-from madviz.report.layouts import MERGES, THREE
+from madviz.report.layouts import COMPONENTS, MERGES, THREE
 from madviz.report.rows import Difference, Row, difference
 from madviz.report.tables import ALIKE, ResultTable
 
 BASELINES = ("single", "mvd", "vib", "mv-mwm")
-COMPONENTS = ("naive-both", "merged-only", "singular-only")
 LEAD = {"metaworld": 0.30, "maniskill": 0.36}
 """Paper, section on robustness: MAD's lead over the baselines, in success rate."""
 TASKS = {"metaworld": 15, "maniskill": 5}

@@ -18,18 +18,10 @@ from madviz.measure.evidence import Evidence
 THREE = ("all", "first", "third_a", "third_b")
 MERGES = tuple(name for name, merge in merge_table.MERGES.items() if not merge.own_loss)
 """The merges that the paper compares by themselves, in its order."""
-ORDER = (
-    "mad",
-    "single",
-    "mvd",
-    "vib",
-    "mv-mae",
-    "mv-mwm",
-    "naive-both",
-    "merged-only",
-    "singular-only",
-)
-
+COMPONENTS = ("naive-both", "merged-only", "singular-only")
+"""The methods that leave out a component of MAD."""
+ORDER = ("mad", "single", "mvd", "vib", "mv-mae", "mv-mwm", *COMPONENTS, *MERGES)
+"""The order of rows in every table."""
 
 Label = Callable[[Evidence], str | None]
 """Gives the row that a policy belongs to; None leaves it out of the table."""
@@ -219,5 +211,4 @@ BASELINES = Layout(
 def rank(label: str) -> tuple[int, str]:
     """A row's place in every table: a key to sort labels by."""
     name = label.split(",")[0]
-    order = (*ORDER, *MERGES)
-    return (order.index(name) if name in order else len(order), label)
+    return (ORDER.index(name) if name in ORDER else len(ORDER), label)

@@ -57,8 +57,7 @@ def methods(tables: Sequence[ResultTable]) -> str:
             cells = [None if rate is None else rate.value for rate in rates]
             panels.setdefault(task, {})[row.label] = cells
     labels = sorted({row.label for table in tables for row in table.averages}, key=rank)
-    uses = " and ".join(sorted({row.seeds for table in tables for row in table.averages}))
-    title = f"{tables[0].layout.title}, imitation, {uses} seeds"
+    title = f"{tables[0].layout.title}, imitation, {_seeds(*tables)}"
     return figures.heat(title, labels, tables[0].columns, panels)
 
 
@@ -76,8 +75,12 @@ def rates(table: ResultTable) -> str:
             measured.append(row.mean(columns) if all(measured) else None)
         series[row.label] = [bar(rate) for rate in measured]
     where = " and ".join(sorted(tasks)) or table.suite
-    uses = " and ".join(sorted({row.seeds for row in table.averages}))
-    return figures.dots(f"{table.layout.title}: {where}, {uses} seeds", groups, series)
+    return figures.dots(f"{table.layout.title}: {where}, {_seeds(table)}", groups, series)
+
+
+def _seeds(*tables: ResultTable) -> str:
+    uses = sorted({row.seeds for table in tables for row in table.averages})
+    return f"{' and '.join(uses)} seeds"
 
 
 def curves(evidence: Sequence[Evidence]) -> dict[str, str]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 
 from madviz.measure.evidence import Evidence
-from madviz.measure.statistics import SuccessRate, mean_interval
+from madviz.measure.statistics import SuccessRate
 from madviz.policies.checkpoint import WEIGHTS
 from madviz.policies.seeds import DEVELOPMENT, REPORTING
 from madviz.report import pictures
@@ -159,10 +159,7 @@ def _suite_mean(whole: Row) -> SuccessRate | None:
         for task, columns in judged.items()
         for share in whole.on({task}).shares(columns).values()
     ]
-    if not shares:
-        return None
-    interval = mean_interval(shares, min(map(len, judged.values())))
-    return SuccessRate(sum(shares) / len(shares), interval, len(shares))
+    return SuccessRate.mean(shares, min(map(len, judged.values()))) if shares else None
 
 
 def _section(tables: Sequence[ResultTable], sweep: str) -> str:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from madviz.measure.evidence import Evidence
 from madviz.measure.statistics import (
@@ -24,7 +24,6 @@ from madviz.measure.statistics import (
     SuccessRate,
     difference_interval,
     interval_over_trainings,
-    mean_interval,
 )
 from madviz.policies.seeds import use_of
 
@@ -107,8 +106,8 @@ class Row:
         cell = self.cells.get(column)
         if not cell:
             return None
-        rate = SuccessRate.of(sum(cell.values()), len(cell))
-        return SuccessRate(rate.value, _interval(cell, rate.interval), rate.n)
+        rate = SuccessRate.counted(cell.values())
+        return replace(rate, interval=_interval(cell, rate.interval))
 
     def shares(self, columns: Sequence[str]) -> dict[Unit, float]:
         """By unit, the share of ``columns`` that succeeded; of units that have them all."""
@@ -126,12 +125,11 @@ class Row:
         present = self.measured(columns)
         if len(present) < 2:
             return None
-        by_unit = self.shares(present)
-        shares = list(by_unit.values())
+        shares = self.shares(present)
         if not shares:
             return None
-        interval = _interval(by_unit, mean_interval(shares, len(present)))
-        return SuccessRate(sum(shares) / len(shares), interval, len(shares))
+        rate = SuccessRate.mean(list(shares.values()), len(present))
+        return replace(rate, interval=_interval(shares, rate.interval))
 
 
 @dataclass(frozen=True)
