@@ -14,10 +14,9 @@ import numpy as np
 import viser
 
 from madviz.app.access import Gate
-from madviz.app.address import Address
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice
-from madviz.app.server import App
+from madviz.app.server import Address, App
 from madviz.app.users import Limits
 from madviz.envs.registry import make_env
 from madviz.session.session import Session

@@ -14,10 +14,9 @@ import pytest
 import viser
 import zstandard
 
-from madviz.app.address import check_port
 from madviz.app.layout import Shared
 from madviz.app.page import Page
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, Panel
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.panels.training import TrainingPanel
 from madviz.app.refresh import AFTER, FASTEST, Refresh, TimedPanel
@@ -30,6 +29,7 @@ from madviz.session.commands import Pause, SetSpeed
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.soak.visitor import Visitor
+from madviz.system.hosts import check_port
 from tests.fakes import FakePolicy, policies
 from tests.pages import await_that, browser, choices_of, fake_app
 from tests.sessions import frame_with
@@ -265,11 +265,15 @@ def test_a_training_is_followed_while_the_episode_stands_still(monkeypatch):
         await_that(lambda: len(looks) >= 6 and looks[-1] == looks[-2] == looks[-3])
 
 
-class Counted:
-    """A panel that counts its updates."""
+class Counted(Panel):
+    """A panel that counts its updates, and the frames of which it is told."""
 
     def __init__(self) -> None:
         self.updates = 0
+        self.noted = 0
+
+    def note(self, frame: Frame) -> None:
+        self.noted += 1
 
     def update(self, frame: Frame) -> list[Assign]:
         self.updates += 1
@@ -292,6 +296,7 @@ def test_tables_make_way_for_somebody_who_has_touched_a_camera():
     refresh.again()
     refresh.update(frame, 11.0, lambda: False)
     assert (picture.updates, table.updates) == (2, 2)
+    assert (picture.noted, table.noted) == (4, 4), "every frame goes to every panel of the list"
 
 
 def newest(session: Session) -> Frame:

@@ -14,6 +14,7 @@ from madviz.errors import UserError
 from madviz.grading.copies import checks_of, handed_out, prepare, returned
 from madviz.grading.grade import Grade, GradeConfig, grade, grade_words, rows_of, table
 from madviz.grading.run import CopyRun, environment, read
+from madviz.teaching.checks.exercise import Result
 
 RIGHT = "def merge(features, present):\n    return features[present].sum(0)"
 SUM_OF_ALL = "def merge(features, present):\n    return features.sum(0)"
@@ -113,21 +114,21 @@ def test_half_a_report_counts(tmp_path: Path) -> None:
     lines = [
         json.dumps({"error": "cell 3: ZeroDivisionError"}),
         json.dumps({"result": {"name": "02.merge", "passed": True, "missing": "", "error": ""}}),
+        json.dumps({"result": {"name": "02.mean"}}),  # A student's code has made it up.
         '{"result": {"na',
     ]
     (tmp_path / "report").write_text("\n".join(lines))
-    done = read(tmp_path / "report")
-    assert done.results["02.merge"]["passed"] and done.errors == {
-        "02.merge": "cell 3: ZeroDivisionError"
-    }
+    run = read(tmp_path / "report")
+    assert run.results.keys() == {"02.merge"} and run.results["02.merge"].passed
+    assert run.errors == {"02.merge": "cell 3: ZeroDivisionError"}
     assert read(tmp_path / "none").results == {}
 
 
 def test_every_exercise_has_its_row(class_: Path) -> None:
     (one,) = returned_of(class_, "ada_02_merge.ipynb")
-    found = {"name": "02.merge", "passed": False, "missing": "it is not the sum", "error": ""}
+    wrong = Result("02.merge", False, "it is not the sum")
     run = CopyRun(
-        {"02.merge": found}, {"02.merge": "cell 2: NameError"}, "it did not end within 9 s"
+        {"02.merge": wrong}, {"02.merge": "cell 2: NameError"}, "it did not end within 9 s"
     )
     first, second = rows_of(one, ["02.merge", "02.mean"], frozenset({"02.merge"}), run)
     assert first == Grade(

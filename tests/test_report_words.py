@@ -11,8 +11,8 @@ import pytest
 
 from madviz.measure.evidence import find_evidence
 from madviz.policies import checkpoint
-from madviz.report.claims import claims, same, signed, verdict
-from madviz.report.rows import difference
+from madviz.report.claims import claims, same, verdict
+from madviz.report.rows import difference, signed
 from madviz.report.threshold import judge
 from tests.evidence import rates, write_policy
 from tests.reports import GOOD, average, every_table, report, table

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from madviz import cli
 from madviz.envs.registry import make_env
@@ -26,7 +27,7 @@ from madviz.session.commands import (
 from madviz.session.frame import Frame
 from madviz.session.replay import failure_words, replay_episode, replay_row, replay_words
 from madviz.session.session import Session
-from madviz.session.session_file import SavedEpisode, SavedPolicy, SavedSession
+from madviz.session.session_file import STREAMS, Hashes, SavedEpisode, SavedPolicy, SavedSession
 from madviz.session.session_reader import parse
 from madviz.session.simulation import Simulation
 from tests.fakes import FakePolicy, policies
@@ -67,7 +68,7 @@ def test_commands_matter_and_so_do_their_steps() -> None:
     episode = max(played(0, 50).episodes, key=lambda one: len(one.commands))
     missed = 0
     for index in range(0, len(episode.commands), 3):
-        fields = {**vars(episode)}
+        fields = {**structs.asdict(episode)}
         fields["commands"] = episode.commands[:index] + episode.commands[index + 1 :]
         missed += not same(replay_episode(SavedEpisode(**fields), find), episode)
     assert missed >= 2
@@ -174,9 +175,9 @@ def test_a_session_follows_a_saved_episode_then_is_the_visitors() -> None:
 def test_a_difference_is_found_and_explained() -> None:
     saved = played(1, 40)
     episode = saved.episodes[0]
-    fields = {**vars(episode), "policy": SavedPolicy("toy-mad", "older")}
+    fields = {**structs.asdict(episode), "policy": SavedPolicy("toy-mad", "older")}
     fields["trace"] = episode.trace[:8] + "0000" + episode.trace[12:]
-    fields["sha256"] = {**episode.sha256, "actions": "0" * 64}
+    fields["sha256"] = structs.replace(episode.sha256, actions="0" * 64)
     other = SavedSession((SavedEpisode(**fields),), {**saved.versions, "numpy": "0.1"})
     row = replay_row(other.episodes[0], other, find)
     assert not row["same"] and row["first_difference"] == 3
@@ -245,8 +246,8 @@ def test_another_episode_is_called_so(hammer: Path, capsys: pytest.CaptureFixtur
 
 def kept_by_a_site(episode: SavedEpisode, success: bool) -> SavedSession:
     """The episode as a browser would have saved it: other last bits, hence other hashes."""
-    wrong = dict.fromkeys(episode.sha256, "0" * 64)
-    fields = {**vars(episode), "sha256": wrong, "trace": "0" * len(episode.trace)}
+    wrong = Hashes(**dict.fromkeys(STREAMS, "0" * 64))
+    fields = {**structs.asdict(episode), "sha256": wrong, "trace": "0" * len(episode.trace)}
     return SavedSession((SavedEpisode(**{**fields, "success": success}),), {}, "site")
 
 

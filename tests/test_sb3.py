@@ -90,7 +90,7 @@ def test_a_visitors_simulation_knows_whether_it_is_trusted(model, trusted):
     prepare("madviz.app.session_maker")
     name, news = f"sb3:{model[1]}@toy/reach", Queue()
     made = SessionMaker(name, typed=name, trusted=trusted)
-    session = SessionProcess(made, lambda name, spec: None)
+    session = SessionProcess(made)
     session.subscribe(news.put)
     session.start()
     try:

@@ -38,7 +38,7 @@ from madviz.session.commands import (
     StepOnce,
 )
 from madviz.session.frame import Frame, NoFrame
-from madviz.session.process import MakeSession, Noted, SessionProcess
+from madviz.session.process import MakeSession, Noted, References, SessionProcess
 from madviz.session.session import Session
 from madviz.session.transfer import FrameDecoder, FrameEncoder
 from madviz.types import Future
@@ -82,10 +82,10 @@ class Watched:
     """A process's session, and what comes from it."""
 
     def __init__(self, make: MakeSession = Make()) -> None:
-        self.noted: list[str] = []
+        self.references = References()
         self.news: list[Frame | NoFrame] = []
         self._came = threading.Condition()
-        self.session = SessionProcess(make, lambda name, spec: self.noted.append(name))
+        self.session = SessionProcess(make, self.references)
         self.session.subscribe(self._take)
         self.session.start()
 
@@ -212,7 +212,7 @@ def test_a_session_in_a_process_obeys_and_saves_as_one_here():
         np.testing.assert_array_equal(there.action, last.action)
         assert one.session.save().episodes[-1].steps == here.save().episodes[-1].steps == 2
         assert one.session.save().episodes[-1].trace == here.save().episodes[-1].trace
-        assert one.noted == ["toy-mad"]
+        assert one.references.noted(there.world.policy) == "toy-mad"
         process = one.session._process
     assert process is not None and not process.is_alive()
 

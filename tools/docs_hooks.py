@@ -55,12 +55,12 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     return f"{markdown.rstrip()}\n\n{package_tree.files()}"
 
 
-def help_of(*words: str, module: str = "madviz") -> str:
-    """What ``python -m MODULE WORDS --help`` prints, 100 columns wide and without colours."""
+def help_of(*command: str, module: str = "madviz") -> str:
+    """The output of ``python -m MODULE COMMAND --help``, 100 columns wide and without colours."""
     environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
-    command = [sys.executable, "-m", module, *words, "--help"]
+    program = [sys.executable, "-m", module, *command, "--help"]
     printed = subprocess.run(
-        command, capture_output=True, text=True, check=True, env=environment, cwd=ROOT
+        program, capture_output=True, text=True, check=True, env=environment, cwd=ROOT
     )
     lines = re.sub(r"\x1b\[[0-9;]*m", "", printed.stdout).replace(str(ROOT), ".").splitlines()
     return "\n".join(line.rstrip() for line in lines)
@@ -89,7 +89,7 @@ def command_line() -> str:
         described = help_of(name)
         parts.append(f"## madviz {name}\n\n```text\n{described}\n```")
         if name == "train":
-            for recipe in [one for one in RECIPES if one != TrainConfig.recipe]:
+            for recipe in [other for other in RECIPES if other != TrainConfig.recipe]:
                 asked = help_of(name, "--recipe", recipe)
                 own = asked[
                     asked.index(f"╭─ {RECIPES[recipe].options.replace('_', '-')} options") :
@@ -125,7 +125,7 @@ def results() -> str:
 
 
 def tried() -> str:
-    """What results/tried.json holds, a section for each task."""
+    """The entries of results/tried.json, a section for each task."""
     parts = [
         "# What was tried",
         "Changes to the light recipe that were measured, taken or not, by task, as they were "

@@ -7,17 +7,21 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from policy_files import LABELS, ROOT, SINGLES, config_of, evaluation, rate
+from policy_files import LABELS, ROOT, SINGLES, on_development, policies, rates, row
 
 from madviz.measure.statistics import SuccessRate, pair
+from madviz.report.layouts import THREE
 from madviz.soak.soak import growth_an_hour
+from madviz.system.markdown import markdown_table
 
 CLASS_RUNS = ("lessons", "pages", "alone")
-"""Of results/class: files of ``python -m tests.e2e.class_server``."""
+"""Files of ``python -m tests.e2e.class_server`` in results/class."""
 MEASURED = ("kernel", "all")
-"""What the memory of a lesson is given for: its kernel, and all that the student runs."""
+"""Two parts of a lesson's memory: its kernel, and all that the student runs."""
+ABLATION = "imagine/ablation/toy"
 BESIDE_IMAGINING = (
     "metaworld-hammer-mv-mae-light",
     "metaworld-hammer-mad-light-12x300",
@@ -95,260 +99,247 @@ BENCHMARKS = (
 """A file of results/bench, the part of it that is meant, its command, a sentence about it."""
 
 
+def read(name: str) -> dict[str, Any]:
+    """A file of results/, by its path without the ending."""
+    return json.loads((ROOT / "results" / f"{name}.json").read_text())
+
+
+def read_all(pattern: str) -> dict[str, dict[str, Any]]:
+    """Files of results/, by their names without the ending."""
+    files = sorted((ROOT / "results").glob(f"{pattern}.json"))
+    return {file.stem: json.loads(file.read_text()) for file in files}
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]], machine: str = "") -> str:
+    """A block: a table of ``rows``, and where it was measured."""
+    text = markdown_table(header, [[str(cell) for cell in row] for row in rows])
+    return f"{text}\n\nOn {machine}.\n" if machine else f"{text}\n"
+
+
 def benchmarks() -> str:
-    """What benchmarks measured, from results/bench: a row for each of ``BENCHMARKS``."""
-    folder = ROOT / "results" / "bench"
-    lines = ["| benchmark | measured |", "|---|---|"]
-    for name, part, command, words in BENCHMARKS:
-        found = json.loads((folder / f"{name}.json").read_text())
-        said = words.format(**(found[part] if part else found))
-        lines.append(f"| `python -m benchmarks {command}` | {re.sub(r'[][]', '', said)} |")
-    return "\n".join(lines) + f"\n\nOn {machine()}.\n"
+    """Results of benchmarks, from results/bench: a row for each of ``BENCHMARKS``."""
+    rows = []
+    for name, part, command, sentence in BENCHMARKS:
+        result = read(f"bench/{name}")
+        measured = sentence.format(**(result[part] if part else result))
+        rows.append((f"`python -m benchmarks {command}`", re.sub(r"[][]", "", measured)))
+    return table(("benchmark", "measured"), rows, read("bench/machine")["machine"])
 
 
 def priorities() -> str:
     """The page beside other work, before that had a lower priority and now, in alternation."""
-    found = json.loads((ROOT / "results" / "bench" / "priorities.json").read_text())
-    lines = [
-        "| run | alone | beside an evaluation | beside a training |",
-        "|---|---|---|---|",
-    ]
-    for run in found["runs"]:
-        cells = (
-            f"{run[part]['updates_per_s']:.1f}; {run[part]['toggle_ms_p95']:.0f} ms"
-            for part in ("alone", "with_workers", "with_training")
+    result = read("bench/priorities")
+    parts = ("alone", "with_workers", "with_training")
+    rows = [
+        (
+            run["side"],
+            *("{updates_per_s:.1f}; {toggle_ms_p95:.0f} ms".format(**run[p]) for p in parts),
         )
-        lines.append(f"| {run['side']} | {' | '.join(cells)} |")
-    return "\n".join(lines) + f"\n\nOn {found['machine']}.\n"
+        for run in result["runs"]
+    ]
+    header = ("run", "alone", "beside an evaluation", "beside a training")
+    return table(header, rows, result["machine"])
 
 
 def class_server() -> str:
-    """What students took of a class server, from results/class, and what more would take."""
-    folder = ROOT / "results" / "class"
-    lessons, pages, alone = (json.loads((folder / f"{run}.json").read_text()) for run in CLASS_RUNS)
-    students, cores = lessons["students"], lessons["cores"]
-    each = list(lessons["each"].values())
-    logins = [one["login_s"] for one in each]
-    lines = [
-        f"Measured with {students} students at once on {cores} cores, their browsers on the same "
-        f"cores, torch with its CUDA libraries. A login took {min(logins):.0f} to "
-        f"{max(logins):.0f} s. Of each lesson the slowest, and the largest memory:\n",
-        "| lesson | open (s) | new kernel (s) | all cells (s) | kernel (MB) | whole student (MB) |",
-        "|---|---|---|---|---|---|",
+    """The times and the memory of students on a class server, from results/class, and the
+    machine that more students need."""
+    lessons, pages, alone = (read(f"class/{run}") for run in CLASS_RUNS)
+    students = list(lessons["each"].values())
+    cores = lessons["cores"]
+    logins = [student["login_s"] for student in students]
+    numbers = sorted({name[:2] for student in students for name in student if name[:2].isdigit()})
+    slowest = [_slowest(students, number) for number in numbers]
+    whole = max(row[-1] for row in slowest)
+    machines = [
+        (count, -(-count * cores // len(students)), f"{math.ceil(2 + count * whole / 1024)} GB")
+        for count in (4, 10, 20, 30)
     ]
-    whole = 0
-    for number in sorted({name[:2] for one in each for name in one if name[:2].isdigit()}):
-        timed = [one[name] for one in each for name in one if name[:2] == number]
-        times = (max(one[key] for one in timed) for key in ("opened_s", "kernel_s", "cells_s"))
-        memory = [max(one["memory_mb"][f"{number} {what}"] for one in each) for what in MEASURED]
-        whole = max(whole, memory[-1])
-        words = (f"{int(number)}", *(f"{took:.0f}" for took in times), *map(str, memory))
-        lines.append(f"| {' | '.join(words)} |")
-    lines += [
-        "\nMemory is proportional: what several processes share counts once. So, with as many "
-        "students for each core, one kernel each, and 2 GB for the system:\n",
-        "| students | cores | memory |",
-        "|---|---|---|",
-    ]
-    for number in (4, 10, 20, 30):
-        needed = math.ceil(2 + number * whole / 1024)
-        lines.append(f"| {number} | {-(-number * cores // students)} | {needed} GB |")
-    shown = [one["page"] for one in pages["each"].values()]
-    more = max(one["memory_mb"]["page page"] for one in pages["each"].values())
-    lines.append(
-        f"\nWith {len(shown)} live pages at once, whose browsers hardly drew the 3D scene, "
-        "each had its first numbers after "
-        f"{max(one['shown_s'] for one in shown):.0f} s at most, then at least "
-        f"{min(one['messages_a_second'] for one in shown):.0f} messages a second, and took "
-        f"{more} MB more at most."
-    )
+    shown = [student["page"] for student in pages["each"].values()]
+    more = max(student["memory_mb"]["page page"] for student in pages["each"].values())
     timed = [
-        one for found in alone["each"].values() for name, one in found.items() if name[:2].isdigit()
+        times
+        for student in alone["each"].values()
+        for name, times in student.items()
+        if name[:2].isdigit()
     ]
-    opened, kernels = ([one[key] for one in timed] for key in ("opened_s", "kernel_s"))
-    lines.append(
-        f"\nWith one student on the machine ({len(timed)} lessons), a lesson was open after "
-        f"{min(opened):.0f} to {max(opened):.0f} s, and a new kernel answered after "
-        f"{max(kernels):.1f} s at most."
+    opened = [times["opened_s"] for times in timed]
+    kernels = [times["kernel_s"] for times in timed]
+    times_header = ("lesson", "open (s)", "new kernel (s)", "all cells (s)")
+    memory_header = ("kernel (MB)", "whole student (MB)")
+    return "\n".join(
+        [
+            f"Measured with {lessons['students']} students at once on {cores} cores, their "
+            "browsers on the same cores, torch with its CUDA libraries. A login took "
+            f"{min(logins):.0f} to {max(logins):.0f} s. Of each lesson the slowest, and the "
+            "largest memory:\n",
+            table((*times_header, *memory_header), slowest),
+            "Memory is proportional: what several processes share counts once. So, with as many "
+            "students for each core, one kernel each, and 2 GB for the system:\n",
+            table(("students", "cores", "memory"), machines),
+            f"With {len(shown)} live pages at once, whose browsers hardly drew the 3D scene, each "
+            f"had its first numbers after {max(page['shown_s'] for page in shown):.0f} s at most, "
+            f"then at least {min(page['messages_a_second'] for page in shown):.0f} messages a "
+            f"second, and took {more} MB more at most.\n",
+            f"With one student on the machine ({len(timed)} lessons), a lesson was open after "
+            f"{min(opened):.0f} to {max(opened):.0f} s, and a new kernel answered after "
+            f"{max(kernels):.1f} s at most.\n",
+        ]
     )
-    return "\n".join(lines) + "\n"
+
+
+def _slowest(students: Sequence[dict[str, Any]], number: str) -> list[Any]:
+    """The longest times and the largest memory of any student in one lesson."""
+    timed = [student[name] for student in students for name in student if name[:2] == number]
+    times = [max(run[key] for run in timed) for key in ("opened_s", "kernel_s", "cells_s")]
+    memory = [max(s["memory_mb"][f"{number} {part}"] for s in students) for part in MEASURED]
+    return [int(number), *(f"{seconds:.0f}" for seconds in times), *memory]
 
 
 def grading() -> str:
     """How long a class's copies took to grade, from results/class/grading.json."""
-    found = json.loads((ROOT / "results" / "class" / "grading.json").read_text())
+    result = read("class/grading")
     return (
-        f"{found['copies']} copies of lesson {int(found['lesson'][:2])} took "
-        f"{found['seconds'] / 60:.0f} minutes with {found['workers']} workers on two cores: "
-        f"{found['right']} right ones, and empty, wrong, edited, crashing and endless ones, "
+        f"{result['copies']} copies of lesson {int(result['lesson'][:2])} took "
+        f"{result['seconds'] / 60:.0f} minutes with {result['workers']} workers on two cores: "
+        f"{result['right']} right ones, and empty, wrong, edited, crashing and endless ones, "
         "ones that want too much memory, and one that is no notebook.\n"
     )
 
 
 def kernel_memory() -> str:
     """Where the memory of a lesson's kernel goes, from results/class/kernel.json."""
-    found = json.loads((ROOT / "results" / "class" / "kernel.json").read_text())
-    lines = ["| after | MB (proportional) | of them, nobody can share |", "|---|---|---|"]
-    lines += [f"| {one['after']} | {one['pss_mb']} | {one['own_mb']} |" for one in found["steps"]]
-    return "\n".join([*lines, f"\ntorch {found['torch']}, one kernel alone."]) + "\n"
+    result = read("class/kernel")
+    rows = [(step["after"], step["pss_mb"], step["own_mb"]) for step in result["steps"]]
+    measured = table(("after", "MB (proportional)", "of them, nobody can share"), rows)
+    return f"{measured}\ntorch {result['torch']}, one kernel alone.\n"
 
 
 def imagine() -> str:
-    """What `benchmarks imagine` measured, from results/imagine: one row for each camera that is
-    hidden while all others are seen."""
-    lines = [
-        "| task | network | hidden | imagined | worst frame | mean | another episode | gain | "
-        "passes |",
-        "|---|---|---|---|---|---|---|---|---|",
+    """Results of `benchmarks imagine`, from results/imagine: one row for each camera that is hidden
+    while all others are seen."""
+    header = ("task", "network", "hidden", "imagined", "worst frame", "mean", "another episode")
+    errors = ("imagined", "worst", "mean_picture", "other_episode", "gain")
+    rows = [
+        (
+            result["task"],
+            result.get("policy") or "trained for this",
+            LABELS[hidden["hidden"]],
+            *(f"{hidden[error]:.1f}" for error in errors),
+            "yes" if hidden["gain"] >= 3 else "no",
+        )
+        for result in read_all("imagine/*").values()
+        for hidden in _one_hidden(result)
     ]
-    for file in sorted((ROOT / "results" / "imagine").glob("*.json")):
-        found = json.loads(file.read_text())
-        network = found.get("policy") or "trained for this"
-        for row in _one_hidden(found):
-            words = ("imagined", "worst", "mean_picture", "other_episode", "gain")
-            numbers = " | ".join(f"{row[word]:.1f}" for word in words)
-            passes = "yes" if row["gain"] >= 3 else "no"
-            lines.append(
-                f"| {found['task']} | {network} | {LABELS[row['hidden']]} | {numbers} | {passes} |"
-            )
-    return "\n".join(lines) + "\n"
+    return table((*header, "gain", "passes"), rows)
 
 
 def view_masking() -> str:
     """Gains of a network with whole views hidden in training and of one without, by camera."""
-    gains = {}
-    for name in ("view-masking", "no-view-masking"):
-        file = ROOT / "results" / "imagine" / "ablation" / f"toy-{name}.json"
-        rows = _one_hidden(json.loads(file.read_text()))
-        gains[name] = {row["hidden"]: f"{row['gain']:.1f}" for row in rows}
-    with_it, without = gains.values()
-    lines = ["| hidden | with view masking | without |", "|---|---|---|"]
-    lines += [f"| {LABELS[one]} | {gain} | {without[one]} |" for one, gain in with_it.items()]
-    return "\n".join(lines) + "\n"
+    masked, without = (
+        {row["hidden"]: f"{row['gain']:.1f}" for row in _one_hidden(read(f"{ABLATION}-{name}"))}
+        for name in ("view-masking", "no-view-masking")
+    )
+    rows = [(LABELS[camera], gain, without[camera]) for camera, gain in masked.items()]
+    return table(("hidden", "with view masking", "without"), rows)
 
 
-def _one_hidden(found: dict[str, Any]) -> list[dict[str, Any]]:
+def _one_hidden(result: dict[str, Any]) -> list[dict[str, Any]]:
     """The rows of a result of `benchmarks imagine` in which all other cameras are seen."""
-    most = max(row["from"].count("+") for row in found["rows"])
-    return [row for row in found["rows"] if row["from"].count("+") == most]
+    most = max(row["from"].count("+") for row in result["rows"])
+    return [row for row in result["rows"] if row["from"].count("+") == most]
 
 
 def beside_imagining() -> str:
     """Policies that imagine, and MAD and Single Camera on the same task after as many episodes or
-    decisions: one row each, on development seeds. Raises FileNotFoundError if one is missing."""
-    columns = ("all", *SINGLES)
-    lines = [
-        "| task | method | trained for | minutes | all | First person | Third A | Third B |",
-        "|" + "---|" * 8,
-    ]
+    decisions: one row each, on development seeds. Raises KeyError if one is missing."""
+    rows = []
     for folder in BESIDE_IMAGINING:
-        config, found = config_of(folder), evaluation(folder, development=True)
-        training, streams = config["training"], config["streams"]
-        # All of one camera is that camera alone.
-        subset_of = {streams[0]: "all"} if len(streams) == 1 else {one: one for one in columns}
-        rates = (rate(found, subset_of[one]) if one in subset_of else "–" for one in columns)
-        done = (
-            f"{training['steps']:,} decisions"
-            if "steps" in training
-            else f"{training['labelled_episodes']} episodes"
+        config = policies()[folder].config
+        training = config.training
+        experience = (
+            f"{training.labelled_episodes} episodes"
+            if training.steps is None
+            else f"{training.steps:,} decisions"
         )
-        updates = f"{training['updates']:,} updates of {training['batch_size']}"
-        minutes = round(training["wall_time_s"] / 60)
-        lines.append(
-            f"| {config['task']} | {config['method']} | {done}, {updates} | {minutes} | "
-            f"{' | '.join(rates)} |"
-        )
-    return "\n".join(lines) + "\n"
+        trained = f"{experience}, {training.updates:,} updates of {training.batch_size}"
+        minutes = round((training.wall_time_s or 0) / 60)
+        success = rates(on_development(folder), THREE)
+        rows.append((config.task, config.method, trained, minutes, *success))
+    return table(("task", "method", "trained for", "minutes", "all", *LABELS.values()), rows)
 
 
 def site_speed() -> str:
-    """What a visitor of a site downloads, and how fast it acts, from results/site/speed.json."""
-    found = json.loads((ROOT / "results" / "site" / "speed.json").read_text())
-    lines = [
-        f"{found['one_policy_mb']:.1f} MB until one policy acts, {found['first_load_mb']:.1f} MB "
-        "until two do. Decisions per second:\n",
-        "| OpenGL is computed by | one policy | two side by side, each |",
-        "|---|---|---|",
+    """The size of a site's downloads, and how fast it acts, from results/site/speed.json."""
+    result = read("site/speed")
+    rows = [
+        (backend, f"{speed['one']:.1f}", f"{speed['side_by_side']:.1f}")
+        for backend, speed in result["decisions_per_s"].items()
     ]
-    for backend, rates in found["decisions_per_s"].items():
-        lines.append(f"| {backend} | {rates['one']:.1f} | {rates['side_by_side']:.1f} |")
-    return "\n".join([*lines, f"\nOn {found['machine']}."]) + "\n"
+    header = ("OpenGL is computed by", "one policy", "two side by side, each")
+    return (
+        f"{result['one_policy_mb']:.1f} MB until one policy acts, {result['first_load_mb']:.1f} MB "
+        f"until two do. Decisions per second:\n\n{table(header, rows, result['machine'])}"
+    )
 
 
 def places() -> str:
-    """What `benchmarks places` read from features of policies with a weak camera, from
-    results/places, beside the success of each camera alone."""
-    lines = [
-        "| policy | camera | success alone | place | in its picture | from its feature | "
-        "from the state | mean place |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for file in sorted((ROOT / "results" / "places").glob("*.json")):
-        found = json.loads(file.read_text())
-        alone = evaluation(found["policy"])["subsets"]
-        for row in sorted(found["rows"], key=lambda row: SINGLES.index(row["stream"])):
-            success, (low, high) = alone[row["stream"]]["success"], alone[row["stream"]]["ci95"]
-            camera = f"{LABELS[row['stream']]} | {success:.2f} [{low:.2f}, {high:.2f}]"
-            read = " | ".join(f"{row[of + '_cm']:.1f} cm" for of in ("feature", "state", "mean"))
-            place = f"{row['place']} | {row['in_picture']:.2f}"
-            lines.append(f"| {found['policy']} | {camera} | {place} | {read} |")
-    return "\n".join(lines) + "\n"
-
-
-def soaks() -> dict[str, dict[str, Any]]:
-    """Pieces of `madviz soak`, from results/soak, by the name of their file."""
-    files = sorted((ROOT / "results" / "soak").glob("*.json"))
-    return {file.stem: json.loads(file.read_text()) for file in files}
+    """Results of `benchmarks places` for policies with a weak camera, from results/places, beside
+    the success of each camera alone."""
+    rows = []
+    for result in read_all("places/*").values():
+        alone = row(result["policy"])
+        for place in sorted(result["rows"], key=lambda place: SINGLES.index(place["stream"])):
+            camera = place["stream"]
+            errors = (f"{place[source + '_cm']:.1f} cm" for source in ("feature", "state", "mean"))
+            picture = (place["place"], f"{place['in_picture']:.2f}")
+            success = rates(alone, [camera])
+            rows.append((result["policy"], LABELS[camera], *success, *picture, *errors))
+    header = ("policy", "camera", "success alone", "place", "in its picture", "from its feature")
+    return table((*header, "from the state", "mean place"), rows)
 
 
 def soak() -> str:
-    """What the page's server took before and after each piece of `madviz soak`."""
-    lines = [
-        "| policy | workers | minutes | visits | controls used | memory after warm-up, at the end "
-        "(MB) | an hour | threads | lines in the log |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for found in soaks().values():
-        memory, threads = found["memory_mb"], found["threads"]
-        before, after = memory["after_warm_up"], memory["end"]
-        lines.append(
-            f"| {found['policy']} | {found['workers']} | {found['minutes']:.0f} | "
-            f"{found['visits']:,} | {found['touches']:,} | {before:.0f}, {after:.0f} | "
-            f"{growth_an_hour(found):+.1f} MB | {threads['after_warm_up']}, {threads['end']} | "
-            f"{found['log_lines']} |"
+    """Memory and threads of the page's server before and after each piece of `madviz soak`."""
+    rows = []
+    for result in read_all("soak/*").values():
+        memory = result["memory_mb"]
+        threads = result["threads"]
+        rows.append(
+            (
+                result["policy"],
+                result["workers"],
+                f"{result['minutes']:.0f}",
+                f"{result['visits']:,}",
+                f"{result['touches']:,}",
+                f"{memory['after_warm_up']:.0f}, {memory['end']:.0f}",
+                f"{growth_an_hour(result):+.1f} MB",
+                f"{threads['after_warm_up']}, {threads['end']}",
+                result["log_lines"],
+            )
         )
-    return "\n".join(lines) + "\n"
-
-
-def machine() -> str:
-    """Where benchmarks ran."""
-    return json.loads((ROOT / "results" / "bench" / "machine.json").read_text())["machine"]
+    visits = ("policy", "workers", "minutes", "visits", "controls used")
+    memory_header = "memory after warm-up, at the end (MB)"
+    return table((*visits, memory_header, "an hour", "threads", "lines in the log"), rows)
 
 
 def site_success() -> str:
     """Success that `benchmarks site` counted in a browser, from results/site, beside Python's on
     the same seeds: one row for each policy and subset that was tried."""
-    lines = [
-        "| policy | cameras | in the browser | in Python | only browser, only Python | p |",
-        "|---|---|---|---|---|---|",
-    ]
-    for file in sorted((ROOT / "results" / "site").glob("success-*.json")):
+    rows = []
+    for result in read_all("site/success-*").values():
         played: dict[tuple[str, str], dict[int, bool]] = {}
-        for one in json.loads(file.read_text())["episodes"]:
-            played.setdefault((one["policy"], one["subset"]), {})[one["seed"]] = one["success"]
-        for (policy, subset), browser in played.items():
-            rows = (evaluation(policy), evaluation(policy, development=True))
-            of_seed = {
-                row["seed"]: row["success"]
-                for found in rows
-                for row in found["episodes"]
-                if row["subset"] == subset
-            }
-            python = {seed: of_seed[seed] for seed in browser}
-            rates = [SuccessRate.of(sum(one.values()), len(one)) for one in (browser, python)]
-            compared = pair(browser, python)
-            lines.append(
-                f"| {policy} | {LABELS.get(subset, subset)} | {rates[0]} | {rates[1]} | "
-                f"{compared.first_only}, {compared.second_only} | {compared.mcnemar():.2g} |"
-            )
-    return "\n".join(lines) + "\n"
+        for episode in result["episodes"]:
+            outcomes = played.setdefault((episode["policy"], episode["subset"]), {})
+            outcomes[episode["seed"]] = episode["success"]
+        for (name, subset), browser in played.items():
+            policy = policies()[name]
+            measured = {**policy.outcomes.get(subset, {}), **policy.development.get(subset, {})}
+            python = {seed: measured[seed] for seed in browser}
+            success = (SuccessRate.counted(outcomes.values()) for outcomes in (browser, python))
+            paired = pair(browser, python)
+            only = f"{paired.first_only}, {paired.second_only}"
+            label = LABELS.get(subset, subset)
+            rows.append((name, label, *success, only, f"{paired.mcnemar():.2g}"))
+    header = ("policy", "cameras", "in the browser", "in Python", "only browser, only Python", "p")
+    return table(header, rows)

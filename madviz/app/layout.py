@@ -38,13 +38,13 @@ from madviz.app.panels.words import WordsPanel
 from madviz.app.refresh import FASTEST, Refresh, TimedPanel
 from madviz.app.scene.arrows import ArrowsPanel
 from madviz.app.scene.scene import ScenePanel, extent
-from madviz.app.session_maker import References
 from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
 from madviz.app.tour import Tour
 from madviz.session.commands import SetSaliency
 from madviz.session.frame import Frame, NoFrame
 from madviz.session.live_session import LiveSession
+from madviz.session.process import References
 from madviz.training.job import TrainingJob
 
 PAIRED = 156
@@ -129,7 +129,6 @@ class Panels:
         self.refresh = Refresh(self.panels)
         if greet:
             tour.greet()
-        self.curves = next(t.panel for t in tabbed if isinstance(t.panel, FeaturesPanel))
 
     def remove(self) -> None:
         """Takes panels and scene off the page."""

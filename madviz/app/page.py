@@ -181,7 +181,6 @@ class Page:
         panels = self._panels
         if panels is None:
             return None
-        panels.curves.note(frame)
         changes = panels.refresh.update(frame, now, self._urgent.is_set)
         with self.client.atomic():  # One message, because each one costs the browser a frame.
             apply(changes)

@@ -34,6 +34,10 @@ class Panel(Protocol):
         """Takes all its widgets off the page."""
         ...
 
+    def note(self, frame: Frame) -> None:
+        """Gets every frame that the page shows, also where ``update`` is not due: a curve has a
+        point for each. By default a panel does nothing with it."""
+
 
 CROSSED = "deque mutated during iteration"
 

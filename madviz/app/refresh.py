@@ -55,8 +55,10 @@ class Refresh:
             timed.number = 0
 
     def update(self, frame: Frame, now: float, interrupted: Callable[[], bool]) -> list[Assign]:
-        """The changes that are due at ``now``, in seconds. Ends early where ``interrupted``
-        says that somebody waits for a newer frame."""
+        """Hands ``frame`` to every panel; the changes of those that are due at ``now``, in seconds.
+        Ends early where ``interrupted`` says that somebody waits for a newer frame."""
+        for timed in self.panels:
+            timed.panel.note(frame)
         touched = (frame.world.change, frame.world.policy, frame.pace.phase, frame.pace.error)
         urgent = touched != self._touched  # Somebody has touched something since the last frame.
         self._touched = touched

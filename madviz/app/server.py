@@ -12,11 +12,10 @@ from pathlib import Path
 import viser
 
 from madviz.app.access import Gate
-from madviz.app.address import Address, check_port, reached_at, with_token
 from madviz.app.connection import guard
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice, purpose
-from madviz.app.session_maker import References, SessionMaker
+from madviz.app.session_maker import SessionMaker
 from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import theme
 from madviz.app.users import MOST_WAITING, Limits, Users
@@ -31,11 +30,18 @@ from madviz.policies.checkpoint import PolicyName
 from madviz.policies.listing import list_policies
 from madviz.policies.sb3 import trust
 from madviz.session.live_session import LiveSession
-from madviz.session.process import SessionProcess, prepare
+from madviz.session.process import References, SessionProcess, prepare
 from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
-from madviz.system.hosts import machine_token, new_token, stays_here
+from madviz.system.hosts import (
+    check_port,
+    machine_token,
+    new_token,
+    reached_at,
+    stays_here,
+    with_token,
+)
 from madviz.system.numbers import Count, CountOrNone, Port, Rate, ThreadsOrNone, check_numbers
 from madviz.system.processes import limit_heaps
 from madviz.system.streams import say, telling
@@ -83,6 +89,17 @@ class ExploreConfig:
     itself."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a page is served, and who gets in."""
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    """0 takes a free one."""
+    gate: Gate | None = None
+    """None lets everybody in; one with a presenter's token makes the page a presentation."""
 
 
 class App:
@@ -196,7 +213,7 @@ def open_app(config: ExploreConfig) -> App:
     )
 
     def new_session() -> SessionProcess:
-        return SessionProcess(make, references.note)
+        return SessionProcess(make, references)
 
     def evaluator(listener: Callable[[Tally], None]) -> Evaluator:
         return Evaluator(config.workers, Store(), listener)

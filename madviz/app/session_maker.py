@@ -80,21 +80,6 @@ class LoadedPolicies:
         return self._policies[name]
 
 
-class References:
-    """The names by which the policies of all visitors' simulations are loaded."""
-
-    def __init__(self) -> None:
-        self._names: dict[PolicySpec, str] = {}
-
-    def note(self, name: str, spec: PolicySpec) -> None:
-        """``load_policy`` knows the policy ``spec`` by ``name``."""
-        self._names = {spec: name, **self._names}
-
-    def name_of(self, spec: PolicySpec) -> str:
-        """The name by which ``load_policy`` finds a policy: its own name unless noted otherwise."""
-        return self._names.get(spec, own_name(spec))
-
-
 def env_in_one_thread(
     task: str, render_profile: str, cameras: tuple[CameraSpec, ...] = ()
 ) -> Environment:

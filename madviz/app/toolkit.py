@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import viser
 
 from madviz.app.connection import MISTAKES, is_downloading, note
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, Panel
 from madviz.errors import UserError
 from madviz.session.frame import Frame
 
@@ -273,7 +273,7 @@ def on_press(button: viser.GuiButtonHandle, work: Callable[[], None]) -> None:
     button.on_click(heard(press))
 
 
-class WidgetPanel:
+class WidgetPanel(Panel):
     """Base of a panel that is made of widgets: whatever is in ``handles`` is taken off the page."""
 
     handles: Sequence[Any] = ()

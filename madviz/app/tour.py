@@ -24,6 +24,7 @@ from madviz.app.toolkit import Cell, guarded, heard, place, theme
 from madviz.app.tour_steps import Step, compares, comparison_steps, never_alone, restored, steps
 from madviz.session.commands import Command, Play, Scrub, SetPolicy
 from madviz.session.frame import Frame, NoFrame
+from madviz.system.markdown import markdown_table
 
 WIDTH = 300
 """Pixels of the tour's window: at 1280 the scene between the panels has 320."""
@@ -225,5 +226,4 @@ def step_html(step: Step, number: int, count: int) -> str:
 
 def keys_table(keys: Sequence[tuple[str, str]]) -> str:
     """Keys and what they do, as Markdown."""
-    rows = [f"| **{key}** | {what} |" for key, what in keys]
-    return "\n".join(["| key | what it does |", "|---|---|", *rows])
+    return markdown_table(("key", "what it does"), [(f"**{key}**", what) for key, what in keys])

@@ -53,14 +53,14 @@ class Prepared:
 
 def handed_out(folder: Path) -> dict[str, NotebookNode]:
     """Lessons with checks, by name. Raises UserError where there are none."""
-    found = {path.stem: nbformat.read(path, 4) for path in sorted(folder.glob("*.ipynb"))}
-    found = {name: notebook for name, notebook in found.items() if checks_of(notebook)}
-    if not found:
+    notebooks = {path.stem: nbformat.read(path, 4) for path in sorted(folder.glob("*.ipynb"))}
+    lessons = {name: notebook for name, notebook in notebooks.items() if checks_of(notebook)}
+    if not lessons:
         raise UserError(
             f"expected the notebooks that were handed out in {folder}, found none with checks; "
             "run `make student-copies`, or name their folder with --lessons"
         )
-    return found
+    return lessons
 
 
 def returned(folder: Path, lessons: list[str]) -> Iterator[Returned]:
@@ -76,12 +76,11 @@ def returned(folder: Path, lessons: list[str]) -> Iterator[Returned]:
 
 def checks_of(notebook: NotebookNode) -> dict[str, NotebookNode]:
     """A lesson's cells that are checks, by the name of the check."""
-    found = {}
-    for cell in notebook.cells:
-        name = check_in(cell)
-        if name in CHECKS and "check" in cell.metadata.get("tags", []):
-            found[name] = cell
-    return found
+    return {
+        name: cell
+        for cell in notebook.cells
+        if (name := check_in(cell)) in CHECKS and "check" in cell.metadata.get("tags", [])
+    }
 
 
 def check_in(cell: NotebookNode) -> str:
@@ -97,14 +96,14 @@ def prepare(file: Path, lesson: NotebookNode) -> Prepared:
     cells = list(notebook.cells)
     for name, original in checks_of(lesson).items():
         same_id = [c for c in cells if c.get("id") == original.get("id") and c.cell_type == "code"]
-        found = next(iter(same_id or [c for c in cells if check_in(c) == name]), None)
-        if found is None or found.source.strip() != original.source.strip():
+        check = next(iter(same_id or [c for c in cells if check_in(c) == name]), None)
+        if check is None or check.source.strip() != original.source.strip():
             edited.add(name)
-        if found is None:
-            found = nbformat.v4.new_code_cell()
-            cells.append(found)
-        found.source = REPORT.format(name)
-        found.metadata = NotebookNode(madviz=name)
+        if check is None:
+            check = nbformat.v4.new_code_cell()
+            cells.append(check)
+        check.source = REPORT.format(name)
+        check.metadata = NotebookNode(madviz=name)
     for cell in cells:
         if cell.cell_type == "code":
             cell.outputs = []

@@ -13,9 +13,10 @@ and whatever happens to a copy, each of its exercises has its row.
 ``hint`` is what the check found missing. ``error`` is what went wrong around it: an error of the
 student's code, a limit, an edited check.
 
-A copy runs as whoever grades. It does not see the teacher's environment, but code that searches the
-disk finds the teacher's files, and code that changes the package in its own process can give itself
-any mark: grade with an account that has nothing else, and look at a copy before an examination.
+A copy runs with the teacher's account. It does not see the teacher's environment, but code that
+searches the disk finds the teacher's files, and code that changes the package in its own process
+can give itself any mark: grade with an account that has nothing else, and look at a copy before an
+examination.
 """
 
 from __future__ import annotations
@@ -28,13 +29,19 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from madviz.errors import UserError
 from madviz.policies.checkpoint import policy_roots
 from madviz.system.files import write_bytes, written_to
 from madviz.system.numbers import Count, check_numbers
 from madviz.system.streams import say
+
+if TYPE_CHECKING:
+    from nbformat import NotebookNode
+
+    from madviz.grading.copies import Returned
+    from madviz.grading.run import CopyRun
 
 SUFFIX = ".ipynb"
 FORMULA = ("=", "+", "-", "@")
@@ -74,7 +81,17 @@ class Grade:
     error: str = ""
 
 
-def grade(config: GradeConfig) -> dict[str, Any]:
+class Graded(TypedDict):
+    """The document that ``--json`` writes."""
+
+    schema: int
+    copies: int
+    seconds: float
+    rows: list[dict[str, Any]]
+    """Those of the table: a ``Grade`` each."""
+
+
+def grade(config: GradeConfig) -> Graded:
     """Grades every file in ``config.returned`` and writes the table. Raises UserError where there
     is none, and where the notebooks that were handed out are not there."""
     try:
@@ -93,14 +110,13 @@ def grade(config: GradeConfig) -> dict[str, Any]:
     if not copies:
         raise UserError(f"expected returned notebooks in {config.returned}, found no file")
     stop = threading.Event()
+    rows: list[Grade] = []
     with ThreadPoolExecutor(config.workers) as pool:
-        jobs = [pool.submit(graded, one, lessons, config, stop) for one in copies]
+        jobs = [pool.submit(graded, copy, lessons, config, stop) for copy in copies]
         try:
-            rows = [
-                row
-                for number, job in enumerate(jobs)
-                for row in announced(number, jobs, job.result())
-            ]
+            for number, job in enumerate(jobs):
+                say(f"{number + 1} of {len(jobs)}: {in_a_line(job.result())}")
+                rows += job.result()
         finally:
             stop.set()
     write_bytes(config.out, table(rows).encode())
@@ -112,52 +128,49 @@ def grade(config: GradeConfig) -> dict[str, Any]:
     }
 
 
-def announced(number: int, jobs: list, rows: list[Grade]) -> list[Grade]:
-    """``rows`` of a copy, after a line about them."""
+def in_a_line(rows: list[Grade]) -> str:
+    """The rows of a copy: ``ada, 02_merge: 1 of 2 right``, and its first error."""
     right = sum(row.passed for row in rows)
-    first = rows[0]
     trouble = next((f"; {row.error}" for row in rows if row.error), "")
-    say(
-        f"{number + 1} of {len(jobs)}: {first.student}, {first.lesson or 'no lesson'}: "
-        f"{right} of {len(rows)} right{trouble}"
-    )
-    return rows
+    lesson = rows[0].lesson or "no lesson"
+    return f"{rows[0].student}, {lesson}: {right} of {len(rows)} right{trouble}"
 
 
 def graded(
-    one: Any, lessons: dict[str, Any], config: GradeConfig, stop: threading.Event
+    copy: Returned, lessons: dict[str, NotebookNode], config: GradeConfig, stop: threading.Event
 ) -> list[Grade]:
     """The rows of one copy, whatever happens to it."""
     from madviz.grading.copies import checks_of, prepare
     from madviz.grading.run import Bounds, run_copy
 
-    if not one.lesson:
-        known = ", ".join(lessons)
-        problem = f"expected a name with one of {known}, found {one.file.name}"
-        return [Grade(one.student, "", "", False, error=problem)]
-    exercises = list(checks_of(lessons[one.lesson]))
+    if not copy.lesson:
+        problem = f"expected a name with one of {', '.join(lessons)}, found {copy.file.name}"
+        return [Grade(copy.student, "", "", False, error=problem)]
+    exercises = list(checks_of(lessons[copy.lesson]))
     try:
-        if one.file.suffix != SUFFIX:
-            raise UserError(f"expected a notebook, found {one.file.name}")
-        copy = prepare(one.file, lessons[one.lesson])
+        if copy.file.suffix != SUFFIX:
+            raise UserError(f"expected a notebook, found {copy.file.name}")
+        prepared = prepare(copy.file, lessons[copy.lesson])
     except UserError as error:
-        return [Grade(one.student, one.lesson, name, False, error=str(error)) for name in exercises]
+        return [Grade(copy.student, copy.lesson, e, False, error=str(error)) for e in exercises]
     bounds = Bounds(config.seconds, config.gigabytes << 30)
-    run = run_copy(copy.notebook, [p.resolve() for p in policy_roots()], bounds, stop)
-    return list(rows_of(one, exercises, copy.edited, run))
+    run = run_copy(prepared.notebook, [p.resolve() for p in policy_roots()], bounds, stop)
+    return list(rows_of(copy, exercises, prepared.edited, run))
 
 
-def rows_of(one: Any, exercises: list[str], edited: frozenset[str], run: Any) -> Iterator[Grade]:
+def rows_of(
+    copy: Returned, exercises: list[str], edited: frozenset[str], run: CopyRun
+) -> Iterator[Grade]:
     """A row for each exercise: what its check found, or why it was never reached."""
     for name in exercises:
         result = run.results.get(name)
-        troubles = [run.errors.get(name) or (result or {}).get("error") if result else run.end]
+        troubles = [run.errors.get(name) or result.error if result else run.end]
         if name in edited:
             troubles.append("check edited; the original one was run" if result else "check edited")
+        passed = result is not None and result.passed
+        hint = "" if result is None or passed else result.missing
         error = "; ".join(filter(None, troubles))
-        passed = bool(result and result["passed"])
-        hint = "" if result is None or passed else result["missing"]
-        yield Grade(one.student, one.lesson, name, passed, hint, error)
+        yield Grade(copy.student, copy.lesson, name, passed, hint, error)
 
 
 def table(rows: list[Grade]) -> str:
@@ -174,12 +187,12 @@ def table(rows: list[Grade]) -> str:
     return written.getvalue()
 
 
-def grade_words(result: dict[str, Any]) -> str:
+def grade_words(result: Graded) -> str:
     """The grades in words: each exercise with how many copies have it right."""
     counted: dict[str, list[bool]] = {}
     for row in result["rows"]:
         if row["exercise"]:
             counted.setdefault(row["exercise"], []).append(row["passed"])
     lines = [f"{result['copies']} files in {result['seconds']:.0f} s"]
-    lines += [f"  {name:24} {sum(found)} of {len(found)} right" for name, found in counted.items()]
+    lines += [f"  {name:24} {sum(right)} of {len(right)} right" for name, right in counted.items()]
     return "\n".join(lines)

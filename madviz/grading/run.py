@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -12,12 +11,13 @@ import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import nbformat
 
 from madviz.errors import printable
 from madviz.soak.memory import family
+from madviz.teaching.checks.exercise import Result
 
 KEPT = ("PATH", "LANG", "PYTHONPATH", "LD_LIBRARY_PATH", "XDG_DATA_DIRS")
 """The variables of this process's environment that a copy gets."""
@@ -26,6 +26,7 @@ CELL = 0.5
 others."""
 STEP = 0.1
 """Seconds between two looks at a copy that runs."""
+OVER = "over"
 
 
 @dataclass(frozen=True)
@@ -41,13 +42,20 @@ class Bounds:
 class CopyRun:
     """The result of a copy."""
 
-    results: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Each check that was reached: the fields of a ``Result``."""
+    results: dict[str, Result] = field(default_factory=dict)
+    """By name, each check that was reached."""
     errors: dict[str, str] = field(default_factory=dict)
     """For a check: the last error between it and the check before it."""
     end: str = ""
     """Why it did not come to its end; '' if it did."""
-    seconds: float = 0.0
+
+
+class ReportLine(msgspec.Struct):
+    """A line that a copy's process writes: one of these."""
+
+    result: Result | None = None
+    error: str = ""
+    end: str = ""
 
 
 def run_copy(
@@ -64,29 +72,24 @@ def run_copy(
         for folder in (work, Path(place, "home"), Path(place, "tmp")):
             folder.mkdir()
         nbformat.write(notebook, work / "copy.ipynb")
-        words = [work / "copy.ipynb", report, bounds.seconds * CELL, bounds.memory]
-        complaints = Path(place, "complaints")
-        with complaints.open("wb") as said:
+        arguments = [work / "copy.ipynb", report, bounds.seconds * CELL, bounds.memory]
+        with Path(place, "output").open("wb") as output:
             worker = subprocess.Popen(
-                [sys.executable, "-m", "madviz.grading.worker", *map(str, words)],
+                [sys.executable, "-m", "madviz.grading.worker", *map(str, arguments)],
                 cwd=work,
                 env=environment(Path(place), policies),
                 stdin=subprocess.DEVNULL,
-                stdout=said,
-                stderr=said,
+                stdout=output,
+                stderr=output,
                 start_new_session=True,
             )
             end = watch(worker, began + bounds.seconds, stop)
-        done = read(report)
+        run = read(report)
     if end or worker.returncode:
-        done.end = done.end or end or "its process ended without a word: too much memory or output"
+        run.end = run.end or end or "its process ended without a word: too much memory or output"
     if end == OVER:
-        done.end = f"it did not end within {bounds.seconds:g} s"
-    done.seconds = time.monotonic() - began
-    return done
-
-
-OVER = "over"
+        run.end = f"it did not end within {bounds.seconds:g} s"
+    return run
 
 
 def watch(worker: subprocess.Popen, deadline: float, stop: threading.Event) -> str:
@@ -107,11 +110,10 @@ def watch(worker: subprocess.Popen, deadline: float, stop: threading.Event) -> s
 
 def environment(place: Path, policies: list[Path]) -> dict[str, str]:
     """A home and a folder for temporary files of its own, one core, no display."""
-    kept = {name: os.environ[name] for name in KEPT if name in os.environ}
-    one = dict.fromkeys(("OMP_NUM_THREADS", "LP_NUM_THREADS"), "1")
     return {
-        **kept,
-        **one,
+        **{name: os.environ[name] for name in KEPT if name in os.environ},
+        "OMP_NUM_THREADS": "1",
+        "LP_NUM_THREADS": "1",
         "HOME": str(place / "home"),
         "TMPDIR": str(place / "tmp"),
         "MUJOCO_GL": "egl",
@@ -121,21 +123,21 @@ def environment(place: Path, policies: list[Path]) -> dict[str, str]:
 
 
 def read(report: Path) -> CopyRun:
-    """The lines that a copy's process has written; the last one may be half of one."""
-    done = CopyRun()
+    """The lines that a copy's process has written. The last one may be half of one, and a student's
+    code may have made up a result; such lines are passed over."""
+    run = CopyRun()
     error = ""
-    lines = report.read_text().splitlines() if report.exists() else []
-    for text in lines:
+    for text in report.read_text().splitlines() if report.exists() else []:
         try:
-            line = json.loads(text)
-        except ValueError:
+            line = msgspec.json.decode(text, type=ReportLine)
+        except msgspec.DecodeError:
             continue
-        if "result" in line:
-            name = line["result"]["name"]
-            done.results[name] = line["result"]
-            done.errors[name], error = error, ""
-        elif "error" in line:
-            error = printable(line["error"])
+        if line.result is not None:
+            run.results[line.result.name] = line.result
+            run.errors[line.result.name] = error
+            error = ""
+        elif line.error:
+            error = printable(line.error)
         else:
-            done.end = line["end"]
-    return done
+            run.end = line.end
+    return run

@@ -1,7 +1,7 @@
 """The process in which one copy runs:
 ``python -m madviz.grading.worker COPY.ipynb REPORT SECONDS BYTES``.
 
-It limits itself and so whatever it starts, runs the cells with nbclient, and writes a line for each
+It limits itself and all that it starts, runs the cells with nbclient, and writes a line for each
 check and each error to REPORT at once: what was found before a copy crashes or is ended is kept. A
 cell that takes longer than SECONDS is interrupted, as by Ctrl-C, and the next one runs.
 """
@@ -41,8 +41,9 @@ class ReportFile:
         self._seconds = seconds
         self.cell = 0
 
-    def line(self, **words: Any) -> None:
-        self._file.write(json.dumps(words) + "\n")
+    def line(self, **fields: Any) -> None:
+        """Writes a ``run.ReportLine``."""
+        self._file.write(json.dumps(fields) + "\n")
 
     def started(self, cell: Any, cell_index: int) -> None:
         self.cell = cell_index + 1
@@ -51,15 +52,15 @@ class ReportFile:
         """After a cell: what its check found, or its error."""
         content = execute_reply["content"]
         for output in cell.outputs if "madviz" in cell.metadata else ():
-            found = output.get("data", {}).get(MIME)
-            if found and found.get("name") == cell.metadata.madviz:
-                self.line(result=found)
+            result = output.get("data", {}).get(MIME)
+            if result and result.get("name") == cell.metadata.madviz:
+                self.line(result=result)
                 return
         if content["status"] == "error":
-            said = f"{content['ename']}: {content['evalue']}".removesuffix(": ")
+            message = f"{content['ename']}: {content['evalue']}".removesuffix(": ")
             if content["ename"] == "KeyboardInterrupt":
-                said = f"did not end within {self._seconds:g} s"
-            self.line(error=printable(f"cell {cell_index + 1}: {said}"[:300]))
+                message = f"did not end within {self._seconds:g} s"
+            self.line(error=printable(f"cell {cell_index + 1}: {message}"[:300]))
 
 
 def bound(memory: int) -> None:
@@ -71,13 +72,11 @@ def bound(memory: int) -> None:
         ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
-def main(words: list[str]) -> None:
-    copy = Path(words[0])
-    file = Path(words[1])
-    seconds = float(words[2])
-    memory = int(words[3])
-    bound(memory)
-    report = ReportFile(file, seconds)
+def main(arguments: list[str]) -> None:
+    copy = Path(arguments[0])
+    seconds = float(arguments[2])
+    bound(int(arguments[3]))
+    report = ReportFile(Path(arguments[1]), seconds)
     client = NotebookClient(
         nbformat.read(copy, 4),
         kernel_name="python3",

@@ -57,6 +57,11 @@ class SuccessRate:
         return cls.of(sum(successes), len(successes))
 
     @classmethod
+    def mean(cls, shares: Sequence[float], parts: int) -> SuccessRate:
+        """The mean over ``parts`` success rates of the same seeds, with ``mean_interval``."""
+        return cls(sum(shares) / len(shares), mean_interval(shares, parts), len(shares))
+
+    @classmethod
     def read(cls, row: RateRow) -> SuccessRate:
         """The rate that a document holds."""
         low, high = row["ci95"]
@@ -71,10 +76,15 @@ class SuccessRate:
         """How many of the ``n`` episodes succeeded."""
         return round(self.value * self.n) if self.n else 0
 
+    @property
+    def without_count(self) -> str:
+        """``0.90 [0.79, 0.96]``, where the count of episodes stands beside it."""
+        low, high = self.interval
+        return f"{self.value:.2f} [{low:.2f}, {high:.2f}]"
+
     def __str__(self) -> str:
         """How a rate is written everywhere: ``0.90 [0.79, 0.96] n=50``."""
-        low, high = self.interval
-        return f"{self.value:.2f} [{low:.2f}, {high:.2f}] n={self.n}"
+        return f"{self.without_count} n={self.n}"
 
 
 def wilson(successes: int, n: int, confidence: float = 0.95) -> Interval:

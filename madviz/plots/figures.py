@@ -13,7 +13,7 @@ matplotlib takes half a second to import, so that happens when something is draw
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from html import escape
@@ -80,11 +80,8 @@ def bars(
         axes.set_xlim(-0.5, len(groups) - 0.5)
         axes.set_xticks(range(len(groups)), groups)
         chosen = styles(series, hatched)
-        for number, (name, row) in enumerate(series.items()):
-            for place, bar in enumerate(row):
-                if bar is not None:
-                    x = place + (number - (len(series) - 1) / 2) * step
-                    _bar(axes, x, 0.85 * step, bar, chosen[name])
+        for name, x, bar in _placed(series, step):
+            _bar(axes, x, 0.85 * step, bar, chosen[name])
         return _finished(figure, title, chosen)
 
 
@@ -102,7 +99,6 @@ def dots(
     with _style(title):
         figure = _figure(_width(left + 430, title, series), 70 + size * len(groups))
         axes = figure.subplots()
-        step = 0.8 / len(series)
         _rate_axis(axes, "x", -1 if signed else 0)
         axes.set_ylim(len(groups) - 0.5, -0.5)
         axes.set_yticks(range(len(groups)), groups)
@@ -111,11 +107,8 @@ def dots(
         for rate in marks:
             axes.axvline(rate, color=MARK, linestyle="--", linewidth=1, gid="mark")
         chosen = styles(series)
-        for number, (name, row) in enumerate(series.items()):
-            for place, bar in enumerate(row):
-                if bar is not None:
-                    y = place + (number - (len(series) - 1) / 2) * step
-                    _dot(axes, bar, y, chosen[name])
+        for name, y, bar in _placed(series, 0.8 / len(series)):
+            _dot(axes, bar, y, chosen[name])
         for artist in axes.get_children():
             artist.set_clip_on(False)
         return _finished(figure, title, chosen)
@@ -207,9 +200,9 @@ def curves(
             where = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.2}
             axes.legend(**where, ncols=len(series), handlelength=3.2)
         drawn = _svg(figure)
-    for step, words in marks.items():
+    for step, event in marks.items():
         group = f'<g class="mark {step}">'
-        drawn = drawn.replace(group, f"{group}<title>{unit} {step}: {escape(words)}</title>")
+        drawn = drawn.replace(group, f"{group}<title>{unit} {step}: {escape(event)}</title>")
     return drawn
 
 
@@ -270,7 +263,7 @@ def _finished(figure: Figure, title: str, legend: Mapping[str, Style]) -> str:
     if legend:
         handles = [
             Patch(facecolor=style.colour, edgecolor="white", hatch=style.hatch)
-            if any(one.hatch for one in legend.values())
+            if any(look.hatch for look in legend.values())
             else Line2D([], [], linestyle="", **marker_words(style))
             for style in legend.values()
         ]
@@ -283,6 +276,17 @@ def _rate_axis(axes: Axes, which: Literal["x", "y"] = "y", low: int = 0) -> None
     ticks = [tenth / 10 for tenth in range(10 * low, 11, 2)]
     axes.set(**{f"{which}lim": (low, 1), f"{which}ticks": ticks})
     axes.grid(axis=which, clip_on=False)
+
+
+def _placed(
+    series: Mapping[str, Sequence[Bar | None]], step: float
+) -> Iterator[tuple[str, float, Bar]]:
+    """Every bar with its series and its place: those of a group side by side around the number of
+    the group, ``step`` apart."""
+    for number, (name, row) in enumerate(series.items()):
+        for group, bar in enumerate(row):
+            if bar is not None:
+                yield name, group + (number - (len(series) - 1) / 2) * step, bar
 
 
 def _bar(axes: Axes, x: float, width: float, bar: Bar, style: Style) -> None:
@@ -312,8 +316,8 @@ def _cell(axes: Axes, x: int, y: int, rate: float | None) -> None:
     axes.add_patch(box)
     box.set_clip_on(False)
     ink = "white" if rate is not None and rate > 0.6 else INK
-    words = "–" if rate is None else f"{rate:.2f}"
-    axes.text(x, y, words, color=ink, ha="center", va="center", clip_on=False)
+    number = "–" if rate is None else f"{rate:.2f}"
+    axes.text(x, y, number, color=ink, ha="center", va="center", clip_on=False)
 
 
 def _width(plot: float, title: str, names: Collection[str]) -> float:

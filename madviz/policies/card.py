@@ -18,6 +18,8 @@ from madviz.policies.config import PolicyConfig, TrainingRecord
 from madviz.policies.measured import EvaluationFile, SubsetRow, seeds_of
 from madviz.policies.seeds import MEASURED
 from madviz.system.files import write_bytes
+from madviz.system.markdown import markdown_table
+from madviz.types import CameraSpec
 
 
 def write_card(folder: str | Path) -> Path:
@@ -55,14 +57,12 @@ def _head(config: PolicyConfig) -> str:
 def _success(evaluation: EvaluationFile | None, name: str) -> str:
     if evaluation is None:
         return f"## Success\n\nNot measured yet: `madviz eval --policy {name} --card`."
+    header = ("present", "success", "95% interval", "any step", "episodes", "")
+    rows = [_success_cells(subset, row) for subset, row in evaluation["subsets"].items()]
     lines = [
         "## Success",
         "",
-        "| present | success | 95% interval | any step | episodes | |",
-        "|---|---|---|---|---|---|",
-    ]
-    lines += [success_row(subset, row) for subset, row in evaluation["subsets"].items()]
-    lines += [
+        markdown_table(header, rows),
         "",
         f"A success, {evaluation['definition']}. {_seeds(evaluation)}; "
         f"render profile `{evaluation['render_profile']}`. "
@@ -84,12 +84,16 @@ def _seeds(evaluation: EvaluationFile) -> str:
     return f"{words} {first} to {last}, the same for every row"
 
 
-def success_row(subset: str, row: SubsetRow) -> str:
-    """One line of the table."""
+def _success_cells(subset: str, row: SubsetRow) -> list[str]:
     low, high = row["ci95"]
-    trained = "" if row["trained"] else "not trained on this subset"
-    cells = (subset, f"{row['success']:.2f}", f"{low:.2f} – {high:.2f}")
-    return "| " + " | ".join([*cells, f"{row['success_any']:.2f}", str(row["n"]), trained]) + " |"
+    return [
+        subset,
+        f"{row['success']:.2f}",
+        f"{low:.2f} – {high:.2f}",
+        f"{row['success_any']:.2f}",
+        str(row["n"]),
+        "" if row["trained"] else "not trained on this subset",
+    ]
 
 
 def _inputs(config: PolicyConfig) -> str:
@@ -105,15 +109,22 @@ def _inputs(config: PolicyConfig) -> str:
         f"action numbers out. {config.horizon} decisions of {config.action_repeat} simulator "
         f"steps make an episode. Render profile `{config.render_profile}`.",
         "",
-        "| camera | position, m | orientation wxyz (OpenGL) | field of view | rides on |",
-        "|---|---|---|---|---|",
+        markdown_table(
+            ("camera", "position, m", "orientation wxyz (OpenGL)", "field of view", "rides on"),
+            map(_camera_cells, config.cameras),
+        ),
     ]
-    for camera in config.cameras:
-        position = ", ".join(f"{value:g}" for value in camera.position)
-        wxyz = ", ".join(f"{value:.4g}" for value in camera.wxyz)
-        mount = camera.body or "nothing"
-        lines.append(f"| {camera.name} | {position} | {wxyz} | {camera.fovy:g}° | {mount} |")
     return "\n".join(lines)
+
+
+def _camera_cells(camera: CameraSpec) -> list[str]:
+    return [
+        camera.name,
+        ", ".join(f"{value:g}" for value in camera.position),
+        ", ".join(f"{value:.4g}" for value in camera.wxyz),
+        f"{camera.fovy:g}°",
+        camera.body or "nothing",
+    ]
 
 
 def _training(training: TrainingRecord, name: str) -> str:

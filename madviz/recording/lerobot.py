@@ -158,7 +158,8 @@ class LeRobotFolder:
         self._columns: dict[str, list[Array]] = {}
         self._tallies: dict[str, Array] = {}
         self._writer: pq.ParquetWriter | None = None
-        self._file = self._frames = 0
+        self._file = 0
+        self._frames = 0
 
     def add(self, decisions: Sequence[Decision]) -> bool:
         """Writes an episode; whether it ended in success."""
@@ -179,7 +180,7 @@ class LeRobotFolder:
             self._columns.setdefault(name, []).append(column)
         place = self._write(pa.table(data))
         first = self._frames
-        self._frames = self._frames + len(decisions)
+        self._frames += len(decisions)
         self._episodes.append(
             {
                 "episode_index": len(self._episodes),
@@ -239,7 +240,7 @@ class LeRobotFolder:
         if self._writer is not None and self._data_file().stat().st_size > FILE_BYTES:
             self._writer.close()
             self._writer = None
-            self._file = self._file + 1
+            self._file += 1
         if self._writer is None:
             self._writer = pq.ParquetWriter(self._data_file(), table.schema)
         self._writer.write_table(table)
@@ -256,15 +257,15 @@ class LeRobotFolder:
 
 def features(one: Decision, columns: dict[str, Array]) -> dict[str, dict[str, Any]]:
     """LeRobot's description of every column."""
-    found: dict[str, dict[str, Any]] = {}
+    table: dict[str, dict[str, Any]] = {}
     for name, picture in one.pictures.items():
         shape = [*picture.shape[:2], 3]
         axes = ["height", "width", "channels"]
-        found[_key(name)] = {"dtype": "image", "shape": shape, "names": axes}
+        table[_key(name)] = {"dtype": "image", "shape": shape, "names": axes}
     for name, column in columns.items():
         named = list(one.pictures) if name == "camera_mask" else None
-        found[name] = {"dtype": str(column.dtype), "shape": [column.shape[1]], "names": named}
-    return found
+        table[name] = {"dtype": str(column.dtype), "shape": [column.shape[1]], "names": named}
+    return table
 
 
 def info(features: dict[str, Any], episodes: int, frames: int, fps: float) -> dict[str, Any]:
@@ -301,14 +302,14 @@ def tasks_table(task: str) -> pa.Table:
 def described(column: Array) -> dict[str, list[float]]:
     """Statistics of (T, n), each with n numbers."""
     values = column.astype(np.float64)
-    found = {
+    statistics = {
         "min": values.min(0),
         "max": values.max(0),
         "mean": values.mean(0),
         "std": values.std(0),
         **{name: np.quantile(values, share, axis=0) for name, share in QUANTILES.items()},
     }
-    return {**{name: each.tolist() for name, each in found.items()}, "count": [len(column)]}
+    return _listed(statistics, len(column))
 
 
 def tally(frames: Sequence[Array]) -> Array:
@@ -320,17 +321,22 @@ def tally(frames: Sequence[Array]) -> Array:
 def described_pictures(tallied: Array, count: int) -> dict[str, Any]:
     """Statistics of pictures from their ``tally``, each (3, 1, 1), of values from 0 to 1."""
     values = np.arange(256) / 255
-    total = tallied.sum(1)
-    mean = tallied @ values / total
-    below = tallied.cumsum(1) / total[:, None]
-    found = {
+    total = tallied.sum(1)  # (3,)
+    mean = tallied @ values / total  # (3, 256) @ (256,) -> (3,)
+    below = tallied.cumsum(1) / total[:, None]  # (3, 256)
+    statistics = {
         "min": values[(tallied > 0).argmax(1)],
         "max": values[255 - (tallied[:, ::-1] > 0).argmax(1)],
         "mean": mean,
         "std": np.sqrt(np.maximum(tallied @ values**2 / total - mean**2, 0)),
         **{name: values[(below >= share).argmax(1)] for name, share in QUANTILES.items()},
     }
-    return {**{k: each.reshape(3, 1, 1).tolist() for k, each in found.items()}, "count": [count]}
+    return _listed({name: each.reshape(3, 1, 1) for name, each in statistics.items()}, count)
+
+
+def _listed(statistics: dict[str, Array], count: int) -> dict[str, Any]:
+    """Statistics as LeRobot writes them, with the number of rows that they are of."""
+    return {**{name: each.tolist() for name, each in statistics.items()}, "count": [count]}
 
 
 def _key(stream: str) -> str:

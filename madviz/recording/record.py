@@ -43,8 +43,7 @@ from madviz.session.commands import Play, SetSchedule
 from madviz.session.frame import Frame, NoFrame
 from madviz.session.replay import (
     Finder,
-    check_horizon,
-    check_policies,
+    check_episode,
     comes_out_same,
     failure_words,
     finder,
@@ -195,8 +194,7 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         written_to(config.keep, "--keep")
     saved = read_session(config.replay) if config.replay else None
     script = saved.episode(config.episode) if saved else None
-    trust(config.policy, config.trust)
-    named = with_wire(config.policy or "", config.wire)
+    named = _reference(config)
     find = finder((named,) if named else ())
     policy = find(script.policy) if script else checkpoint.load_policy(named)
     world = script or policy.spec
@@ -234,8 +232,7 @@ def run_dataset(config: RecordConfig) -> dict[str, Any]:
     from madviz.recording import lerobot
 
     lerobot.check_folder(config.out)
-    trust(config.policy, config.trust)
-    named = with_wire(config.policy or "", config.wire)
+    named = _reference(config)
     policy = checkpoint.load_policy(named) if named else None
     spec = policy.spec if policy else None
     world = env_spec(str(config.expert)) if spec is None else spec
@@ -295,14 +292,14 @@ def record_words(result: dict[str, Any]) -> str:
             f"{result['out']}: {result['episodes']} episodes of {result['policy']} from seed "
             f"{result['seed']}, {result['success']:.0%} successful, {result['bytes'] / 1e6:.1f} MB"
         )
-    said = [
+    lines = [
         f"{result['out']}: {result['steps']} decisions of {result['policy']}, seed "
         f"{result['seed']}, {'success' if result['success'] else 'no success'}, "
         f"{result['bytes'] / 1e6:.2f} MB",
     ]
     if result["same"] is False:
-        said.append("it did not come out as it was saved: `madviz replay` says where it differs")
-    return "\n".join(said)
+        lines.append("it did not come out as it was saved: `madviz replay` says where it differs")
+    return "\n".join(lines)
 
 
 def command_of(config: RecordConfig) -> str:
@@ -325,6 +322,12 @@ def command_of(config: RecordConfig) -> str:
     return shlex.join([*words, "--out", config.out.name])
 
 
+def _reference(config: RecordConfig) -> str:
+    """The reference that ``load_policy`` gets, and the trust that it needs; '' without a policy."""
+    trust(config.policy, config.trust)
+    return with_wire(config.policy or "", config.wire)
+
+
 def _schedule(config: RecordConfig, env: Environment) -> Schedule:
     """The schedule of the scenario and of ``--drop`` together."""
     named = scenario(config.scenario).schedule(env.spec) if config.scenario else ()
@@ -337,8 +340,7 @@ def _session(
 ) -> Session:
     """A session in ``env`` that runs as fast as it can."""
     if script is not None:
-        check_horizon(script, env)
-        check_policies(script, find, env)
+        check_episode(script, find, env)
     wanted = {one.name: one for one in (script.policies if script else ())}
 
     def load(name: str) -> Policy:

@@ -19,16 +19,16 @@ about episodes, and other trainings and other tasks would scatter more.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from madviz.agent.methods import METHODS
 from madviz.measure.formulas import student
 from madviz.measure.statistics import Interval
-from madviz.report.layouts import MERGES, THREE
+from madviz.report.layouts import COMPONENTS, MERGES, THREE
 from madviz.report.rows import Difference, Row, difference
 from madviz.report.tables import ALIKE, ResultTable
 
 BASELINES = ("single", "mvd", "vib", "mv-mwm")
-COMPONENTS = ("naive-both", "merged-only", "singular-only")
 LEAD = {"metaworld": 0.30, "maniskill": 0.36}
 """Paper, section on robustness: MAD's lead over the baselines, in success rate."""
 TASKS = {"metaworld": 15, "maniskill": 5}
@@ -48,26 +48,20 @@ def beside(table: ResultTable, gap: Difference, judge: Judge) -> str:
     return f": {judge(student([[[each] for each in gap.trainings]], least=-1.0))}"
 
 
-def verdict(interval: Interval, claim: float) -> str:
-    """See the module."""
+def verdict(interval: Interval, claim: float | None = None) -> str:
+    """See the module. Without a ``claim`` the paper gives an order and no size."""
     low, high = interval
     if high < 0:
         return "does not agree: MAD is behind"
     if low <= 0:
         return "undecided: no difference could be shown"
+    if claim is None:
+        return "agrees: MAD is ahead"
     if low > claim:
         return "agrees in direction; the lead is larger than the paper's"
     if high < claim:
         return "agrees in direction; the lead is smaller than the paper's"
     return "agrees, in direction and size"
-
-
-def ahead(interval: Interval) -> str:
-    """Where the paper gives an order and no size."""
-    low, high = interval
-    if low > 0:
-        return "agrees: MAD is ahead"
-    return "does not agree: MAD is behind" if high < 0 else verdict(interval, 0.0)
 
 
 def same(interval: Interval, margin: float = 0.1) -> str:
@@ -87,55 +81,49 @@ def claims(table: ResultTable) -> list[str]:
 
 def points(gap: Difference) -> str:
     """``+73 points [+68, +78] on the mean of all, first; n = 100 on 1 task``."""
-    low, high = gap.interval
     tasks = f"{len(gap.tasks)} task{'s' * (len(gap.tasks) > 1)}"
     mean = "the mean of " if len(gap.columns) > 1 else ""
-    return (
-        f"{signed(gap.value)} points [{signed(low)}, {signed(high)}] "
-        f"on {mean}{', '.join(gap.columns)}; n = {gap.n} on {tasks}"
-    )
-
-
-def signed(share: float) -> str:
-    """Points with their sign; what rounds to nothing is +0, not -0."""
-    return f"{round(100 * share) + 0.0:+.0f}"
+    return f"{gap} on {mean}{', '.join(gap.columns)}; n = {gap.n} on {tasks}"
 
 
 def _lead(
-    table: ResultTable, baselines: Sequence[str], said: str, judge: Judge = ahead
+    table: ResultTable, baselines: Sequence[str], paper: str, claim: float | None = None
 ) -> list[str]:
-    """MAD against each of ``baselines``; what the paper says, if anything, is held against the one
-    that comes closest, of those that were trained as long."""
+    """MAD against each of ``baselines``. The paper's sentence, if there is one, is held against the
+    one that comes closest, of those that were trained as long."""
     lines: list[str] = []
-    columns = table.mean_of or table.columns
     for recipe in _recipes(table):
-        gaps = []
+        fair_gaps = []
         for name in baselines:
             other = _beside_mad(table, name, recipe)
             rows = table.pair(f"mad{recipe}", other)
-            if rows and (gap := difference(*rows, columns)):
+            if rows and (gap := difference(*rows, table.columns)):
                 fair, steps = _steps(*rows, gap.tasks)
-                gaps += [gap] if fair else []
+                fair_gaps += [gap] if fair else []
                 lines.append(f"MAD minus {other}: {points(gap)}{steps}.")
-        if gaps and said:
-            closest = min(gaps, key=lambda gap: gap.value)
-            lines.append(f"The paper reports {said}{beside(table, closest, judge)}.")
+        if fair_gaps and paper:
+            closest = min(fair_gaps, key=lambda gap: gap.value)
+            judged = beside(table, closest, partial(verdict, claim=claim))
+            lines.append(f"The paper reports {paper}{judged}.")
     return lines
 
 
 def _steps(mad: Row, other: Row, tasks: Sequence[str]) -> tuple[bool, str]:
     """Whether both were trained about as long, and how long each was, where that differs; '' where
     nothing says it, as for imitation."""
-    taken = [
-        sorted({one.config.training.steps or 0 for one in row.on(tasks).evidence})
+    mine, theirs = (
+        sorted({policy.config.training.steps or 0 for policy in row.on(tasks).evidence})
         for row in (mad, other)
-    ]
-    if taken[0] == taken[1]:
+    )
+    if mine == theirs:
         return True, ""
-    words = [" or ".join(f"{steps:,}" for steps in each) for each in taken]
-    fair = max(map(max, taken)) <= (1 + ALIKE) * min(map(min, taken))
+    fair = max(*mine, *theirs) <= (1 + ALIKE) * min(*mine, *theirs)
     unfair = "" if fair else ", so not a fair comparison"
-    return fair, f"; after {words[0]} and {words[1]} decisions{unfair}"
+    return fair, f"; after {_either(mine)} and {_either(theirs)} decisions{unfair}"
+
+
+def _either(numbers: Sequence[int]) -> str:
+    return " or ".join(f"{number:,}" for number in numbers)
 
 
 def _beside_mad(table: ResultTable, name: str, recipe: str) -> str:
@@ -143,14 +131,9 @@ def _beside_mad(table: ResultTable, name: str, recipe: str) -> str:
     and its recipes do not train the method, that of the method's own: MV-MWM's."""
     own = METHODS[name].recipes
     if recipe and set(own).isdisjoint(METHODS["mad"].recipes):
-        labels = [f"{name}, {each}" for each in own]
+        labels = [f"{name}, {own_recipe}" for own_recipe in own]
         return next((label for label in labels if label in table.labels), labels[0])
     return f"{name}{recipe}"
-
-
-def _size(claim: float) -> Judge:
-    """For a lead that the paper gives a size of."""
-    return lambda interval: verdict(interval, claim)
 
 
 def _recipes(table: ResultTable) -> list[str]:
@@ -160,14 +143,12 @@ def _recipes(table: ResultTable) -> list[str]:
 
 def _overall(table: ResultTable) -> list[str]:
     lead = LEAD[table.suite]
-    count = TASKS[table.suite]
-    over = f"{100 * lead:+.0f} points over its baselines, on {count} tasks"
+    over = f"{100 * lead:+.0f} points over its baselines, on {TASKS[table.suite]} tasks"
     names = ", ".join(COMPONENTS)
     parts = f"{100 * COMPONENT_LEAD:+.0f} points over {names}, on five Meta-World tasks"
-    held = (parts, _size(COMPONENT_LEAD)) if table.suite == "metaworld" else ("", ahead)
     return [
-        *_lead(table, BASELINES, over, _size(lead)),
-        *_lead(table, COMPONENTS, *held),
+        *_lead(table, BASELINES, over, lead),
+        *_lead(table, COMPONENTS, parts if table.suite == "metaworld" else "", COMPONENT_LEAD),
         *_trained_often(table),
         *_one_and_the_same(table),
     ]
@@ -181,8 +162,7 @@ def _trained_often(table: ResultTable) -> list[str]:
         rows = {row.label: row for at, row in table.rows if at == task and row.trainings > 1}
         mad = rows.pop("mad", None)
         for label, row in rows.items():
-            columns = table.mean_of or table.columns
-            if mad and (gap := difference(mad, row, columns)):
+            if mad and (gap := difference(mad, row, table.columns)):
                 lines.append(
                     f"On {task}, {len(gap.trainings)} trainings of each, MAD minus {label}: "
                     f"{points(gap)}."
@@ -197,22 +177,22 @@ def _one_and_the_same(table: ResultTable) -> list[str]:
     if rows is None:
         return []
     mad, both = rows
-    tasks = {each.config.task for each in both.evidence}
+    tasks = {policy.config.task for policy in both.evidence}
     sentences = [
-        f"On {each.config.task} naive-both and MAD are one and the same training: with alpha "
-        f"{each.alpha:g} MAD weighs the sum and each of "
-        f"{len(each.config.streams)} streams alike, and under the light recipe the expert is the "
+        f"On {policy.config.task} naive-both and MAD are one and the same training: with alpha "
+        f"{policy.alpha:g} MAD weighs the sum and each of "
+        f"{len(policy.config.streams)} streams alike, and under the light recipe the expert is the "
         "only teacher, so that nothing else tells them apart."
-        for each in mad.evidence
-        if each.config.task in tasks
-        and abs((each.alpha or 0) - 1 / (1 + len(each.config.streams))) < 1e-3
+        for policy in mad.evidence
+        if policy.config.task in tasks
+        and abs((policy.alpha or 0) - 1 / (1 + len(policy.config.streams))) < 1e-3
     ]
     return list(dict.fromkeys(sentences))  # Several trainings say it once.
 
 
 def _five(table: ResultTable) -> list[str]:
-    said = f"{100 * FIVE_LEAD:+.0f} points over its baselines with five cameras"
-    return _lead(table, BASELINES, said, _size(FIVE_LEAD))
+    paper = f"{100 * FIVE_LEAD:+.0f} points over its baselines with five cameras"
+    return _lead(table, BASELINES, paper, FIVE_LEAD)
 
 
 def _alpha(table: ResultTable) -> list[str]:
@@ -221,8 +201,11 @@ def _alpha(table: ResultTable) -> list[str]:
     alike: dict[tuple[str, str], list[Row]] = {}
     for task, row in table.rows:
         alike.setdefault((task, row.label.partition(",")[2]), []).append(row)
-    each = [_best_alpha(table, task, rows) for (task, _), rows in alike.items()]
-    return [sentence for sentence in each if sentence]
+    return [
+        sentence
+        for (task, _), rows in alike.items()
+        if (sentence := _best_alpha(table, task, rows))
+    ]
 
 
 def _best_alpha(table: ResultTable, task: str, rows: Sequence[Row]) -> str:
@@ -237,7 +220,7 @@ def _best_alpha(table: ResultTable, task: str, rows: Sequence[Row]) -> str:
     rated = [(rate.value, row) for row in rows if (rate := row.mean(THREE))]
     if papers is None or len(rated) < 2:
         return ""
-    best, second, *_ = [row for _, row in sorted(rated, key=lambda each: -each[0])]
+    best, second, *_ = [row for _, row in sorted(rated, key=lambda pair: -pair[0])]
     other = papers if best is not papers else second
     gap = difference(best, other, THREE)
     if gap is None:
@@ -260,8 +243,7 @@ def _best_alpha(table: ResultTable, task: str, rows: Sequence[Row]) -> str:
 def _merging(table: ResultTable) -> list[str]:
     lines = []
     for name in MERGES[1:]:
-        rows = table.pair(name, "sum")
-        if rows and (gap := difference(*rows, ("all",))):
+        if gap := table.difference(name, "sum", ("all",)):
             judge = _behind if name == "q-mean" else same
             lines.append(f"{name} minus sum: {points(gap)}{beside(table, gap, judge)}.")
     if lines:
@@ -280,33 +262,32 @@ def _compared(
     table: ResultTable,
     labels: tuple[str, str],
     columns: Sequence[str],
-    words: str,
+    compared: str,
     paper: str,
     judge: Judge,
 ) -> list[str]:
     """The difference of two rows, beside the paper's sentence; nothing where a row is missing or no
     episodes can be paired."""
-    rows = table.pair(*labels)
-    gap = difference(*rows, columns) if rows else None
-    return [f"{words}: {points(gap)}. {paper}{beside(table, gap, judge)}."] if gap else []
+    gap = table.difference(*labels, columns)
+    return [f"{compared}: {points(gap)}. {paper}{beside(table, gap, judge)}."] if gap else []
 
 
 def _occlusion(table: ResultTable) -> list[str]:
-    said = "The paper reports 63% for MAD and 62% for Single Camera"
+    paper = "The paper reports 63% for MAD and 62% for Single Camera"
     lines = []
-    for rest in _recipes(table):
-        words = f"MAD{rest} minus single, with every camera it has"
-        lines += _compared(table, (f"mad{rest}", "single"), ("all",), words, said, same)
+    for recipe in _recipes(table):
+        compared = f"MAD{recipe} minus single, with every camera it has"
+        lines += _compared(table, (f"mad{recipe}", "single"), ("all",), compared, paper, same)
     return [*lines, *_blind(table), *_lead(table, ("mvd", "vib"), "MAD far ahead of MVD and VIB")]
 
 
 def _blind(table: ResultTable) -> list[str]:
     """How much of MAD's loss is on streams alone that see nothing: (1 - alpha) / V for each."""
     blind = {
-        alpha: (1 - alpha) * (1 - 1 / len(each.config.streams))
+        alpha: (1 - alpha) * (1 - 1 / len(policy.config.streams))
         for row in table.averages
-        for each in row.evidence
-        if each.config.method == "mad" and (alpha := each.alpha) is not None
+        for policy in row.evidence
+        if policy.config.method == "mad" and (alpha := policy.alpha) is not None
     }
     if not blind:
         return []
@@ -318,21 +299,20 @@ def _blind(table: ResultTable) -> list[str]:
 
 
 def _modality(table: ResultTable) -> list[str]:
-    mad = "mad, one-rgbd"
-    depth = "single, one-depth"
-    both = "single, one-rgbd"
-    words = "MAD minus single on depth alone"
-    said = "The paper finds MAD ahead"
-    lines = _compared(table, (mad, depth), ("depth",), words, said, ahead)
-    words = "MAD minus single on colour and depth"
-    said = "The paper finds them alike"
-    return lines + _compared(table, (mad, both), ("all",), words, said, same)
+    depth = ("mad, one-rgbd", "single, one-depth")
+    both = ("mad, one-rgbd", "single, one-rgbd")
+    on_depth = "MAD minus single on depth alone"
+    on_both = "MAD minus single on colour and depth"
+    return [
+        *_compared(table, depth, ("depth",), on_depth, "The paper finds MAD ahead", verdict),
+        *_compared(table, both, ("all",), on_both, "The paper finds them alike", same),
+    ]
 
 
 def _resolution(table: ResultTable) -> list[str]:
-    words = "MAD with mixed sizes minus MAD with one"
-    said = "The paper reports no loss"
-    return _compared(table, ("mad", "mad, one size"), THREE, words, said, same)
+    labels = ("mad", "mad, one size")
+    compared = "MAD with mixed sizes minus MAD with one"
+    return _compared(table, labels, THREE, compared, "The paper reports no loss", same)
 
 
 CLAIMS: dict[str, Callable[[ResultTable], list[str]]] = {

@@ -29,11 +29,11 @@ STORE = Path(RUNS) / "reporting.sqlite"
 
 def evaluate_all(folders: Sequence[Path], episodes: int, workers: int | None) -> list[Path]:
     """The policies that were evaluated, in order. ``episodes``: of each subset."""
-    found = sorted(file.parent for root in folders for file in root.rglob(checkpoint.WEIGHTS))
+    policies = sorted(file.parent for root in folders for file in root.rglob(checkpoint.WEIGHTS))
     STORE.parent.mkdir(parents=True, exist_ok=True)
     store = Store(STORE)
     try:
-        return [path for path in found if _evaluate(path, episodes, workers, store)]
+        return [path for path in policies if _evaluate(path, episodes, workers, store)]
     finally:
         store.close()
 

@@ -6,7 +6,7 @@ usual is not said: ``mad`` is MAD with a sum under the light recipe.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -18,17 +18,13 @@ from madviz.measure.evidence import Evidence
 THREE = ("all", "first", "third_a", "third_b")
 MERGES = tuple(name for name, merge in merge_table.MERGES.items() if not merge.own_loss)
 """The merges that the paper compares by themselves, in its order."""
-ORDER = (
-    "mad",
-    "single",
-    "mvd",
-    "vib",
-    "mv-mae",
-    "mv-mwm",
-    "naive-both",
-    "merged-only",
-    "singular-only",
-)
+COMPONENTS = ("naive-both", "merged-only", "singular-only")
+"""The methods that leave out a component of MAD."""
+ORDER = ("mad", "single", "mvd", "vib", "mv-mae", "mv-mwm", *COMPONENTS, *MERGES)
+"""The order of rows in every table."""
+
+Label = Callable[[Evidence], str | None]
+"""Gives the row that a policy belongs to; None leaves it out of the table."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +35,10 @@ class Layout:
     title: str
     question: str
     """The heading of its section."""
-    label: Callable[[Evidence], str | None]
-    """The row a policy belongs to; None leaves it out."""
+    label: Label
     columns: tuple[str, ...]
-    mean_of: tuple[str, ...] = ()
-    """Columns of the last one, the mean; none: no such column."""
+    mean: bool = False
+    """Whether a last column has the mean of all others."""
     needs: int = 1
     """Rows without which a task would compare nothing, and stays out."""
     alphas: Literal["usual", "named", "all"] = "usual"
@@ -51,28 +46,28 @@ class Layout:
     name it, or into those that ``label`` tells apart itself."""
 
 
+def _with_recipe(name: str, evidence: Evidence) -> str:
+    recipe = evidence.config.recipe
+    return name if recipe == "light" else f"{name}, {recipe}"
+
+
 def _method(evidence: Evidence) -> str:
     """The method, and what of it is not as usual."""
     name = evidence.config.method
-    if evidence.config.merge != (METHODS[name].merge if name in METHODS else "sum"):
-        name = f"{name} with {evidence.config.merge}"
-    return name if evidence.config.recipe == "light" else f"{name}, {evidence.config.recipe}"
+    merge = evidence.config.merge
+    usual = METHODS[name].merge if name in METHODS else "sum"
+    return _with_recipe(name if merge == usual else f"{name} with {merge}", evidence)
 
 
-def _in(setting: str, methods: Iterable[str] = ()) -> Callable[[Evidence], str | None]:
-    chosen = tuple(methods)
+def _in(setting: str, *methods: str) -> Label:
+    """The label of policies of one setting, of ``methods`` if any are given; those that only
+    compare merges have a table of their own."""
 
     def label(evidence: Evidence) -> str | None:
-        fits = evidence.config.setting == setting and (
-            not chosen or evidence.config.method in chosen
-        )
-        # What compares merges has a table of its own.
-        other = evidence.config.method == "merged-only" and evidence.config.merge != "sum"
-        return (
-            _method(evidence)
-            if fits and evidence.config.method not in MERGES and not other
-            else None
-        )
+        name = evidence.config.method
+        merging = name in MERGES or (name == "merged-only" and evidence.config.merge != "sum")
+        wanted = evidence.config.setting == setting and (not methods or name in methods)
+        return _method(evidence) if wanted and not merging else None
 
     return label
 
@@ -83,6 +78,10 @@ def _overall(evidence: Evidence) -> str | None:
     return _three(evidence) if evidence.config.recipe == "light" else None
 
 
+def _scratch(evidence: Evidence) -> str | None:
+    return None if evidence.config.recipe == "light" else _three(evidence)
+
+
 def _three(evidence: Evidence) -> str | None:
     if evidence.config.method == "single" and evidence.config.setting in ("three", "one-rgb"):
         return _method(evidence)
@@ -90,28 +89,21 @@ def _three(evidence: Evidence) -> str | None:
 
 
 def _alpha(evidence: Evidence) -> str | None:
-    if _in("three", ("mad",))(evidence) is None or evidence.alpha is None:
+    if _in("three", "mad")(evidence) is None or evidence.alpha is None:
         return None
-    recipe = "" if evidence.config.recipe == "light" else f", {evidence.config.recipe}"
-    return f"alpha {evidence.alpha:g}{recipe}"
+    return _with_recipe(f"alpha {evidence.alpha:g}", evidence)
 
 
 def _merge(evidence: Evidence, setting: str = "three") -> str | None:
     """The merge of a policy that is trained with all cameras of ``setting`` together."""
-    if evidence.config.setting != setting:
-        return None
-    name = evidence.config.method if evidence.config.method in MERGES else None
-    if evidence.config.method == "merged-only":
-        name = evidence.config.merge
-    return (
-        name
-        if name is None or evidence.config.recipe == "light"
-        else f"{name}, {evidence.config.recipe}"
-    )
+    config = evidence.config
+    name = config.merge if config.method == "merged-only" else config.method
+    known = config.method == "merged-only" or name in MERGES
+    return _with_recipe(name, evidence) if known and config.setting == setting else None
 
 
 def any_method(evidence: Evidence) -> str | None:
-    """Everybody's row with three cameras, however views are merged."""
+    """The row of any policy that imitates with three cameras, however views are merged."""
     return _overall(evidence) or (_merge(evidence) if evidence.config.recipe == "light" else None)
 
 
@@ -122,12 +114,8 @@ def _modality(evidence: Evidence) -> str | None:
 
 def _resolution(evidence: Evidence) -> str | None:
     """Pictures of several sizes, and MAD with all of one size beside them."""
-    alike = _in("three", ("mad",))(evidence)
+    alike = _in("three", "mad")(evidence)
     return _in("mixed-resolution")(evidence) if alike is None else f"{alike}, one size"
-
-
-def _scratch(evidence: Evidence) -> str | None:
-    return None if evidence.config.recipe == "light" else _three(evidence)
 
 
 LAYOUTS = (
@@ -137,7 +125,7 @@ LAYOUTS = (
         "How does MAD compare with the other methods?",
         _overall,
         THREE,
-        THREE,
+        mean=True,
         needs=2,
     ),
     Layout(
@@ -146,7 +134,7 @@ LAYOUTS = (
         "How far does reinforcement learning come, without an expert?",
         _scratch,
         THREE,
-        THREE,
+        mean=True,
     ),
     Layout(
         "alpha",
@@ -154,7 +142,7 @@ LAYOUTS = (
         "How much should the sum weigh against the single cameras?",
         _alpha,
         THREE,
-        THREE,
+        mean=True,
         needs=2,
         alphas="all",
     ),
@@ -195,7 +183,7 @@ LAYOUTS = (
         "Does it work with five cameras?",
         _in("five"),
         ("all",),
-        ("all",),
+        mean=True,
     ),
     Layout(
         "resolution",
@@ -203,7 +191,7 @@ LAYOUTS = (
         "Does it work with pictures of several sizes?",
         _resolution,
         THREE,
-        THREE,
+        mean=True,
         needs=2,
     ),
 )
@@ -223,5 +211,4 @@ BASELINES = Layout(
 def rank(label: str) -> tuple[int, str]:
     """A row's place in every table: a key to sort labels by."""
     name = label.split(",")[0]
-    order = (*ORDER, *MERGES)
-    return (order.index(name) if name in order else len(order), label)
+    return (ORDER.index(name) if name in ORDER else len(ORDER), label)

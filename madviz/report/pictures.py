@@ -17,11 +17,11 @@ from madviz.report.threshold import WEAK, Verdict
 from madviz.runs.curve import success_lines
 
 DIFFERENCES: tuple[Callable[[Evidence], str], ...] = (
-    lambda each: each.config.recipe,
-    lambda each: each.config.merge,
-    lambda each: each.config.setting,
-    lambda each: f"alpha {each.config.training.alpha or 0:g}",
-    lambda each: each.folder,
+    lambda policy: policy.config.recipe,
+    lambda policy: policy.config.merge,
+    lambda policy: policy.config.setting,
+    lambda policy: f"alpha {policy.config.training.alpha or 0:g}",
+    lambda policy: policy.folder,
 )
 """The facts in which curves of one method, seed and task may differ."""
 TWENTY = "twenty.svg"
@@ -57,36 +57,39 @@ def methods(tables: Sequence[ResultTable]) -> str:
             cells = [None if rate is None else rate.value for rate in rates]
             panels.setdefault(task, {})[row.label] = cells
     labels = sorted({row.label for table in tables for row in table.averages}, key=rank)
-    uses = " and ".join(sorted({row.seeds for table in tables for row in table.averages}))
-    title = f"{tables[0].layout.title}, imitation, {uses} seeds"
+    title = f"{tables[0].layout.title}, imitation, {_seeds(*tables)}"
     return figures.heat(title, labels, tables[0].columns, panels)
 
 
 def rates(table: ResultTable) -> str:
     """The table's rows with their intervals, each over the tasks that all of them have; a mean only
     of rows that have all columns."""
-    groups = [*table.columns, *(["mean"] if table.mean_of else [])]
+    columns = table.columns
+    groups = [*columns, *(["mean"] if table.layout.mean else [])]
     tasks = set.intersection(*(set(row.tasks) for row in table.averages))
     series = {}
     for whole in table.averages:
         row = whole.on(tasks) if tasks else whole
-        found = [row.rate(column) for column in table.columns]
-        if table.mean_of:
-            complete = row.measured(table.mean_of) == list(table.mean_of)
-            found.append(row.mean(table.mean_of) if complete else None)
-        series[row.label] = [bar(rate) for rate in found]
+        measured = [row.rate(column) for column in columns]
+        if table.layout.mean:
+            measured.append(row.mean(columns) if all(measured) else None)
+        series[row.label] = [bar(rate) for rate in measured]
     where = " and ".join(sorted(tasks)) or table.suite
-    uses = " and ".join(sorted({row.seeds for row in table.averages}))
-    return figures.dots(f"{table.layout.title}: {where}, {uses} seeds", groups, series)
+    return figures.dots(f"{table.layout.title}: {where}, {_seeds(table)}", groups, series)
+
+
+def _seeds(*tables: ResultTable) -> str:
+    uses = sorted({row.seeds for table in tables for row in table.averages})
+    return f"{' and '.join(uses)} seeds"
 
 
 def curves(evidence: Sequence[Evidence]) -> dict[str, str]:
     """Success while training by reinforcement, by the picture's name: one for each task on which
     a training measured it by subset."""
     by_task: dict[str, list[Evidence]] = {}
-    for each in evidence:
-        if each.config.recipe != "light" and _curve(each).is_file():
-            by_task.setdefault(each.config.task, []).append(each)
+    for policy in evidence:
+        if policy.config.recipe != "light" and _curve(policy).is_file():
+            by_task.setdefault(policy.config.task, []).append(policy)
     drawn = {task: _curves_on(task, by_task[task]) for task in sorted(by_task)}
     return {f"{CURVE}{task.replace('/', '-')}.svg": text for task, text in drawn.items() if text}
 
@@ -106,10 +109,11 @@ def task_of(name: str) -> str:
 
 def _curves_on(task: str, evidence: Sequence[Evidence]) -> str:
     panels: dict[str, dict[str, figures.Line]] = {}
-    for each, label in zip(evidence, _told_apart(evidence), strict=True):
-        lines = success_lines(list(csv.DictReader(_curve(each).read_text().splitlines())))
+    for policy, label in zip(evidence, _told_apart(evidence), strict=True):
+        lines = success_lines(list(csv.DictReader(_curve(policy).read_text().splitlines())))
+        streams = policy.config.streams
         for subset, line in lines.items():
-            name = each.config.streams[0] if len(each.config.streams) == 1 else subset
+            name = streams[0] if len(streams) == 1 else subset
             panels.setdefault(name, {})[label] = line
     title = f"{task}: success at evaluations on selection seeds, 95% intervals"
     return figures.lines(title, "simulator steps", panels) if panels else ""
@@ -123,13 +127,17 @@ def _told_apart(evidence: Sequence[Evidence]) -> list[str]:
     """A name for each: its method and seed; and where several have the same, what else they
     differ in."""
     labels = [
-        each.config.method + (f", seed {each.seed}" if each.seed != 1 else "") for each in evidence
+        policy.config.method + (f", seed {policy.seed}" if policy.seed != 1 else "")
+        for policy in evidence
     ]
     for fact in DIFFERENCES:
         named = list(zip(labels, evidence, strict=True))
-        for place, (label, each) in enumerate(named):
-            alike = (other for name, other in named if name == label)
-            same_streams = [o for o in alike if o.config.streams == each.config.streams]
-            if len({fact(other) for other in same_streams}) > 1:
-                labels[place] = f"{label}, {fact(each)}"
+        for place, (label, policy) in enumerate(named):
+            alike = {
+                fact(other)
+                for name, other in named
+                if name == label and other.config.streams == policy.config.streams
+            }
+            if len(alike) > 1:
+                labels[place] = f"{label}, {fact(policy)}"
     return labels

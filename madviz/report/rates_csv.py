@@ -41,16 +41,15 @@ def rates_csv(verdicts: Sequence[Verdict], tables: Sequence[ResultTable]) -> str
     for table in tables:
         for task, row in table.rows:
             writer.writerows(_lines(table.name, task, row, table.columns))
-        for row in table.averages:
-            if len(row.tasks) > 1:
-                task = f"average of {len(row.tasks)}"
-                writer.writerows(_lines(table.name, task, row, table.columns))
+        for row in table.over_tasks:
+            task = f"average of {len(row.tasks)}"
+            writer.writerows(_lines(table.name, task, row, table.columns))
     return text.getvalue()
 
 
 def _lines(table: str, task: str, row: Row, columns: Sequence[str]) -> Iterator[list[object]]:
-    policies = " ".join(each.folder for each in row.evidence)
-    whole = all((each.path / WEIGHTS).is_file() for each in row.evidence)
+    policies = " ".join(policy.folder for policy in row.evidence)
+    whole = all((policy.path / WEIGHTS).is_file() for policy in row.evidence)
     for column in columns:
         if rate := row.rate(column):
             measured = [f"{value:.4f}" for value in (rate.value, *rate.interval)]

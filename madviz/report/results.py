@@ -16,10 +16,11 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from madviz.errors import UserError
 from madviz.measure.evidence import Evidence, find_evidence
+from madviz.policies.listing import BrokenRow
 from madviz.policies.seeds import FIRST_TRY, MEASURED, use_of
 from madviz.report import pictures
 from madviz.report.evaluate import EPISODES, evaluate_all
@@ -56,7 +57,20 @@ class ReportConfig:
     """Where to write what was written, and which tasks meet the threshold; - is standard output."""
 
 
-def run_report(config: ReportConfig) -> dict[str, Any]:
+class ReportResult(TypedDict):
+    """The document that ``--json`` writes."""
+
+    schema: int
+    path: str
+    pictures: list[str]
+    policies: int
+    broken: list[BrokenRow]
+    tables: list[str]
+    bar: list[dict[str, Any]]
+    """The acceptance threshold, task by task, see ``verdict_json``."""
+
+
+def run_report(config: ReportConfig) -> ReportResult:
     """``madviz report``. Policies whose files are broken or contradict each other are named and
     left out. Raises UserError for a folder without evaluated policies, and for rates on seeds that
     must not be reported."""
@@ -70,10 +84,10 @@ def run_report(config: ReportConfig) -> dict[str, Any]:
         raise UserError(
             f"expected policy folders with evaluation.json in {' and '.join(map(str, folders))}, "
             "found none; run `madviz eval --policy NAME --card`"
-            + "".join(f"; {each['name']} broken: {each['error']}" for each in broken)
+            + "".join(f"; {row['name']} broken: {row['error']}" for row in broken)
         )
-    for each in evidence:
-        check_seeds(each)
+    for policy in evidence:
+        check_seeds(policy)
     tables = [table for layout in LAYOUTS for table in build(layout, evidence)]
     compared = build(BASELINES, evidence)
     verdicts = [judge(task, evidence) for task in TWENTY]
@@ -91,14 +105,14 @@ def run_report(config: ReportConfig) -> dict[str, Any]:
         "policies": len(evidence),
         "broken": broken,
         "tables": [table.name for table in tables],
-        "bar": [verdict_json(each) for each in verdicts],
+        "bar": [verdict_json(verdict) for verdict in verdicts],
     }
 
 
 def check_seeds(evidence: Evidence) -> None:
     """Raises UserError unless every file holds seeds of one use that rates may have, and
     development.json no reporting seeds."""
-    earlier = use_of(seed for found in evidence.development.values() for seed in found)
+    earlier = use_of(seed for outcomes in evidence.development.values() for seed in outcomes)
     if evidence.seeds not in MEASURED or earlier not in ("", *MEASURED[1:]):
         raise UserError(
             f"{evidence.path}: expected seeds of one use that rates may have ({', '.join(MEASURED)}"
@@ -110,10 +124,9 @@ def check_seeds(evidence: Evidence) -> None:
 
 def _remake(config: ReportConfig, out: Path) -> str:
     """The command that writes the same files."""
-    words = ["madviz", "report"]
-    words += [] if config.folder is None else ["--folder", config.folder.as_posix()]
-    words += [] if config.out is None else ["--out", out.as_posix()]
-    return shlex.join(words)
+    folder = [] if config.folder is None else ["--folder", config.folder.as_posix()]
+    written = [] if config.out is None else ["--out", out.as_posix()]
+    return shlex.join(["madviz", "report", *folder, *written])
 
 
 def _drawn(
@@ -136,11 +149,14 @@ def _sweeps(
     folder: Path, verdicts: Sequence[Verdict], tables: Sequence[ResultTable]
 ) -> dict[str, str]:
     """A sweep file for each question."""
-    used = {"twenty": [each for v in verdicts if v.row for each in v.row.evidence]}
+    used = {"twenty": [policy for v in verdicts if v.row for policy in v.row.evidence]}
     for table in tables:
         used.setdefault(table.layout.key, []).extend(table.evidence)
-    names = {key: f"{key}.toml" for key, found in used.items() if found}
-    return {name: sweep_text((folder / name).as_posix(), used[key]) for key, name in names.items()}
+    return {
+        f"{key}.toml": sweep_text((folder / f"{key}.toml").as_posix(), policies)
+        for key, policies in used.items()
+        if policies
+    }
 
 
 def _write_all(folder: Path, files: Mapping[str, str], ours: Callable[[Path], bool]) -> None:
@@ -154,13 +170,13 @@ def _write_all(folder: Path, files: Mapping[str, str], ours: Callable[[Path], bo
         write_bytes(folder / name, text.encode())
 
 
-def report_words(result: dict[str, Any]) -> str:
+def report_words(result: ReportResult) -> str:
     """The written files, as lines."""
-    met = sum(each["verdict"] == "met" for each in result["bar"])
+    met = sum(verdict["verdict"] == "met" for verdict in result["bar"])
     lines = [
         f"{result['path']}: {result['policies']} policies, {len(result['tables'])} tables, "
         f"{len(result['pictures'])} pictures; {met} of {len(result['bar'])} tasks meet the "
         "acceptance threshold"
     ]
-    lines += [f"{each['name']} broken: {each['error']}" for each in result["broken"]]
+    lines += [f"{row['name']} broken: {row['error']}" for row in result["broken"]]
     return "\n".join(lines)

@@ -16,8 +16,8 @@ its episodes.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from madviz.measure.evidence import Evidence
 from madviz.measure.statistics import (
@@ -25,7 +25,6 @@ from madviz.measure.statistics import (
     SuccessRate,
     difference_interval,
     interval_over_trainings,
-    mean_interval,
 )
 from madviz.policies.seeds import use_of
 
@@ -41,10 +40,20 @@ class Row:
     cells: dict[str, dict[Unit, bool]] = field(default_factory=dict)
     evidence: list[Evidence] = field(default_factory=list)
 
+    @classmethod
+    def pooled(cls, label: str, rows: Iterable[Row]) -> Row:
+        """One row with the episodes of all ``rows``."""
+        whole = cls(label)
+        for row in rows:
+            whole.evidence += row.evidence
+            for column, cell in row.cells.items():
+                whole.cells.setdefault(column, {}).update(cell)
+        return whole
+
     @property
     def tasks(self) -> tuple[str, ...]:
         """Those with an episode in any cell, in alphabetical order."""
-        return tuple(sorted({unit[0] for cell in self.cells.values() for unit in cell}))
+        return tuple(sorted({task for task, _ in self._trained}))
 
     @property
     def trainings(self) -> int:
@@ -61,13 +70,23 @@ class Row:
         """The use of its episodes' seeds, see ``madviz.policies.seeds``."""
         return use_of(unit[2] for cell in self.cells.values() for unit in cell)
 
+    def only(self, keeps: Callable[[Unit], bool]) -> Row:
+        """The same row with the episodes that ``keeps`` names, and their policies."""
+        cells = {
+            column: {unit: success for unit, success in cell.items() if keeps(unit)}
+            for column, cell in self.cells.items()
+        }
+        row = Row(self.label, cells)
+        row.evidence = [e for e in self.evidence if (e.config.task, e.seed) in row._trained]
+        return row
+
     def on(self, tasks: Collection[str]) -> Row:
         """The same row with the episodes of ``tasks`` only."""
-        return self._of({each for each in self._trained if each[0] in tasks})
+        return self.only(lambda unit: unit[0] in tasks)
 
     def seeded(self, seeds: Collection[int]) -> Row:
         """The same row with the trainings of ``seeds`` only."""
-        return self._of({each for each in self._trained if each[1] in seeds})
+        return self.only(lambda unit: unit[1] in seeds)
 
     def equal_trainings(self) -> Row:
         """The same row with equally many trainings of every task, those of the lowest seeds. So a
@@ -76,28 +95,20 @@ class Row:
         for task, seed in sorted(self._trained):
             seeds.setdefault(task, []).append(seed)
         least = min(map(len, seeds.values()), default=0)
-        return self._of({(task, seed) for task, each in seeds.items() for seed in each[:least]})
+        return self.only(lambda unit: unit[1] in seeds[unit[0]][:least])
 
     @property
     def _trained(self) -> set[tuple[str, int]]:
         """Task and training seed of every training with an episode in any cell."""
         return {unit[:2] for cell in self.cells.values() for unit in cell}
 
-    def _of(self, trained: Collection[tuple[str, int]]) -> Row:
-        cells = {
-            column: {unit: success for unit, success in cell.items() if unit[:2] in trained}
-            for column, cell in self.cells.items()
-        }
-        evidence = [each for each in self.evidence if (each.config.task, each.seed) in trained]
-        return Row(self.label, cells, evidence)
-
     def rate(self, column: str) -> SuccessRate | None:
         """None where nothing was measured."""
         cell = self.cells.get(column)
         if not cell:
             return None
-        rate = SuccessRate.of(sum(cell.values()), len(cell))
-        return SuccessRate(rate.value, _interval(cell, rate.interval), rate.n)
+        rate = SuccessRate.counted(cell.values())
+        return replace(rate, interval=_interval(cell, rate.interval))
 
     def shares(self, columns: Sequence[str]) -> dict[Unit, float]:
         """By unit, the share of ``columns`` that succeeded; of units that have them all."""
@@ -115,12 +126,11 @@ class Row:
         present = self.measured(columns)
         if len(present) < 2:
             return None
-        by_unit = self.shares(present)
-        shares = list(by_unit.values())
+        shares = self.shares(present)
         if not shares:
             return None
-        interval = _interval(by_unit, mean_interval(shares, len(present)))
-        return SuccessRate(sum(shares) / len(shares), interval, len(shares))
+        rate = SuccessRate.mean(list(shares.values()), len(present))
+        return replace(rate, interval=_interval(shares, rate.interval))
 
 
 @dataclass(frozen=True)
@@ -134,6 +144,16 @@ class Difference:
     columns: tuple[str, ...]
     trainings: tuple[float, ...]
     """The difference of every training seed that all tasks have."""
+
+    def __str__(self) -> str:
+        """How a difference is written everywhere: ``+15 points [+2, +28]``."""
+        low, high = self.interval
+        return f"{signed(self.value)} points [{signed(low)}, {signed(high)}]"
+
+
+def signed(share: float) -> str:
+    """Points with their sign; what rounds to nothing is +0, not -0."""
+    return f"{round(100 * share) + 0.0:+.0f}"
 
 
 def difference(first: Row, second: Row, columns: Sequence[str]) -> Difference | None:
@@ -164,7 +184,7 @@ def _interval(values: Mapping[Unit, float], episodes: Interval, least: float = 0
     trainings: dict[str, dict[int, list[float]]] = {}
     for (task, training, _), value in values.items():
         trainings.setdefault(task, {}).setdefault(training, []).append(value)
-    if all(len(each) == 1 for each in trainings.values()):
+    if all(len(by_seed) == 1 for by_seed in trainings.values()):
         return episodes
-    groups = [[each[seed] for seed in sorted(each)] for _, each in sorted(trainings.items())]
+    groups = [[by_seed[s] for s in sorted(by_seed)] for _, by_seed in sorted(trainings.items())]
     return interval_over_trainings(groups, episodes, least)

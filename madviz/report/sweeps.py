@@ -20,31 +20,27 @@ Options = tuple[tuple[str, str], ...]
 
 def sweep_text(file: str, evidence: Sequence[Evidence]) -> str:
     """TOML for ``madviz sweep``; ``file`` is where it will be."""
-    unique = {each.path: each for each in evidence if each.command}
-    entries = dict.fromkeys(_entry(each) for each in unique.values())
-    varied = _varied(list(entries))
+    entries = list(dict.fromkeys(_entry(policy) for policy in evidence if policy.command))
+    varied = _varied(entries)
     grids: dict[tuple[tuple[str, ...], Options], list[tuple[str, str]]] = {}
     for axes, options in entries:
         kept = tuple((k, f"[{v}]" if (axes, k) in varied else v) for k, v in options)
         grids.setdefault((axes[2:], kept), []).append((axes[0], axes[1]))
-    lines = [
-        FIRST_LINE,
-        "#",
-        f"#     madviz sweep {file}",
-        "",
-    ]
+    lines = [FIRST_LINE, "#", f"#     madviz sweep {file}", ""]
     for ((setting, recipe, seed), options), pairs in grids.items():
         for tasks, methods in _rectangles(pairs):
             lines += [
                 "[[grid]]",
                 f"tasks = {json.dumps(tasks)}",
                 f"methods = {json.dumps(methods)}",
+                f'settings = ["{setting}"]',
+                f'recipes = ["{recipe}"]',
+                f"seeds = [{seed}]",
             ]
-            lines += [f'settings = ["{setting}"]', f'recipes = ["{recipe}"]', f"seeds = [{seed}]"]
             lines += ["[grid.train]", *(f"{k} = {v}" for k, v in options)] if options else []
             lines.append("")
-    episodes = max(each.episodes for each in evidence)
-    first = max(each.first_seed for each in evidence)
+    episodes = max(policy.episodes for policy in evidence)
+    first = max(policy.first_seed for policy in evidence)
     return "\n".join([*lines, "[eval]", f"episodes = {episodes}", f"seed = {first}"]) + "\n"
 
 
@@ -94,12 +90,13 @@ def _option(name: str, values: Sequence[str]) -> tuple[str, str]:
 def _varied(entries: Sequence[tuple[tuple[str, ...], Options]]) -> set[tuple[tuple[str, ...], str]]:
     """Trainings that differ in options alone, with those options: in a list, an option is part of a
     run's name."""
-    found = set()
-    for axes, options in entries:
-        for other, theirs in entries:
-            if other == axes:
-                found |= {(axes, name) for name, _ in set(options) ^ set(theirs)}
-    return found
+    return {
+        (axes, name)
+        for axes, options in entries
+        for others_axes, others in entries
+        if others_axes == axes
+        for name, _ in set(options) ^ set(others)
+    }
 
 
 def _rectangles(pairs: Sequence[tuple[str, str]]) -> list[tuple[list[str], list[str]]]:
@@ -110,4 +107,4 @@ def _rectangles(pairs: Sequence[tuple[str, str]]) -> list[tuple[list[str], list[
     tasks: dict[tuple[str, ...], list[str]] = {}
     for task, names in methods.items():
         tasks.setdefault(tuple(sorted(names)), []).append(task)
-    return [(found, list(names)) for names, found in tasks.items()]
+    return [(alike, list(names)) for names, alike in tasks.items()]

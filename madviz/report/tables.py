@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from madviz.envs.registry import METAWORLD_TASKS
 from madviz.measure.evidence import Evidence, alike
 from madviz.report.layouts import Layout, rank
-from madviz.report.rows import Row
+from madviz.report.rows import Difference, Row, difference
 
 SUITES = {"metaworld", "maniskill"}
 """Whose tasks have tables; the toy and tasks of a user's own do not."""
@@ -36,7 +36,6 @@ class ResultTable:
     layout: Layout
     suite: str
     columns: tuple[str, ...]
-    mean_of: tuple[str, ...]
     rows: tuple[tuple[str, Row], ...]
     """Task and row, tasks in order."""
     averages: tuple[Row, ...]
@@ -51,9 +50,14 @@ class ResultTable:
         return f"{self.layout.key}-{self.suite}{learning}"
 
     @property
+    def over_tasks(self) -> list[Row]:
+        """The averages over more than one task."""
+        return [row for row in self.averages if len(row.tasks) > 1]
+
+    @property
     def evidence(self) -> list[Evidence]:
         """The policies in its rows."""
-        return [each for _, row in self.rows for each in row.evidence]
+        return [policy for _, row in self.rows for policy in row.evidence]
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -63,29 +67,32 @@ class ResultTable:
     def pair(self, first: str, second: str) -> tuple[Row, Row] | None:
         """Two rows over the tasks that both have, with equally many episodes of each: those that
         these two have, whatever a third one lacks. None where they share no task."""
-        tasks = [{task for task, row in self.rows if row.label == one} for one in (first, second)]
-        both = tasks[0] & tasks[1]
-        rows = [(task, row) for task, row in self.rows if task in both]
-        rows = [(task, row) for task, row in rows if row.label in (first, second)]
+        rows = [(task, row) for task, row in self.rows if row.label in (first, second)]
+        counted = Counter(task for task, _ in rows)
+        both = [task for task in counted if counted[task] == 2]
+        rows = [(task, row) for task, row in rows if task in both]
         return (_average(first, rows), _average(second, rows)) if both else None
+
+    def difference(self, first: str, second: str, columns: Sequence[str]) -> Difference | None:
+        """That of two rows; None where no episodes can be paired."""
+        rows = self.pair(first, second)
+        return difference(*rows, columns) if rows else None
 
 
 def build(layout: Layout, evidence: Sequence[Evidence]) -> list[ResultTable]:
     """The tables of one layout, one for each suite with a task that has enough rows."""
-    chosen = [(label, each) for each in evidence if (label := layout.label(each))]
+    chosen = [(label, policy) for policy in evidence if (label := layout.label(policy))]
     if layout.alphas != "all":
         usual = usual_alphas(evidence)
         others = [pair for pair in chosen if pair[1] not in usual]
         chosen = [pair for pair in chosen if pair[1] in usual]
         if layout.alphas == "named":
-            chosen += [(f"{label}, alpha {each.alpha}", each) for label, each in others]
-    tasks = {each.config.task for _, each in chosen}
-    chosen = [pair for task in sorted(tasks) for pair in _comparable(layout, task, chosen)]
+            chosen += [(f"{label}, alpha {policy.alpha}", policy) for label, policy in others]
+    tasks = sorted({policy.config.task for _, policy in chosen})
     kinds: dict[tuple[str, bool], list[tuple[str, Evidence]]] = {}
-    for label, each in chosen:
-        kinds.setdefault(
-            (each.config.task.split("/")[0], each.config.recipe == "light"), []
-        ).append((label, each))
+    for label, policy in (pair for task in tasks for pair in _comparable(layout, task, chosen)):
+        suite = policy.config.task.split("/")[0]
+        kinds.setdefault((suite, policy.config.recipe == "light"), []).append((label, policy))
     return [
         _table(layout, suite, imitation, _same_seeds(kinds[suite, imitation]))
         for suite, imitation in sorted(kinds)
@@ -95,8 +102,8 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[ResultTable]:
 
 def _same_seeds(chosen: Sequence[tuple[str, Evidence]]) -> list[tuple[str, Evidence]]:
     """All on seeds of one use."""
-    labels = {each.path: label for label, each in chosen}
-    return [(labels[each.path], each) for each in alike([each for _, each in chosen])]
+    labels = {policy.path: label for label, policy in chosen}
+    return [(labels[policy.path], policy) for policy in alike([policy for _, policy in chosen])]
 
 
 def _table(
@@ -104,16 +111,16 @@ def _table(
 ) -> ResultTable:
     """The table of the policies of one suite, each with its row's label."""
     labels = sorted({label for label, _ in mine}, key=rank)
-    columns, mean_of = _columns(layout, [each for _, each in mine])
+    columns = _columns(layout, [policy for _, policy in mine])
     rows = []
-    for task in sorted({each.config.task for _, each in mine}, key=_task_rank):
+    for task in sorted({policy.config.task for _, policy in mine}, key=_task_rank):
         for label in labels:
-            members = [each for name, each in mine if (name, each.config.task) == (label, task)]
-            row = _row(label, columns, members)
+            members = [p for name, p in mine if (name, p.config.task) == (label, task)]
+            row = row_of(label, columns, members)
             if row.cells:
                 rows.append((task, row))
     averages = tuple(_average(label, rows) for label in labels)
-    return ResultTable(layout, suite, columns, mean_of, tuple(rows), averages, imitation)
+    return ResultTable(layout, suite, columns, tuple(rows), averages, imitation)
 
 
 def _comparable(
@@ -121,39 +128,33 @@ def _comparable(
 ) -> list[tuple[str, Evidence]]:
     """Rows of a task that can be compared: of one recipe and about one budget, and enough of
     them."""
-    here = [(label, each) for label, each in chosen if each.config.task == task]
-    found = []
-    for recipe in sorted({each.config.recipe for _, each in here}):
-        mine = [(label, each) for label, each in here if each.config.recipe == recipe]
+    here = [(label, policy) for label, policy in chosen if policy.config.task == task]
+    comparable = []
+    for recipe in sorted({policy.config.recipe for _, policy in here}):
+        mine = [(label, policy) for label, policy in here if policy.config.recipe == recipe]
         rows: dict[int, set[str]] = {}
-        for label, each in mine:
-            rows.setdefault(each.config.training.updates or 0, set()).add(label)
+        for label, policy in mine:
+            rows.setdefault(policy.config.training.updates or 0, set()).add(label)
         near = {u: [few for few in rows if few <= u <= (1 + ALIKE) * few] for u in rows}
         labels = {u: set[str]().union(*(rows[few] for few in near[u])) for u in rows}
         budget = max(rows, key=lambda updates: (len(labels[updates]), updates))
         if len(labels[budget]) >= layout.needs:
-            found += [p for p in mine if (p[1].config.training.updates or 0) in near[budget]]
-    return found
+            comparable += [p for p in mine if (p[1].config.training.updates or 0) in near[budget]]
+    return comparable
 
 
-def _columns(layout: Layout, mine: Sequence[Evidence]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _columns(layout: Layout, policies: Sequence[Evidence]) -> tuple[str, ...]:
     if layout.key != "five":
-        return layout.columns, layout.mean_of
-    streams = max((each.config.streams for each in mine), key=len)
-    return ("all", *streams), ("all", *streams)
+        return layout.columns
+    return ("all", *max((policy.config.streams for policy in policies), key=len))
 
 
 def _average(label: str, rows: Sequence[tuple[str, Row]]) -> Row:
     """The row of ``label`` over its tasks, with episodes that all of ``rows`` have."""
     seeds = _shared_seeds(rows)
-    whole = Row(label)
-    for task, row in rows:
-        if row.label == label:
-            for column, cell in row.cells.items():
-                kept = {unit: success for unit, success in cell.items() if unit[2] in seeds[task]}
-                whole.cells.setdefault(column, {}).update(kept)
-            whole.evidence += row.evidence
-    return whole.equal_trainings()
+    mine = [row for _, row in rows if row.label == label]
+    shared = Row.pooled(label, mine).only(lambda unit: unit[2] in seeds[unit[0]])
+    return shared.equal_trainings()
 
 
 def _shared_seeds(rows: Sequence[tuple[str, Row]]) -> dict[str, set[int]]:
@@ -168,24 +169,25 @@ def _shared_seeds(rows: Sequence[tuple[str, Row]]) -> dict[str, set[int]]:
     return {task: set(sorted(seeds)[:least]) for task, seeds in shared.items()}
 
 
-def _row(label: str, columns: Sequence[str], members: Sequence[Evidence]) -> Row:
-    """The row of the policies of one task."""
+def row_of(label: str, columns: Sequence[str], members: Sequence[Evidence]) -> Row:
+    """The row of ``members``, the policies of one task. A policy with one camera has no cell for
+    all cameras where there are columns of single ones."""
     row = Row(label)
-    for each in members:
+    for policy in members:
         counts = False
         for column in columns:
             # All of one camera is not all cameras, where other rows have several.
-            alone = len(each.config.streams) == 1 and column == "all" and "third_b" in columns
-            found = None if alone else each.of(column)
-            for seed, success in (found or {}).items():
+            alone = len(policy.config.streams) == 1 and column == "all" and "third_b" in columns
+            outcomes = None if alone else policy.of(column)
+            for seed, success in (outcomes or {}).items():
                 cell = row.cells.setdefault(column, {})
-                unit = (each.config.task, each.seed, seed)
+                unit = (policy.config.task, policy.seed, seed)
                 counts |= unit not in cell
                 cell.setdefault(unit, success)
         # A policy that adds no episode (Single Camera with this camera, of another setting) is not
         # trained again for this row.
         if counts:
-            row.evidence.append(each)
+            row.evidence.append(policy)
     return row
 
 
@@ -194,15 +196,15 @@ def usual_alphas(evidence: Sequence[Evidence]) -> list[Evidence]:
     whose alpha is that of the policy whose folder has the plain name; without one, the commonest.
     """
     groups: dict[tuple[str, ...], list[Evidence]] = {}
-    for each in evidence:
-        groups.setdefault(_kind(each), []).append(each)
+    for policy in evidence:
+        groups.setdefault(_kind(policy), []).append(policy)
     usual = {}
     for key, members in groups.items():
-        plain = [each.alpha for each in members if each.folder == each.config.name]
-        counted = Counter(each.alpha for each in members)
+        plain = [p.alpha for p in members if p.folder == p.config.name]
+        counted = Counter(policy.alpha for policy in members)
         commonest = min(counted, key=lambda a: (-counted[a], a or 0.0))
         usual[key] = plain[0] if plain else commonest
-    return [e for e in evidence if e.alpha == usual[_kind(e)]]
+    return [policy for policy in evidence if policy.alpha == usual[_kind(policy)]]
 
 
 def _kind(evidence: Evidence) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ interval of a rate at most 0.2 wide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from madviz.envs.registry import MANISKILL_TASKS, METAWORLD_TASKS
@@ -19,7 +19,7 @@ from madviz.measure.statistics import SuccessRate
 from madviz.policies.seeds import DEVELOPMENT, READ, TRY
 from madviz.report.layouts import THREE
 from madviz.report.rows import Row
-from madviz.report.tables import usual_alphas
+from madviz.report.tables import row_of, usual_alphas
 
 TWENTY = (
     *(f"metaworld/{task}" for task in METAWORLD_TASKS),
@@ -54,8 +54,8 @@ class Verdict:
     @property
     def weak(self) -> dict[str, SuccessRate]:
         """Single cameras below ``WEAK``."""
-        found = {c: self.row.rate(c) for c in THREE[1:]} if self.row else {}
-        return {camera: rate for camera, rate in found.items() if rate and rate.value < WEAK}
+        rates = {c: self.row.rate(c) for c in THREE[1:]} if self.row else {}
+        return {camera: rate for camera, rate in rates.items() if rate and rate.value < WEAK}
 
 
 def judged_on(task: str) -> tuple[str, ...]:
@@ -66,33 +66,28 @@ def judged_on(task: str) -> tuple[str, ...]:
 def judge(task: str, evidence: Sequence[Evidence]) -> Verdict:
     """The task's MAD policy on three cameras; of several, the one with the highest mean on other
     seeds than reporting ones, because nothing is chosen on these."""
-    found = [
-        each
-        for each in usual_alphas(evidence)
-        if (each.config.task, each.config.method, each.config.setting, each.config.merge)
+    policies = [
+        policy
+        for policy in usual_alphas(evidence)
+        if (policy.config.task, policy.config.method, policy.config.setting, policy.config.merge)
         == (task, "mad", "three", "sum")
     ]
-    if not found:
+    if not policies:
         return Verdict(task, None, None, ())
 
-    def rank(each: Evidence) -> float:
-        known = next(filter(None, map(each.on, (DEVELOPMENT, READ, TRY))), None)
+    def rank(policy: Evidence) -> float:
+        known = next(filter(None, map(policy.on, (DEVELOPMENT, READ, TRY))), None)
         mean = known and _row(known).mean(judged_on(task))
         return mean.value if mean else -1.0
 
-    row = _row(max(found, key=rank))
+    row = _row(max(policies, key=rank))
     mean = row.mean(judged_on(task))
     return Verdict(task, row, mean, tuple(_reasons(task, row, mean)))
 
 
 def _row(evidence: Evidence) -> Row:
-    row = Row(evidence.config.name, evidence=[evidence])
-    for column in THREE:
-        if outcomes := evidence.of(column):
-            row.cells[column] = {
-                (evidence.config.task, evidence.seed, seed): ok for seed, ok in outcomes.items()
-            }
-    return row
+    """The policy's row; it names the policy also where no episode counts."""
+    return replace(row_of(evidence.config.name, THREE, [evidence]), evidence=[evidence])
 
 
 def _reasons(task: str, row: Row, mean: SuccessRate | None) -> list[str]:
@@ -112,15 +107,11 @@ def _reasons(task: str, row: Row, mean: SuccessRate | None) -> list[str]:
 
 def verdict_json(verdict: Verdict) -> dict[str, Any]:
     """For ``--json``: the policy's folder, its rates with n and interval, the verdict."""
-    subsets = {} if verdict.row is None else {c: verdict.row.rate(c) for c in THREE}
-    rated = {**subsets, "mean": verdict.mean}
+    row = verdict.row
+    rates = {} if row is None else {column: row.rate(column) for column in THREE}
     return {
         "task": verdict.task,
-        "policy": None if verdict.row is None else str(verdict.row.evidence[0].path),
+        "policy": None if row is None else str(row.evidence[0].path),
         "verdict": verdict.words,
-        **{
-            name: {"success": rate.value, "n": rate.n, "ci95": list(rate.interval)}
-            for name, rate in rated.items()
-            if rate is not None
-        },
+        **{name: rate.row() for name, rate in {**rates, "mean": verdict.mean}.items() if rate},
     }

@@ -14,7 +14,6 @@ bits.
 
 from __future__ import annotations
 
-import hmac
 import logging
 import threading
 from collections.abc import Sequence
@@ -33,7 +32,7 @@ from madviz.errors import UserError
 from madviz.measure.episodes import one_thread
 from madviz.policies import checkpoint
 from madviz.serving.episodes import BadLook, ServedEpisodes
-from madviz.system.hosts import new_token, stays_here
+from madviz.system.hosts import new_token, port_error, same_token, stays_here, with_token
 from madviz.system.numbers import Port, check_numbers
 from madviz.types import Policy
 from madviz.wire.codec import MOST_BYTES, BadMessage, pack, unpack
@@ -89,11 +88,7 @@ class PolicyServer:
                 ping_interval=None,
             )
         except (OSError, UnicodeError) as error:
-            why = getattr(error, "strerror", None) or "not a name of a machine"
-            raise UserError(
-                f"port {port} on {host:.60} cannot be served ({why}); choose another with --port, "
-                "or another --host"
-            ) from error
+            raise port_error(host, port, error) from error
         self.address = f"ws://{host}:{self._server.socket.getsockname()[1]}"
 
     def run(self) -> None:
@@ -116,7 +111,7 @@ class PolicyServer:
             return None
         asked = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
         said = asked or request.headers.get("Authorization", "").removeprefix("Api-Key ")
-        if hmac.compare_digest(said.encode("utf-8", "replace"), self._token.encode()):
+        if same_token(said, self._token):
             return None
         return connection.respond(HTTPStatus.UNAUTHORIZED, "Expected the token that was printed.")
 
@@ -226,7 +221,7 @@ def run_serve(config: ServeConfig) -> None:
     token = new_token() if config.token and not stays_here(config.host) else None
     policy = checkpoint.load_policy(config.policy)
     server = PolicyServer(policy, config.host, config.port, token)
-    print(f"{policy.spec.name} is at {server.address}{f'/?token={token}' if token else ''}")
+    print(f"{policy.spec.name} is at {with_token(server.address, token)}")
     print("(Ctrl-C ends it)", flush=True)
     try:
         server.run()

@@ -205,17 +205,17 @@ class Frame:
     def trained_rows(self) -> frozenset[int]:
         """The rows of ``probe`` that the policy was trained to work from, as its card says."""
         spec = self.world.policy
-        masks = (mask_of(name, spec.streams) for name in spec.trained_subsets)
+        masks = (mask_of(name, spec.streams) for name in spec.trained_subsets)  # (V,) each
         return frozenset(map(self.world.probe.row, masks))
 
     @property
     def action(self) -> Array:
-        """(A,) what the policy does next."""
-        return self.world.probe.readout.action[self.row]
+        """(A,): the policy's next action."""
+        return self.world.probe.readout.action[self.row]  # (N, A) -> (A,)
 
     @property
     def q(self) -> float:
-        return float(self.world.probe.readout.q[self.row])
+        return float(self.world.probe.readout.q[self.row])  # (N,) -> one number
 
     @property
     def condition(self) -> Condition:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import SetCamera
 from madviz.session.session_file import (
     STREAMS,
+    RenderProfile,
     SavedCommand,
     SavedEpisode,
     SavedPolicy,
@@ -72,7 +74,7 @@ class _Present:
         return SavedEpisode(
             policy=self.policy,
             task=self.env.task,
-            render_profile=self.env.render_profile,
+            render_profile=cast(RenderProfile, self.env.render_profile),
             cameras=self.env.cameras,
             seed=self.seed,
             start=self.start,

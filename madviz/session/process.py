@@ -37,7 +37,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
@@ -58,7 +58,7 @@ from madviz.session.commands import (
 )
 from madviz.session.frame import Frame, NoFrame
 from madviz.session.inbox import Outbox, PipeInbox
-from madviz.session.live_session import MOST_WAITING, TOO_MANY, FrameSource
+from madviz.session.live_session import MOST_WAITING, TOO_MANY, LiveSession
 from madviz.session.session import Session
 from madviz.session.session_file import SavedSession
 from madviz.session.transfer import FrameDecoder, FrameEncoder
@@ -83,6 +83,25 @@ SAVING = 10.0
 _CONTEXT = multiprocessing.get_context("forkserver")
 
 
+class References:
+    """The names by which policies are loaded, of all that any visitor's simulation has loaded."""
+
+    def __init__(self) -> None:
+        self._names: dict[PolicySpec, str] = {}
+
+    def note(self, name: str, spec: PolicySpec) -> None:
+        """``load_policy`` knows the policy ``spec`` by ``name``."""
+        self._names = {spec: name, **self._names}
+
+    def noted(self, spec: PolicySpec) -> str | None:
+        """The name that was noted for a policy; None where there is none."""
+        return self._names.get(spec)
+
+    def name_of(self, spec: PolicySpec) -> str:
+        """The name by which ``load_policy`` finds a policy: its own name unless noted otherwise."""
+        return self.noted(spec) or spec.name
+
+
 class Save(NamedTuple):
     """Asks a process for what ``Session.save`` returns."""
 
@@ -97,21 +116,20 @@ class Beginning(NamedTuple):
     commands: tuple[Command, ...] = ()
 
 
-class SessionProcess(FrameSource):
+class SessionProcess(LiveSession):
     """See the module. What a ``Session`` offers to a page, and may be called from any thread."""
 
-    def __init__(self, make: MakeSession, noted: Noted = lambda name, spec: None) -> None:
+    def __init__(self, make: MakeSession, references: References | None = None) -> None:
+        """``references`` learns the name of every policy that is loaded."""
         super().__init__()
         self._make = make
-        self._noted = noted
+        self._references = references or References()
         self._outbox = Outbox()
         """For the process that is running; a command, or what else it shall do."""
         self._saved: queue.SimpleQueue[SavedSession | str] = queue.SimpleQueue()
         self._saving = threading.Lock()
         self._closing = threading.Event()
         self._wanted = threading.Event()
-        self._names: dict[PolicySpec, str] = {}
-        """The names by which policies are loaded, of all that any process has loaded."""
         self._chosen: str | None = None
         """The policy that the visitor has chosen since the last process ended."""
         self._shown: Frame | None = None
@@ -145,7 +163,7 @@ class SessionProcess(FrameSource):
             raise UserError(answer)
         return answer
 
-    def start(self) -> SessionProcess:
+    def start(self) -> Self:
         """Starts the process, and a thread that reads what comes from it."""
         self._thread.start()
         return self
@@ -218,7 +236,7 @@ class SessionProcess(FrameSource):
         shown = self._shown
         if shown is None:
             return Beginning(self._chosen)
-        policy = self._chosen or self._names.get(shown.world.policy)
+        policy = self._chosen or self._references.noted(shown.world.policy)
         return Beginning(policy, tuple(self._as_in(shown)))
 
     def _as_in(self, shown: Frame) -> Iterator[Command]:
@@ -233,7 +251,7 @@ class SessionProcess(FrameSource):
             yield MoveCamera(name, move)
         if shown.second is not None:
             b = shown.second.world
-            yield Compare(self._names.get(b.policy, b.policy.name), b.ablation)
+            yield Compare(self._references.name_of(b.policy), b.ablation)
             yield Link(shown.linked)
         # The seed after the failures, which begin with it: none of them has come at its first step.
         yield from (SetSchedule(shown.schedule), SetSeed(world.seed))
@@ -260,9 +278,7 @@ class SessionProcess(FrameSource):
                     self._note(news)
                 self._publish(news)
             elif kind == "policy":
-                name, spec = what
-                self._names[spec] = name
-                self._noted(name, spec)
+                self._references.note(*what)
             elif kind == "saved":
                 self._saved.put(what)
 

@@ -154,16 +154,16 @@ def _simulation_for(episode: SavedEpisode, find: Finder, env_factory: EnvFactory
     first = find(episode.policy)
     env = env_factory(episode.task, episode.render_profile, episode.cameras)
     try:
-        check_horizon(episode, env)
-        check_policies(episode, find, env)
+        check_episode(episode, find, env)
         return Simulation(env, first, episode.ablation)
     except BaseException:
         env.close()
         raise
 
 
-def check_horizon(episode: SavedEpisode, env: Environment) -> None:
-    """Raises UserError where the episode is longer than its task."""
+def check_episode(episode: SavedEpisode, find: Finder, env: Environment) -> None:
+    """Raises UserError where the episode cannot be replayed in ``env``: it is longer than its task,
+    or a policy does not fit."""
     horizon = env.spec.horizon
     if episode.steps > horizon or episode.ended != (episode.steps == horizon):
         state = "ended" if episode.ended else "unfinished"
@@ -171,6 +171,7 @@ def check_horizon(episode: SavedEpisode, env: Environment) -> None:
             f"expected {horizon} decisions in an episode of {episode.task}, found {state} after "
             f"{episode.steps}; save the session again, with this version of madviz"
         )
+    check_policies(episode, find, env)
 
 
 def check_policies(episode: SavedEpisode, find: Finder, env: Environment | None = None) -> None:
@@ -203,7 +204,9 @@ def replay_row(
         "success": episode.success,
         "success_here": again.success,
         "compared": "bits" if bits else "outcome",
-        "same_bits": {name: again.sha256[name] == episode.sha256[name] for name in STREAMS},
+        "same_bits": {
+            name: getattr(again.sha256, name) == getattr(episode.sha256, name) for name in STREAMS
+        },
         "same": same,
         "first_difference": first_difference(episode.trace, again.trace) if bits else None,
         "reasons": [] if same else _reasons(episode, saved, find),

@@ -18,6 +18,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
+from typing import Self
 
 from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
@@ -44,7 +45,7 @@ from madviz.session.commands import (
 )
 from madviz.session.frame import NoFrame, Phase, SessionPace
 from madviz.session.inbox import Inbox
-from madviz.session.live_session import MOST_WAITING, TOO_MANY, FrameSource
+from madviz.session.live_session import MOST_WAITING, TOO_MANY, LiveSession
 from madviz.session.pace import StepClock
 from madviz.session.session_file import SavedEpisode, SavedSession
 from madviz.session.stage import EnvFactory, Stage
@@ -58,8 +59,8 @@ NICENESS = 10
 15."""
 
 
-class Session(FrameSource):
-    """A ``LiveSession`` in a thread of its own; the rest belongs to the thread that ticks."""
+class Session(LiveSession):
+    """See the module. What is not of ``LiveSession`` belongs to the thread that ticks."""
 
     def __init__(
         self,
@@ -101,7 +102,7 @@ class Session(FrameSource):
         Unlike after ``SetPolicy``, the one that it was made with is never loaded."""
         self._stage.policy = policy
 
-    def start(self) -> Session:
+    def start(self) -> Self:
         """Runs ``run`` in a thread of its own."""
         self._thread = threading.Thread(target=self.run, name="madviz-session", daemon=True)
         self._thread.start()
@@ -133,7 +134,7 @@ class Session(FrameSource):
         """Carries out what has come, and takes a step or starts an episode if one is due. Returns
         when to call again; None if nothing happens before the next command."""
         if not self._stage.is_open and not self._error:
-            self._guarded(lambda: self._open(now))
+            self._guarded(lambda: self._begin(self._stage.seed, now))
         self._collect()
         while self._backlog and not self._closing.is_set():
             command = self._backlog.popleft()
@@ -150,10 +151,14 @@ class Session(FrameSource):
         if self._error or (self._moving() and now + self._pass_takes >= self._pace.due):
             return False
         began = time.monotonic()
-        numbers = self._number
-        self._guarded(lambda: self._stage.read_more(self._emit))
+        before = self._number
+        self._guarded(self._read_and_emit)
         self._pass_takes = time.monotonic() - began
-        return self._number > numbers and not self._error
+        return self._number > before and not self._error
+
+    def _read_and_emit(self) -> None:
+        if self._stage.read_more():
+            self._emit()
 
     def _explain(self, now: float) -> None:
         """After everything else, because it takes as long as a step."""
@@ -187,10 +192,6 @@ class Session(FrameSource):
                 self._publish(NoFrame(self._error))
 
     # What happens.
-
-    def _open(self, now: float) -> None:
-        self._stage.open()
-        self._began(now)
 
     def _begin(self, seed: int, now: float) -> None:
         self._stage.begin(seed, self._serve_cameras)
@@ -243,14 +244,23 @@ class Session(FrameSource):
         match command:
             case SetCamera():
                 self._set_camera(command)
+                return
             case MoveCamera():
                 self._move_camera(command)
+                return
             case SetPolicy(name):
                 self._swap(name, now)
+                return
             case SetSeed(seed):
                 self._restart(seed, now)
+                return
             case Reset(next_seed):
                 self._restart(self._stage.seed + next_seed, now)
+                return
+            case Compare(name, ablation):
+                self._stage.compare(name, ablation)
+                self._began(now)
+                return
             case Play():
                 self._play(now)
             case Pause():
@@ -261,22 +271,16 @@ class Session(FrameSource):
                 self._pace.speed = rate
                 self._pace.due = now if self._phase == "playing" else self._pace.due
                 self._pace.forget()
-                self._emit()
             case SetAutoNext(on):
                 self._auto_next = on
-                self._emit()
             case SetSaliency(target):
                 self._stage.saliency.ask(target, lambda: self.inbox.put(None))
-                self._emit()
             case Foresee(on):
                 self._stage.foresee(on)
-                self._emit()
             case ReadSubsets(on):
                 self._read_all = on
-                self._emit()
             case SetSchedule(events):
                 self._stage.reschedule(events)
-                self._emit()
             case Scrub(step):
                 self._stage.show_step(step)
                 self._halt()
@@ -284,47 +288,36 @@ class Session(FrameSource):
                 self._stage.fork()
                 self._play(now)
                 self._pace.due = now + self._pace.period
-            case Compare(name, ablation):
-                self._stage.compare(name, ablation)
-                self._began(now)
             case Link(on):
                 self._stage.link(on)
-                self._emit()
+        self._emit()
 
     def _restart(self, seed: int, now: float) -> None:
         if self._error or not self._stage.is_open or self._stage.ended:
             self._paused = False
-        if not self._stage.is_open:
-            self._stage.seed = seed
-            self._open(now)
-        else:
-            self._begin(seed, now)
+        self._begin(seed, now)
 
     def _play(self, now: float) -> None:
         self._stage.show_step(None)
-        if not self._stage.is_open:
-            self._open(now)
-        elif self._stage.ended:
-            self._begin(self._stage.seed + 1, now)
+        if not self._stage.is_open or self._stage.ended:
+            self._begin(self._stage.seed + self._stage.ended, now)
         else:
             self._pace.due = now
         self._paused = False
         self._error = ""
         self._pace.forget()
-        self._emit()
 
     def _halt(self) -> None:
         self._paused = True
         self._pace.forget()
-        self._emit()
 
     def _step_once(self, now: float) -> None:
         self._error = ""
         self._stage.show_step(None)
-        if not self._stage.is_open:
-            self._open(now)
-        else:
+        if self._stage.is_open:
             self._advance(now)
+        else:
+            self._begin(self._stage.seed, now)
         self._halt()
 
     def _swap(self, name: str, now: float) -> None:

@@ -27,7 +27,9 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Generic, Literal, TypeVar
+
+from msgspec import Meta, Struct, structs, to_builtins
 
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
@@ -46,12 +48,25 @@ TRACE = 4
 """Hexadecimal digits of ``trace`` for every step."""
 
 
-@dataclass(frozen=True)
-class SavedPolicy:
+PolicyName = Annotated[str, Meta(pattern=r"\A[^/\\:\x00-\x1f\x7f. ][^/\\:\x00-\x1f\x7f]{0,119}\Z")]
+Digest = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9._-]{0,128}\Z")]
+Task = Annotated[
+    str,
+    Meta(pattern=r"\A([a-z0-9]{1,20}/[a-z0-9-]{1,60}|[A-Za-z0-9_.]{1,120}:[A-Za-z0-9_]{1,60})\Z"),
+]
+Sha256 = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
+MOST_STEPS = 10_000
+RenderProfile = Literal["fast", "full"]
+CameraT = TypeVar("CameraT")
+StartT = TypeVar("StartT")
+CommandT = TypeVar("CommandT")
+
+
+class SavedPolicy(Struct, frozen=True, forbid_unknown_fields=True):
     """A policy by name, and the digest of the weights and config that acted under it."""
 
-    name: str
-    digest: str
+    name: PolicyName
+    digest: Digest
 
     @staticmethod
     def of(spec: PolicySpec) -> SavedPolicy:
@@ -68,31 +83,46 @@ class SavedCommand:
     command: SetCamera | MoveCamera | SavedPolicy
 
 
-@dataclass(frozen=True)
-class SavedEpisode:
-    """One episode, from its first step to the last one that was taken."""
+class Hashes(Struct, frozen=True, forbid_unknown_fields=True):
+    """SHA-256 of each of ``STREAMS``, step after step."""
+
+    actions: Sha256
+    """The actions are hashed as float32."""
+    rewards: Sha256
+    """The rewards are hashed as float64."""
+    success: Sha256
+    """Success is hashed as one byte."""
+
+
+class EpisodeFields(
+    Struct, Generic[CameraT, StartT, CommandT], frozen=True, forbid_unknown_fields=True
+):
+    """The fields of an episode, in a file and in memory: one table for both. A file that is read is
+    held against these types, and against those that ``session_reader`` has for the lists."""
 
     policy: SavedPolicy
-    """Who acted first."""
-    task: str
-    render_profile: str
-    cameras: tuple[CameraSpec, ...]
+    """The policy that acted first."""
+    task: Task
+    render_profile: RenderProfile
+    cameras: Annotated[tuple[CameraT, ...], Meta(min_length=1, max_length=16)]
     """All that the environment drew, the policy's and others."""
-    seed: int
-    start: tuple[SetCamera | MoveCamera, ...]
-    """How cameras were set when the episode began; those that are not named were intact."""
-    commands: tuple[SavedCommand, ...]
+    seed: Annotated[int, Meta(ge=0, le=2**31 - 1)]
+    start: Annotated[tuple[StartT, ...], Meta(max_length=16)]
+    """The states of cameras when the episode began; those that are not named were intact."""
+    commands: Annotated[tuple[CommandT, ...], Meta(max_length=10_000)]
     """In the order in which they were obeyed."""
-    steps: int
+    steps: Annotated[int, Meta(ge=1, le=MOST_STEPS)]
     ended: bool
     """Whether ``steps`` is the horizon; otherwise somebody left earlier."""
     success: bool
     """At the last saved step."""
     success_any: bool
-    sha256: dict[str, str]
-    """The hash of ``actions`` (float32), ``rewards`` (float64), ``success`` (one byte), step after
-    step."""
-    trace: str
+    sha256: Hashes
+    trace: Annotated[str, Meta(pattern=r"\A[0-9a-f]*\Z")]
+
+
+class SavedEpisode(EpisodeFields[CameraSpec, SetCamera | MoveCamera, SavedCommand], frozen=True):
+    """One episode, from its first step to the last one that was taken."""
 
     @property
     def ablation(self) -> Ablation:
@@ -155,9 +185,10 @@ def versions_here() -> dict[str, str]:
     return found
 
 
-def hashes(streams: dict[str, list[bytes]]) -> dict[str, str]:
+def hashes(streams: dict[str, list[bytes]]) -> Hashes:
     """SHA-256 of each of STREAMS."""
-    return {name: hashlib.sha256(b"".join(streams[name])).hexdigest() for name in STREAMS}
+    digests = {name: hashlib.sha256(b"".join(streams[name])).hexdigest() for name in STREAMS}
+    return Hashes(**digests)
 
 
 def trace_of(streams: dict[str, list[bytes]]) -> str:
@@ -167,14 +198,11 @@ def trace_of(streams: dict[str, list[bytes]]) -> str:
 
 
 def _episode_fields(episode: SavedEpisode) -> dict[str, object]:
-    fields = {name: getattr(episode, name) for name in episode.__dataclass_fields__}
-    return {
-        **fields,
-        "policy": asdict(episode.policy),
-        "cameras": [asdict(camera) for camera in episode.cameras],
+    commands = {
         "start": [_camera_fields(command) for command in episode.start],
-        "commands": [_command_fields(one) for one in episode.commands],
+        "commands": [_command_fields(command) for command in episode.commands],
     }
+    return to_builtins({**structs.asdict(episode), **commands})
 
 
 def _command_fields(saved: SavedCommand) -> dict[str, object]:

@@ -2,8 +2,8 @@
 
 The Structs below say what a file may hold, and msgspec holds a file against them: types, ranges,
 names. Keys that nobody knows and keys that come twice are refused, because a misspelt command that
-is passed over would make another episode. What is left to whoever replays the episode: whether
-task, policies and cameras exist here, and whether the episode is as long as it says.
+is passed over would make another episode. A replay checks the rest: whether task, policies and
+cameras exist here, and whether the episode is as long as it says.
 """
 
 from __future__ import annotations
@@ -26,8 +26,12 @@ from madviz.observation.ablation import (
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import SetCamera
 from madviz.session.session_file import (
+    MOST_STEPS,
     TRACE,
+    Digest,
+    EpisodeFields,
     Maker,
+    PolicyName,
     SavedCommand,
     SavedEpisode,
     SavedPolicy,
@@ -38,29 +42,16 @@ from madviz.types import CameraSpec
 
 LONGEST = 4_000_000
 """Bytes in a file."""
-MOST_STEPS = 10_000
 NEXT = "save the session again, or fix the file"
 
 Name = Annotated[str, Meta(pattern=r"\A[a-z][a-z0-9_]{0,23}\Z")]
-PolicyName = Annotated[str, Meta(pattern=r"\A[^/\\:\x00-\x1f\x7f. ][^/\\:\x00-\x1f\x7f]{0,119}\Z")]
-Digest = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9._-]{0,128}\Z")]
-Task = Annotated[
-    str,
-    Meta(pattern=r"\A([a-z0-9]{1,20}/[a-z0-9-]{1,60}|[A-Za-z0-9_.]{1,120}:[A-Za-z0-9_]{1,60})\Z"),
-]
 Short = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]{1,60}\Z")]
-Sha256 = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Metres = Annotated[float, Meta(ge=-100, le=100)]
 Range = Annotated[float, Meta(ge=0, le=1000)]
 Unit = Annotated[float, Meta(ge=-1, le=1)]
 Move = Annotated[float, Meta(ge=-90, le=90)]
 Step = Annotated[int, Meta(ge=0, le=MOST_STEPS)]
-
-
-class _Policy(Struct, forbid_unknown_fields=True):
-    name: PolicyName
-    digest: Digest
 
 
 class _Camera(Struct, forbid_unknown_fields=True):
@@ -106,26 +97,8 @@ class _Command(Struct, forbid_unknown_fields=True):
     digest: Digest | UnsetType = UNSET
 
 
-class _Hashes(Struct, forbid_unknown_fields=True):
-    actions: Sha256
-    rewards: Sha256
-    success: Sha256
-
-
-class _Episode(Struct, forbid_unknown_fields=True):
-    policy: _Policy
-    task: Task
-    render_profile: Literal["fast", "full"]
-    cameras: Annotated[list[_Camera], Meta(min_length=1, max_length=16)]
-    seed: Annotated[int, Meta(ge=0, le=2**31 - 1)]
-    start: Annotated[list[_Command], Meta(max_length=16)]
-    commands: Annotated[list[_Command], Meta(max_length=10_000)]
-    steps: Annotated[int, Meta(ge=1, le=MOST_STEPS)]
-    ended: bool
-    success: bool
-    success_any: bool
-    sha256: _Hashes
-    trace: Annotated[str, Meta(pattern=r"\A[0-9a-f]*\Z")]
+class _Episode(EpisodeFields[_Camera, _Command, _Command], frozen=True, forbid_unknown_fields=True):
+    """An episode, with its lists as a file has them."""
 
 
 class _Session(Struct, forbid_unknown_fields=True):
@@ -159,7 +132,7 @@ def parse(content: bytes, where: str) -> SavedSession:
         raise UserError(f"{where}: expected JSON, found a mistake: {error}; {NEXT}") from error
     session = typed(document, _Session, where, NEXT)
     try:
-        episodes = [_episode(one, f"episodes[{i}]") for i, one in enumerate(session.episodes)]
+        episodes = [_episode(fields, f"episodes[{i}]") for i, fields in enumerate(session.episodes)]
     except UserError as error:
         raise UserError(f"{where}: {error}; {NEXT}") from error
     return SavedSession(tuple(episodes), session.versions, session.made_by)
@@ -170,10 +143,10 @@ def _refuse(constant: str) -> NoReturn:
 
 
 def _each_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
+    table = dict(pairs)
+    if len(table) != len(pairs):
         raise ValueError("a key that comes twice")
-    return found
+    return table
 
 
 def _check(holds: bool, path: str, expected: str, found: object) -> None:
@@ -181,84 +154,71 @@ def _check(holds: bool, path: str, expected: str, found: object) -> None:
         raise UserError(f"expected {path} to be {expected}, found {found!r:.50}")
 
 
-def _episode(found: _Episode, path: str) -> SavedEpisode:
-    cameras = [_camera(one, f"{path}.cameras[{i}]") for i, one in enumerate(found.cameras)]
+def _episode(fields: _Episode, path: str) -> SavedEpisode:
+    cameras = [_camera(camera, f"{path}.cameras[{i}]") for i, camera in enumerate(fields.cameras)]
     names = [camera.name for camera in cameras]
     _check(len(set(names)) == len(names), f"{path}.cameras", "cameras with a name each", names)
-    digits = TRACE * found.steps
-    _check(len(found.trace) == digits, f"{path}.trace", f"{digits} digits", found.trace)
-    start = [_start(one, names, f"{path}.start[{i}]") for i, one in enumerate(found.start)]
+    digits = TRACE * fields.steps
+    _check(len(fields.trace) == digits, f"{path}.trace", f"{digits} digits", fields.trace)
+    start = [_start(command, names, f"{path}.start[{i}]") for i, command in enumerate(fields.start)]
     commands = [
-        _command(one, names, found.steps, f"{path}.commands[{i}]")
-        for i, one in enumerate(found.commands)
+        _command(command, names, fields.steps, f"{path}.commands[{i}]")
+        for i, command in enumerate(fields.commands)
     ]
     steps = [command.step for command in commands]
     _check(steps == sorted(steps), f"{path}.commands", "in the order of their steps", steps)
-    return SavedEpisode(
-        policy=SavedPolicy(found.policy.name, found.policy.digest),
-        task=found.task,
-        render_profile=found.render_profile,
-        cameras=tuple(cameras),
-        seed=found.seed,
-        start=tuple(start),
-        commands=tuple(commands),
-        steps=found.steps,
-        ended=found.ended,
-        success=found.success,
-        success_any=found.success_any,
-        sha256=structs.asdict(found.sha256),
-        trace=found.trace,
-    )
+    lists = {"cameras": tuple(cameras), "start": tuple(start), "commands": tuple(commands)}
+    return SavedEpisode(**(structs.asdict(fields) | lists))
 
 
-def _camera(found: _Camera, path: str) -> CameraSpec:
-    near, far = found.depth_range
+def _camera(fields: _Camera, path: str) -> CameraSpec:
+    near, far = fields.depth_range
     _check(near < far, f"{path}.depth_range", "[near, far] with near < far", [near, far])
-    _check(0.9 < math.hypot(*found.wxyz) < 1.1, f"{path}.wxyz", "of norm 1", found.wxyz)
-    return CameraSpec(**structs.asdict(found))
+    _check(0.9 < math.hypot(*fields.wxyz) < 1.1, f"{path}.wxyz", "of norm 1", fields.wxyz)
+    return CameraSpec(**structs.asdict(fields))
 
 
-def _start(found: _Command, cameras: list[str], path: str) -> SetCamera | MoveCamera:
-    command = _switch(found, cameras, path)
-    _check(found.step is UNSET, path, "a camera without a step", found.step)
+def _start(fields: _Command, cameras: list[str], path: str) -> SetCamera | MoveCamera:
+    command = _switch(fields, cameras, path)
+    _check(fields.step is UNSET, path, "a camera without a step", fields.step)
     return command
 
 
-def _command(found: _Command, cameras: list[str], steps: int, path: str) -> SavedCommand:
-    step = found.step
+def _command(fields: _Command, cameras: list[str], steps: int, path: str) -> SavedCommand:
+    step = fields.step
     if step is UNSET or not 0 <= step <= steps:
         raise UserError(f"expected {path}.step to be from 0 to {steps}, found {step!r}")
-    if found.policy is UNSET or found.digest is UNSET:
-        return SavedCommand(step, _switch(found, cameras, path))
-    _check(_keys(found) == {"step", "policy", "digest"}, path, "a policy alone", _keys(found))
-    return SavedCommand(step, SavedPolicy(found.policy, found.digest))
+    if fields.policy is UNSET or fields.digest is UNSET:
+        return SavedCommand(step, _switch(fields, cameras, path))
+    _check(_keys(fields) == {"step", "policy", "digest"}, path, "a policy alone", _keys(fields))
+    return SavedCommand(step, SavedPolicy(fields.policy, fields.digest))
 
 
-def _switch(found: _Command, cameras: list[str], path: str) -> SetCamera | MoveCamera:
+def _switch(fields: _Command, cameras: list[str], path: str) -> SetCamera | MoveCamera:
     """How a camera is set, or where it is moved to."""
-    keys = _keys(found) - {"step"}
-    if found.camera is UNSET or found.camera not in cameras:
+    keys = _keys(fields) - {"step"}
+    if fields.camera is UNSET or fields.camera not in cameras:
         raise UserError(
-            f"expected {path}.camera to be one of {', '.join(cameras)}, found {found.camera!r}"
+            f"expected {path}.camera to be one of {', '.join(cameras)}, found {fields.camera!r}"
         )
-    if found.move is not UNSET:
+    if fields.move is not UNSET:
         _check(keys == {"camera", "move"}, path, "a camera and its move alone", sorted(keys))
-        move = found.move and Displacement(**structs.asdict(found.move))
-        return MoveCamera(found.camera, move)
-    if found.input is UNSET or not keys <= {"camera", "input", "occlusion"}:
+        move = fields.move and Displacement(**structs.asdict(fields.move))
+        return MoveCamera(fields.camera, move)
+    if fields.input is UNSET or not keys <= {"camera", "input", "occlusion"}:
         raise UserError(f"expected {path} to have camera and input, found {sorted(keys)}")
-    occlusion = Occlusion() if found.occlusion is UNSET else _occlusion(found.occlusion, path)
-    return SetCamera(found.camera, CameraState(found.input, occlusion))
+    occlusion = Occlusion() if fields.occlusion is UNSET else _occlusion(fields.occlusion, path)
+    return SetCamera(fields.camera, CameraState(fields.input, occlusion))
 
 
-def _occlusion(found: _Occlusion, path: str) -> Occlusion:
-    sides = _keys(found) - {"kind", "strength", "x", "y"}
+def _occlusion(fields: _Occlusion, path: str) -> Occlusion:
+    sides = _keys(fields) - {"kind", "strength", "x", "y"}
     expected = "width and height, or size"
     _check(sides in ({"width", "height"}, {"size"}), f"{path}.occlusion", expected, sorted(sides))
-    values = {name: getattr(found, name) for name in ("strength", "x", "y", *sides)}
-    return Occlusion(found.kind, **by_sides(values))
+    values = {name: getattr(fields, name) for name in ("strength", "x", "y", *sides)}
+    return Occlusion(fields.kind, **by_sides(values))
 
 
-def _keys(found: Struct) -> set[str]:
+def _keys(fields: Struct) -> set[str]:
     """The keys that stand in the file."""
-    return {name for name in found.__struct_fields__ if getattr(found, name) is not UNSET}
+    return {name for name in fields.__struct_fields__ if getattr(fields, name) is not UNSET}

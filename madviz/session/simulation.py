@@ -25,7 +25,7 @@ from madviz.analysis.probes import Probe, probe, read_row
 from madviz.analysis.saliency import LiveSaliency
 from madviz.errors import UserError
 from madviz.measure.mean_picture import stack_of
-from madviz.observation.ablation import Ablation
+from madviz.observation.ablation import Ablation, CameraState
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
@@ -38,6 +38,9 @@ from madviz.session.playing import Playing
 from madviz.session.snapshot import Snapshot, StepData
 from madviz.subsets import every_mask, row_of
 from madviz.types import Array, Encoded, Environment, Policy, ResetsInPieces, TimeStep, View
+
+Reading = tuple[Condition, Array, float]
+"""A condition, and the action (A,) and Q under it."""
 
 
 class Simulation:
@@ -52,10 +55,12 @@ class Simulation:
     ) -> None:
         self.env = env
         self.policy = policy
-        self.ablation = self._settled = ablation
+        self.ablation = ablation
+        self._settled = ablation
         self.journal = journal or Journal()
         self.outcomes: deque[Outcome] = deque(maxlen=20)
-        self.episode = self.seed = 0
+        self.episode = 0
+        self.seed = 0
         self.change: Change | None = None
         self._recent: deque[StepData] = deque()
         """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
@@ -152,14 +157,14 @@ class Simulation:
     def step(self, between: Callable[[], None]) -> None:
         """Takes one decision. ``between`` is called after every camera that is drawn, and may call
         ``set_camera``. Raises UserError if the policy cannot act on the present streams."""
-        mask = self.ablation.mask(self.policy.spec.streams)
+        mask = self.ablation.mask(self.policy.spec.streams)  # (V,)
         row = self.probe.row(mask)
         if not self.probe.supported[row]:
             raise UserError(
                 f"{self.policy.spec.name} cannot act on {self.condition.subset!r}; "
                 "switch another camera on"
             )
-        action = self._playing.decide(self._encoded, mask, self._reading()[1])
+        action = self._playing.decide(self._encoded, mask, self._reading()[1])  # (A,)
         time_step = self.env.step(action)
         self._actions.append(action)
         self.journal.decided(self.now.step, action, time_step)
@@ -188,24 +193,14 @@ class Simulation:
         """Another state for one camera, seen at once. Raises UserError for an unknown camera."""
         self.env.spec.camera(command.camera)
         before = self.ablation
-        old_condition, old_action, old_q = self._reading()
+        reading = self._reading()
         self.ablation = before.replace(command.camera, command.state)
         if self.ablation.occlusions() != before.occlusions():
             self._stack.replace_last(self.ablation)
             self._read()
             if preview:
                 self._stack.replace_last(self._settled)
-        condition, action, q = self._reading()
-        self.change = Change(
-            command.camera,
-            before.cameras.get(command.camera, untouched(self.policy.spec)),
-            command.state,
-            condition_before=old_condition,
-            condition_after=condition,
-            action_change=float(np.linalg.norm(action - old_action)),
-            q_before=old_q,
-            q_after=q,
-        )
+        self._note_change(command.camera, before, command.state, reading)
         if not preview:
             self._settled = self.ablation
         self.journal.camera(self.now.step + preview, command)
@@ -216,34 +211,52 @@ class Simulation:
         name = command.camera
         self.env.spec.camera(name)
         before = self.ablation
-        old_condition, old_action, old_q = self._reading()
-        self.ablation = self._settled = before.move(name, command.move)
+        reading = self._reading()
+        self.ablation = before.move(name, command.move)
+        self._settled = self.ablation
         if self.ablation.moves == before.moves:
             return
         self._place(name)
-        self._draw_again(name)
-        condition, action, q = self._reading()
-        state = before.cameras.get(name, untouched(self.policy.spec))
+        view = self.env.view(name)
+        now = self.now
+        views = {**now.views, name: view}
+        poses = {**now.poses, name: self.env.pose(name)}
+        self._recent[-1] = replace(now, views=views, poses=poses)
+        self._stack.replace_view(name, view)
+        self._stack.replace_last(self.ablation)
+        self._read()
         to = self.ablation.moves.get(name)
+        moved = f"moved: {to.words()}" if to else "is back in its place"
+        self._note_change(name, before, self._state_in(before, name), reading, moved)
+        self.journal.camera(self.now.step, command)
+
+    def _note_change(
+        self, camera: str, before: Ablation, state: CameraState, reading: Reading, moved: str = ""
+    ) -> None:
+        """Notes the effect of a command: ``before`` and ``reading`` were those without it, and
+        ``state`` is the camera's now."""
+        old_condition, old_action, old_q = reading
+        condition, action, q = self._reading()
         self.change = Change(
-            camera=name,
-            before=state,
+            camera=camera,
+            before=self._state_in(before, camera),
             after=state,
             condition_before=old_condition,
             condition_after=condition,
             action_change=float(np.linalg.norm(action - old_action)),
             q_before=old_q,
             q_after=q,
-            moved=f"moved: {to.words()}" if to else "is back in its place",
+            moved=moved,
         )
-        self.journal.camera(self.now.step, command)
+
+    def _state_in(self, ablation: Ablation, camera: str) -> CameraState:
+        return ablation.cameras.get(camera, untouched(self.policy.spec))
 
     def follow(self, other: Simulation) -> None:
         """Gives each camera the state and the place that it has in ``other``."""
-        intact = untouched(self.policy.spec)
         for name in (camera.name for camera in self.env.spec.cameras):
-            state = other.ablation.cameras.get(name, intact)
-            if state != self.ablation.cameras.get(name, intact):
+            state = self._state_in(other.ablation, name)
+            if state != self._state_in(self.ablation, name):
                 self.set_camera(SetCamera(name, state))
             move = other.ablation.moves.get(name)
             if move != self.ablation.moves.get(name):
@@ -318,7 +331,7 @@ class Simulation:
         self.policy = policy
         spec = policy.spec
         self._stack = stack_of(spec, self.env.spec)
-        self._masks = every_mask(len(spec.streams))
+        self._masks = every_mask(len(spec.streams))  # (N, V)
         self._recent = deque(self._recent, maxlen=max(spec.frame_stack, 3) + 1)
 
     def _place(self, camera: str) -> None:
@@ -327,26 +340,13 @@ class Simulation:
         to = self.ablation.moves.get(camera)
         self.env.move_camera(camera, to.placed(spec) if to else None)
 
-    def _draw_again(self, camera: str) -> None:
-        """Draws a camera anew, and lets its picture arrive instead of the newest one."""
-        now = self.now
-        view = self.env.view(camera)
-        self._recent[-1] = replace(
-            now,
-            views={**now.views, camera: view},
-            poses={**now.poses, camera: self.env.pose(camera)},
-        )
-        self._stack.replace_view(camera, view)
-        self._stack.replace_last(self.ablation)
-        self._read()
-
     def _seen(self, time_step: TimeStep, step: int, between: Callable[[], None]) -> StepData:
         """All that ``env`` has to show of a step, with every camera, always: one that comes back
         needs its past frames."""
         env = self.env
         views = dict[str, View]()
         for camera in env.spec.cameras:
-            views[camera.name] = env.view(camera.name)
+            views[camera.name] = env.view(camera.name)  # (H, W, 3)
             between()
         poses = {camera.name: env.pose(camera.name) for camera in env.spec.cameras}
         return StepData(time_step, step, views, poses, env.bodies(), env.body_poses(), env.hand())
@@ -361,16 +361,17 @@ class Simulation:
         self._recent.append(data)
 
     def _read(self) -> None:
-        self._encoded = self.policy.encode(self._stack.views, self.now.time.state)
+        views = self._stack.views  # (V, C, H, W)
+        self._encoded = self.policy.encode(views, self.now.time.state)  # features (V, Z)
         only = None if self.policy.spec.reads_together else self._row
-        self.probe = probe(self.policy, self._encoded, self._masks, only)
+        self.probe = probe(self.policy, self._encoded, self._masks, only)  # actions (N, A), Q (N,)
 
     @property
     def _row(self) -> int:
         """Where the present subset stands among all."""
         return row_of(self.ablation.mask(self.policy.spec.streams))
 
-    def _reading(self) -> tuple[Condition, Array, float]:
+    def _reading(self) -> Reading:
         """The present condition, and the action and Q under it."""
         row = self._row
         self.probe = read_row(self.probe, self.policy, self._encoded, row)

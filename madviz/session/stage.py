@@ -105,9 +105,13 @@ class Stage:
             self.simulation = None
 
     def begin(self, seed: int, between: Callable[[], None] = lambda: None) -> None:
-        """Starts the episode of ``seed``; ``between`` as in ``Simulation.begin``. Raises UserError
-        where nothing is open."""
-        live = self._live
+        """Starts the episode of ``seed``; ``between`` as in ``Simulation.begin``. Where nothing is
+        open, it is opened."""
+        live = self.simulation
+        if live is None:
+            self.seed = seed
+            self.open()
+            return
         self._timeline.show(None)  # What is touched meanwhile is touched now, not in the past.
         if self._second is not None:  # Before A, whose last step is there to be touched meanwhile.
             self._second.begin(seed, between)
@@ -138,8 +142,9 @@ class Stage:
             self._second.step()
         self._run_plan()
         if live.ended and self._second is not None:
-            paired = self._second.concluded(live.outcomes[-1])
-            self._pairs.extend([paired] if paired else [])
+            pair = self._second.concluded(live.outcomes[-1])
+            if pair is not None:
+                self._pairs.append(pair)
 
     def set_camera(self, command: SetCamera, preview: bool = False) -> None:
         """Another state for a camera; in the past, another future begins with it."""
@@ -193,14 +198,11 @@ class Stage:
         self._timeline.show(None)
         self._foresight = self._live.foresee() if on else None
 
-    def read_more(self, and_then: Callable[[], None]) -> None:
+    def read_more(self) -> bool:
         """Reads one more subset of the newest step, if that is the one that is shown and has one to
-        read; ``and_then`` does what comes of it."""
+        read. Returns whether one was read."""
         live = self.simulation
-        if live is None or self._timeline.shown is not None:
-            return
-        if live.read_more():
-            and_then()
+        return live is not None and self._timeline.shown is None and live.read_more()
 
     def show_step(self, step: int | None) -> None:
         """Shows an earlier step from now on; None: the newest one."""

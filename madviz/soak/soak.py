@@ -87,7 +87,9 @@ class Crowd:
         self._rng = random.Random(seed)
         self._calm: int | None = None
         """Threads that were left after the last round."""
-        self.visits = self.touches = self.updates = 0
+        self.visits = 0
+        self.touches = 0
+        self.updates = 0
 
     def round(self, seconds: float) -> Sample:
         """Some coming, going and touching; then everybody leaves, and what is left is counted."""
@@ -193,8 +195,8 @@ def judged(samples: Sequence[Sample]) -> dict[str, Any]:
     part = max(1, len(warm) // 3)
     first = warm[:part]
     last = warm[-part:]
-
-    before, after = (statistics.median(s.memory_mb for s in some) for some in (first, last))
+    before = statistics.median(s.memory_mb for s in first)
+    after = statistics.median(s.memory_mb for s in last)
     growth = after / before - 1
     threads = (int(max(s.threads for s in first)), int(min(s.threads for s in last)))
     processes = (max(s.processes for s in first), min(s.processes for s in last))
@@ -243,7 +245,8 @@ def sample(pid: int) -> Sample:
     does not tell."""
     if kilobytes("VmRSS") is None:
         raise UserError("expected Linux for a soak, found no /proc/self/status; run it there")
-    memory = threads = 0
+    memory = 0
+    threads = 0
     processes = family(pid)
     for one in processes:
         try:

@@ -56,6 +56,13 @@ END_WITH_PARENT = (
 dead already, and becomes the command. The request survives the exec."""
 
 
+class RunWords(TypedDict):
+    """run.json: the words of the two commands."""
+
+    train: list[str]
+    eval: list[str]
+
+
 @dataclass(frozen=True)
 class Run:
     """One line of a sweep. Same run, same words, wherever it is carried out."""
@@ -66,7 +73,7 @@ class Run:
     evaluate: tuple[str, ...]
     """The words after ``madviz eval``, without ``--policy``."""
 
-    def words(self) -> dict[str, Any]:
+    def words(self) -> RunWords:
         """The content of run.json."""
         return {"train": list(self.train), "eval": list(self.evaluate)}
 
@@ -114,11 +121,14 @@ def broken(folder: Path) -> str:
 def check_same(folder: Path, run: Run) -> None:
     """Raises UserError if ``folder`` holds a run of that name with other options."""
     before = _words_before(folder)
-    for command, words in run.words().items():
-        if before is not None and before.get(command) != words:
+    if before is None:
+        return
+    for command, asked in (("train", run.train), ("eval", run.evaluate)):
+        options = before.get(command, [])
+        if options != list(asked):
             raise UserError(
-                f"{folder}: expected a run of `madviz {command} {shlex.join(words)}`, found one of "
-                f"`madviz {command} {shlex.join(before.get(command, []))}`; choose another --out"
+                f"{folder}: expected a run of `madviz {command} {shlex.join(asked)}`, found one of "
+                f"`madviz {command} {shlex.join(options)}`; choose another --out"
             )
 
 
@@ -223,17 +233,17 @@ class _Commands:
         self._stop = stop
         self._program = list(program) or [sys.executable, "-m", "madviz"]
 
-    def run(self, verb: str, *words: str) -> None:
+    def run(self, verb: str, *options: str) -> None:
         """Raises UserError with the command's last line if it fails, _Stopped when asked to."""
         if self._stop.is_set():
             raise _Stopped
         starter = [sys.executable, "-I", "-S", "-c", END_WITH_PARENT, str(os.getpid())]
         log = self._folder / LOG
         with log.open("ab") as file:
-            file.write(f"$ {shlex.join(['madviz', verb, *words])}\n".encode())
+            file.write(f"$ {shlex.join(['madviz', verb, *options])}\n".encode())
             file.flush()
             process = subprocess.Popen(
-                [*starter, *self._program, verb, *words],
+                [*starter, *self._program, verb, *options],
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,

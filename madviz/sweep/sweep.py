@@ -20,15 +20,16 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Literal, NotRequired, Protocol, TypedDict
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from madviz.policies.measured import RateRow
 from madviz.runs.curve import duration
 from madviz.sweep.run import (
     Run,
@@ -108,8 +109,10 @@ class LocalBackend:
         self._running: dict[Future[RunOutcome], Run] = {}
 
     def submit(self, run: Run) -> None:
-        arguments = (run, self._out, self._program, self._workers, self._stop)
-        self._running[self._pool.submit(carry_out, *arguments)] = run
+        future = self._pool.submit(
+            carry_out, run, self._out, self._program, self._workers, self._stop
+        )
+        self._running[future] = run
 
     def collect(self, seconds: float) -> list[tuple[Run, RunOutcome]]:
         done, _ = wait(self._running, seconds, FIRST_COMPLETED)
@@ -122,7 +125,7 @@ class LocalBackend:
 
 def run_sweep(
     config: SweepConfig, program: Sequence[str] = (), backend: Backend | None = None
-) -> dict[str, Any]:
+) -> SweepResult:
     """``madviz sweep``: the outcome of every run; progress goes to standard error.
 
     ``program`` stands for ``madviz`` in every run. Raises UserError before anything runs for a
@@ -216,22 +219,23 @@ class Watch:
         self._now = now
         self._expects = expects
         self._slots = 1
-        self._said = now()
+        self._last_line = now()
         self._total = total
         self._left = left
         self._failed = 0
         self._begun: dict[Run, float] = {}
         self._seconds: list[float] = []
         console = Console(stderr=True)
-        columns = (TextColumn("sweep"), BarColumn(), MofNCompleteColumn())
         self._bar = Progress(
-            *columns,
-            TextColumn("{task.fields[words]}"),
+            TextColumn("sweep"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[state]}"),
             console=console,
             transient=True,
             disable=not console.is_terminal,
         )
-        self._task = self._bar.add_task("", total=total, completed=total - left, words="")
+        self._task = self._bar.add_task("", total=total, completed=total - left, state="")
 
     def __enter__(self) -> Watch:
         self.say(f"{self._total} runs, {self._total - self._left} finished before")
@@ -264,10 +268,10 @@ class Watch:
         """Draws; ``slots`` is how many runs go at a time."""
         self._slots = slots
         failed = f"{self._failed} failed, " if self._failed else ""
-        words = f"{failed}{len(self._begun)} running{self._rest()}"
-        self._bar.update(self._task, completed=self._total - self._left, words=words)
-        if self._bar.disable and self._now() - self._said > QUIET_SECONDS:
-            self.say(words)
+        state = f"{failed}{len(self._begun)} running{self._rest()}"
+        self._bar.update(self._task, completed=self._total - self._left, state=state)
+        if self._bar.disable and self._now() - self._last_line > QUIET_SECONDS:
+            self.say(state)
 
     def seconds_left(self) -> float | None:
         """None before it can be estimated."""
@@ -286,7 +290,7 @@ class Watch:
 
     def say(self, line: str) -> None:
         """Prints a line on standard error."""
-        self._said = self._now()
+        self._last_line = self._now()
         # Through the bar where there is one, so that their lines do not mix.
         if self._bar.disable:
             say(f"[sweep] {line}")
@@ -294,47 +298,72 @@ class Watch:
             self._bar.console.print(line, markup=False, highlight=False)
 
 
+class RunRow(TypedDict):
+    """A run, as documents hold it."""
+
+    name: str
+    path: str
+    train: list[str]
+    eval: list[str]
+    state: Literal["finished", "failed", "waiting"]
+    subsets: NotRequired[dict[str, RateRow]]
+    error: NotRequired[str]
+
+
+class SweepResult(TypedDict):
+    """The document that ``--json`` writes."""
+
+    schema: int
+    name: str
+    out: str
+    dry_run: bool
+    finished: int
+    failed: int
+    waiting: int
+    runs: list[RunRow]
+
+
 def _summary(
-    plan: SweepPlan, out: Path, config: SweepConfig, outcomes: dict[str, RunOutcome]
-) -> dict[str, Any]:
-    """The document that ``--json`` writes. Results are read from the folders,
-    whichever run put them there."""
-    runs: list[dict[str, Any]] = []
-    for run in plan.runs:
-        folder = out / run.name
-        outcome = outcomes.get(run.name)
-        described: dict[str, Any] = {"name": run.name, "path": str(folder), **run.words()}
-        if why := broken(folder):
-            runs.append({**described, "state": "failed", "error": why})
-        elif finished(folder):
-            runs.append({**described, "state": "finished", **_subsets(folder)})
-        elif outcome is not None and outcome.state == "failed":
-            runs.append({**described, "state": "failed", "error": outcome.error})
-        else:
-            runs.append({**described, "state": "waiting"})
+    plan: SweepPlan, out: Path, config: SweepConfig, outcomes: Mapping[str, RunOutcome]
+) -> SweepResult:
+    """Results are read from the folders, whichever run put them there."""
+    runs = [_run_row(run, out / run.name, outcomes.get(run.name)) for run in plan.runs]
     states = [run["state"] for run in runs]
-    counts = {state: states.count(state) for state in ("finished", "failed", "waiting")}
-    return {"schema": 1, "name": plan.name, "out": str(out), "dry_run": config.dry_run} | {
-        **counts,
+    return {
+        "schema": 1,
+        "name": plan.name,
+        "out": str(out),
+        "dry_run": config.dry_run,
+        "finished": states.count("finished"),
+        "failed": states.count("failed"),
+        "waiting": states.count("waiting"),
         "runs": runs,
     }
 
 
-def _subsets(folder: Path) -> dict[str, Any]:
-    return {"subsets": result_rows(folder)}
+def _run_row(run: Run, folder: Path, outcome: RunOutcome | None) -> RunRow:
+    row: RunRow = {"name": run.name, "path": str(folder), **run.words(), "state": "waiting"}
+    if why := broken(folder):
+        return {**row, "state": "failed", "error": why}
+    if finished(folder):
+        return {**row, "state": "finished", "subsets": result_rows(folder)}
+    if outcome is not None and outcome.state == "failed":
+        return {**row, "state": "failed", "error": outcome.error}
+    return row
 
 
-def sweep_table(result: dict[str, Any]) -> str:
+def sweep_table(result: SweepResult) -> str:
     """A sweep as lines; failed runs come last, so that they are seen."""
     lines = [f"{result['name']}: {len(result['runs'])} runs in {result['out']}"]
     for run in sorted(result["runs"], key=lambda run: run["state"] == "failed"):
-        words = "  ".join(
-            f"{name} {row['success']:.2f} (n={row['n']})"
-            for name, row in run.get("subsets", {}).items()
+        rates = "  ".join(
+            f"{subset} {rate['success']:.2f} (n={rate['n']})"
+            for subset, rate in run.get("subsets", {}).items()
         )
-        lines.append(f"  {run['state']:9} {run['name']}  {run.get('error', words)}".rstrip())
-    counts = (f"{result[state]} {state}" for state in ("finished", "failed", "waiting"))
-    lines.append(", ".join(counts))
+        lines.append(f"  {run['state']:9} {run['name']}  {run.get('error', rates)}".rstrip())
+    lines.append(
+        f"{result['finished']} finished, {result['failed']} failed, {result['waiting']} waiting"
+    )
     if result["failed"]:
         lines.append("the same command tries failed runs again and leaves finished ones alone")
     return "\n".join(lines)

@@ -113,10 +113,10 @@ def _expand(path: Path, grid: Grid, evaluation: tuple[str, ...]) -> list[Run]:
     for task, name, where, recipe, seed in axes:
         for values in product(*varied.values()):
             chosen = dict(zip(varied, values, strict=True))
-            words = ["--task", task, "--method", name, "--setting", where, "--recipe", recipe]
-            words += ["--seed", str(seed), *_options({**options, **chosen})]
+            train = ["--task", task, "--method", name, "--setting", where, "--recipe", recipe]
+            train += ["--seed", str(seed), *_options({**options, **chosen})]
             label = _name(task, name, where, recipe, chosen, seed)
-            runs.append(Run(label, tuple(words), evaluation))
+            runs.append(Run(label, tuple(train), evaluation))
     return runs
 
 
@@ -136,24 +136,24 @@ def _check(grid: Grid) -> None:
 
 def flat(table: Table, prefix: str = "") -> Table:
     """``{"light": {"rounds": 3}}`` -> ``{"light.rounds": 3}``, as the command line spells it."""
-    found: Table = {}
+    options: Table = {}
     for key, value in table.items():
         name = f"{prefix}{key}".replace("_", "-")
-        found |= flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
-    return found
+        options |= flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
+    return options
 
 
 def _options(options: Table) -> list[str]:
     """``{"a": 1, "b": True, "c": False, "d": ["x", "y"]}`` -> ``--a 1 --b --no-c --d x y``."""
-    words: list[str] = []
+    arguments: list[str] = []
     for key, value in options.items():
         if isinstance(value, bool):
             head, dot, tail = key.rpartition(".")
-            words.append(f"--{key}" if value else f"--{head}{dot}no-{tail}")
+            arguments.append(f"--{key}" if value else f"--{head}{dot}no-{tail}")
         else:
             several = value if isinstance(value, list) else [value]
-            words += [f"--{key}", *map(str, several)]
-    return words
+            arguments += [f"--{key}", *map(str, several)]
+    return arguments
 
 
 def _name(task: str, name: str, where: str, recipe: str, chosen: Table, seed: int) -> str:

@@ -12,9 +12,8 @@ import pytest
 from playwright import sync_api as playwright_api
 
 from madviz.app.access import Gate
-from madviz.app.address import Address
 from madviz.app.layout import Shared
-from madviz.app.server import App
+from madviz.app.server import Address, App
 from madviz.app.success_rates import SuccessRates
 from madviz.app.users import Limits
 from madviz.envs.registry import make_env

@@ -6,9 +6,8 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from madviz.app.address import Address
 from madviz.app.layout import Shared
-from madviz.app.server import App
+from madviz.app.server import Address, App
 from madviz.app.success_rates import SuccessRates
 from madviz.app.users import Limits
 from madviz.envs.registry import make_env

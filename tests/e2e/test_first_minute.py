@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from madviz.app.address import Address
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice
-from madviz.app.server import App
+from madviz.app.server import Address, App
 from madviz.app.users import Limits
 from madviz.envs.registry import make_env
 from madviz.session.session import Session

@@ -75,8 +75,8 @@ class FeaturesPanel(HtmlPanel):
         return changes
 
     def note(self, frame: Frame) -> None:
-        """Takes a point for the curves, which are drawn less often than decisions are taken. An
-        earlier step that is shown again has its point already."""
+        """Takes a point for the curves. An earlier step that is shown again has its point
+        already."""
         if frame.past or frame.world.policy.streams != self._streams:
             return
         episode, step = self._last

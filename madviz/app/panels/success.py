@@ -272,8 +272,7 @@ def _trouble(what: str, why: str) -> str:
 def _in_words(rate: SuccessRate, source: str) -> str:
     if not rate.n:
         return f"nothing {source}"
-    low, high = rate.interval
-    return f"{source} {rate.value:.2f} [{low:.2f}, {high:.2f}], n={rate.n}"
+    return f"{source} {rate.without_count}, n={rate.n}"
 
 
 def _interval(rate: SuccessRate, colour: str, top: int) -> str:

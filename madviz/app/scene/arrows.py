@@ -24,7 +24,7 @@ import numpy as np
 import viser
 
 from madviz.analysis.shapley import camera_masks
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, Panel
 from madviz.app.toolkit import forget_camera, heard
 from madviz.drawing.colours import MERGED, NOTE, camera_colours, rgb
 from madviz.session.frame import Frame
@@ -46,7 +46,7 @@ DIM = 0.85
 """The colour of sets that have none of their own; the share of a colour for untrained sets."""
 
 
-class ArrowsPanel:
+class ArrowsPanel(Panel):
     """One handle in the scene of one visitor. ``size`` in metres: how large the scene is."""
 
     def __init__(

@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, Panel
 from madviz.app.pictures import picture
 from madviz.app.scene.bodies import Bodies
 from madviz.app.scene.fitted_view import FittedView
@@ -43,7 +43,7 @@ OFF = (110, 112, 116)
 """The colour of a dropped camera."""
 
 
-class ScenePanel:
+class ScenePanel(Panel):
     """Bodies, frusta and their labels, for one visitor. Clicking a frustum calls ``on_click``."""
 
     def __init__(

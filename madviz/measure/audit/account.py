@@ -16,6 +16,7 @@ from madviz.measure.audit.sentences import HOW_WORDS, MEANING, change, deciding,
 from madviz.measure.statistics import SuccessRate
 from madviz.plots import figures
 from madviz.policies.seeds import use_of
+from madviz.system.markdown import markdown_table
 
 HOW_TO_READ = (
     "Success counts at the last step of an episode. All conditions met the same scenes, so that a "
@@ -175,11 +176,8 @@ def markdown(found: AuditFile, command: str) -> str:
 
 def _as_markdown(block: Block) -> str:
     if block.kind == "table":
-        heads = [list(block.lines), ["---"] * len(block.lines)]
-        lines = [*heads, *block.rows]
-        return "\n".join(
-            "| " + " | ".join(c.replace("|", "/") for c in line) + " |" for line in lines
-        )
+        rows = [[cell.replace("|", "/") for cell in row] for row in (block.lines, *block.rows)]
+        return markdown_table(rows[0], rows[1:])
     if block.kind in ("words", "list"):
         return "\n".join(f"- {line}" for line in block.lines)
     text = " ".join(block.lines)
