@@ -136,7 +136,7 @@ def test_the_document_has_the_schema(monkeypatch):
     assert set(found["shapley"]) == set(found["verdict"]) == set(THREE)
     asked = {"camera", "what", "how", "success", "n", "difference", "ci95", "p_holm"}
     for row in found["conditions"]:
-        assert asked <= set(row) <= asked | {"above_none"}
+        assert asked <= set(row) <= asked | {"above_none", "ci_all"}
         assert row["n"] == found["intact"]["n"]
         assert row["ci95"][0] <= row["difference"] <= row["ci95"][1]
         assert row["difference"] == pytest.approx(row["success"] - found["intact"]["success"])
@@ -149,7 +149,7 @@ def test_the_document_has_the_schema(monkeypatch):
 def test_rows_and_shapley_values_are_those_of_independent_formulas(monkeypatch):
     World(one_needed, monkeypatch)
     cameras = Cameras(THREE, lambda mask: True)
-    plan, store = AuditPlan(cameras, 40, 5000), Store(MEMORY)
+    plan, store = AuditPlan(cameras, 40, 60_000), Store(MEMORY)
     found = audit(Looker("x", THREE), episodes=40, store=store)
 
     def outcomes(played):

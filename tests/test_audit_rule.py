@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from madviz.envs.registry import SETTINGS
-from madviz.measure.audit.lost_cameras import Cameras
+from madviz.measure.audit.lost_cameras import INTACT, Cameras
 from madviz.measure.audit.schedule import AuditPlan
 from madviz.measure.audit.sentences import plan_words
 from madviz.measure.audit.verdict import (
@@ -17,7 +17,6 @@ from madviz.measure.audit.verdict import (
     PairedOutcomes,
     judged,
     looks,
-    table,
     within,
 )
 from madviz.measure.statistics import pair
@@ -96,15 +95,37 @@ def test_looking_often_without_shares_would_break_the_promise():
     assert wrong.mean() > NOISE
 
 
-def test_no_difference_is_claimed_of_a_camera_that_costs_5_points_at_most_5_times_in_100():
-    rng, plan = np.random.default_rng(9), looks(400, 1)
-    world = simulated(rng, AUDITS, 400, (0.95, [0.90], [0.95], 0.05))
+@pytest.mark.parametrize("cameras", [1, 3, 5])
+def test_no_difference_is_claimed_of_cameras_that_cost_5_points_at_most_5_times_in_100(cameras):
+    """The claims of one audit together: any of them is an error."""
+    rng = np.random.default_rng(9)
+    plan = looks(400, cameras)
+    world = simulated(rng, AUDITS, 400, (0.95, [0.90] * cameras, [0.95] * cameras, 0.05))
     claims = np.zeros(AUDITS, bool)
     _, stopped = ended(world, plan)
     for look in plan:
-        seen = world.first(look.episodes)
-        claims |= (stopped == look.episodes) & within(table(seen.intact, seen.removed[:, 0]))
+        claims |= (stopped == look.episodes) & within(judged(world, look).change).any(-1)
     assert claims.mean() <= NOISE
+
+
+@pytest.mark.parametrize("cameras", [1, 3, 5])
+@pytest.mark.parametrize("rate", [0.6, 0.98])
+@pytest.mark.parametrize("hard", [0.0, 0.9])
+def test_cameras_that_cost_49_percent_are_called_needed_at_most_5_times_in_100(rate, cameras, hard):
+    rng = np.random.default_rng(cameras)
+    world = simulated(
+        rng, AUDITS, 100, (rate, [0.51 * rate] * cameras, [rate] * cameras, 0.05), hard
+    )
+    codes, _ = ended(world, looks(100, cameras))
+    assert (codes == CODES["needed"]).any(-1).mean() <= NOISE
+    assert (codes >= CODES["used"]).mean() > 0.9
+
+
+def test_a_loss_well_beyond_half_is_called_needed():
+    rng = np.random.default_rng(17)
+    world = simulated(rng, AUDITS, 100, (0.95, [0.25, 0.95, 0.95], [0.9] * 3, 0.05))
+    codes, _ = ended(world, looks(100, 3))
+    assert (codes[:, 0] == CODES["needed"]).mean() > 0.95
 
 
 def test_a_clear_case_is_found_and_stops_early():
@@ -120,7 +141,7 @@ def test_the_four_verdicts():
 
     world = PairedOutcomes(
         intact=outcomes(90)[0],
-        removed=outcomes(40, 60, 90, 89),
+        removed=outcomes(20, 44, 90, 89),
         alone=outcomes(10, 10, 80, 12),
         floor=outcomes(10, 10, 10, 10),
     )
@@ -131,6 +152,33 @@ def test_the_four_verdicts():
         "redundant",
         "no use shown",
     ]
+
+
+def test_a_camera_is_settled_by_both_of_its_tests():
+    """Without a fall it takes the change within 5 points, and an answer about the camera alone."""
+    same = np.ones((1, 400), bool)
+    unclear = np.arange(400)[None] % 20 < 1  # Alone 5 % succeed, with no camera 0 %: no 5 points.
+    few = np.arange(400)[None] < 8  # 2 %: within 5 points, and not significant.
+    some = np.arange(400)[None] < 22  # 5.5 %: significant.
+    none = np.zeros((1, 400), bool)
+    for alone, floor, settled in (
+        (few, none, True),
+        (some, none, True),
+        (unclear, np.roll(unclear, 1, -1) & (np.arange(400) < 200), False),
+    ):
+        world = PairedOutcomes(same[0], same, alone, floor)
+        assert judged(world, Look(400, LEVEL)).settled[0] == settled
+    lost = PairedOutcomes(same[0], np.arange(400)[None] % 2 < 1, none, none)  # Exactly half.
+    assert not judged(lost, Look(400, LEVEL)).settled[0]
+
+
+def test_an_audit_ends_at_the_look_that_settles_all():
+    plan = AuditPlan(Cameras(THREE, lambda mask: True), 100, 5000)
+    outcomes = {c: dict.fromkeys(range(5000, 5100), c == INTACT) for c in plan.deciding}
+    look, judgement = plan.stopped(outcomes)
+    assert judgement.settled.all() and look.episodes == plan.looks[0].episodes < 100
+    assert plan.reached(outcomes)[0] == look, "what was played later does not count"
+    assert {seed for _, seed in plan.wanted(outcomes)} == set(range(5000, 5000 + look.episodes))
 
 
 def test_a_p_value_counts_the_other_tests_and_the_share_of_its_look():

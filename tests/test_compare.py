@@ -11,7 +11,7 @@ import pytest
 
 from madviz import cli
 from madviz.errors import UserError
-from madviz.measure.compare import CompareConfig, compare_policies, comparison_table, over_trainings
+from madviz.measure.compare import CompareConfig, compare_policies, comparison_table
 from madviz.measure.evidence import read_evidence
 from madviz.measure.statistics import pair
 from madviz.measure.store import EpisodeResult, ResultKey, Store
@@ -151,12 +151,6 @@ def test_the_figure_has_a_bar_for_a_method_and_a_dot_for_a_training(tmp_path: Pa
     assert drawn.count('class="dot"') == 3 and "merged-only (three, light)" in drawn
     compare_policies(CompareConfig(tuple(policies), figure=figure))
     assert figure.read_text() == drawn
-
-
-def test_an_interval_over_trainings_is_students() -> None:
-    # Mean 0.7, standard deviation 0.1, t(0.975, 2) = 4.302653.
-    low, high = over_trainings([0.6, 0.7, 0.8])
-    assert (low, high) == pytest.approx((0.7 - 0.248414, 0.7 + 0.248414), abs=1e-5)
 
 
 def test_curves_need_success_by_subset(two: tuple[str, str], tmp_path: Path) -> None:

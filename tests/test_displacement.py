@@ -152,7 +152,7 @@ def test_the_command_prints_a_table_writes_json_and_draws(tmp_path, capsys):
     words += ["--workers", "0", "--json", str(out), "--svg", str(drawn), "--csv", str(table)]
     assert cli.main(["displace", *words]) == 0
     said, result = capsys.readouterr().out, json.loads(out.read_text())
-    assert result["seed"] == 5000 and [p["at"] for p in result["points"]] == [0.0, 0.3, 0.6]
+    assert result["seed"] == 60_000 and [p["at"] for p in result["points"]] == [0.0, 0.3, 0.6]
     assert all(p["n"] == 3 and len(p["ci95"]) == 2 for p in result["points"])
     assert "0.3 m" in said and "n=3" in said and "third_b" in said
     assert ElementTree.fromstring(drawn.read_text()).tag.endswith("svg")

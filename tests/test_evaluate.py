@@ -190,7 +190,7 @@ def test_every_subset_sees_the_same_seeds_in_order():
 
 def test_the_document_has_the_schema(folder):
     document = evaluate(folder, ("all", "first+third_a"), episodes=3, workers=0).to_json()
-    assert document["schema"] == 1 and document["policy"] == "toy" and document["seed"] == 5000
+    assert document["schema"] == 1 and document["policy"] == "toy" and document["seed"] == 60_000
     assert document["task"] == "toy/reach" and document["definition"].startswith("at the last step")
     assert set(document["subsets"]) == {"all", "first+third_a"}
     for name, row in document["subsets"].items():
@@ -242,11 +242,11 @@ def test_the_store_answers_only_when_it_is_handed_in(folder, monkeypatch):
     run = Runner.run
     monkeypatch.setattr(Runner, "run", lambda self, job: ran.append(job.seed) or run(self, job))
     first = evaluate(folder, ("all",), episodes=2, workers=0, store=store)
-    assert ran == [5000, 5001]
+    assert ran == [60_000, 60_001]
     again = evaluate(folder, ("all",), episodes=3, workers=0, store=store)
-    assert ran == [5000, 5001, 5002] and again.episodes[:2] == first.episodes
+    assert ran == [60_000, 60_001, 60_002] and again.episodes[:2] == first.episodes
     evaluate(folder, ("all",), episodes=2, workers=0)
-    assert ran == [5000, 5001, 5002, 5000, 5001]
+    assert ran == [60_000, 60_001, 60_002, 60_000, 60_001]
     evaluate(
         folder,
         ("all",),

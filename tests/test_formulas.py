@@ -3,18 +3,20 @@
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.stats import binomtest, norm
+from scipy.special import expit, logit
+from scipy.stats import binomtest, norm, t
 
 from madviz.measure.formulas import (
     agresti_min,
     detectable,
-    hierarchical_bootstrap,
     holm,
     mcnemar,
     mcnemar_any_time,
     newcombe,
+    student,
     wilson_bounds,
 )
+from madviz.measure.statistics import interval_over_trainings
 
 
 def test_wilson_takes_arrays_and_agrees_with_scipy():
@@ -134,41 +136,62 @@ def test_with_few_episodes_nothing_can_be_detected():
     assert not np.isnan(detectable(20, 0.005))
 
 
-def bootstrap_by_hand(groups, draws, rng):
-    """From the definition, one draw at a time."""
-    means = []
-    for _ in range(draws):
-        total = count = 0.0
-        for group in groups:
-            size = sum(len(episodes) for episodes in group) / len(group)
-            for _ in group:
-                episodes = group[rng.integers(len(group))]
-                again = [episodes[rng.integers(len(episodes))] for _ in episodes]
-                total, count = total + size * sum(again) / len(again), count + size
-        means.append(total / count)
-    return np.quantile(means, [0.025, 0.975])
+def test_the_interval_over_trainings_is_students_around_the_logit_of_the_mean():
+    # Rates 0.6, 0.7, 0.8: mean 0.7, standard error 0.1 / sqrt(3), t(0.975, 2) = 4.302653.
+    half = 4.302653 * 0.1 / 3**0.5 / (0.7 * 0.3)
+    expected = [expit(logit(0.7) + sign * half) for sign in (-1, 1)]
+    assert student([[[0.6], [0.7], [0.8]]]) == pytest.approx(expected, abs=1e-6)
+    # The same as differences: from -1 to 1 is twice as far.
+    twice = student([[[0.2], [0.4], [0.6]]], least=-1.0)
+    assert twice == pytest.approx([2 * end - 1 for end in expected], abs=1e-6)
 
 
-def test_the_hierarchical_bootstrap_is_its_definition():
-    rng = np.random.default_rng(3)
-    groups = [
-        [list(rng.random(20) < rate) for rate in (0.9, 0.5, 0.7)],
-        [list(rng.random(20) < rate) for rate in (0.2, 0.3)],
-    ]
-    expected = bootstrap_by_hand(groups, 3000, rng)
-    assert hierarchical_bootstrap(groups) == pytest.approx(expected, abs=0.015)
-    assert hierarchical_bootstrap(groups) == hierarchical_bootstrap(groups)
+def test_groups_count_by_their_episodes_and_one_training_by_its_own():
+    first = [[1.0, 0.0] * 10, [1.0] * 15 + [0.0] * 5]  # Rates 0.5 and 0.75 of 20 each.
+    lone = [1.0] * 8 + [0.0] * 2
+    variance = (0.8**2 * 0.125**2, 0.2**2 * 0.16 / 9)  # Of the means; 0.16 / 9 has n - 1.
+    freedom = sum(variance) ** 2 / (variance[0] ** 2 / 1 + variance[1] ** 2 / 9)
+    mean = 0.8 * 0.625 + 0.2 * 0.8
+    half = t.ppf(0.975, freedom) * sum(variance) ** 0.5 / (mean * (1 - mean))
+    expected = [expit(logit(mean) + sign * half) for sign in (-1, 1)]
+    assert student([first, [lone]]) == pytest.approx(expected, abs=1e-9)
 
 
-def test_an_interval_over_trainings_holds_the_rate_of_the_next_training():
-    # Rates of trainings scatter; an interval over the episodes of three holds the mean too rarely.
+def test_trainings_that_agree_have_the_interval_of_their_episodes():
+    assert student([[[1.0] * 5, [1.0] * 5]]) == (1.0, 1.0)
+    assert interval_over_trainings([[[1.0] * 5, [1.0] * 5]], (0.7, 1.0)) == (0.7, 1.0)
+
+
+@pytest.mark.parametrize("trainings", [3, 5])
+@pytest.mark.parametrize(
+    ("rate", "spread"), [(0.9, 0.05), (0.9, 0.1), (0.7, 0.1), (0.5, 0.2), (0.8, 0.2)]
+)
+def test_an_interval_over_trainings_covers_their_mean_as_promised(trainings, rate, spread):
+    """Rates of trainings scatter; the interval over their episodes alone covers it too rarely."""
     rng = np.random.default_rng(5)
-    counted, pooled = 0, 0
-    for _ in range(300):
-        rates = rng.beta(8, 2, 5)
-        outcomes = [(rng.random(50) < rate).astype(float) for rate in rates]
-        low, high = hierarchical_bootstrap([outcomes], draws=500)
-        counted += low <= 0.8 <= high
-        low, high = wilson_bounds(sum(map(sum, outcomes)), 250)
-        pooled += bool(low <= 0.8 <= high)
-    assert pooled / 300 < 0.75 < 0.82 < counted / 300
+    size = rate * (1 - rate) / spread**2 - 1  # Of the Beta distribution with this spread.
+    covered = 0
+    pooled = 0
+    audits = 600
+    for _ in range(audits):
+        rates = rng.beta(rate * size, (1 - rate) * size, trainings)
+        outcomes = [(rng.random(50) < one).astype(float) for one in rates]
+        episodes = wilson_bounds(sum(map(sum, outcomes)), 50 * trainings)
+        low, high = interval_over_trainings([outcomes], (float(episodes[0]), float(episodes[1])))
+        covered += low <= rate <= high
+        pooled += bool(episodes[0] <= rate <= episodes[1])
+    noise = 2.33 * (0.93 * 0.07 / audits) ** 0.5
+    assert covered / audits >= 0.93 - noise
+    assert spread < 0.1 or pooled / audits < 0.85
+
+
+@pytest.mark.parametrize("trainings", [3, 5])
+def test_an_interval_of_a_difference_over_trainings_covers_it_as_promised(trainings):
+    rng = np.random.default_rng(6)
+    covered = 0
+    for _ in range(600):
+        first = rng.binomial(50, np.clip(rng.normal(0.8, 0.1, trainings), 0, 1)) / 50
+        second = rng.binomial(50, np.clip(rng.normal(0.5, 0.2, trainings), 0, 1)) / 50
+        low, high = student([[[gap] for gap in first - second]], least=-1.0)
+        covered += low <= 0.3 <= high
+    assert covered / 600 >= 0.93 - 2.33 * (0.93 * 0.07 / 600) ** 0.5

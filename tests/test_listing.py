@@ -16,7 +16,7 @@ def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two policies without weights are all there is."""
     whole = write_policy(tmp_path, rates(0.95, 0.9, 0.85, 0.8))
     alone = write_policy(
-        tmp_path, {"all": 0.4}, method="single", camera="third_a", first_seed=10_000
+        tmp_path, {"all": 0.4}, method="single", camera="third_a", first_seed=40_000
     )
     found = {whole.name: whole, alone.name: alone}
     monkeypatch.setattr(checkpoint, "policy_folders", dict)

@@ -335,7 +335,7 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
 def test_the_command_that_makes_it_again_can_be_pasted() -> None:
     config = RecordConfig(Path("/a/b/x.mp4"), "/home/me/mine", scenario="taking turns", drop=DROPS)
     assert command_of(config) == (
-        "madviz record --policy mine --seed 5000 --drop third_a@3-8 first=black@5 "
+        "madviz record --policy mine --seed 60000 --drop third_a@3-8 first=black@5 "
         "--scenario 'taking turns' --out x.mp4"
     )
     served, wire = "ws://host:8000?token=secret", Path("/home/me/arm.toml")
@@ -348,7 +348,7 @@ def test_the_command_that_makes_it_again_can_be_pasted() -> None:
         Path("x.mp4"), "sb3:/home/a@b/m.zip@toy/reach", trust=True, steps=9, tile=84, fps=2
     )
     assert command_of(config) == (
-        "madviz record --policy sb3:m.zip@toy/reach --seed 5000 --trust --steps 9 --tile 84 "
+        "madviz record --policy sb3:m.zip@toy/reach --seed 60000 --trust --steps 9 --tile 84 "
         "--fps 2 --out x.mp4"
     )
 

@@ -141,7 +141,7 @@ def test_trainings_of_several_seeds_pool_and_tasks_weigh_alike(tmp_path: Path) -
     found = hammer.rate("all")
     assert found is not None and (hammer.trainings, found.value, found.n) == (2, 0.75, 200)
     # Over trainings too: one had 0.5 and one 1.0, so the next may have either.
-    assert found.interval[0] < 0.5 and found.interval[1] == 1.0
+    assert found.interval[0] < 0.5 and found.interval[1] > 0.99
     whole = overall.averages[0]
     assert whole.tasks == ("metaworld/hammer", "metaworld/push")
     # One training of each task: (1.0 + 0.3) / 2.

@@ -22,6 +22,7 @@ from madviz.measure.compare import CompareConfig, run_compare
 from madviz.measure.episodes import Runner
 from madviz.measure.evaluate import EvalConfig, run_eval
 from madviz.measure.evidence import find_evidence, read_evidence
+from madviz.measure.readings import LEDGER, readings
 from madviz.policies import checkpoint
 from madviz.policies.config import TrainingRecord, policy_config
 from madviz.policies.seeds import seeds_from, training_seed, use_of
@@ -50,7 +51,7 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def move_to_reporting(path: Path, measured: dict[str, float]) -> None:
     """As ``report --evaluate`` leaves a folder, with any rates one likes."""
-    fresh = write_policy(path.parent / "fresh", measured, first_seed=10_000)
+    fresh = write_policy(path.parent / "fresh", measured, first_seed=40_000)
     (path / "evaluation.json").rename(path / "development.json")
     shutil.copy(fresh / "evaluation.json", path / "evaluation.json")
     shutil.rmtree(path.parent / "fresh")
@@ -64,7 +65,8 @@ def test_no_more_seeds_are_asked_for_than_a_use_has() -> None:
 
 
 def test_every_seed_has_one_use() -> None:
-    seeds = (0, 999, 1000, 2000, 4999, 5000, 9999, 10_000, 999_999, 1_000_000)
+    ends = "0 999 1000 2000 4999 5000 9999 10000 39999 40000 49999 50000 60000 999999 1000000"
+    seeds = map(int, ends.split())
     assert [use_of([seed]) for seed in seeds] == [
         "training",
         "training",
@@ -73,11 +75,16 @@ def test_every_seed_has_one_use() -> None:
         "live page",
         "development",
         "development",
+        "development (read)",
+        "development (read)",
         "reporting",
         "reporting",
+        "unused",
+        "try",
+        "try",
         "reinforcement learning",
     ]
-    assert use_of([10_000, 5000]) == "development and reporting" and use_of([]) == ""
+    assert use_of([40_000, 5000]) == "development and reporting" and use_of([]) == ""
 
 
 def test_episodes_of_an_expert_have_training_seeds() -> None:
@@ -87,15 +94,15 @@ def test_episodes_of_an_expert_have_training_seeds() -> None:
         assert len(set(seeds)) == 1000 and use_of(seeds) == "training"
 
 
-@pytest.mark.parametrize("first", [900, 4999, 9990])
+@pytest.mark.parametrize("first", [900, 4999, 9990, 39_990, 50_000])
 def test_a_report_refuses_seeds_that_serve_something_else(tmp_path: Path, first: int) -> None:
     write_policy(tmp_path, GOOD, first_seed=first)
-    with pytest.raises(UserError, match="expected reporting seeds .10000 and up. or development"):
+    with pytest.raises(UserError, match="expected seeds of one use that rates may have"):
         run_report(ReportConfig(tmp_path))
 
 
 def test_development_json_holds_development_seeds_alone(tmp_path: Path) -> None:
-    path = write_policy(tmp_path, GOOD, first_seed=10_000)
+    path = write_policy(tmp_path, GOOD, first_seed=40_000)
     shutil.copy(path / "evaluation.json", path / "development.json")
     with pytest.raises(UserError, match="found seeds for reporting and for reporting"):
         run_report(ReportConfig(tmp_path))
@@ -151,12 +158,12 @@ def test_report_evaluates_on_fresh_seeds_and_moves_the_old_figures(toy: Path) ->
     assert cli.main([*words, "--workers", "0"]) == 0
     assert (toy / "development.json").read_bytes() == before
     evidence = read_evidence(toy)
-    assert evidence.seeds == "reporting" and evidence.first_seed == 10_000
+    assert evidence.seeds == "reporting" and evidence.first_seed == 40_000
     assert {subset: len(found) for subset, found in evidence.outcomes.items()} == {
         "all": 2,
         "first": 2,
     }
-    assert "Reporting seeds 10000 to 10001" in (toy / "card.md").read_text()
+    assert "Reporting seeds 40000 to 40001" in (toy / "card.md").read_text()
 
 
 def test_an_evaluation_that_was_stopped_goes_on(toy: Path, monkeypatch: Any) -> None:
@@ -213,8 +220,70 @@ def test_figures_in_readme_pool_trainings_on_alike_seeds(
     assert count == "n = 100, reporting seeds"
 
 
+@pytest.fixture
+def ledger(toy: Path) -> Path:
+    """A ledger beside the policy, which the repository then shows."""
+    toy.parent.rename(toy.parent.parent / "checkpoints")
+    file = toy.parent.parent / LEDGER
+    file.parent.mkdir()
+    file.write_text("date,policy,task,digest,first,last\n")
+    return file
+
+
+def test_a_reading_of_reporting_seeds_is_written_down_and_told(ledger: Path) -> None:
+    shown = ledger.parent.parent / "checkpoints"
+    run_eval(EvalConfig(str(shown / "toy"), ("all",), 2, 60_000, workers=0, card=True))
+    assert readings(shown / "toy") == [], "other seeds are nobody's business"
+    config = ReportConfig(shown, evaluate=True, episodes=2, workers=0)
+    run_report(config)
+    (row,) = readings(shown / "toy")
+    digest = checkpoint.describe(shown / "toy").spec.digest
+    assert row[1:] == ("toy", "toy/reach", digest, 40_000, 40_001)
+    run_report(config)
+    assert len(readings(shown / "toy")) == 1, "a policy that is done is passed over"
+
+
+def test_only_policies_that_the_repository_shows_are_in_its_ledger(ledger: Path) -> None:
+    elsewhere = ledger.parent.parent / "runs" / "toy"
+    shutil.copytree(ledger.parent.parent / "checkpoints" / "toy", elsewhere)
+    run_eval(EvalConfig(str(elsewhere), ("all",), 1, 40_000, workers=0, card=True))
+    assert readings(elsewhere) == [] and ledger.read_text().count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ([], "No ledger says how often"),
+        ([("a", 40_000, 40_099)], "read once (readings.csv): the seeds were untouched"),
+        ([("a", 40_000, 40_099), ("a", 40_050, 40_059)], "(read 2 times)"),
+        ([("b", 40_000, 40_099), ("a", 40_000, 40_099)], "not untouched: other weights were read"),
+        ([("b", 10_000, 10_099), ("a", 40_000, 40_099)], "the seeds were untouched"),
+    ],
+)
+def test_a_range_that_was_read_before_is_not_called_untouched(
+    tmp_path: Path, rows: list[tuple[str, int, int]], words: str
+) -> None:
+    path = write_policy(tmp_path / "checkpoints", GOOD, first_seed=40_000)
+    file = tmp_path / LEDGER
+    file.parent.mkdir()
+    name = json.loads((path / "config.json").read_text())["name"]
+    lines = [f"2026-12-01,{name},metaworld/hammer,{digest},{a},{b}" for digest, a, b in rows]
+    file.write_text("\n".join(["date,policy,task,digest,first,last", *lines, ""]))
+    _, text = report(tmp_path / "checkpoints")
+    assert words in text
+    assert ("seeds were untouched" in text) == ("seeds were untouched" in words)
+
+
+def test_policies_are_compared_on_seeds_that_all_have(tmp_path: Path) -> None:
+    for method in ("mad", "merged-only"):
+        write_policy(tmp_path, GOOD, method=method, first_seed=60_000)
+    path = tmp_path / "metaworld-hammer-mad-light"
+    move_to_reporting(path, GOOD)
+    assert {row.seeds for row in table(tmp_path, "overall").averages} == {"try"}
+
+
 def test_what_ships_keeps_the_rule() -> None:
     found, _ = find_evidence(ROOT / "checkpoints", ROOT / "results")
-    assert {each.seeds for each in found} <= {"development", "reporting"}
+    assert {each.seeds for each in found} <= {"development", "development (read)", "reporting"}
     bare = [each for each in found if not (each.path / checkpoint.WEIGHTS).is_file()]
     assert {each.seeds for each in bare} == {"development"}

@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from madviz.measure.evidence import Evidence, find_evidence
+from madviz.policies.seeds import DEVELOPMENT
 from madviz.report.layouts import LAYOUTS, THREE
 from madviz.report.rows import Row
 from madviz.report.tables import build, row_of
@@ -30,7 +31,7 @@ def row(folder: str, columns: Sequence[str] = THREE) -> Row:
 
 def on_development(folder: str, columns: Sequence[str] = THREE) -> Row:
     """Success of one policy on development seeds. Raises ValueError if it has none."""
-    policy = policies()[folder].on_development()
+    policy = policies()[folder].on(DEVELOPMENT)
     if policy is None:
         raise ValueError(f"expected episodes on development seeds of {folder}, found none")
     return row_of(folder, columns, [policy])

@@ -18,7 +18,6 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
 from pathlib import Path
 from typing import TypedDict
 
@@ -26,8 +25,8 @@ from madviz.errors import UserError
 from madviz.measure.compare_conditions import ConditionsFile, compare_conditions, conditions_table
 from madviz.measure.episodes import FIRST_SEED
 from madviz.measure.evidence import Evidence, Outcomes, alike, readable
+from madviz.measure.formulas import student
 from madviz.measure.statistics import (
-    Interval,
     PairedRow,
     interval_over_trainings,
     mean_interval,
@@ -125,9 +124,9 @@ def compare_policies(config: CompareConfig) -> CompareFile:
     policies, broken = readable(folders)
     if len(policies) < 2 or policies[0].path != folders[0]:
         raise UserError(f"nothing to compare: {'; '.join(map(_broken_line, broken))}")
-    on_development = alike(policies)
-    if len(on_development) == len(policies):
-        policies = on_development
+    shared = alike(policies)
+    if len(shared) == len(policies):
+        policies = shared
     first = policies[0]
     for other in policies[1:]:
         _same_terms(first, other)
@@ -273,17 +272,6 @@ def _grouped(found: Sequence[Evidence]) -> dict[str, list[int]]:
     return groups
 
 
-def over_trainings(rates: Sequence[float]) -> Interval:
-    """95% interval of the mean over independent trainings (Student's t), inside [0, 1]."""
-    from scipy.stats import t
-
-    n = len(rates)
-    mean = sum(rates) / len(rates)
-    std = sqrt(sum((rate - mean) ** 2 for rate in rates) / (n - 1))
-    half = float(t.ppf(0.975, n - 1)) * std / sqrt(n)
-    return max(mean - half, 0.0), min(mean + half, 1.0)
-
-
 def _bars(
     found: Sequence[Evidence], table: dict[str, list[Outcomes]]
 ) -> dict[str, list[figures.Bar | None]]:
@@ -315,7 +303,7 @@ def curves(found: Sequence[Evidence]) -> str:
         for name in names:
             line = [[table[step].get(name, 0.0) for table in tables] for step in common]
             means = [sum(rates) / len(rates) for rates in line]
-            ends = [over_trainings(r) if len(r) > 1 else (r[0], r[0]) for r in line]
+            ends = [student([[[rate] for rate in rates]]) for rates in line]
             lows = [low for low, _ in ends]
             highs = [high for _, high in ends]
             panels.setdefault(name, {})[label] = figures.Line(common, means, lows, highs)

@@ -23,14 +23,14 @@ from madviz.observation.displacement import Displacement
 from madviz.policies import checkpoint
 from madviz.policies.config import check_environment, definition_of
 from madviz.policies.players import player_of
-from madviz.policies.seeds import FIRST_DEVELOPMENT
+from madviz.policies.seeds import FIRST_TRY
 from madviz.subsets import camera_of, name_of
 from madviz.types import Array, Environment, Policy, PolicySpec
 
 Finished = tuple[EpisodeResult, str]
 """An episode's result and the definition of success it was judged by."""
 
-FIRST_SEED = FIRST_DEVELOPMENT
+FIRST_SEED = FIRST_TRY
 """The first seed of evaluations whose seeds nobody named."""
 
 LOADED = 4

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from madviz.errors import Unfinished, UserError, saving, unknown
 from madviz.measure.episodes import FIRST_SEED, unsupported
+from madviz.measure.readings import note_reading
 from madviz.measure.statistics import SuccessRate
 from madviz.measure.store import EpisodeResult, Store
 from madviz.measure.table import Table, seeds_of_run
@@ -26,7 +27,7 @@ from madviz.policies import checkpoint
 from madviz.policies.card import write_card
 from madviz.policies.measured import EpisodeRow, EvaluationFile, SubsetRow, seeds_of
 from madviz.policies.sb3 import trust
-from madviz.policies.seeds import DEVELOPMENT, REPORTING
+from madviz.policies.seeds import DEVELOPMENT, READ, REPORTING
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
@@ -236,17 +237,20 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
 
 
 def write_measured(folder: Path, new: EvaluationFile) -> None:
-    """Writes evaluation.json and card.md. Where that file has reporting seeds, development seeds go
-    to development.json; and where it has those, they move there when reporting seeds come."""
+    """Writes evaluation.json and card.md. Where that file has reporting seeds, read ones or not,
+    others go to development.json; where it has development seeds, it moves there when reporting
+    seeds come."""
     file = checkpoint.EVALUATION
     known = checkpoint.shipped_evaluation(folder)
-    uses = (seeds_of(known), seeds_of(new)) if known else None
-    if known and uses == (DEVELOPMENT, REPORTING):
+    before = seeds_of(known) if known else ""
+    now = seeds_of(new)
+    if known and (before, now) == (DEVELOPMENT, REPORTING):
         write_json(folder / checkpoint.DEVELOPMENT, known)
-    if uses == (REPORTING, DEVELOPMENT):
+    if before in (REPORTING, READ) and now not in (REPORTING, before):
         file = checkpoint.DEVELOPMENT
         known = checkpoint.shipped_evaluation(folder, file)
     write_json(folder / file, joined(known, new))
+    note_reading(folder, new)
     write_card(folder)
 
 

@@ -20,7 +20,7 @@ from madviz.policies import checkpoint
 from madviz.policies.config import PolicyConfig, read_config
 from madviz.policies.listing import BrokenRow
 from madviz.policies.measured import EvaluationFile, as_evaluation
-from madviz.policies.seeds import DEVELOPMENT, use_of
+from madviz.policies.seeds import MEASURED, use_of
 from madviz.subsets import mask_of
 from madviz.system.files import read_json
 
@@ -64,16 +64,13 @@ class Evidence:
 
     @property
     def seeds(self) -> str:
-        """The use of its episodes' seeds: ``development`` or ``reporting``, see seeds.py."""
+        """The use of its episodes' seeds, see seeds.py."""
         return use_of(seed for found in self.outcomes.values() for seed in found)
 
-    def on_development(self) -> Evidence | None:
-        """The same policy on development seeds; None if it was not measured there."""
-        if self.seeds == DEVELOPMENT:
-            return self
-        return (
-            replace(self, outcomes=self.development, development={}) if self.development else None
-        )
+    def on(self, use: str) -> Evidence | None:
+        """The same policy on seeds of ``use``; None if it was not measured there."""
+        earlier = replace(self, outcomes=self.development, development={})
+        return next((each for each in (self, earlier) if each.seeds == use), None)
 
     @property
     def folder(self) -> str:
@@ -129,11 +126,13 @@ def _read(path: Path, name: str) -> EvaluationFile:
 
 
 def alike(found: Sequence[Evidence]) -> list[Evidence]:
-    """Policies that can be compared, as they are where their seeds serve one use. Otherwise all of
-    them on development seeds, without those that were not measured there."""
-    if len({each.seeds for each in found}) <= 1:
-        return list(found)
-    return [each for one in found if (each := one.on_development())]
+    """Policies that can be compared: on seeds of the first use in ``MEASURED`` that all of them
+    have; where they share none, those that were measured on development seeds."""
+    for use in MEASURED:
+        shared = [each for one in found if (each := one.on(use))]
+        if len(shared) == len(found):
+            break
+    return shared
 
 
 def find_evidence(*roots: str | Path) -> tuple[list[Evidence], list[BrokenRow]]:

@@ -10,8 +10,8 @@ Worked: 100 scenes, 70 both, 10 first only, 2 second only, 18 neither.
     holm([0.039, 0.001])       [0.039, 0.002]: the smaller one counts twice, because there are two
 
 Wilson (1927); Newcombe (Statistics in Medicine 1998, second paper, method 10); McNemar (1947),
-exact; Holm (1979); Agresti and Min (Statistics in Medicine 2005); Davison and Hinkley (Bootstrap
-Methods and their Application, 1997, section 3.8) on data in groups.
+exact; Holm (1979); Agresti and Min (Statistics in Medicine 2005); Satterthwaite (Biometrics
+Bulletin 1946) for Student's t over groups.
 """
 
 from __future__ import annotations
@@ -137,36 +137,50 @@ def agresti_min(differences: Numbers, confidence: float = 0.95) -> tuple[Array, 
     return np.maximum(mean - half, -1.0), np.minimum(mean + half, 1.0)
 
 
-def hierarchical_bootstrap(
-    groups: Sequence[Sequence[Numbers]], confidence: float = 0.95, draws: int = 4000
+def student(
+    groups: Sequence[Sequence[Sequence[float]]], least: float = 0.0, confidence: float = 0.95
 ) -> tuple[float, float]:
-    """Interval of a mean over groups (tasks) of trainings of episodes, (low, high).
+    """Interval of a mean over groups (tasks) of trainings of episodes: Student's t over trainings.
 
-    ``groups[g][k]``: the outcomes of all episodes of training k in group g, shares or differences.
-    The groups are the ones of interest and stay; trainings are drawn anew from each, and episodes
-    anew from every training that was drawn; the interval holds the middle ``confidence`` of the
-    means. The same numbers give the same interval.
+    ``groups[g][k]``: the outcomes of training k in group g, each from ``least`` to 1: shares, or
+    differences from -1 on. The groups are the ones of interest; their trainings are a sample. A
+    group with one training says nothing of others: its episodes are the sample.
 
-    Worked: three trainings with 50 episodes each and rates 0.9, 0.8 and 0.4, whose pooled 105 of
-    150 have Wilson's [0.62, 0.77], have [0.43, 0.91]: most of the scatter is between trainings.
-    With K trainings the scatter between them is found too small by (K - 1) / K on average.
+    The interval is formed on the logit scale around the logit of the mean, so that it stays inside
+    the range and is longer towards its middle: t * se / (m (1 - m)), the delta method. Degrees of
+    freedom are Welch and Satterthwaite's.
+
+    Worked: three trainings with 50 episodes each and rates 0.9, 0.8 and 0.4: mean 0.7, se 0.153,
+    t = 4.30, and [0.09, 0.98]. Wilson's of the pooled 105 of 150 is [0.62, 0.77].
+
+    Simulated with 3 and 5 trainings of 50 and 100 episodes, joined with the interval over episodes:
+    it covers the mean of trainings 93 to 99 times in 100 for rates from 0.1 to 0.9 that spread
+    between trainings by up to 0.13, from 0.3 to 0.8 also by 0.2, and for differences throughout.
+    A rate of 0.95 with a spread of 0.1 is covered 79 to 89 times only: most trainings are then
+    perfect, and few fail badly.
     """
-    rng = np.random.default_rng(0)
-    total = np.zeros(draws)
-    count = sum(len(episodes) for group in groups for episodes in group)
+    from scipy.stats import t  # Most of a second; a caller that only draws a page does without.
+
+    total = sum(len(episodes) for group in groups for episodes in group)
+    mean = 0.0
+    variances = []
     for group in groups:
-        drawn = rng.integers(0, len(group), (draws, len(group)))  # (draws, K): a training each
-        for number, episodes in enumerate(group):
-            values = np.asarray(episodes, float)
-            for slot in range(len(group)):
-                here = np.flatnonzero(drawn[:, slot] == number)  # The draws that have it there.
-                picked = rng.integers(0, len(values), (len(here), len(values)))  # Episodes anew.
-                # Every training that is drawn weighs as one, however many episodes it has.
-                share = sum(map(len, group)) / len(group)
-                total[here] += share * values[picked].mean(1)
-    tail = (1 - confidence) / 2
-    low, high = np.quantile(total / count, [tail, 1 - tail])
-    return float(low), float(high)
+        part = sum(map(len, group)) / total
+        values = [float(np.mean(episodes)) for episodes in group]
+        mean += part * float(np.mean(values))
+        sample = values if len(values) > 1 else list(map(float, group[0]))
+        spread = float(np.var(sample, ddof=1)) / len(sample) if len(sample) > 1 else 0.0
+        variances.append((part**2 * spread, len(sample) - 1))
+    variance = sum(value for value, _ in variances)
+    if variance == 0:
+        return mean, mean
+    freedom = variance**2 / sum(value**2 / degrees for value, degrees in variances if value)
+    share = (mean - least) / (1 - least)
+    error = variance**0.5 / (1 - least)
+    half = float(t.ppf(0.5 + confidence / 2, freedom)) * error / (share * (1 - share))
+    logit = float(np.log(share / (1 - share)))
+    low, high = (1 / (1 + np.exp(-end)) for end in (logit - half, logit + half))
+    return float(least + low * (1 - least)), float(least + high * (1 - least))
 
 
 def detectable(n: int, level: float, chance: float = 0.05, power: float = 0.8) -> float:

@@ -22,10 +22,10 @@ from typing import TypedDict
 from madviz.errors import UserError
 from madviz.measure.formulas import (
     agresti_min,
-    hierarchical_bootstrap,
     mcnemar,
     mcnemar_any_time,
     newcombe,
+    student,
     wilson_bounds,
 )
 from madviz.policies.measured import RateRow
@@ -192,15 +192,15 @@ def difference_interval(differences: Sequence[float]) -> Interval:
 
 
 def interval_over_trainings(
-    groups: Sequence[Sequence[Sequence[float]]], episodes: Interval
+    groups: Sequence[Sequence[Sequence[float]]], episodes: Interval, least: float = 0.0
 ) -> Interval:
-    """95% interval of a mean over several trainings, of ``hierarchical_bootstrap``'s groups.
+    """95% interval of a mean over several trainings: Student's, of ``student``'s groups.
 
     ``episodes``: the interval over the episodes of these very trainings. It is part of the result:
     three trainings that agree by chance are no proof that the next one would, and a rate of 1 must
     not have an interval of nothing.
     """
-    low, high = hierarchical_bootstrap(groups)
+    low, high = student(groups, least)
     return min(low, episodes[0]), max(high, episodes[1])
 
 

@@ -16,7 +16,7 @@ from madviz.policies import checkpoint
 from madviz.policies.again import command_again
 from madviz.policies.config import PolicyConfig, TrainingRecord
 from madviz.policies.measured import EvaluationFile, SubsetRow, seeds_of
-from madviz.policies.seeds import DEVELOPMENT, REPORTING
+from madviz.policies.seeds import MEASURED
 from madviz.system.files import write_bytes
 from madviz.system.markdown import markdown_table
 from madviz.types import CameraSpec
@@ -77,7 +77,7 @@ def _seeds(evaluation: EvaluationFile) -> str:
     have more of them."""
     use = seeds_of(evaluation)
     first = evaluation["seed"]
-    words = f"{use.capitalize()} seeds" if use in (DEVELOPMENT, REPORTING) else "Seeds"
+    words = f"{use.capitalize()} seeds" if use in MEASURED else "Seeds"
     if len({row["n"] for row in evaluation["subsets"].values()}) > 1:
         return f"{words} from {first} on, in each row as many as it has episodes"
     last = max(episode["seed"] for episode in evaluation["episodes"])

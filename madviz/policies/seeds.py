@@ -6,7 +6,11 @@ A seed fixes an episode's scene. The uses are apart:
     1000 to 1999         selection: evaluations while a policy trains; mean pictures
     2000 to 4999         the live page and the lessons
     5000 to 9999         development: recipes, experts and choices were improved on these
-    10000 to 999999      reporting: nothing is developed or chosen on them
+    10000 to 39999       development (read): the first reporting range. Some policies were trained
+                         again after their rates on it were read, so it counts as development
+    40000 to 49999       reporting: read once, after all choices; results/readings.csv lists it
+    50000 to 59999       unused
+    60000 to 999999      try: where commands begin
     1000000 and up       training scenes of reinforcement learning
 """
 
@@ -21,19 +25,29 @@ FIRST_TRAINING = 0
 FIRST_SELECTION = 1_000
 FIRST_LIVE = 2_000
 FIRST_DEVELOPMENT = 5_000
-FIRST_REPORTING = 10_000
+FIRST_READ = 10_000
+FIRST_REPORTING = 40_000
+FIRST_UNUSED = 50_000
+FIRST_TRY = 60_000
 FIRST_LEARNING = 1_000_000
 DEVELOPMENT = "development"
+READ = "development (read)"
 REPORTING = "reporting"
+TRY = "try"
 USES = {
     FIRST_TRAINING: "training",
     FIRST_SELECTION: "selection",
     FIRST_LIVE: "live page",
     FIRST_DEVELOPMENT: DEVELOPMENT,
+    FIRST_READ: READ,
     FIRST_REPORTING: REPORTING,
+    FIRST_UNUSED: "unused",
+    FIRST_TRY: TRY,
     FIRST_LEARNING: "reinforcement learning",
 }
 """The first seed of each use."""
+MEASURED = (REPORTING, READ, TRY, DEVELOPMENT)
+"""Uses that rates may have; policies are compared on the first of these that all of them have."""
 
 
 def training_seed(seed: int, number: int) -> int:

@@ -37,7 +37,7 @@ from madviz.observation.schedule import (
 )
 from madviz.policies import checkpoint
 from madviz.policies.sb3 import is_sb3, shown_sb3, trust
-from madviz.policies.seeds import FIRST_DEVELOPMENT
+from madviz.policies.seeds import FIRST_TRY
 from madviz.recording.facts import Facts
 from madviz.session.commands import Play, SetSchedule
 from madviz.session.frame import Frame, NoFrame
@@ -67,7 +67,7 @@ class RecordConfig:
     policy: checkpoint.PolicyName | None = None
     """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served;
     beside --replay, where to find it."""
-    seed: Seed = FIRST_DEVELOPMENT
+    seed: Seed = FIRST_TRY
     """Which episode."""
     drop: tuple[str, ...] = ()
     """Cameras that fail: third_a@20 (dropped), third_a@20-40 (comes back), third_b=noise:0.5@10."""
@@ -129,7 +129,7 @@ def check(config: RecordConfig) -> None:
         raise UserError("expected --policy NAME or --replay FILE, found neither; give one")
     if config.replay is None and config.episode is not None:
         raise UserError("expected --replay FILE beside --episode, found none; give it, or --seed")
-    own = config.drop or config.scenario or config.steps or config.seed != FIRST_DEVELOPMENT
+    own = config.drop or config.scenario or config.steps or config.seed != FIRST_TRY
     if config.replay is not None and own:
         raise UserError(
             "expected a saved session to have seed, failures and length of its own, found --seed, "

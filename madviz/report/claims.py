@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from madviz.agent.methods import METHODS
-from madviz.measure.compare import over_trainings
+from madviz.measure.formulas import student
 from madviz.measure.statistics import Interval
 from madviz.report.layouts import COMPONENTS, MERGES, THREE
 from madviz.report.rows import Difference, Row, difference
@@ -45,8 +45,7 @@ def beside(table: ResultTable, gap: Difference, judge: Judge) -> str:
     """``: agrees ...`` where the setting allows a verdict, and otherwise nothing."""
     if table.imitation or len(gap.trainings) < SEVERAL:
         return ""
-    low, high = over_trainings([(value + 1) / 2 for value in gap.trainings])
-    return f": {judge((2 * low - 1, 2 * high - 1))}"
+    return f": {judge(student([[[each] for each in gap.trainings]], least=-1.0))}"
 
 
 def verdict(interval: Interval, claim: float | None = None) -> str:

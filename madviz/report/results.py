@@ -21,7 +21,7 @@ from typing import Any, TypedDict
 from madviz.errors import UserError
 from madviz.measure.evidence import Evidence, find_evidence
 from madviz.policies.listing import BrokenRow
-from madviz.policies.seeds import DEVELOPMENT, REPORTING, use_of
+from madviz.policies.seeds import FIRST_TRY, MEASURED, use_of
 from madviz.report import pictures
 from madviz.report.evaluate import EPISODES, evaluate_all
 from madviz.report.layouts import BASELINES, LAYOUTS
@@ -50,7 +50,7 @@ class ReportConfig:
     """First evaluate every policy that has weights on the reporting seeds. What was measured before
     goes to development.json. Goes on where it was stopped."""
     episodes: Count = EPISODES
-    """With --evaluate: episodes for each subset, from seed 10000 on."""
+    """With --evaluate: episodes for each subset, from seed 40000 on."""
     workers: ThreadsOrNone | None = None
     """With --evaluate: processes; by default one per core. 0 runs everything in this one."""
     json: str | None = None
@@ -110,15 +110,15 @@ def run_report(config: ReportConfig) -> ReportResult:
 
 
 def check_seeds(evidence: Evidence) -> None:
-    """Raises UserError unless evaluation.json holds reporting seeds or development seeds, and
-    development.json only the latter."""
+    """Raises UserError unless every file holds seeds of one use that rates may have, and
+    development.json no reporting seeds."""
     earlier = use_of(seed for outcomes in evidence.development.values() for seed in outcomes)
-    if evidence.seeds not in (DEVELOPMENT, REPORTING) or earlier not in ("", DEVELOPMENT):
+    if evidence.seeds not in MEASURED or earlier not in ("", *MEASURED[1:]):
         raise UserError(
-            f"{evidence.path}: expected reporting seeds (10000 and up) or development seeds (5000 "
-            "to 9999) in evaluation.json, and development seeds in development.json, found seeds "
-            f"for {evidence.seeds} and for {earlier or 'nothing'}; evaluate again: `madviz eval "
-            "--card --seed 10000`"
+            f"{evidence.path}: expected seeds of one use that rates may have ({', '.join(MEASURED)}"
+            ") in evaluation.json, and none for reporting in development.json, found seeds for "
+            f"{evidence.seeds} and for {earlier or 'nothing'}; evaluate again: `madviz eval --card "
+            f"--seed {FIRST_TRY}`"
         )
 
 

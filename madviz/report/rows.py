@@ -8,8 +8,9 @@ average over tasks is the same code as one task:
     mad, hammer  (hammer, 1, 5000) yes, (hammer, 1, 5001) no ...  99 of 100
     mad, 2 tasks the same and (push, 1, 5000) yes ...             190 of 200
 
-Where a task has several trainings, intervals are over trainings and episodes: both are drawn anew
-(``formulas.hierarchical_bootstrap``). With one training they are over its episodes.
+Where a task has several trainings, intervals are over trainings (Student's t,
+``formulas.student``), and at least as wide as those over episodes. With one training they are over
+its episodes.
 """
 
 from __future__ import annotations
@@ -173,16 +174,17 @@ def difference(first: Row, second: Row, columns: Sequence[str]) -> Difference | 
     seeds = [{unit[1] for unit in units if unit[0] == task} for task in tasks]
     complete = sorted(set.intersection(*seeds))
     trainings = tuple(sum(by_training[s]) / len(by_training[s]) for s in complete)
-    interval = _interval(dict(zip(units, gaps, strict=True)), difference_interval(gaps))
+    interval = _interval(dict(zip(units, gaps, strict=True)), difference_interval(gaps), -1.0)
     return Difference(value, interval, len(gaps), tasks, tuple(shared), trainings)
 
 
-def _interval(values: Mapping[Unit, float], episodes: Interval) -> Interval:
-    """``episodes``, the interval over episodes; wider where a task has several trainings."""
+def _interval(values: Mapping[Unit, float], episodes: Interval, least: float = 0.0) -> Interval:
+    """``episodes``, the interval over episodes; wider where a task has several trainings. Values
+    lie between ``least`` and 1."""
     trainings: dict[str, dict[int, list[float]]] = {}
     for (task, training, _), value in values.items():
         trainings.setdefault(task, {}).setdefault(training, []).append(value)
     if all(len(by_seed) == 1 for by_seed in trainings.values()):
         return episodes
     groups = [[by_seed[s] for s in sorted(by_seed)] for _, by_seed in sorted(trainings.items())]
-    return interval_over_trainings(groups, episodes)
+    return interval_over_trainings(groups, episodes, least)

@@ -8,8 +8,8 @@ tenth, the one that most of them have. An average takes equally many trainings a
 task, the first ones that all of its rows have, so that a task with more of them does not pull it
 towards itself. A difference of two rows takes the episodes that these two have.
 
-Imitation and reinforcement learning never share a table, and neither do reporting seeds and
-development seeds: where one policy has development seeds only, all others are taken on theirs.
+Imitation and reinforcement learning never share a table, and neither do seeds of different uses:
+where one policy has development seeds only, all others are taken on theirs.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[ResultTable]:
 
 
 def _same_seeds(chosen: Sequence[tuple[str, Evidence]]) -> list[tuple[str, Evidence]]:
-    """All on reporting seeds, or all on development seeds."""
+    """All on seeds of one use."""
     labels = {policy.path: label for label, policy in chosen}
     return [(labels[policy.path], policy) for policy in alike([policy for _, policy in chosen])]
 

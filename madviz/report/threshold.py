@@ -16,6 +16,7 @@ from typing import Any
 from madviz.envs.registry import MANISKILL_TASKS, METAWORLD_TASKS
 from madviz.measure.evidence import Evidence
 from madviz.measure.statistics import SuccessRate
+from madviz.policies.seeds import DEVELOPMENT, READ, TRY
 from madviz.report.layouts import THREE
 from madviz.report.rows import Row
 from madviz.report.tables import row_of, usual_alphas
@@ -63,8 +64,8 @@ def judged_on(task: str) -> tuple[str, ...]:
 
 
 def judge(task: str, evidence: Sequence[Evidence]) -> Verdict:
-    """The task's MAD policy on three cameras; of several, the one with the highest mean on
-    development seeds, because nothing is chosen on reporting seeds."""
+    """The task's MAD policy on three cameras; of several, the one with the highest mean on other
+    seeds than reporting ones, because nothing is chosen on these."""
     policies = [
         policy
         for policy in usual_alphas(evidence)
@@ -75,7 +76,7 @@ def judge(task: str, evidence: Sequence[Evidence]) -> Verdict:
         return Verdict(task, None, None, ())
 
     def rank(policy: Evidence) -> float:
-        known = policy.on_development()
+        known = next(filter(None, map(policy.on, (DEVELOPMENT, READ, TRY))), None)
         mean = known and _row(known).mean(judged_on(task))
         return mean.value if mean else -1.0
 

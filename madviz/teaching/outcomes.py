@@ -21,8 +21,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from madviz.measure.evaluate import FIRST_SEED
 from madviz.measure.statistics import SuccessRate
+from madviz.policies.seeds import FIRST_DEVELOPMENT
 from madviz.system.files import read_json, write_json
 from madviz.teaching.show import Figure, TextTable, bars, table
 
@@ -67,7 +67,7 @@ def save_outcomes(file: Path, method: str, outcomes: Outcomes) -> None:
     found = {**(read_outcomes(file) if file.exists() else {}), method: dict(outcomes)}
     methods = {name: found[name] for name in COMPARED if name in found}
     budget = {"rounds": ROUNDS, "updates": UPDATES}
-    write_json(file, {"task": "toy/reach", **budget, "seed": FIRST_SEED, "methods": methods})
+    write_json(file, {"task": "toy/reach", **budget, "seed": FIRST_DEVELOPMENT, "methods": methods})
 
 
 def read_outcomes(file: Path | str = SHIPPED) -> dict[str, dict[str, str]]:
@@ -98,7 +98,7 @@ def counted(measured: Mapping[str, Outcomes], case: str) -> dict[str, tuple[int,
 
 def by_seed(outcomes: str) -> dict[int, bool]:
     """Digits -> success by seed, for ``statistics.pair`` and ``teaching.paired_table``."""
-    return {FIRST_SEED + index: digit == "1" for index, digit in enumerate(outcomes)}
+    return {FIRST_DEVELOPMENT + index: digit == "1" for index, digit in enumerate(outcomes)}
 
 
 def outcome_table(

@@ -25,8 +25,10 @@ HOW_TO_READ = (
     "p is McNemar's, exact, with Holm's correction for the other tests of its kind, and for the "
     "looks at which the audit could have stopped: 0.05 is the limit. The verdicts together claim a "
     "significant difference that is not there in at most 5 of 100 audits.",
-    "'Makes no difference' is said only where the whole interval lies within 5 points either way. "
-    "'No use shown' is not the same: more episodes may show one.",
+    "'Needed' is said only where an interval shows a loss of half or more, and 'makes no "
+    "difference' where one lies within 5 points either way. These intervals hold for all cameras "
+    "and looks together, so they are wider than the ones in brackets. 'No use shown' does not mean "
+    "no use: more episodes may show one.",
     "The Shapley value of a camera is the success that it adds, on average over all orders in "
     "which cameras can come. The values sum to the difference between all cameras and none.",
     "An audit is about one training of a policy, in simulation, on the scenes of these seeds.",

@@ -45,6 +45,9 @@ class ConditionRow(DifferenceRow):
     how: How
     success: float
     n: int
+    ci_all: NotRequired[list[float]]
+    """Where the verdict rests on the difference: its interval that holds for all cameras and looks
+    together (``verdict.py``); *makes no difference* is said from it."""
     above_none: NotRequired[DifferenceRow]
     """This camera alone against no camera, where the verdict rests on it."""
 
@@ -163,7 +166,9 @@ def _rows(plan: AuditPlan, seen: Seen, look: Look, judgement: Judgement) -> list
     against_intact = corrected([(seen[row.condition], seen[INTACT]) for row in others], look)
     p |= dict(zip(others, against_intact, strict=True))
     documents = {row: _row(row, seen, float(p[row])) for row in rows}
-    for each, p_alone in zip(deciding, judgement.p_alone, strict=True):
+    low, high = judgement.change
+    for each, p_alone, *ends in zip(deciding, judgement.p_alone, low, high, strict=True):
+        documents[each.removed]["ci_all"] = [float(end) for end in ends]
         alone = seen[each.alone.condition]
         floor = seen[each.floor.condition]
         documents[each.alone]["above_none"] = _difference(alone, floor, p_alone)

@@ -2,12 +2,12 @@
 
 First come the conditions that verdicts rest on, from one look (``verdict.py``) to the next, until
 all cameras are settled or the planned episodes are played. Then every other condition is played on
-the same seeds. Three cameras, 100 episodes planned, seeds from 5000 on:
+the same seeds. Three cameras, 100 episodes planned, seeds from 60000 on:
 
     what is there                          what is wanted
-    nothing                                8 deciding conditions on the seeds 5000 to 5024
-    25 of each; not all are settled        the same 8 on 5025 to 5049
-    50 of each; all cameras are settled    the 28 others on 5000 to 5049
+    nothing                                8 deciding conditions on the seeds 60000 to 60024
+    25 of each; not all are settled        the same 8 on 60025 to 60049
+    50 of each; all cameras are settled    the 28 others on 60000 to 60049
     50 of all 36                           nothing: the audit is done
 
 An ``AuditPlan`` keeps no outcomes. All it says follows from those that it is shown, so that an

@@ -17,8 +17,8 @@ HOW_WORDS = {
 }
 """Names of the ways in which a camera is away."""
 MEANING = {
-    "needed": "success falls significantly without it, by half of what it was or more",
-    "used": "success falls significantly without it, by less than half",
+    "needed": "success falls significantly without it, and is shown to fall by half or more",
+    "used": "success falls significantly without it; a loss of half or more is not shown",
     "redundant": "no significant fall without it, but alone it is significantly better than no "
     "camera",
     "no use shown": "no significant fall without it, and alone not significantly better than no "
@@ -72,9 +72,9 @@ def change(row: ConditionRow | DifferenceRow) -> str:
     return f"{points(row['difference'], sign=True)} [{low:+d}, {high:+d}]"
 
 
-def makes_no_difference(row: ConditionRow | DifferenceRow) -> bool:
-    """Whether the whole interval lies within the margin."""
-    return -MARGIN <= row["ci95"][0] and row["ci95"][1] <= MARGIN
+def makes_no_difference(row: ConditionRow) -> bool:
+    """Whether the interval that holds for all cameras together lies within the margin."""
+    return "ci_all" in row and -MARGIN <= row["ci_all"][0] and row["ci_all"][1] <= MARGIN
 
 
 def deciding(found: AuditFile, camera: str, what: str) -> ConditionRow:

@@ -15,15 +15,18 @@ the limit everywhere. With three cameras, 25 episodes and every one of them lost
 person: 2 x 0.5^25 x 6 x 10, far below 0.05. A look at which even that could not be significant is
 left out, and the last look gets its share.
 
-    needed        success falls significantly without it, by half of what it was or more
-    used          success falls significantly without it, by less
+    needed        success falls significantly without it, and is shown to fall by half or more
+    used          success falls significantly without it; a loss of half is not shown
     redundant     no significant fall, but alone significantly better than no camera at all
     no use shown  neither
 
-An audit stops at a look where every camera is settled: its fall is significant, and clearly more or
-clearly less than half; or its change lies within 5 points either way, and it is significantly
-better alone than nothing, or that difference lies within 5 points, too. 'Clearly' and 'lies' are
-intervals of the confidence 1 - share.
+'Shown' is an interval, as narrow as all cameras together allow: of the loss beyond half of what was
+there, it must lie above 0. A camera that costs 49 % is therefore called needed in fewer than 5 of
+100 audits, and one that costs 60 % is often called used: more episodes would tell.
+
+An audit stops at a look where every camera is settled: its fall is significant, and shown to be
+more or less than half; or its change lies within 5 points either way, and it is significantly
+better alone than nothing, or that difference lies within 5 points, too.
 
 Everything works on arrays with any number of leading axes: tests simulate a thousand audits at
 once.
@@ -58,10 +61,11 @@ class Look:
     share: float
     """The part of ``LEVEL`` that this look may spend."""
 
-    @property
-    def confidence(self) -> float:
-        """The confidence of the intervals that settle a camera at this look."""
-        return 1 - self.share
+    def confidence(self, cameras: int) -> float:
+        """The confidence of an interval for each of ``cameras``, so that what is claimed from all
+        of them is wrong at most as often as ``share``. A claim rests on one end of its interval,
+        and one end misses half as often as either."""
+        return 1 - self.share * min(1.0, 2 / cameras)
 
 
 def looks(episodes: int, cameras: int) -> tuple[Look, ...]:
@@ -105,6 +109,9 @@ class Judgement:
     """Codes, places in ``VERDICTS``."""
     settled: Array
     """bool: more episodes are not worth their time."""
+    change: tuple[Array, Array]
+    """The interval (low, high) of the change without the camera that holds for all cameras and
+    looks together."""
     p_removed: Array
     """p-value of the change without the camera, corrected for all tests and looks; significant up
     to ``LEVEL``."""
@@ -123,16 +130,14 @@ def judged(outcomes: PairedOutcomes, look: Look) -> Judgement:
     flat = np.minimum(flat * (LEVEL / look.share), 1.0)
     falls = (flat[..., 0] <= LEVEL) & (fall[1] > fall[2])
     gains = (flat[..., 1] <= LEVEL) & (gain[1] > gain[2])
-    by_half = 2 * seen.removed.sum(-1) <= intact.sum(-1)
-    verdict = np.where(falls & by_half, 3, np.where(falls, 2, np.where(gains, 1, 0)))
+    confidence = look.confidence(seen.removed.shape[-2])
     # Above 0 where more than half is lost, below where less.
-    low, high = agresti_min(0.5 * intact - seen.removed, look.confidence)
-    settled = np.where(
-        falls,
-        (low > 0) | (high < 0),
-        within(fall, look.confidence) & (gains | within(gain, look.confidence)),
-    )
-    return Judgement(verdict, settled, flat[..., 0], flat[..., 1])
+    low, high = agresti_min(0.5 * intact - seen.removed, confidence)
+    verdict = np.where(falls & (low > 0), 3, np.where(falls, 2, np.where(gains, 1, 0)))
+    change = newcombe(*table(seen.removed, intact), confidence)
+    gained = newcombe(*gain, confidence)
+    settled = np.where(falls, (low > 0) | (high < 0), within(change) & (gains | within(gained)))
+    return Judgement(verdict, settled, change, flat[..., 0], flat[..., 1])
 
 
 def table(first: Array, second: Array) -> tuple[Array, Array, Array, Array]:
@@ -145,7 +150,7 @@ def table(first: Array, second: Array) -> tuple[Array, Array, Array, Array]:
     )
 
 
-def within(counts: tuple[Array, Array, Array, Array], confidence: float = 0.95) -> Array:
-    """Whether the interval of the difference lies within ``MARGIN`` either way."""
-    low, high = newcombe(*counts, confidence)
+def within(interval: tuple[Array, Array]) -> Array:
+    """Whether the interval of a difference lies within ``MARGIN`` either way."""
+    low, high = interval
     return (low >= -MARGIN) & (high <= MARGIN)
