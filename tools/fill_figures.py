@@ -60,6 +60,7 @@ def findings() -> str:
     mad, merged, single, singular = (
         push[name] for name in ("mad", "merged-only", "single", "singular-only")
     )
+    included = row("metaworld-push-mad-light")
     names = "First person, Third A and Third B"
     about = f"{mad.trainings} trainings, n = {len(mad.cells['all'])}, {mad.seeds} seeds"
     return (
@@ -67,8 +68,8 @@ def findings() -> str:
         f"cameras: MAD {joined(mad, 'all')}, Merged Only {joined(merged, 'all')}. On {names} "
         f"alone: MAD {joined(mad)}; Merged Only {joined(merged)}. *Limit:* a small budget: "
         f"the included policy was trained longer, on more episodes and under a noise that fades, "
-        f"and has {joined(row('metaworld-push-mad-light'))} "
-        f"there on reporting seeds; PushCube's First person alone is enough for Merged Only too, "
+        f"and has {joined(included)} there ({included.seeds} seeds); "
+        f"PushCube's First person alone is enough for Merged Only too, "
         f"and who acts in the training episodes counts as well as the loss "
         f"([alpha](docs/training.md#light)).\n"
         f"2. **One policy for all cameras can beat one policy for each.** On push's single "

@@ -36,7 +36,7 @@ def shipped(policy: str) -> dict[str, tuple[int, int]]:
 
 def shipped_outcomes(policy: str, subset: str, development: bool = False) -> dict[int, bool]:
     """Seed -> success of a policy's evaluation.json, for ``statistics.pair``; with ``development``
-    of its episodes on development seeds, which ``madviz.evaluate`` takes by default."""
+    of its episodes on development seeds, which begin at 5000."""
     path = checkpoint.find_policy(policy)
     found = checkpoint.shipped_evaluation(path, checkpoint.DEVELOPMENT) if development else None
     found = found or checkpoint.shipped_evaluation(path) or {"episodes": []}
