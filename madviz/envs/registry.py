@@ -19,7 +19,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, get_args
+from typing import Annotated, Literal, Protocol, get_args
 
 from madviz.envs import custom
 from madviz.envs.cameras import read_cameras
@@ -61,8 +61,6 @@ class Suite:
     tasks: tuple[str, ...]
     environment: str
     """``module:class`` of its ``SuiteEnvironment``."""
-    stock: str = ""
-    """``module:class`` that draws its tasks as the simulator's users do, to be measured against."""
     shared: tuple[str, ...] = ()
     """Modules that take seconds to import and open no device, so that a process can be forked after
     it; simulations then share them."""
@@ -73,15 +71,10 @@ class Suite:
 
 
 SUITES = {
-    "metaworld": Suite(
-        METAWORLD_TASKS,
-        "madviz.envs.metaworld.environment:MetaWorld",
-        "madviz.envs.metaworld.stock:MetaWorldStock",
-    ),
+    "metaworld": Suite(METAWORLD_TASKS, "madviz.envs.metaworld.environment:MetaWorld"),
     "maniskill": Suite(
         MANISKILL_TASKS,
         "madviz.envs.maniskill.environment:ManiSkill",
-        "madviz.envs.maniskill.stock:ManiSkillStock",
         shared=("mani_skill.envs.tasks.tabletop",),
     ),
     "toy": Suite(("reach",), "madviz.envs.toy:ToyReach"),
@@ -261,10 +254,3 @@ def shared_imports(task: str) -> tuple[str, ...]:
     """The modules that processes that simulate ``task`` can share, see ``Suite.shared``."""
     suite = SUITES.get(task.partition("/")[0])
     return suite.shared if suite else ()
-
-
-def stock_frames(task: str, size: int) -> Any:
-    """``task`` drawn as its simulator's users draw it, in ``size`` pixels: ``step``, ``draw``,
-    ``flags`` and ``close``. For Meta-World and ManiSkill."""
-    suite, name = task.split("/")
-    return load(SUITES[suite].stock)(name, size)

@@ -265,18 +265,6 @@ def symlog(x: Tensor) -> Tensor:
     return x.sign() * x.abs().log1p()
 
 
-def psnr(
-    drawn: Float[Tensor, "B V 3 H W"],
-    pictures: Float[Tensor, "B V 3 H W"],
-    where: Bool[Tensor, "B V H W"],
-) -> Float[Tensor, "B V"]:
-    """Peak signal-to-noise ratio in dB over the pixels ``where``, of pictures from 0 to 1; NaN
-    where there are none. An error of 0.1 everywhere has 20 dB, one of 0.01 has 40."""
-    error = (drawn.clamp(0, 1) - pictures).square().mean(2)
-    mean = (error * where).sum((2, 3)) / where.sum((2, 3))
-    return -10 * mean.log10()
-
-
 # --- Patches ------------------------------------------------------------------------------------
 
 
