@@ -183,7 +183,7 @@ def _sky(model: mujoco.MjModel) -> dict[str, Any] | None:
 
 
 def _inside_out(mesh: Mesh) -> Mesh:
-    return Mesh(mesh.positions, mesh.normals, mesh.units, mesh.triangles[:, ::-1])
+    return Mesh(mesh.positions, mesh.normals, mesh.triangles[:, ::-1])
 
 
 def _light(light: mujoco.MjvLight) -> dict[str, Any]:
