@@ -18,12 +18,12 @@ import mujoco
 import numpy as np
 
 from madviz.envs.mujoco.meshes import lighter_meshes
+from madviz.envs.mujoco.mujoco_bodies import visible_scene
 from madviz.errors import UserError
 from madviz.site.tessellation import Mesh, cylinder, shape
 from madviz.site.textures import Texture, read_textures
 from madviz.types import Array
 
-_MAX_GEOMS = 2000
 _SKY = -1
 """In place of a body: the sky goes where the camera goes."""
 
@@ -34,12 +34,7 @@ def drawn_scene(
     """Arrays (``positions``, ``normals``, ``triangles``), what is said of them, and the textures
     in use. ``data`` of an episode: what is visible, and where the lights are, is read from it."""
     with lighter_meshes(model):
-        scene = mujoco.MjvScene(model, _MAX_GEOMS)
-        everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        camera = mujoco.MjvCamera()
-        option = mujoco.MjvOption()
-        mujoco.mjv_updateScene(model, data, option, None, camera, everything, scene)
-        visible = [geom for geom in scene.geoms[: scene.ngeom] if geom.rgba[3] > 0]
+        scene, visible = visible_scene(model, data)
         meshes = [shape(model, geom) for geom in visible]
     shapes = [_shape(model, geom) for geom in visible]
     sky = _sky(model)
