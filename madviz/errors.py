@@ -19,20 +19,20 @@ class UserError(ValueError):
         super().__init__(printable(message))
 
 
-class NotWritten(UserError):
+class WithResult(UserError):
+    """A mistake or mishap after which there is a ``result`` all the same."""
+
+    def __init__(self, message: str, result: Any) -> None:
+        super().__init__(message)
+        self.result = result
+
+
+class NotWritten(WithResult):
     """A result that is there, but could not be written where it was wanted."""
 
-    def __init__(self, message: str, result: Any) -> None:
-        super().__init__(message)
-        self.result = result
 
-
-class Unfinished(UserError):
+class Unfinished(WithResult):
     """Work that stopped on the way; ``result`` is what was finished."""
-
-    def __init__(self, message: str, result: Any) -> None:
-        super().__init__(message)
-        self.result = result
 
 
 @contextmanager
