@@ -52,11 +52,6 @@ class ToyReach(PlacedCameras):
     setting_cameras: Mapping[str, tuple[CameraSpec, ...]] = {}
 
     @staticmethod
-    def own_cameras(task: str) -> tuple[CameraSpec, ...]:
-        """The three, for any task."""
-        return CAMERAS
-
-    @staticmethod
     def describe(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> EnvSpec:
         """The facts of ``task``; ``render_profile`` makes no difference."""
         return EnvSpec(
