@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -43,15 +43,6 @@ from madviz.world_model.world import REWARD, Window, world_model_losses
 
 LARGEST = {"pictures": 1.0, "world": 100.0, "actor": 100.0, "critic": 100.0}
 """Norms that gradients are cut to: the paper's 100, and 1 for the autoencoder."""
-
-
-@dataclass(frozen=True)
-class Labels:
-    """An expert's actions at the time steps of a stretch."""
-
-    action: Float[Tensor, "L+1 B A"]
-    known: Bool[Tensor, " B"]
-    """Which samples have labels at all."""
 
 
 class WorldLearner:
@@ -129,14 +120,18 @@ class WorldLearner:
         return {"autoencoder_loss": loss.item()}
 
     def update(
-        self, stretch: Stretch, labels: Labels | None = None, imagines: bool = True
+        self,
+        stretch: Stretch,
+        labels: Float[Tensor, "L+1 E A"] | None = None,
+        imagines: bool = True,
     ) -> dict[str, float]:
         """One step of the world model and then, if it ``imagines``, of actor and critic; returns
-        named losses."""
+        named losses. ``labels``: an expert's actions in the last E samples of ``stretch``."""
         # An evaluation before may have left it otherwise, and PyTorch's transformers compute
         # differently then: a resumed run, which was not evaluated, would go on elsewhere.
         self.agent.train()
-        window = self._window(_moved(stretch, self._device))
+        moved = {name: tensor.to(self._device) for name, tensor in vars(stretch).items()}
+        window = self._window(replace(stretch, **moved))
         frames, batch = window.present.shape[:2]
         groups = self.net.world.rssm.config.groups
         noise = self._uniform(frames + len(window.action), batch, groups)
@@ -155,13 +150,13 @@ class WorldLearner:
             self.target.load_state_dict(self.critic.state_dict())
         return named
 
-    def _imagine(self, window: Window, labels: Labels | None) -> dict[str, float]:
+    def _imagine(self, window: Window, labels: Tensor | None) -> dict[str, float]:
         """One step of actor and critic, from beliefs of ``window``."""
         config = self.config
         belief, state = self._starts(window)
         cloning = torch.zeros((), device=self._device)
         if labels is not None:
-            cloning = self._cloning_loss(belief, state, _moved(labels, self._device))
+            cloning = self._cloning_loss(belief, state, labels.to(self._device))
         belief, state = self.subsample(belief, state)
         with frozen(self.net.world, self.target):
             drawn = self._noise(len(state))
@@ -183,11 +178,14 @@ class WorldLearner:
             "cloning_loss": cloning.item(),
         }
 
-    def _cloning_loss(self, belief: Belief, state: Tensor, labels: Labels) -> Tensor:
-        """Squared error of the actor's likeliest action, a mean over labelled samples."""
-        known = labels.known.expand(len(labels.action), -1).flatten()
-        middle, _ = self.actor(belief.feature[known], state[known])
-        return (torch.tanh(middle) - labels.action.flatten(0, 1)[known]).square().mean()
+    def _cloning_loss(self, belief: Belief, state: Tensor, labels: Tensor) -> Tensor:
+        """Squared error of the actor's likeliest action, a mean over the last E samples."""
+        steps, labelled, _ = labels.shape
+        feature, felt = (
+            x.unflatten(0, (steps, -1))[:, -labelled:] for x in (belief.feature, state)
+        )  # (L + 1, E, Z), (L + 1, E, S)
+        middle, _ = self.actor(feature, felt)
+        return (torch.tanh(middle) - labels).square().mean()
 
     @torch.no_grad()
     def _starts(self, window: Window) -> tuple[Belief, Tensor]:
@@ -306,12 +304,6 @@ def drawn_views(generator: torch.Generator, batch: int, views: int) -> Bool[Tens
     count = torch.randint(1, views + 1, (batch,), generator=generator)
     order = torch.rand(batch, views, generator=generator).argsort(1).argsort(1)
     return order < count[:, None]
-
-
-def _moved(of_tensors: Any, device: torch.device) -> Any:
-    """A dataclass of tensors, on ``device``."""
-    moved = {name: tensor.to(device) for name, tensor in vars(of_tensors).items()}
-    return replace(of_tensors, **moved)
 
 
 @contextmanager
