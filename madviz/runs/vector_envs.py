@@ -29,9 +29,8 @@ from madviz.errors import UserError
 from madviz.measure.episodes import Stopped, one_thread, run_episode
 from madviz.measure.store import EpisodeResult
 from madviz.observation.ablation import Ablation
-from madviz.observation.streams import IMAGE_SIZE
+from madviz.observation.streams import IMAGE_SIZE, channels_of
 from madviz.runs.drawn_task import DrawnTask, newest_frames
-from madviz.subsets import modality_of
 from madviz.system.processes import set_up_worker
 from madviz.types import Array, Environment, Policy, TimeStep
 
@@ -50,8 +49,8 @@ class Board:
             "last": ("B", (lanes, 1)),
         }
         for stream in streams:
-            channels = 1 if modality_of(stream) == "depth" else 3
-            self._shapes[stream] = ("B", (lanes, IMAGE_SIZE, IMAGE_SIZE, channels))
+            shape = (lanes, IMAGE_SIZE, IMAGE_SIZE, channels_of(stream))
+            self._shapes[stream] = ("B", shape)
         context = multiprocessing.get_context("spawn")
         self._memory: dict[str, Any] = {
             name: context.RawArray(code, int(np.prod(shape)))

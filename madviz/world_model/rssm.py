@@ -50,10 +50,6 @@ class Belief:
         """Both parts, as other networks read them."""
         return torch.cat([self.deterministic, self.latent.flatten(1)], 1)
 
-    def detach(self) -> Belief:
-        """The same numbers, as data."""
-        return Belief(self.deterministic.detach(), self.latent.detach(), self.logits.detach())
-
 
 def joined(beliefs: list[Belief]) -> Belief:
     """T beliefs of B samples each as one of T x B, time first."""
