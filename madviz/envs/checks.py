@@ -12,11 +12,11 @@ from madviz.types import Array, CameraSpec
 
 def check_action(action: Array, action_dim: int) -> None:
     """Raises UserError unless ``action`` is (A,) and finite; every environment calls it first."""
-    found = np.asarray(action)
-    if found.shape != (action_dim,) or not np.isfinite(found).all():
+    numbers = np.asarray(action)
+    if numbers.shape != (action_dim,) or not np.isfinite(numbers).all():
         raise UserError(
-            f"expected a finite action of {action_dim} numbers in [-1, 1], found {found.tolist()}; "
-            "the policy that produced it is broken: reset, or pick another"
+            f"expected a finite action of {action_dim} numbers in [-1, 1], found "
+            f"{numbers.tolist()}; the policy that produced it is broken: reset, or pick another"
         )
 
 

@@ -83,7 +83,9 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
         """All cameras beside each other, (H, 3 W, 3) uint8; None where nobody asked for it."""
         if self.render_mode is None:
             return None
-        return np.concatenate([self._world.view(one.name).rgb for one in self._cameras], axis=1)
+        return np.concatenate(
+            [self._world.view(camera.name).rgb for camera in self._cameras], axis=1
+        )
 
     def close(self) -> None:
         """Frees what the simulator and the renderer hold."""
@@ -125,7 +127,7 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
 def flattened(parts: Observation) -> Observation:
     """``{pixels: {first}, depth: {first}}`` -> ``{first, first_depth}``."""
     flat: Observation = dict(parts["pixels"])
-    flat.update({f"{name}_depth": each for name, each in parts.get("depth", {}).items()})
+    flat.update({f"{name}_depth": picture for name, picture in parts.get("depth", {}).items()})
     return {**flat, "agent_pos": parts["agent_pos"]}
 
 

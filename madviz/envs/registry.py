@@ -148,10 +148,10 @@ def setting_cameras(task: str, name: str) -> tuple[CameraSpec, ...]:
     placed = {} if custom.is_own(task) else _suite(task)[0].setting_cameras
     wanted = setting(name)
     if not _has(name, own, placed):
-        known = ", ".join(each for each in SETTINGS if _has(each, own, placed))
+        known = ", ".join(other for other in SETTINGS if _has(other, own, placed))
         raise UserError(f"{task} has no cameras for the setting {name!r}; known there: {known}")
-    found = {camera.name: camera for camera in (*own, *placed.get(name, ()))}
-    cameras = tuple(found[camera] for camera in wanted.cameras)
+    named = {camera.name: camera for camera in (*own, *placed.get(name, ()))}
+    cameras = tuple(named[camera] for camera in wanted.cameras)
     if wanted.sizes:
         sized = zip(cameras, wanted.sizes, strict=True)
         return tuple(replace(camera, size=size) for camera, size in sized)

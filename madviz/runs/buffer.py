@@ -81,8 +81,8 @@ class BufferSpec:
     @property
     def rows(self) -> int:
         """Time steps in the ring; a stack reaches ``frame_stack`` - 1 rows back."""
-        each = -(-self.capacity // self.lanes)
-        return self.lanes * (each + -(-each // self.horizon) + self.frame_stack)
+        in_lane = -(-self.capacity // self.lanes)
+        return self.lanes * (in_lane + -(-in_lane // self.horizon) + self.frame_stack)
 
     @property
     def channels(self) -> tuple[int, ...]:
@@ -299,15 +299,15 @@ class ReplayBuffer:
     def draw(self, size: int, rng: np.random.Generator, ahead: int = 1) -> Array:
         """(size,) numbers of time steps at which a transition begins, for ``batch``, or ``ahead``
         of them in one episode, for ``stretch``. Raises ValueError where there are none."""
-        found: list[int] = []
+        drawn: list[int] = []
         every = range(self._oldest, self._count)
-        while len(found) < size:
+        while len(drawn) < size:
             index = rng.integers(every.start, every.stop, size) if every else np.arange(0)
-            found += index[self._goes_far(index, ahead)].tolist()
+            drawn += index[self._goes_far(index, ahead)].tolist()
             # All are looked at only where none of those drawn will do: 500,000 take 10 ms.
-            if not found and not self._goes_far(np.arange(every.start, every.stop), ahead).any():
+            if not drawn and not self._goes_far(np.arange(every.start, every.stop), ahead).any():
                 raise ValueError(f"expected {ahead} transitions in a row in the buffer, found none")
-        return np.array(found[:size])
+        return np.array(drawn[:size])
 
     def _goes_far(self, index: Array, ahead: int) -> Array:
         """Whether ``ahead`` transitions follow each other from these time steps on."""

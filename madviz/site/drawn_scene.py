@@ -31,7 +31,7 @@ _SKY = -1
 def drawn_scene(
     model: mujoco.MjModel, data: mujoco.MjData
 ) -> tuple[dict[str, Array], dict[str, Any], list[Texture]]:
-    """Arrays (``positions``, ``normals``, ``triangles``), what is said of them, and the textures
+    """Arrays (``positions``, ``normals``, ``triangles``), a description of them, and the textures
     in use. ``data`` of an episode: what is visible, and where the lights are, is read from it."""
     with lighter_meshes(model):
         scene, visible = visible_scene(model, data)
@@ -43,25 +43,29 @@ def drawn_scene(
         meshes.append(_inside_out(cylinder(quality.numslices, quality.numstacks)))
         shapes.append(sky)
     arrays = _arrays(meshes, shapes)
-    used = sorted({one["texture"] for one in shapes if one["texture"] is not None})
-    for one in shapes:
-        one["texture"] = None if one["texture"] is None else used.index(one["texture"])
+    used = sorted(
+        {shape_row["texture"] for shape_row in shapes if shape_row["texture"] is not None}
+    )
+    for shape_row in shapes:
+        shape_row["texture"] = (
+            None if shape_row["texture"] is None else used.index(shape_row["texture"])
+        )
     textures = read_textures(model)
-    said = {
+    description = {
         "shapes": shapes,
         "lights": [_light(light) for light in scene.lights[: scene.nlight]],
         "near": model.vis.map.znear * model.stat.extent,
         "far": model.vis.map.zfar * model.stat.extent,
         "cubes": [textures[number].cube for number in used],
     }
-    return arrays, said, [textures[number] for number in used]
+    return arrays, description, [textures[number] for number in used]
 
 
-def scene_file(arrays: dict[str, Array], said: dict[str, Any]) -> bytes:
+def scene_file(arrays: dict[str, Array], description: dict[str, Any]) -> bytes:
     """Both in one file."""
     from safetensors.numpy import save
 
-    return save(arrays, {"scene": json.dumps(said, allow_nan=False)})
+    return save(arrays, {"scene": json.dumps(description, allow_nan=False)})
 
 
 def _arrays(meshes: list[Mesh], shapes: list[dict[str, Any]]) -> dict[str, Array]:
@@ -71,14 +75,14 @@ def _arrays(meshes: list[Mesh], shapes: list[dict[str, Any]]) -> dict[str, Array
     triangles = []
     corner = 0
     start = 0
-    for mesh, said in zip(meshes, shapes, strict=True):
+    for mesh, row in zip(meshes, shapes, strict=True):
         low = mesh.positions.min(0)
         high = mesh.positions.max(0)
         span = np.where(high > low, high - low, 1.0)
         positions.append(np.round((mesh.positions - low) / span * 65535).astype(np.uint16))
         normals.append(np.round(mesh.normals * 32767).astype(np.int16))
         triangles.append(mesh.triangles + corner)
-        said |= {
+        row |= {
             "low": low.tolist(),
             "span": span.tolist(),
             "corners": [corner, len(mesh.positions)],

@@ -72,9 +72,9 @@ def _check_known(model: mujoco.MjModel) -> None:
             model.eq_type != mujoco.mjtEq.mjEQ_WELD.value
         ),
     }
-    found = [name for name, count in unknown.items() if count]
-    if found:
-        raise UserError(f"expected a model that a site can hold, found one with {', '.join(found)}")
+    parts = [name for name, count in unknown.items() if count]
+    if parts:
+        raise UserError(f"expected a model that a site can hold, found one with {', '.join(parts)}")
 
 
 def _element(tag: str, /, closed: bool = True, **attributes: Any) -> str:

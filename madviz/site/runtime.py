@@ -41,8 +41,8 @@ def find_packages(folder: Path) -> Path:
     words = " ".join(f"{name}@{version}" for name, version in wanted.items())
     install = f"npm install --ignore-scripts --no-package-lock --prefix {folder.parent} {words}"
     for name, version in wanted.items():
-        said = folder / name / "package.json"
-        found = json.loads(said.read_text())["version"] if said.is_file() else "none"
+        file = folder / name / "package.json"
+        found = json.loads(file.read_text())["version"] if file.is_file() else "none"
         if found != version:
             raise UserError(
                 f"{folder}: expected {name} {version}, found {found}; run `make site`, or: "

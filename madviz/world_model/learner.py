@@ -237,7 +237,7 @@ class WorldLearner:
     ) -> Float[Tensor, "T B E"]:
         """The embeddings that the world model reads of the views that are present in each sample;
         samples with as many of them go through the networks together."""
-        found = []
+        parts = []
         order = []
         for size in present.sum(1).unique():
             which = (present.sum(1) == size).nonzero().flatten()
@@ -245,9 +245,9 @@ class WorldLearner:
             with torch.no_grad(), autocast():
                 features = self._features(seen)
             read = self.net.world.embed(features.float().flatten(0, 1))
-            found.append(read.unflatten(0, features.shape[:2]))
+            parts.append(read.unflatten(0, features.shape[:2]))
             order.append(which)
-        return torch.cat(found, 1)[:, torch.cat(order).argsort()]
+        return torch.cat(parts, 1)[:, torch.cat(order).argsort()]
 
     # --- Acting, and going on -------------------------------------------------------------------
 
@@ -264,7 +264,9 @@ class WorldLearner:
         """Everything a resumed run needs to go on as if it had never stopped."""
         return {
             "agent": self.agent.state_dict(),
-            "optimisers": {name: one.state_dict() for name, one in self.optimisers.items()},
+            "optimisers": {
+                name: optimiser.state_dict() for name, optimiser in self.optimisers.items()
+            },
             "generator": self._generator.get_state(),
             "updates": self.updates,
         }

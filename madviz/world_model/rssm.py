@@ -54,7 +54,7 @@ class Belief:
 def joined(beliefs: list[Belief]) -> Belief:
     """T beliefs of B samples each as one of T x B, time first."""
     parts = ("deterministic", "latent", "logits")
-    return Belief(*(torch.cat([getattr(one, part) for one in beliefs]) for part in parts))
+    return Belief(*(torch.cat([getattr(belief, part) for belief in beliefs]) for part in parts))
 
 
 class Rssm(nn.Module):
