@@ -9,10 +9,8 @@ from __future__ import annotations
 import json
 from importlib import metadata, resources
 from pathlib import Path
-from typing import Any
-
 from madviz.errors import UserError
-from madviz.site.files import write_packed
+from madviz.site.files import SiteFile, write_packed
 from madviz.system.files import write_bytes
 
 _ORT = "onnxruntime-web/dist"
@@ -51,7 +49,7 @@ def find_packages(folder: Path) -> Path:
     return folder
 
 
-def write_runtime(out: Path, packages: Path) -> dict[str, Any]:
+def write_runtime(out: Path, packages: Path) -> dict[str, SiteFile]:
     """Copies the programs; their lines of the manifest."""
     return {
         name: write_packed(out, f"runtime/{name}.gz", (packages / path).read_bytes())

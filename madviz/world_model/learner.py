@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from typing import Any, ClassVar
 
 import torch
@@ -88,14 +87,16 @@ class WorldLearner:
             "actor": config.heads_rate,
             "critic": config.heads_rate,
         }
-        kinds = {"pictures": partial(torch.optim.AdamW, weight_decay=0.01)}
         self.optimisers: dict[str, torch.optim.Optimizer] = {
-            name: kinds.get(name, torch.optim.Adam)(part.parameters(), fused=True)
+            name: torch.optim.Adam(part.parameters(), fused=True)
             for name, part in self.parts.items()
         }
+        pictures = self.net.autoencoder.parameters()
+        self.optimisers["pictures"] = torch.optim.AdamW(pictures, weight_decay=0.01, fused=True)
         self.set_learning_rates(0.0)
         self.updates = 0
         self._device = next(agent.parameters()).device
+        self._groups = self.net.world.rssm.config.groups
         self._generator = torch.Generator().manual_seed(seed)
 
     # --- Learning -------------------------------------------------------------------------------
@@ -133,8 +134,7 @@ class WorldLearner:
         moved = {name: tensor.to(self._device) for name, tensor in vars(stretch).items()}
         window = self._window(replace(stretch, **moved))
         frames, batch = window.present.shape[:2]
-        groups = self.net.world.rssm.config.groups
-        noise = self._uniform(frames + len(window.action), batch, groups)
+        noise = self._uniform(frames + len(window.action), batch, self._groups)  # (T + L, B, G)
         losses = world_model_losses(self.net.world, window, noise, self.config.kl_weight)
         total = torch.stack(list(losses.values())).sum()
         self._step("world", total)
@@ -153,7 +153,7 @@ class WorldLearner:
     def _imagine(self, window: Window, labels: Tensor | None) -> dict[str, float]:
         """One step of actor and critic, from beliefs of ``window``."""
         config = self.config
-        belief, state = self._starts(window)
+        belief, state = self._starts(window)  # (L + 1) B samples
         cloning = torch.zeros((), device=self._device)
         if labels is not None:
             cloning = self._cloning_loss(belief, state, labels.to(self._device))
@@ -161,7 +161,7 @@ class WorldLearner:
         with frozen(self.net.world, self.target):
             drawn = self._noise(len(state))
             imagined = imagine(self.net.world, self.actor, belief, state, drawn, self.gamma)
-            value = self.target.value(imagined.feature[1:], imagined.state[1:])
+            value = self.target.value(imagined.feature[1:], imagined.state[1:])  # (H, B)
             returns = lambda_returns(imagined.reward, imagined.discount, value, config.mixture)
             weight = reached(imagined.discount)
             loss = imagined_actor_loss(returns, imagined.entropy, weight, config.entropy_weight)
@@ -191,11 +191,13 @@ class WorldLearner:
     def _starts(self, window: Window) -> tuple[Belief, Tensor]:
         """Beliefs and states at the last L + 1 frames, each rebuilt over its own stack; time
         first."""
-        count = len(window.state)
+        count = len(window.state)  # L + 1
         stack = len(window.present) - count + 1
-        frames = torch.stack([window.present[t : t + count].flatten(0, 1) for t in range(stack)])
-        noise = self._uniform(*frames.shape[:2], self.net.world.rssm.config.groups)
-        return self.net.world.rssm.observe(frames, noise), window.state.flatten(0, 1)
+        # The stack of the frame i begins at the frame i: its t-th frames are those from t on.
+        frames = [window.present[t : t + count].flatten(0, 1) for t in range(stack)]
+        stacks = torch.stack(frames)  # (stack, (L + 1) B, E)
+        noise = self._uniform(*stacks.shape[:2], self._groups)
+        return self.net.world.rssm.observe(stacks, noise), window.state.flatten(0, 1)
 
     def subsample(self, belief: Belief, state: Tensor) -> tuple[Belief, Tensor]:
         """Those that are imagined from."""
@@ -210,13 +212,11 @@ class WorldLearner:
 
     def _window(self, stretch: Stretch) -> Window:
         """Tokens of all views, and what is read of those that are present."""
-        frames = stretch.frames
+        frames = stretch.frames  # (T, B, V, 3, H, W)
         with torch.no_grad(), autocast():
-            tokens = self.net.autoencoder.all_tokens(frames.flatten(0, 1)).unflatten(
-                0, frames.shape[:2]
-            )
-            count = len(stretch.state)
-            features = self._features(tokens[-count:])
+            tokens = self.net.autoencoder.all_tokens(frames.flatten(0, 1))  # (T * B, V, P, W)
+            tokens = tokens.unflatten(0, frames.shape[:2])
+            features = self._features(tokens[-len(stretch.state) :])  # (L + 1, B, M, W)
         present = drawn_views(self._generator, *frames.shape[1:3]).to(self._device)
         return Window(
             self._embedded(tokens, present),
@@ -241,13 +241,13 @@ class WorldLearner:
         order = []
         for size in present.sum(1).unique():
             which = (present.sum(1) == size).nonzero().flatten()
-            seen = torch.stack([tokens[:, b, present[b]] for b in which.tolist()], 1)
+            seen = [tokens[:, b, present[b]] for b in which.tolist()]  # (T, N, P, W) of each
             with torch.no_grad(), autocast():
-                features = self._features(seen)
-            read = self.net.world.embed(features.float().flatten(0, 1))
+                features = self._features(torch.stack(seen, 1))
+            read = self.net.world.embed(features.float().flatten(0, 1))  # (T * n, E)
             parts.append(read.unflatten(0, features.shape[:2]))
             order.append(which)
-        return torch.cat(parts, 1)[:, torch.cat(order).argsort()]
+        return torch.cat(parts, 1)[:, torch.cat(order).argsort()]  # Samples in their old order.
 
     # --- Acting, and going on -------------------------------------------------------------------
 
@@ -256,7 +256,7 @@ class WorldLearner:
         """(L, V, C, H, W) uint8 and (L, S) to drawn actions (L, A), on all views."""
         self.agent.eval()
         mask = torch.ones(1, views.shape[1], dtype=torch.bool, device=self._device)
-        belief = self.net.encode_and_merge(views.to(self._device), mask)[1][0]
+        belief = self.net.encode_and_merge(views.to(self._device), mask)[1][0]  # (L, Z)
         noise = self._uniform(len(views), self.agent.config.action_dim)
         return act(self.actor, belief, state.to(self._device), noise)[0].cpu().numpy()
 
@@ -282,10 +282,9 @@ class WorldLearner:
         return torch.rand(*shape, generator=self._generator).to(self._device)
 
     def _noise(self, batch: int) -> Noise:
-        config = self.agent.config
         horizon = self.config.horizon
-        action = self._uniform(horizon, batch, config.action_dim)
-        return Noise(action, self._uniform(horizon, batch, self.net.world.rssm.config.groups))
+        action = self._uniform(horizon, batch, self.agent.config.action_dim)
+        return Noise(action, self._uniform(horizon, batch, self._groups))
 
     def _step(self, name: str, loss: Tensor) -> None:
         optimiser = self.optimisers[name]
