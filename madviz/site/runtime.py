@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from importlib import metadata, resources
 from pathlib import Path
+
 from madviz.errors import UserError
 from madviz.site.files import SiteFile, write_packed
 from madviz.system.files import write_bytes
