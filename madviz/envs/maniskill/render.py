@@ -22,15 +22,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from madviz.envs.checks import check_size
 from madviz.envs.maniskill.meshes import lighten
 from madviz.envs.maniskill.sapien_bodies import ManiSkillBodies
 from madviz.envs.maniskill.shaders import STOCK, shader_pack
 from madviz.envs.maniskill.tasks import build
-from madviz.errors import UserError
 from madviz.types import Array, View
 
-MAX_SIZE = 512
-"""The largest view in pixels; the page needs no more."""
 NEAR = 0.01
 FAR = 100.0
 """Metres."""
@@ -69,8 +67,7 @@ class DrawnCopy:
         are made once. Raises UserError for a size that cannot be drawn."""
         import sapien
 
-        if not 1 <= size <= MAX_SIZE:
-            raise UserError(f"a view must have 1 to {MAX_SIZE} pixels a side, found {size}")
+        check_size(size)
         if (name, size) not in self._cameras:
             self._cameras[name, size] = self._camera(size)
         entity, camera = self._cameras[name, size]
