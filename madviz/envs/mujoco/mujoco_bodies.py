@@ -61,7 +61,7 @@ class MuJoCoBodies:
 def visible_scene(
     model: mujoco.MjModel, data: mujoco.MjData
 ) -> tuple[mujoco.MjvScene, list[mujoco.MjvGeom]]:
-    """The scene that MuJoCo would draw of ``data``, and the shapes in it that are not transparent."""
+    """The scene that MuJoCo would draw of ``data``, and its shapes that are not transparent."""
     scene = mujoco.MjvScene(model, MAX_GEOMS)
     everything = mujoco.mjtCatBit.mjCAT_ALL.value
     mujoco.mjv_updateScene(
