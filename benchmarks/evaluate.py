@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.render import STOCK, Frames
-from madviz.envs.registry import stock_frames
+from benchmarks.stock import stock_frames
 from madviz.errors import UserError
 from madviz.measure.episodes import FIRST_SEED, Finished, Job, Runner, one_thread
 from madviz.measure.workers import Workers, run_jobs

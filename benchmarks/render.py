@@ -15,7 +15,8 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from madviz.envs.registry import TaskName, make_env, stock_frames
+from benchmarks.stock import stock_frames
+from madviz.envs.registry import TaskName, make_env
 from madviz.errors import UserError
 from madviz.system.numbers import Count, Pixels
 

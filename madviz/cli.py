@@ -23,7 +23,7 @@ from typing import Any
 
 from madviz import __version__
 from madviz.commands import COMMANDS, MOVED, OTHERS, Command
-from madviz.errors import Interrupted, NotWritten, Unfinished, UserError, saving, signal_of, unknown
+from madviz.errors import Interrupted, NotWritten, UserError, WithResult, saving, signal_of, unknown
 from madviz.system.files import pretty, write_json, written_to
 from madviz.system.signals import terminable
 from madviz.system.streams import open_standard_streams, say, telling
@@ -160,12 +160,12 @@ def deliver(
     return result
 
 
-def worked(config: Any, work: Callable[[Any], Any]) -> tuple[Any, NotWritten | Unfinished | None]:
+def worked(config: Any, work: Callable[[Any], Any]) -> tuple[Any, WithResult | None]:
     """The result of ``work(config)``, also if some of it could not be written or is not there, and
     that error."""
     try:
         return work(config), None
-    except (NotWritten, Unfinished) as error:
+    except WithResult as error:
         return error.result, error
 
 

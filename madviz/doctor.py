@@ -107,8 +107,8 @@ def check_opengl(probe: Callable[[str], dict[str, str] | None], chosen: str = "e
 
 def mesa_version(gl_version: str) -> str:
     """``4.5 (Compatibility Profile) Mesa 25.0.7-2`` -> ``25.0.7``; '' if it is another's driver."""
-    found = re.search(r"Mesa (\d+(?:\.\d+)+)", gl_version)
-    return found[1] if found else ""
+    match = re.search(r"Mesa (\d+(?:\.\d+)+)", gl_version)
+    return match[1] if match else ""
 
 
 def probe_opengl(backend: str) -> dict[str, str] | None:
@@ -232,7 +232,7 @@ def in_words(report: Mapping[str, Any]) -> str:
         if check["fix"]:
             lines.append(f"{'':19} fix it:   {check['mend']}")
     for profile, frames in report["frames_ms"].items():
-        each = ", ".join(f"{camera} {ms:.1f} ms" for camera, ms in frames.items())
-        lines.append(f"{'frame':8} {profile:10} {each}; together {sum(frames.values()):.1f} ms")
+        times = ", ".join(f"{camera} {ms:.1f} ms" for camera, ms in frames.items())
+        lines.append(f"{'frame':8} {profile:10} {times}; together {sum(frames.values()):.1f} ms")
     lines.append("All that madviz needs is here." if report["ok"] else "Something is missing.")
     return "\n".join(lines)

@@ -19,20 +19,20 @@ class UserError(ValueError):
         super().__init__(printable(message))
 
 
-class NotWritten(UserError):
+class WithResult(UserError):
+    """A mistake or mishap after which there is a ``result`` all the same."""
+
+    def __init__(self, message: str, result: Any) -> None:
+        super().__init__(message)
+        self.result = result
+
+
+class NotWritten(WithResult):
     """A result that is there, but could not be written where it was wanted."""
 
-    def __init__(self, message: str, result: Any) -> None:
-        super().__init__(message)
-        self.result = result
 
-
-class Unfinished(UserError):
+class Unfinished(WithResult):
     """Work that stopped on the way; ``result`` is what was finished."""
-
-    def __init__(self, message: str, result: Any) -> None:
-        super().__init__(message)
-        self.result = result
 
 
 @contextmanager
@@ -85,9 +85,9 @@ def perhaps(found: str, known: Sequence[str]) -> str:
     """``; did you mean third_a?`` where ``found`` is in a name or nearly is, else ''."""
     from difflib import get_close_matches  # Only ever on the way out.
 
-    said = found.strip().lower()
-    near = [name for name in known if said and said in name.lower()]
-    near = near or [name for name in known if get_close_matches(said, _pieces(name), 1, 0.75)]
+    word = found.strip().lower()
+    near = [name for name in known if word and word in name.lower()]
+    near = near or [name for name in known if get_close_matches(word, _pieces(name), 1, 0.75)]
     meant = sorted(near, key=len)[:3]
     return f"; did you mean {' or '.join(meant)}?" if meant else ""
 

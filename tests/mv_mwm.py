@@ -54,7 +54,8 @@ def uniform(*shape: int, seed: int = 2) -> Tensor:
 
 def believed(agent: Agent, batch: int = B) -> Belief:
     rssm = net_of(agent).world.rssm
-    return rssm.observe(normal(2, batch, 64), None).detach()
+    with torch.no_grad():
+        return rssm.observe(normal(2, batch, 64), None)
 
 
 # --- The formulas ------------------------------------------------------------------------------

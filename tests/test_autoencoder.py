@@ -21,6 +21,13 @@ from benchmarks.imagine import (
     imagine_words,
     imagined,
     judged_frames,
+    psnr,
+)
+from benchmarks.pretraining import (
+    AutoencoderTraining,
+    new_autoencoder,
+    schedule,
+    train_autoencoder,
 )
 from madviz.errors import UserError
 from madviz.measure.episodes import one_thread
@@ -35,17 +42,10 @@ from madviz.world_model.autoencoder import (
     newest,
     pictures_of,
     positions,
-    psnr,
     reconstruction_loss,
     squares_of,
     symlog,
     whole_views,
-)
-from madviz.world_model.pretraining import (
-    AutoencoderTraining,
-    new_autoencoder,
-    schedule,
-    train_autoencoder,
 )
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -18,7 +18,7 @@ from madviz.errors import UserError
 from madviz.policies import checkpoint
 from madviz.policies import config as config_module
 from madviz.policies.checkpoint import describe, find_policy, load_policy, save_policy
-from madviz.policies.listing import list_everything
+from madviz.policies.listing import ListConfig, run_list
 from tests.checkpoints import edit_config, make_agent, make_config, measure, read, saved
 from tests.evidence import write_policy
 
@@ -189,7 +189,7 @@ def test_list_shows_success_of_these_weights_only_and_what_is_broken(folder, mon
     measure(folder, {"all": row})
     (folder.parent / "broken").mkdir()
     (folder.parent / "broken" / "config.json").write_text("{")
-    listed = list_everything()
+    listed = run_list(ListConfig())
     assert (
         listed["schema"] == 1 and "toy/reach" in listed["tasks"] and "three" in listed["settings"]
     )
@@ -200,13 +200,13 @@ def test_list_shows_success_of_these_weights_only_and_what_is_broken(folder, mon
     assert [b["name"] for b in listed["broken"]] == ["broken"]
     json.dumps(listed)
     save_policy(folder, make_agent(1), make_config())
-    assert list_everything()["policies"][0]["success"] == {}
+    assert run_list(ListConfig())["policies"][0]["success"] == {}
 
 
 def test_list_says_which_rows_have_no_weights(folder, monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("MADVIZ_CHECKPOINTS", str(folder.parent))
     bare = write_policy(tmp_path / "results" / "tables", {"all": 0.9}, folder="bare", episodes=10)
-    listed = list_everything()
+    listed = run_list(ListConfig())
     assert {row["name"]: row["weights"] for row in listed["policies"]}[folder.name] is True
     (row,) = [row for row in listed["without_weights"] if row["path"] == str(bare)]
     assert row["weights"] is False and row["success"]["all"]["n"] == 10
@@ -222,7 +222,7 @@ def test_list_says_which_rows_have_no_weights(folder, monkeypatch, tmp_path, cap
 
 def test_listing_needs_no_torch(folder):
     code = (
-        "import sys, madviz.policies.listing as l; l.list_everything();"
+        "import sys, madviz.policies.listing as l; l.run_list(l.ListConfig());"
         "assert 'torch' not in sys.modules"
     )
     env = {**os.environ, "MADVIZ_CHECKPOINTS": str(folder.parent)}

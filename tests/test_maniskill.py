@@ -45,7 +45,7 @@ def pixel(env: ManiSkill, camera: str, point: Array, size: int = 84) -> tuple[in
 
 def test_pictures_are_the_stock_ones_where_poses_say(push: ManiSkill) -> None:
     """Stock sensors at the same places; the wrist camera's pictures turned as the paper does."""
-    from madviz.envs.maniskill.stock import ManiSkillStock
+    from benchmarks.stock import ManiSkillStock
 
     stock, full = ManiSkillStock("push-cube", 84), ManiSkill("push-cube", "full")
     full.reset(0)
@@ -298,7 +298,7 @@ def test_the_supported_device_is_named() -> None:
 
 def test_only_who_makes_an_environment_loads_sapien() -> None:
     program = (
-        "import madviz.envs.maniskill.environment, madviz.envs.maniskill.stock, sys;"
+        "import madviz.envs.maniskill.environment, benchmarks.stock, sys;"
         "import madviz.envs.registry;"
         "print(*{'sapien', 'mani_skill', 'torch'} & set(sys.modules))"
     )

@@ -29,7 +29,7 @@ from madviz.errors import UserError
 from madviz.measure.episodes import run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies import checkpoint
-from madviz.policies.listing import list_everything
+from madviz.policies.listing import ListConfig, run_list
 from madviz.runs.demonstrations import Driver, Episode, Recorder, record_episode
 from madviz.runs.drawn_task import DrawnTask
 from madviz.runs.run_folder import RunFolder
@@ -226,7 +226,7 @@ def test_a_setting_that_is_too_small(method: str, streams: tuple[str, ...], mess
 
 
 def test_the_list_shows_what_methods_need_and_support() -> None:
-    methods = list_everything()["methods"]
+    methods = run_list(ListConfig())["methods"]
     assert set(methods) == set(METHODS)
     assert methods["vib"]["supports"] == "all streams together, or one alone"
     assert "the camera first" in methods["vib"]["needs"]

@@ -30,9 +30,9 @@ from madviz.subsets import every_mask
 from madviz.sweep.sweep import SweepConfig, run_sweep
 from madviz.training.config import RECIPES, TrainConfig, identity, resolve
 from madviz.types import Array
-from madviz.world_model.learner import Labels, WorldLearner
+from madviz.world_model.learner import WorldLearner
 from madviz.world_model.mv_mwm_options import MvMwmConfig
-from madviz.world_model.recipe import beside, demonstrated, unlabelled_before
+from madviz.world_model.recipe import beside, demonstrated
 from madviz.world_model.sizes import MvMwmOptions
 from tests.recipe_runs import last_state
 from tests.test_merges import perturb
@@ -198,9 +198,7 @@ def test_an_experts_stretches_stand_beside_those_of_the_run() -> None:
             for v, name in enumerate(STREAMS):
                 expected = episode.frames[name][shown]
                 np.testing.assert_array_equal(stretch.frames[t, b, v].numpy(), expected)
-        np.testing.assert_array_equal(
-            labels.action[:, b].numpy(), episode.labels[start : start + 5]
-        )
+        np.testing.assert_array_equal(labels[:, b].numpy(), episode.labels[start : start + 5])
         np.testing.assert_array_equal(
             stretch.action[:, b].numpy(), episode.actions[start : start + 4]
         )
@@ -208,17 +206,15 @@ def test_an_experts_stretches_stand_beside_those_of_the_run() -> None:
             stretch.reward[:, b].numpy(), episode.rewards[start : start + 4]
         )
     assert min(starts) <= 2 and max(starts) >= 18 and max(starts) <= 20
-    both = beside(stretch, stretch)
+    both = beside(stretch, replace(stretch, reward=stretch.reward + 1))
     assert both.frames.shape[1] == 60 and both.reward.shape == (4, 60)
-    after = unlabelled_before(labels, 7)
-    assert after.known.tolist() == [False] * 7 + [True] * 30
-    assert torch.equal(after.action[:, 7:], labels.action)
+    assert torch.equal(both.reward[:, 30:], stretch.reward + 1), "labels are the last samples'"
 
 
 # --- What an update reaches ---------------------------------------------------------------------
 
 
-def learner_and_stretch(config: MvMwmConfig = TINY) -> tuple[WorldLearner, Stretch, Labels]:
+def learner_and_stretch(config: MvMwmConfig = TINY) -> tuple[WorldLearner, Stretch, Tensor]:
     plan = resolve(asked(config=config))
     data = Dataset(STREAMS, 1, 25)
     data.add(record_episode(ToyReach(), STREAMS, Driver(), 4))
@@ -276,13 +272,12 @@ def test_an_imagination_begins_where_the_acting_policy_stands() -> None:
         assert torch.equal(state.unflatten(0, (-1, 6))[step], stretch.state[step])
 
 
-def test_cloning_is_the_squared_error_where_there_are_labels() -> None:
+def test_cloning_is_the_squared_error_of_the_last_samples_which_have_labels() -> None:
     learner, stretch, labels = learner_and_stretch()
-    some = replace(labels, known=torch.tensor([1, 0, 0, 1, 1, 0]).bool())
     belief, state = learner._starts(learner._window(stretch))
-    found = learner._cloning_loss(belief, state, some).item()
+    found = learner._cloning_loss(belief, state, labels[:, 2:]).item()
     middle = torch.tanh(learner.actor(belief.feature, state)[0]).detach().unflatten(0, (3, 6))
-    errors = (middle.numpy() - labels.action.numpy())[:, [0, 3, 4]] ** 2
+    errors = (middle.numpy() - labels.numpy())[:, 2:] ** 2
     assert found == pytest.approx(errors.mean(), rel=1e-5)
 
 

@@ -93,8 +93,8 @@ def test_lanes_in_processes_are_the_environments_themselves() -> None:
                 for lane, env in enumerate(alone):
                     now = env.step(actions[lane])
                     np.testing.assert_array_equal(envs.board["state"][lane], now.state)
-                    assert envs.board["reward"][lane, 0] == np.float32(now.reward)
-                    assert envs.board["last"][lane, 0] == (step == 24)
+                    assert envs.board["reward"][lane] == np.float32(now.reward)
+                    assert envs.board["last"][lane] == (step == 24)
                     first, depth, third = envs.frames(lane)
                     np.testing.assert_array_equal(first, env.view("first").rgb)
                     np.testing.assert_array_equal(third, env.view("third_b").rgb)

@@ -9,15 +9,24 @@ import numpy as np
 from madviz.errors import UserError
 from madviz.types import Array, CameraSpec
 
+MAX_SIZE = 512
+"""The largest view in pixels; the page needs no more."""
+
 
 def check_action(action: Array, action_dim: int) -> None:
     """Raises UserError unless ``action`` is (A,) and finite; every environment calls it first."""
-    found = np.asarray(action)
-    if found.shape != (action_dim,) or not np.isfinite(found).all():
+    numbers = np.asarray(action)
+    if numbers.shape != (action_dim,) or not np.isfinite(numbers).all():
         raise UserError(
-            f"expected a finite action of {action_dim} numbers in [-1, 1], found {found.tolist()}; "
-            "the policy that produced it is broken: reset, or pick another"
+            f"expected a finite action of {action_dim} numbers in [-1, 1], found "
+            f"{numbers.tolist()}; the policy that produced it is broken: reset, or pick another"
         )
+
+
+def check_size(size: int) -> None:
+    """Raises UserError for a view that cannot be drawn; ``size`` in pixels."""
+    if not 1 <= size <= MAX_SIZE:
+        raise UserError(f"a view must have 1 to {MAX_SIZE} pixels a side, found {size}")
 
 
 def resized_cameras(

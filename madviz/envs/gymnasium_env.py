@@ -55,7 +55,6 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
         self._cameras: tuple[CameraSpec, ...] = self._world.spec.cameras
         self._depth = depth
         self._flat = flat
-        self._step = 0
         self.render_mode = render_mode
         self.task = task
         self.task_description = facts.instruction
@@ -69,13 +68,11 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
         """Begins the episode of ``seed``; of none, of one that is drawn."""
         super().reset(seed=seed)
         number = int(self.np_random.integers(SEEDS)) if seed is None else seed % SEEDS
-        self._step = 0
         return self._observed(self._world.reset(number))
 
     def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One decision; the episode is cut off at its horizon."""
         moment = self._world.step(np.asarray(action, np.float32))
-        self._step += 1
         observation, info = self._observed(moment)
         return observation, float(moment.reward), False, moment.last, info
 
@@ -83,7 +80,9 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
         """All cameras beside each other, (H, 3 W, 3) uint8; None where nobody asked for it."""
         if self.render_mode is None:
             return None
-        return np.concatenate([self._world.view(one.name).rgb for one in self._cameras], axis=1)
+        return np.concatenate(
+            [self._world.view(camera.name).rgb for camera in self._cameras], axis=1
+        )
 
     def close(self) -> None:
         """Frees what the simulator and the renderer hold."""
@@ -125,7 +124,7 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
 def flattened(parts: Observation) -> Observation:
     """``{pixels: {first}, depth: {first}}`` -> ``{first, first_depth}``."""
     flat: Observation = dict(parts["pixels"])
-    flat.update({f"{name}_depth": each for name, each in parts.get("depth", {}).items()})
+    flat.update({f"{name}_depth": picture for name, picture in parts.get("depth", {}).items()})
     return {**flat, "agent_pos": parts["agent_pos"]}
 
 

@@ -19,7 +19,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, get_args
+from typing import Annotated, Literal, Protocol, get_args
 
 from madviz.envs import custom
 from madviz.envs.cameras import read_cameras
@@ -46,11 +46,7 @@ class SuiteEnvironment(Protocol):
     ) -> Environment: ...
 
     def describe(self, task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> EnvSpec:
-        """The facts of an environment, without building it."""
-        ...
-
-    def own_cameras(self, task: str) -> tuple[CameraSpec, ...]:
-        """Those that ``task`` has where nobody gives others."""
+        """The facts of an environment, without building it; ``cameras`` may be empty: its own."""
         ...
 
 
@@ -61,27 +57,16 @@ class Suite:
     tasks: tuple[str, ...]
     environment: str
     """``module:class`` of its ``SuiteEnvironment``."""
-    stock: str = ""
-    """``module:class`` that draws its tasks as the simulator's users do, to be measured against."""
     shared: tuple[str, ...] = ()
     """Modules that take seconds to import and open no device, so that a process can be forked after
     it; simulations then share them."""
 
-    def load(self) -> SuiteEnvironment:
-        """The class of its environments."""
-        return load(self.environment)
-
 
 SUITES = {
-    "metaworld": Suite(
-        METAWORLD_TASKS,
-        "madviz.envs.metaworld.environment:MetaWorld",
-        "madviz.envs.metaworld.stock:MetaWorldStock",
-    ),
+    "metaworld": Suite(METAWORLD_TASKS, "madviz.envs.metaworld.environment:MetaWorld"),
     "maniskill": Suite(
         MANISKILL_TASKS,
         "madviz.envs.maniskill.environment:ManiSkill",
-        "madviz.envs.maniskill.stock:ManiSkillStock",
         shared=("mani_skill.envs.tasks.tabletop",),
     ),
     "toy": Suite(("reach",), "madviz.envs.toy:ToyReach"),
@@ -159,13 +144,14 @@ def setting_cameras(task: str, name: str) -> tuple[CameraSpec, ...]:
 
     Raises UserError for unknown names, and where the suite has no cameras for that setting.
     """
-    own, placed = _suite_cameras(task)
+    own = env_spec(task).cameras
+    placed = {} if custom.is_own(task) else _suite(task)[0].setting_cameras
     wanted = setting(name)
     if not _has(name, own, placed):
-        known = ", ".join(each for each in SETTINGS if _has(each, own, placed))
+        known = ", ".join(other for other in SETTINGS if _has(other, own, placed))
         raise UserError(f"{task} has no cameras for the setting {name!r}; known there: {known}")
-    found = {camera.name: camera for camera in (*own, *placed.get(name, ()))}
-    cameras = tuple(found[camera] for camera in wanted.cameras)
+    named = {camera.name: camera for camera in (*own, *placed.get(name, ()))}
+    cameras = tuple(named[camera] for camera in wanted.cameras)
     if wanted.sizes:
         sized = zip(cameras, wanted.sizes, strict=True)
         return tuple(replace(camera, size=size) for camera, size in sized)
@@ -190,7 +176,7 @@ def choose(
     Raises UserError for unknown names and bad files."""
     if file is None and not (custom.is_own(task) and setting(name).usual):
         return setting(name), setting_cameras(task, name)
-    cameras = read_cameras(file) if file else _suite_cameras(task)[0]
+    cameras = read_cameras(file) if file else env_spec(task).cameras
     return Setting(tuple(c.name for c in cameras), setting(name).modalities), cameras
 
 
@@ -203,21 +189,16 @@ def sees(env: EnvSpec, cameras: tuple[CameraSpec, ...]) -> bool:
     return all(drawn.get(camera.name) == replace(camera, label="") for camera in cameras)
 
 
-def _suite_cameras(
-    task: str,
-) -> tuple[tuple[CameraSpec, ...], Mapping[str, tuple[CameraSpec, ...]]]:
-    """A suite's own cameras, and by setting those that are added or stand elsewhere."""
-    check_task(task)
-    _draw_without_a_display()
-    if custom.is_own(task):
-        return custom.own_spec(task).cameras, {}
+def _suite(task: str) -> tuple[SuiteEnvironment, str]:
+    """The class of a suite's environments, and the name of ``task`` there."""
     suite, name = task.split("/")
-    environment = SUITES[suite].load()
-    return environment.own_cameras(name), environment.setting_cameras
+    return load(SUITES[suite].environment), name
 
 
-def _draw_without_a_display() -> None:
-    """MuJoCo chooses its OpenGL while it is imported; its own choice on Linux needs a display."""
+def _prepare(task: str) -> None:
+    """Raises UserError for a task that cannot be made here. MuJoCo chooses its OpenGL while it is
+    imported, and its own choice on Linux needs a display."""
+    check_task(task)
     if sys.platform == "linux":
         os.environ.setdefault("MUJOCO_GL", "egl")
 
@@ -227,12 +208,11 @@ def env_spec(
 ) -> EnvSpec:
     """The ``spec`` of the environment that ``make_env`` would build, without building it; one of
     your own is built once. Raises UserError for unknown names."""
-    check_task(task)
-    _draw_without_a_display()
+    _prepare(task)
     if custom.is_own(task):
         return custom.own_spec(task)
-    suite, name = task.split("/")
-    return SUITES[suite].load().describe(name, render_profile, cameras)
+    environment, name = _suite(task)
+    return environment.describe(name, render_profile, cameras)
 
 
 def make_env(
@@ -249,22 +229,14 @@ def make_env(
     """
     if render_profile not in get_args(RenderProfile):
         raise unknown("render profile", render_profile, list(get_args(RenderProfile)))
-    check_task(task)
-    _draw_without_a_display()
+    _prepare(task)
     if custom.is_own(task):
         return custom.make_own(task, render_profile, cameras)
-    suite, name = task.split("/")
-    return SUITES[suite].load()(name, render_profile, cameras)
+    environment, name = _suite(task)
+    return environment(name, render_profile, cameras)
 
 
 def shared_imports(task: str) -> tuple[str, ...]:
     """The modules that processes that simulate ``task`` can share, see ``Suite.shared``."""
     suite = SUITES.get(task.partition("/")[0])
     return suite.shared if suite else ()
-
-
-def stock_frames(task: str, size: int) -> Any:
-    """``task`` drawn as its simulator's users draw it, in ``size`` pixels: ``step``, ``draw``,
-    ``flags`` and ``close``. For Meta-World and ManiSkill."""
-    suite, name = task.split("/")
-    return load(SUITES[suite].stock)(name, size)

@@ -52,11 +52,6 @@ class ToyReach(PlacedCameras):
     setting_cameras: Mapping[str, tuple[CameraSpec, ...]] = {}
 
     @staticmethod
-    def own_cameras(task: str) -> tuple[CameraSpec, ...]:
-        """The three, for any task."""
-        return CAMERAS
-
-    @staticmethod
     def describe(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> EnvSpec:
         """The facts of ``task``; ``render_profile`` makes no difference."""
         return EnvSpec(
@@ -114,7 +109,8 @@ class ToyReach(PlacedCameras):
         _paint_table(rgb, x, y)
         for centre, (radius, height), colour in self._discs():
             inside = (x - centre[0]) ** 2 + (y - centre[1]) ** 2 < radius**2
-            rgb[inside], depth[inside] = colour, top - height
+            rgb[inside] = colour
+            depth[inside] = top - height
         return View(rgb, depth)
 
     def in_world(self, camera: CameraSpec) -> tuple[Array, Rotation]:
@@ -128,7 +124,8 @@ class ToyReach(PlacedCameras):
 
     def body_poses(self) -> Array:
         poses = np.tile(np.array([0, 0, 0, 1, 0, 0, 0], np.float32), (len(_bodies()), 1))
-        poses[0, :2], poses[1, :2] = self._target, self._hand
+        poses[0, :2] = self._target
+        poses[1, :2] = self._hand
         return poses
 
     def hand(self) -> Array:
@@ -172,7 +169,8 @@ class ToyReach(PlacedCameras):
                 hit = (away > 0) & (away < depth)
             if centre is not None:
                 hit &= (x - centre[0]) ** 2 + (y - centre[1]) ** 2 < radius**2
-            rgb[hit], depth[hit] = colour, away[hit]
+            rgb[hit] = colour
+            depth[hit] = away[hit]
             if centre is None:
                 table = rgb[hit][None]
                 _paint_table(table, x[hit][None], y[hit][None])

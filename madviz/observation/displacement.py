@@ -88,21 +88,21 @@ class Displacement:
     def key(self) -> str:
         """The differences, for a name: ``moved,right=0.1``."""
         plain = asdict(Displacement())
-        found = {name: value for name, value in asdict(self).items() if value != plain[name]}
-        return "moved" + "".join(f",{name}={value:g}" for name, value in found.items())
+        changed = {name: value for name, value in asdict(self).items() if value != plain[name]}
+        return "moved" + "".join(f",{name}={value:g}" for name, value in changed.items())
 
     def words(self) -> str:
         """``0.10 m to the right, turned left 5°``."""
-        said = []
+        parts = []
         for name, (ahead, back, unit) in _WORDS.items():
             value = getattr(self, name)
             size = f"{abs(value):.2f}{unit}" if unit == " m" else f"{abs(value):g}{unit}"
             if value:
                 word = ahead if value > 0 else back
-                said.append(f"{word} {size}" if unit == "°" else f"{size} {word}")
+                parts.append(f"{word} {size}" if unit == "°" else f"{size} {word}")
         if self.zoom != 1:
-            said.append(f"zoomed {'in' if self.zoom > 1 else 'out'} to {self.zoom:.2f}")
-        return ", ".join(said) or "in its place"
+            parts.append(f"zoomed {'in' if self.zoom > 1 else 'out'} to {self.zoom:.2f}")
+        return ", ".join(parts) or "in its place"
 
 
 Moves = tuple[tuple[str, Displacement], ...]

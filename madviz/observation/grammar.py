@@ -63,10 +63,10 @@ def parse_failure(word: str) -> CameraFailure:
     """``first=noise:0.5@10-18`` and the other forms of the module. Raises UserError."""
     if old := _OLD.fullmatch(word):
         return _old_spelling(word, *old.groups())
-    found = _FAILURE.fullmatch(word)
-    if found is None:
+    match = _FAILURE.fullmatch(word)
+    if match is None:
         raise UserError(f"expected a failure such as {HOW}; found {word!r:.60}")
-    camera, what, begin, end = found.groups()
+    camera, what, begin, end = match.groups()
     return CameraFailure(
         camera, parse_what(what or DROPPED), int(begin or 0), int(end) if end else None
     )
@@ -95,7 +95,7 @@ def parse_what(what: str) -> Occlusion | None:
 def parse_occlusions(words: Iterable[str]) -> dict[str, Occlusion]:
     """Occlusions by camera for whole episodes, as an evaluation has them. Raises UserError, also
     for cameras that are dropped and for failures that begin or end in mid-episode."""
-    found = {}
+    occlusions = {}
     for word in words:
         failure = parse_failure(word)
         if failure.occlusion is None:
@@ -108,12 +108,12 @@ def parse_occlusions(words: Iterable[str]) -> dict[str, Occlusion]:
                 f"expected a failure for whole episodes, found steps in {word!r}; leave out what "
                 "follows the @, or use madviz record --drop"
             )
-        if failure.camera in found:
+        if failure.camera in occlusions:
             raise UserError(
                 f"expected every camera occluded once, found {failure.camera!r} twice; drop one"
             )
-        found[failure.camera] = failure.occlusion
-    return found
+        occlusions[failure.camera] = failure.occlusion
+    return occlusions
 
 
 def parse_condition(word: str, cameras: Sequence[str]) -> Condition:

@@ -196,10 +196,10 @@ ScenarioName = Annotated[str, Listed("scenarios", lambda: [one.name for one in S
 
 def scenario(name: str) -> Scenario:
     """The scenario called ``name``. Raises UserError listing the known ones."""
-    for one in SCENARIOS:
-        if one.name == name:
-            return one
-    raise unknown("scenario", name, [one.name for one in SCENARIOS])
+    table = {scenario.name: scenario for scenario in SCENARIOS}
+    if name not in table:
+        raise unknown("scenario", name, list(table))
+    return table[name]
 
 
 def reached(schedule: Schedule, step: int, cameras: Sequence[str]) -> Schedule:

@@ -54,6 +54,11 @@ def stream_frame(view: View, stream: str, env: EnvSpec, size: int = IMAGE_SIZE) 
     return frame
 
 
+def channels_of(stream: str) -> int:
+    """C of a stream's frame: 3 for colour, 1 for depth."""
+    return 1 if modality_of(stream) == "depth" else 3
+
+
 def to_channels(frame: Array) -> Array:
     """(H, W, C) -> (3, H, W); one channel of depth becomes three equal ones."""
     return np.ascontiguousarray(np.broadcast_to(frame, (*frame.shape[:2], 3)).transpose(2, 0, 1))

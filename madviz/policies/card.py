@@ -31,15 +31,15 @@ def write_card(folder: str | Path) -> Path:
 
 def card_text(folder: str | Path) -> str:
     """The text of card.md for ``folder``."""
-    found = checkpoint.describe(folder)
-    measured = (found.path / checkpoint.EVALUATION).is_file()
-    evaluation = checkpoint.own_evaluation(found) if measured else None
+    policy = checkpoint.describe(folder)
+    measured = (policy.path / checkpoint.EVALUATION).is_file()
+    evaluation = checkpoint.own_evaluation(policy) if measured else None
     sections = [
-        _head(found.config),
-        _success(evaluation, found.spec.name),
-        _inputs(found.config),
-        _training(found.config.training, found.path.name),
-        f"Digest of weights and config: `{found.spec.digest}`.",
+        _head(policy.config),
+        _success(evaluation, policy.spec.name),
+        _inputs(policy.config),
+        _training(policy.config.training, policy.path.name),
+        f"Digest of weights and config: `{policy.spec.digest}`.",
         "Generated from `config.json` and `evaluation.json` by `madviz eval --card`; not edited.",
     ]
     return "\n\n".join(sections) + "\n"

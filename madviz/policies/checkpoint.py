@@ -125,16 +125,16 @@ PolicyName = Annotated[str, Listed("policies", policy_folders)]
 def measured_folders() -> dict[str, Path]:
     """Policies of which only the measured figures are here, no weights; by name."""
     tables = [results_beside(root) / "tables" for root in policy_roots()]
-    found = _by_name(list(dict.fromkeys(tables)))
-    return {name: path for name, path in found.items() if not (path / WEIGHTS).is_file()}
+    folders = _by_name(list(dict.fromkeys(tables)))
+    return {name: path for name, path in folders.items() if not (path / WEIGHTS).is_file()}
 
 
 def _by_name(roots: Sequence[Path]) -> dict[str, Path]:
-    found: dict[str, Path] = {}
+    folders: dict[str, Path] = {}
     for root in roots:
         for config in sorted(root.glob(f"*/{CONFIG}")):
-            found.setdefault(config.parent.name, config.parent)
-    return found
+            folders.setdefault(config.parent.name, config.parent)
+    return folders
 
 
 def find_policy(policy: str | Path) -> Path:

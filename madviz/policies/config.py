@@ -300,5 +300,5 @@ def _hardware() -> str:
 def _versions() -> dict[str, str]:
     packages = ("madviz", "numpy", "torch", "mujoco", "metaworld", "opencv-python")
     installed = {d.metadata["Name"] for d in metadata.distributions()}
-    found = {name: metadata.version(name) for name in packages if name in installed}
-    return {"python": platform.python_version()} | found
+    versions = {name: metadata.version(name) for name in packages if name in installed}
+    return {"python": platform.python_version()} | versions

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TypedDict
 
 from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import METHODS
@@ -75,8 +75,8 @@ class MergeRow(TypedDict):
     supports: str
 
 
-class Everything(TypedDict):
-    """The document that ``madviz list --json`` prints."""
+class Catalogue(TypedDict):
+    """The document that ``madviz list --json`` writes."""
 
     schema: int
     tasks: list[str]
@@ -88,39 +88,48 @@ class Everything(TypedDict):
     without_weights: list[PolicyRow]
     """Those of which only what was measured is here."""
     broken: list[BrokenRow]
+    all: bool
+    """Whether the text names ``without_weights``."""
 
 
 def list_policies() -> tuple[list[PolicyRow], list[BrokenRow]]:
     """Every policy that can act, with its shipped success; and those that are broken, why."""
-    policies: list[PolicyRow] = []
-    broken: list[BrokenRow] = []
-    for name, path in checkpoint.policy_folders().items():
-        try:
-            folder = checkpoint.describe(path)
-            shipped = checkpoint.shipped_evaluation(path)
-            policies.append(_row(name, path, folder.config, folder.spec.digest, shipped, True))
-        except UserError as error:
-            broken.append({"name": name, "path": str(path), "error": str(error)})
-    return policies, broken
+    return _listed(checkpoint.policy_folders(), _acting_row)
 
 
 def list_measured() -> tuple[list[PolicyRow], list[BrokenRow]]:
     """Policies without weights, as they were measured; and those that are broken, why."""
+    return _listed(checkpoint.measured_folders(), _measured_row)
+
+
+def _listed(
+    folders: Mapping[str, Path], row: Callable[[str, Path], PolicyRow]
+) -> tuple[list[PolicyRow], list[BrokenRow]]:
     rows: list[PolicyRow] = []
     broken: list[BrokenRow] = []
-    for name, path in checkpoint.measured_folders().items():
+    for name, path in folders.items():
         try:
-            config, _ = read_config(path / checkpoint.CONFIG)
-            file = path / checkpoint.EVALUATION
-            measured = as_evaluation(read_json(file), file)
-            rows.append(_row(name, path, config, measured["digest"], measured, False))
+            rows.append(row(name, path))
         except UserError as error:
             broken.append({"name": name, "path": str(path), "error": str(error)})
     return rows, broken
 
 
-def list_everything() -> Everything:
-    """The document that ``madviz list --json`` prints; a method ``supports`` what its own merge
+def _acting_row(name: str, path: Path) -> PolicyRow:
+    folder = checkpoint.describe(path)
+    shipped = checkpoint.shipped_evaluation(path)
+    return _row(name, path, folder.config, folder.spec.digest, shipped, True)
+
+
+def _measured_row(name: str, path: Path) -> PolicyRow:
+    config, _ = read_config(path / checkpoint.CONFIG)
+    file = path / checkpoint.EVALUATION
+    measured = as_evaluation(read_json(file), file)
+    return _row(name, path, config, measured["digest"], measured, False)
+
+
+def run_list(config: ListConfig) -> Catalogue:
+    """The document that ``madviz list --json`` writes; a method ``supports`` what its own merge
     does."""
     policies, broken = list_policies()
     measured, broken_too = list_measured()
@@ -142,6 +151,7 @@ def list_everything() -> Everything:
         "policies": policies,
         "without_weights": measured,
         "broken": [*broken, *broken_too],
+        "all": config.all,
     }
 
 
@@ -174,13 +184,13 @@ def _row(
     }
 
 
-def catalogue(listed: dict[str, Any]) -> str:
+def catalogue(listed: Catalogue) -> str:
     """The list as lines; a policy's line carries its success with all its cameras, if it was
     measured."""
     lines = ["tasks:", *_by_suite(listed["tasks"]), "settings, and what a policy sees in them:"]
     lines += [f"  {name:17} {', '.join(SETTINGS[name].streams)}" for name in listed["settings"]]
     lines.append("methods:")
-    lines += [f"  {name:17} {about['summary']}" for name, about in listed["methods"].items()]
+    lines += [f"  {name:17} {method['summary']}" for name, method in listed["methods"].items()]
     policies = listed["policies"]
     bare = listed["without_weights"]
     lines.append("policies, and their success with all their cameras:" if policies else NO_POLICY)
@@ -190,7 +200,7 @@ def catalogue(listed: dict[str, Any]) -> str:
         lines += [_policy_line(policy) for policy in bare]
     elif bare:
         lines.append(f"{len(bare)} more have no weights here: `madviz list --all`")
-    lines += [f"  {each['name']:45} broken: {each['error']}" for each in listed["broken"]]
+    lines += [f"  {row['name']:45} broken: {row['error']}" for row in listed["broken"]]
     return "\n".join(lines)
 
 
@@ -211,9 +221,3 @@ def _policy_line(policy: PolicyRow) -> str:
         f"  {policy['name']:45} {policy['camera'] or 'all':8} {whole['success']:.2f} "
         f"[{low:.2f}, {high:.2f}] n={whole['n']}, {policy['seeds']} seeds"
     )
-
-
-def run_list(config: ListConfig) -> dict[str, Any]:
-    """The document that ``madviz list --json`` writes; ``all``: whether the text names
-    ``without_weights``."""
-    return {**list_everything(), "all": config.all}

@@ -75,9 +75,9 @@ def load_sb3(policy: str) -> Sb3Policy:
         )
         made.load_state_dict(parameters["policy"])
     except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError) as error:
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise UserError(
-            f"{file}: expected a policy of Stable-Baselines3, found: {said:.200}"
+            f"{file}: expected a policy of Stable-Baselines3, found: {reason:.200}"
         ) from error
     return Sb3Policy(made, task, file)
 

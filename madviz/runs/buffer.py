@@ -30,7 +30,7 @@ from torch import Tensor
 
 from madviz.agent.objectives import Batch
 from madviz.errors import UserError
-from madviz.observation.streams import IMAGE_SIZE
+from madviz.observation.streams import IMAGE_SIZE, channels_of
 from madviz.runs import buffer_storage
 from madviz.runs.buffer_device import DeviceFrames
 from madviz.runs.buffer_storage import (
@@ -40,7 +40,6 @@ from madviz.runs.buffer_storage import (
     PackedFrames,
     PlainFrames,
 )
-from madviz.subsets import modality_of
 from madviz.system.files import replacing
 from madviz.types import Array
 
@@ -82,13 +81,13 @@ class BufferSpec:
     @property
     def rows(self) -> int:
         """Time steps in the ring; a stack reaches ``frame_stack`` - 1 rows back."""
-        each = -(-self.capacity // self.lanes)
-        return self.lanes * (each + -(-each // self.horizon) + self.frame_stack)
+        in_lane = -(-self.capacity // self.lanes)
+        return self.lanes * (in_lane + -(-in_lane // self.horizon) + self.frame_stack)
 
     @property
     def channels(self) -> tuple[int, ...]:
         """Channels of a stored frame, per stream: 3 for colour, 1 for depth."""
-        return tuple(1 if modality_of(stream) == "depth" else 3 for stream in self.streams)
+        return tuple(map(channels_of, self.streams))
 
     @property
     def bytes_per_row(self) -> int:
@@ -215,7 +214,9 @@ class ReplayBuffer:
         if self._count > self._saved:
             name = f"part-{start:09d}-{self._count:09d}.npz"
             numbers = range(start, self._count)
-            columns = {key: column[self._row(np.array(numbers))] for key, column in self._columns}
+            columns = {
+                key: column[self._row(np.array(numbers))] for key, column in self._numbers.items()
+            }
             for v in range(len(self.spec.streams)):
                 frames = self._frames.read(v, numbers)
                 pack = Pack.of(np.stack([frames[number] for number in numbers])).arrays()
@@ -233,7 +234,7 @@ class ReplayBuffer:
             start, stop = _span(name)
             rows = self._row(np.arange(start, stop))
             with np.load(folder / name) as part:
-                for key, column in self._columns:
+                for key, column in self._numbers.items():
                     column[rows] = part[key]
                 self._restore_frames(part, range(start, stop))
             self._count = stop
@@ -261,7 +262,7 @@ class ReplayBuffer:
     @property
     def bytes_held(self) -> int:
         """Bytes that all that is stored takes now."""
-        return self._frames.bytes_held + sum(column.nbytes for _, column in self._columns)
+        return self._frames.bytes_held + sum(column.nbytes for column in self._numbers.values())
 
     @property
     def packed_bytes_per_row(self) -> float:
@@ -269,10 +270,6 @@ class ReplayBuffer:
         assert isinstance(self._frames, PackedFrames)
         size, count = self._frames.bytes_packed
         return size / count if count else float("nan")
-
-    @property
-    def _columns(self) -> list[tuple[str, Array]]:
-        return list(self._numbers.items())
 
     @property
     def _oldest(self) -> int:
@@ -302,15 +299,15 @@ class ReplayBuffer:
     def draw(self, size: int, rng: np.random.Generator, ahead: int = 1) -> Array:
         """(size,) numbers of time steps at which a transition begins, for ``batch``, or ``ahead``
         of them in one episode, for ``stretch``. Raises ValueError where there are none."""
-        found: list[int] = []
+        drawn: list[int] = []
         every = range(self._oldest, self._count)
-        while len(found) < size:
+        while len(drawn) < size:
             index = rng.integers(every.start, every.stop, size) if every else np.arange(0)
-            found += index[self._goes_far(index, ahead)].tolist()
+            drawn += index[self._goes_far(index, ahead)].tolist()
             # All are looked at only where none of those drawn will do: 500,000 take 10 ms.
-            if not found and not self._goes_far(np.arange(every.start, every.stop), ahead).any():
+            if not drawn and not self._goes_far(np.arange(every.start, every.stop), ahead).any():
                 raise ValueError(f"expected {ahead} transitions in a row in the buffer, found none")
-        return np.array(found[:size])
+        return np.array(drawn[:size])
 
     def _goes_far(self, index: Array, ahead: int) -> Array:
         """Whether ``ahead`` transitions follow each other from these time steps on."""

@@ -144,12 +144,12 @@ class Pack:
     def frames(self, places: Iterable[int]) -> list[Array]:
         """The frames (H, W, C) at ``places`` below n."""
         unpacker = zstandard.ZstdDecompressor(dict_data=self._dictionary)
-        found = []
+        unpacked = []
         for place in places:
             start = int(self._ends[place - 1]) if place else 0
             raw = unpacker.decompress(self._data[start : int(self._ends[place])])
-            found.append(np.frombuffer(raw, np.uint8).reshape(self._shape))
-        return found
+            unpacked.append(np.frombuffer(raw, np.uint8).reshape(self._shape))
+        return unpacked
 
     def __len__(self) -> int:
         return len(self._ends)

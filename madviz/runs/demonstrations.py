@@ -37,6 +37,8 @@ from madviz.types import Array, Environment, KnowsPlaces, Policy
 
 COLUMNS = ("states", "actions", "labels", "rewards", "places")
 """The columns of an episode, a row for each decision, besides its frames."""
+FRAMES = "frames."
+"""The beginning of a stream's name among an episode's columns."""
 LASTING = 0.8
 """Share of the added noise that stays from one decision to the next: half of it for 3 decisions."""
 
@@ -63,23 +65,24 @@ class Episode:
     success: bool
     """At the last step."""
 
+    def rows(self) -> dict[str, Array]:
+        """Everything that has T rows, by name: ``frames.first`` and the others, and ``COLUMNS``."""
+        frames = {f"{FRAMES}{stream}": frames for stream, frames in self.frames.items()}
+        return frames | {name: getattr(self, name) for name in COLUMNS}
+
     def save(self, file: Path) -> None:
         """One uncompressed archive, whole or not at all."""
-        streams = {f"frames.{name}": frames for name, frames in self.frames.items()}
-        rest = {k: getattr(self, k) for k in (*COLUMNS, "success")}
         with replacing(file) as part:
-            np.savez(part, allow_pickle=False, **streams, **rest)
+            np.savez(part, allow_pickle=False, **self.rows(), success=self.success)
 
     @staticmethod
     def load(file: Path) -> Episode:
         with np.load(file, allow_pickle=False) as archive:
-            frames = {
-                key.removeprefix("frames."): archive[key]
-                for key in archive.files
-                if key.startswith("frames.")
-            }
-            rest = {k: archive[k] for k in COLUMNS}
-            return Episode(frames, **rest, success=bool(archive["success"]))
+            rows = dict(archive)
+        success = bool(rows.pop("success"))
+        columns = {name: rows.pop(name) for name in COLUMNS}
+        frames = {name.removeprefix(FRAMES): row for name, row in rows.items()}
+        return Episode(frames, **columns, success=success)
 
 
 @dataclass(frozen=True)
@@ -150,8 +153,8 @@ class Dataset:
         self.horizon = horizon
         self.episodes = 0
         self._capacity = capacity
-        self._frames: dict[str, Array] = {}
-        self._rest: dict[str, Array] = {}
+        self._rows: dict[str, Array] = {}
+        """By name, as ``Episode.rows``."""
 
     def __len__(self) -> int:
         return self.episodes * self.horizon
@@ -159,26 +162,21 @@ class Dataset:
     def add(self, episode: Episode) -> None:
         """Copies an episode in. The arrays are allocated at the first one; untouched pages of them
         cost no memory."""
-        rest = {k: getattr(episode, k) for k in COLUMNS}
-        if not self._rest:
-            size = self._capacity * self.horizon
-            self._frames = {
-                s: np.empty((size, *f.shape[1:]), f.dtype) for s, f in episode.frames.items()
-            }
-            self._rest = {k: np.empty((size, *v.shape[1:]), v.dtype) for k, v in rest.items()}
-        rows = slice(len(self), len(self) + self.horizon)
-        for table, source in ((self._frames, episode.frames), (self._rest, rest)):
-            for key, values in source.items():
-                table[key][rows] = values
+        size = self._capacity * self.horizon
+        for name, rows in episode.rows().items():
+            if name not in self._rows:
+                self._rows[name] = np.empty((size, *rows.shape[1:]), rows.dtype)
+            self._rows[name][len(self) : len(self) + self.horizon] = rows
         self.episodes += 1
 
     def views(self, index: Array, length: int = 3) -> Tensor:
         """(B,) decisions -> (B, V, 3 x length, H, W) uint8; stacks never reach over a start."""
-        start = index - index % self.horizon
-        back = np.maximum(index[:, None] - np.arange(length - 1, -1, -1), start[:, None])
+        start = index - index % self.horizon  # (B,)
+        back = index[:, None] - np.arange(length - 1, -1, -1)  # (B, length), oldest first
+        back = np.maximum(back, start[:, None])
         stacks = []
         for stream in self.streams:
-            frames = self._frames[stream][back]  # (B, length, C, H, W)
+            frames = self._rows[f"{FRAMES}{stream}"][back]  # (B, length, C, H, W)
             if frames.shape[2] == 1:
                 frames = np.broadcast_to(frames, (*frames.shape[:2], 3, *frames.shape[3:]))
             stacks.append(frames.reshape(len(index), 3 * length, *frames.shape[3:]))
@@ -192,7 +190,7 @@ class Dataset:
 
     def column(self, name: str, index: Array) -> Tensor:
         """Rows of one of ``COLUMNS``."""
-        return torch.from_numpy(self._rest[name][index])
+        return torch.from_numpy(self._rows[name][index])
 
 
 @lru_cache(maxsize=1)

@@ -115,7 +115,7 @@ def advance(
     last = bool(envs.board["last"].all())
     discount = run.discount_of(last)
     for lane in lanes:
-        reward = float(envs.board["reward"][lane, 0])
+        reward = float(envs.board["reward"][lane])
         state = envs.board["state"][lane]
         run.buffer.add(actions[lane], reward, discount, state, envs.frames(lane))
     run.step += envs.lanes

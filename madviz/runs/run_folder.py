@@ -58,7 +58,7 @@ def alone_in(path: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            if [one.name for one in resume.iterdir()] == [LOCK]:
+            if [file.name for file in resume.iterdir()] == [LOCK]:
                 shutil.rmtree(resume)
                 if not any(path.iterdir()):
                     path.rmdir()
@@ -136,16 +136,16 @@ class RunFolder:
     def finish(self) -> None:
         """The run is over: removes what only a run that goes on needs."""
         self._over.touch()
-        for one in self.resume.iterdir():
-            if one.is_dir():
-                shutil.rmtree(one)
-            elif one.name not in (FINISHED, LOCK, "run.json"):
-                one.unlink()
+        for file in self.resume.iterdir():
+            if file.is_dir():
+                shutil.rmtree(file)
+            elif file.name not in (FINISHED, LOCK, "run.json"):
+                file.unlink()
 
     def forget(self) -> None:
         """Takes back a run that never began, of which there is nothing but its configuration: it
         must not stand in the way of the command without the mistake."""
-        if {one.name for one in self.resume.iterdir()} <= {"run.json", LOCK}:
+        if {file.name for file in self.resume.iterdir()} <= {"run.json", LOCK}:
             (self.resume / "run.json").unlink()
 
     def save_state(self, state: dict[str, Any]) -> None:
@@ -155,8 +155,8 @@ class RunFolder:
             try:
                 torch.save(state, part)
             except RuntimeError as error:
-                said = str(error).splitlines()[0]
-                raise OSError(errno.EIO, f"not written ({said:.80})", str(file)) from error
+                reason = str(error).splitlines()[0]
+                raise OSError(errno.EIO, f"not written ({reason:.80})", str(file)) from error
 
     def load_state(self) -> dict[str, Any] | None:
         """The last whole state, in this computer's memory; None for a new run. Never unpickles
@@ -247,6 +247,6 @@ def changes(before: Any, now: Any, name: str = "") -> list[str]:
 
 def _short(value: Any) -> str:
     if isinstance(value, list | dict):
-        names = [each.get("name", "?") if isinstance(each, dict) else str(each) for each in value]
+        names = [item.get("name", "?") if isinstance(item, dict) else str(item) for item in value]
         return f"[{', '.join(names)}]"
     return repr(value)

@@ -29,9 +29,8 @@ from madviz.errors import UserError
 from madviz.measure.episodes import Stopped, one_thread, run_episode
 from madviz.measure.store import EpisodeResult
 from madviz.observation.ablation import Ablation
-from madviz.observation.streams import IMAGE_SIZE
+from madviz.observation.streams import IMAGE_SIZE, channels_of
 from madviz.runs.drawn_task import DrawnTask, newest_frames
-from madviz.subsets import modality_of
 from madviz.system.processes import set_up_worker
 from madviz.types import Array, Environment, Policy, TimeStep
 
@@ -40,29 +39,24 @@ LISTEN_SECONDS = 0.5
 
 
 class Board:
-    """Shared memory with a place for every lane; goes to workers when they are spawned."""
+    """Shared memory with a row for every lane; goes to workers when they are spawned."""
 
     def __init__(self, lanes: int, streams: Sequence[str], state_dim: int, action_dim: int) -> None:
-        self._shapes: dict[str, tuple[str, tuple[int, ...]]] = {
-            "action": ("f", (lanes, action_dim)),
-            "state": ("f", (lanes, state_dim)),
-            "reward": ("f", (lanes, 1)),
-            "last": ("B", (lanes, 1)),
-        }
-        for stream in streams:
-            channels = 1 if modality_of(stream) == "depth" else 3
-            self._shapes[stream] = ("B", (lanes, IMAGE_SIZE, IMAGE_SIZE, channels))
+        numbers = [
+            ("action", "f4", (action_dim,)),
+            ("state", "f4", (state_dim,)),
+            ("reward", "f4"),
+            ("last", "?"),
+        ]
+        size = (IMAGE_SIZE, IMAGE_SIZE)
+        frames = [(stream, "u1", (*size, channels_of(stream))) for stream in streams]
+        self._row = np.dtype([*numbers, *frames], align=True)
         context = multiprocessing.get_context("spawn")
-        self._memory: dict[str, Any] = {
-            name: context.RawArray(code, int(np.prod(shape)))
-            for name, (code, shape) in self._shapes.items()
-        }
+        self._memory: Any = context.RawArray("B", lanes * self._row.itemsize)
 
     def __getitem__(self, name: str) -> Array:
-        """The array called ``name``; what is written to it, the other processes see."""
-        code, shape = self._shapes[name]
-        kind = np.float32 if code == "f" else np.uint8
-        return np.frombuffer(self._memory[name], kind).reshape(shape)
+        """(L, ...) called ``name``; what is written to it, the other processes see."""
+        return np.frombuffer(self._memory, self._row)[name]
 
 
 class Lanes:

@@ -18,12 +18,12 @@ import mujoco
 import numpy as np
 
 from madviz.envs.mujoco.meshes import lighter_meshes
+from madviz.envs.mujoco.mujoco_bodies import visible_scene
 from madviz.errors import UserError
 from madviz.site.tessellation import Mesh, cylinder, shape
 from madviz.site.textures import Texture, read_textures
 from madviz.types import Array
 
-_MAX_GEOMS = 2000
 _SKY = -1
 """In place of a body: the sky goes where the camera goes."""
 
@@ -31,15 +31,10 @@ _SKY = -1
 def drawn_scene(
     model: mujoco.MjModel, data: mujoco.MjData
 ) -> tuple[dict[str, Array], dict[str, Any], list[Texture]]:
-    """Arrays (``positions``, ``normals``, ``triangles``), what is said of them, and the textures
+    """Arrays (``positions``, ``normals``, ``triangles``), a description of them, and the textures
     in use. ``data`` of an episode: what is visible, and where the lights are, is read from it."""
     with lighter_meshes(model):
-        scene = mujoco.MjvScene(model, _MAX_GEOMS)
-        everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        camera = mujoco.MjvCamera()
-        option = mujoco.MjvOption()
-        mujoco.mjv_updateScene(model, data, option, None, camera, everything, scene)
-        visible = [geom for geom in scene.geoms[: scene.ngeom] if geom.rgba[3] > 0]
+        scene, visible = visible_scene(model, data)
         meshes = [shape(model, geom) for geom in visible]
     shapes = [_shape(model, geom) for geom in visible]
     sky = _sky(model)
@@ -48,25 +43,29 @@ def drawn_scene(
         meshes.append(_inside_out(cylinder(quality.numslices, quality.numstacks)))
         shapes.append(sky)
     arrays = _arrays(meshes, shapes)
-    used = sorted({one["texture"] for one in shapes if one["texture"] is not None})
-    for one in shapes:
-        one["texture"] = None if one["texture"] is None else used.index(one["texture"])
+    used = sorted(
+        {shape_row["texture"] for shape_row in shapes if shape_row["texture"] is not None}
+    )
+    for shape_row in shapes:
+        shape_row["texture"] = (
+            None if shape_row["texture"] is None else used.index(shape_row["texture"])
+        )
     textures = read_textures(model)
-    said = {
+    description = {
         "shapes": shapes,
         "lights": [_light(light) for light in scene.lights[: scene.nlight]],
         "near": model.vis.map.znear * model.stat.extent,
         "far": model.vis.map.zfar * model.stat.extent,
         "cubes": [textures[number].cube for number in used],
     }
-    return arrays, said, [textures[number] for number in used]
+    return arrays, description, [textures[number] for number in used]
 
 
-def scene_file(arrays: dict[str, Array], said: dict[str, Any]) -> bytes:
+def scene_file(arrays: dict[str, Array], description: dict[str, Any]) -> bytes:
     """Both in one file."""
     from safetensors.numpy import save
 
-    return save(arrays, {"scene": json.dumps(said, allow_nan=False)})
+    return save(arrays, {"scene": json.dumps(description, allow_nan=False)})
 
 
 def _arrays(meshes: list[Mesh], shapes: list[dict[str, Any]]) -> dict[str, Array]:
@@ -76,14 +75,14 @@ def _arrays(meshes: list[Mesh], shapes: list[dict[str, Any]]) -> dict[str, Array
     triangles = []
     corner = 0
     start = 0
-    for mesh, said in zip(meshes, shapes, strict=True):
+    for mesh, row in zip(meshes, shapes, strict=True):
         low = mesh.positions.min(0)
         high = mesh.positions.max(0)
         span = np.where(high > low, high - low, 1.0)
         positions.append(np.round((mesh.positions - low) / span * 65535).astype(np.uint16))
         normals.append(np.round(mesh.normals * 32767).astype(np.int16))
         triangles.append(mesh.triangles + corner)
-        said |= {
+        row |= {
             "low": low.tolist(),
             "span": span.tolist(),
             "corners": [corner, len(mesh.positions)],
@@ -183,7 +182,7 @@ def _sky(model: mujoco.MjModel) -> dict[str, Any] | None:
 
 
 def _inside_out(mesh: Mesh) -> Mesh:
-    return Mesh(mesh.positions, mesh.normals, mesh.units, mesh.triangles[:, ::-1])
+    return Mesh(mesh.positions, mesh.normals, mesh.triangles[:, ::-1])
 
 
 def _light(light: mujoco.MjvLight) -> dict[str, Any]:

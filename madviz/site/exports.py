@@ -31,7 +31,7 @@ def export_task(out: Path, task: str, seeds: Sequence[int]) -> dict[str, Any]:
     try:
         starts = start_states(env, seeds)
         simulation = env.simulation
-        arrays, said, textures = drawn_scene(simulation.model, simulation.data)
+        arrays, description, textures = drawn_scene(simulation.model, simulation.data)
         folder = f"tasks/{task.replace('/', '-')}"
         return {
             "name": task,
@@ -42,8 +42,8 @@ def export_task(out: Path, task: str, seeds: Sequence[int]) -> dict[str, Any]:
             "reach": [simulation.mocap_low.tolist(), simulation.mocap_high.tolist()],
             "seeds": list(seeds),
             "model": write_packed(out, f"{folder}/model.gz", model_text(simulation.model).encode()),
-            "scene": write_packed(out, f"{folder}/scene.gz", scene_file(arrays, said)),
-            "textures": [write_shared(out, "textures", one.arrays()) for one in textures],
+            "scene": write_packed(out, f"{folder}/scene.gz", scene_file(arrays, description)),
+            "textures": [write_shared(out, "textures", texture.arrays()) for texture in textures],
             "starts": write_packed(out, f"{folder}/starts.gz", save(starts)),
         }
     finally:
@@ -55,13 +55,13 @@ def export_policy(out: Path, folder: PolicyFolder) -> dict[str, Any]:
     policy = load_policy(folder.path)
     spec = folder.spec
     return {
-        **said_of(folder),
+        **description_of(folder),
         "state_dim": spec.state_dim,
         "graph": write_packed(out, f"policies/{spec.name}.gz", policy_graph(policy)),
     }
 
 
-def said_of(folder: PolicyFolder) -> dict[str, Any]:
+def description_of(folder: PolicyFolder) -> dict[str, Any]:
     """Name, streams, cameras and measured success of a policy."""
     spec = folder.spec
     evaluation = shipped_evaluation(folder.path)

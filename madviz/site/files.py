@@ -5,15 +5,23 @@ from __future__ import annotations
 import gzip
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from safetensors.numpy import save
 
 from madviz.system.files import write_bytes
 from madviz.types import Array
 
-SiteFile = dict[str, Any]
-"""``path`` from the site's folder, ``bytes`` as sent, ``unpacked`` bytes."""
+
+class SiteFile(TypedDict):
+    """A file in the manifest."""
+
+    path: str
+    """From the site's folder."""
+    bytes: int
+    """As sent."""
+    unpacked: int
+    """Bytes."""
 
 
 def write_packed(out: Path, name: str, content: bytes) -> SiteFile:

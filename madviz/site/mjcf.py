@@ -33,6 +33,11 @@ _OPTION_NUMBERS = (
     "ls_iterations", "ls_tolerance", "ccd_iterations", "ccd_tolerance", "noslip_iterations",
 )  # fmt: skip
 
+_GEOM_NUMBERS = (
+    "contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp",
+    "margin", "gap", "pos", "quat",
+)  # fmt: skip
+
 
 def model_text(model: mujoco.MjModel) -> str:
     """The model as MJCF. Raises UserError for a model with parts that this does not write."""
@@ -67,9 +72,9 @@ def _check_known(model: mujoco.MjModel) -> None:
             model.eq_type != mujoco.mjtEq.mjEQ_WELD.value
         ),
     }
-    found = [name for name, count in unknown.items() if count]
-    if found:
-        raise UserError(f"expected a model that a site can hold, found one with {', '.join(found)}")
+    parts = [name for name, count in unknown.items() if count]
+    if parts:
+        raise UserError(f"expected a model that a site can hold, found one with {', '.join(parts)}")
 
 
 def _element(tag: str, /, closed: bool = True, **attributes: Any) -> str:
@@ -89,6 +94,11 @@ def _numbers(value: Any) -> str:
     """Nine digits give the same float32 back, and 17 the same double."""
     digits = 9 if getattr(value, "dtype", None) == np.float32 else 17
     return " ".join(f"{number:.{digits}g}" for number in np.ravel(np.asarray(value, float)))
+
+
+def _fields(model: mujoco.MjModel, kind: str, number: int, *names: str) -> dict[str, Any]:
+    """Attributes that MJCF and the model name alike: those of thing ``number`` of its ``kind``."""
+    return {name: getattr(model, f"{kind}_{name}")[number] for name in names}
 
 
 def _option(model: mujoco.MjModel) -> str:
@@ -137,13 +147,12 @@ def _hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, Array]:
 def _inside(model: mujoco.MjModel, body: int) -> list[str]:
     """The elements of ``body``, and the bodies in it, in the order of their numbers."""
     lines = [_joint(model, j) for j in range(model.njnt) if model.jnt_bodyid[j] == body]
-    for geom in range(model.ngeom):
-        if model.geom_bodyid[geom] == body and _collides(model, geom):
+    for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
+        if _collides(model, geom):
             lines.append(_geom(model, geom))
-    for site in range(model.nsite):
-        if model.site_bodyid[site] == body:
-            place = {"pos": model.site_pos[site], "quat": model.site_quat[site]}
-            lines.append(_element("site", name=model.site(site).name or f"site-{site}", **place))
+    for site in np.flatnonzero(model.site_bodyid == body).tolist():
+        place = _fields(model, "site", site, "pos", "quat")
+        lines.append(_element("site", name=model.site(site).name or f"site-{site}", **place))
     for inner in range(1, model.nbody):
         if model.body_parentid[inner] == body:
             lines += _body(model, inner)
@@ -151,26 +160,14 @@ def _inside(model: mujoco.MjModel, body: int) -> list[str]:
 
 
 def _body(model: mujoco.MjModel, body: int) -> list[str]:
-    lines = [
-        _element(
-            "body",
-            closed=False,
-            name=body_name(model, body),
-            pos=model.body_pos[body],
-            quat=model.body_quat[body],
-            mocap=True if model.body_mocapid[body] >= 0 else None,
-        )
-    ]
+    mocap = True if model.body_mocapid[body] >= 0 else None
+    place = _fields(model, "body", body, "pos", "quat")
+    lines = [_element("body", closed=False, name=body_name(model, body), **place, mocap=mocap)]
     if model.body_mass[body] > 0:
-        lines.append(
-            _element(
-                "inertial",
-                pos=model.body_ipos[body],
-                quat=model.body_iquat[body],
-                mass=model.body_mass[body],
-                diaginertia=model.body_inertia[body],
-            )
-        )
+        place = {"pos": model.body_ipos[body], "quat": model.body_iquat[body]}
+        inertia = model.body_inertia[body]
+        mass = model.body_mass[body]
+        lines.append(_element("inertial", **place, mass=mass, diaginertia=inertia))
     return [*lines, *_inside(model, body), "</body>"]
 
 
@@ -191,12 +188,8 @@ def _joint(model: mujoco.MjModel, joint: int) -> str:
         type=kind,
         pos=None if kind == "free" else model.jnt_pos[joint],
         limited=bool(model.jnt_limited[joint]),
-        range=model.jnt_range[joint],
-        margin=model.jnt_margin[joint],
-        stiffness=model.jnt_stiffness[joint],
-        damping=model.dof_damping[dof],
-        armature=model.dof_armature[dof],
-        frictionloss=model.dof_frictionloss[dof],
+        **_fields(model, "jnt", joint, "range", "margin", "stiffness"),
+        **_fields(model, "dof", dof, "damping", "armature", "frictionloss"),
         solreflimit=model.jnt_solref[joint],
         solimplimit=model.jnt_solimp[joint],
         solreffriction=model.dof_solref[dof],
@@ -208,15 +201,9 @@ def _joint(model: mujoco.MjModel, joint: int) -> str:
 def _geom(model: mujoco.MjModel, geom: int) -> str:
     kind = _GEOMS[int(model.geom_type[geom])]
     mesh = f"mesh-{int(model.geom_dataid[geom])}" if kind == "mesh" else None
-    numbers = {
-        name: getattr(model, f"geom_{name}")[geom]
-        for name in (
-            "contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref",
-            "solimp", "margin", "gap", "pos", "quat",
-        )
-    }  # fmt: skip
     size = None if mesh else model.geom_size[geom]
     name = model.geom(geom).name or f"geom-{geom}"
+    numbers = _fields(model, "geom", geom, *_GEOM_NUMBERS)
     return _element("geom", name=name, type=kind, mesh=mesh, size=size, **numbers)
 
 
@@ -230,8 +217,7 @@ def _welds(model: mujoco.MjModel) -> list[str]:
             anchor=model.eq_data[weld, :3],
             relpose=model.eq_data[weld, 3:10],
             torquescale=model.eq_data[weld, 10],
-            solref=model.eq_solref[weld],
-            solimp=model.eq_solimp[weld],
+            **_fields(model, "eq", weld, "solref", "solimp"),
         )
         for weld in range(model.neq)
     ]
@@ -246,9 +232,7 @@ def _actuators(model: mujoco.MjModel) -> list[str]:
             ctrllimited=bool(model.actuator_ctrllimited[a]),
             ctrlrange=model.actuator_ctrlrange[a],
             forcelimited=bool(model.actuator_forcelimited[a]),
-            forcerange=model.actuator_forcerange[a],
-            gear=model.actuator_gear[a],
-            gainprm=model.actuator_gainprm[a],
+            **_fields(model, "actuator", a, "forcerange", "gear", "gainprm"),
             biastype=_BIASES[int(model.actuator_biastype[a])],
             biasprm=model.actuator_biasprm[a],
         )

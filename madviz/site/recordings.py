@@ -51,11 +51,11 @@ MOST_STREAMS = 4
 
 
 def record_policy(
-    out: Path, kept: Path, folder: PolicyFolder, said: dict[str, Any], seeds: Sequence[int]
+    out: Path, kept: Path, folder: PolicyFolder, described: dict[str, Any], seeds: Sequence[int]
 ) -> dict[str, Any]:
     """Records every subset of a policy's cameras on ``seeds``; its line of the manifest. What is in
-    the folder ``kept`` already is taken from there. ``said``: its name, label, cameras and measured
-    success. Raises UserError for too many streams."""
+    the folder ``kept`` already is taken from there. ``described``: its name, label, cameras and
+    measured success. Raises UserError for too many streams."""
     spec = folder.spec
     if len(spec.streams) > MOST_STREAMS:
         raise UserError(
@@ -77,12 +77,12 @@ def record_policy(
         task = env.spec
     shown = ("label", "method", "task", "streams", "trained_subsets", "cameras", "measured")
     return {
-        **{name: said[name] for name in shown},
+        **{name: described[name] for name in shown},
         "policy": spec.name,
         "task_label": task.task.partition("/")[2].replace("-", " ").capitalize(),
         "success": task.success,
         "horizon": task.horizon,
-        "seeds_words": said["seeds"],
+        "seeds_words": described["seeds"],
         "seeds": list(seeds),
         "files": files,
     }
@@ -111,7 +111,7 @@ def record_episode(env: Environment, policy: Policy, mask: Array, seed: int) -> 
         "scene_width": str(SCENE),
         "scene_height": str(SCENE),
         "scene_every": str(SCENE_EVERY),
-        "subsets": json.dumps([name_of(one, streams) for one in masks]),
+        "subsets": json.dumps([name_of(other, streams) for other in masks]),
     }
     arrays = {name: np.stack(values) for name, values in rows.items()}
     arrays |= {"sheet": sheet(tiles), "scene": sheet(scenes)}

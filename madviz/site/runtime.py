@@ -9,10 +9,9 @@ from __future__ import annotations
 import json
 from importlib import metadata, resources
 from pathlib import Path
-from typing import Any
 
 from madviz.errors import UserError
-from madviz.site.files import write_packed
+from madviz.site.files import SiteFile, write_packed
 from madviz.system.files import write_bytes
 
 _ORT = "onnxruntime-web/dist"
@@ -41,8 +40,8 @@ def find_packages(folder: Path) -> Path:
     words = " ".join(f"{name}@{version}" for name, version in wanted.items())
     install = f"npm install --ignore-scripts --no-package-lock --prefix {folder.parent} {words}"
     for name, version in wanted.items():
-        said = folder / name / "package.json"
-        found = json.loads(said.read_text())["version"] if said.is_file() else "none"
+        file = folder / name / "package.json"
+        found = json.loads(file.read_text())["version"] if file.is_file() else "none"
         if found != version:
             raise UserError(
                 f"{folder}: expected {name} {version}, found {found}; run `make site`, or: "
@@ -51,7 +50,7 @@ def find_packages(folder: Path) -> Path:
     return folder
 
 
-def write_runtime(out: Path, packages: Path) -> dict[str, Any]:
+def write_runtime(out: Path, packages: Path) -> dict[str, SiteFile]:
     """Copies the programs; their lines of the manifest."""
     return {
         name: write_packed(out, f"runtime/{name}.gz", (packages / path).read_bytes())

@@ -25,7 +25,7 @@ from typing import Any
 from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyFolder, describe, policy_folders
 from madviz.session.session_file import versions_here
-from madviz.site.exports import export_policy, export_task, said_of
+from madviz.site.exports import description_of, export_policy, export_task
 from madviz.site.recordings import record_policy
 from madviz.site.runtime import find_packages, versions, write_licences, write_runtime
 from madviz.system.files import write_json
@@ -86,19 +86,21 @@ def run_site(config: SiteConfig) -> dict[str, Any]:
     live = [folder for folder in folders if folder.spec.task.startswith(LIVE)]
     tasks = list(dict.fromkeys(folder.spec.task for folder in live))
     manifest["tasks"] = [announced(task, export_task, out, task, seeds) for task in tasks]
-    manifest["policies"] = [announced(one.spec.name, export_policy, out, one) for one in live]
+    manifest["policies"] = [
+        announced(folder.spec.name, export_policy, out, folder) for folder in live
+    ]
     manifest["recordings"] = [
         announced(
-            f"recordings of {one.spec.name}",
+            f"recordings of {folder.spec.name}",
             record_policy,
             out,
             Path(config.recordings),
-            one,
-            said_of(one),
+            folder,
+            description_of(folder),
             list(seeds)[: config.recorded],
         )
-        for one in folders
-        if config.recorded and (one not in live or one.spec.name in OPENING.values())
+        for folder in folders
+        if config.recorded and (folder not in live or folder.spec.name in OPENING.values())
     ]
     manifest["opening"] = opening(manifest["policies"], seeds)
     write_licences(out, packages)
@@ -130,17 +132,17 @@ def seed_range(text: str) -> range:
 
 def chosen(names: Sequence[str]) -> list[PolicyFolder]:
     """The policies to write: those the page opens with first, then the others by name."""
-    found = [describe(name) for name in names or policy_folders()]
+    folders = [describe(name) for name in names or policy_folders()]
     if not names:
-        found = [one for one in found if fits(one)]
-    for one in found:
-        if not fits(one):
+        folders = [folder for folder in folders if fits(folder)]
+    for folder in folders:
+        if not fits(folder):
             raise UserError(
                 f"expected policies that sum the features of the three cameras, "
-                f"found {one.spec.name}; leave it out of --policies"
+                f"found {folder.spec.name}; leave it out of --policies"
             )
     first = [OPENING["first"], OPENING["second"]]
-    return sorted(found, key=lambda one: (one.spec.name not in first, one.spec.name))
+    return sorted(folders, key=lambda folder: (folder.spec.name not in first, folder.spec.name))
 
 
 def fits(folder: PolicyFolder) -> bool:

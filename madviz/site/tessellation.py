@@ -22,14 +22,12 @@ _GRID = 200
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles with what lighting and textures need."""
+    """Triangles with what lighting needs."""
 
     positions: Array
     """(n, 3) float64, in the frame of the shape."""
     normals: Array
     """(n, 3)"""
-    units: Array
-    """(n, 3) the same places before scaling: what texture coordinates are made from."""
     triangles: Array
     """(m, 3) int, counter-clockwise seen from outside."""
 
@@ -38,7 +36,7 @@ class Mesh:
         normals = self.normals / size
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         moved = self.positions + np.asarray(shift, float)
-        return Mesh(moved * size, normals, self.units, self.triangles)
+        return Mesh(moved * size, normals, self.triangles)
 
 
 def joined(parts: list[Mesh]) -> Mesh:
@@ -47,7 +45,6 @@ def joined(parts: list[Mesh]) -> Mesh:
     return Mesh(
         np.concatenate([part.positions for part in parts]),
         np.concatenate([part.normals for part in parts]),
-        np.concatenate([part.units for part in parts]),
         np.concatenate([p.triangles + start for p, start in zip(parts, starts, strict=False)]),
     )
 
@@ -89,7 +86,7 @@ def mesh(model: mujoco.MjModel, number: int) -> Mesh:
     flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12)
     sharp = (normals * flat[:, None]).sum(-1) < 0.8  # (m, corner)
     normals = np.where(sharp[..., None], flat[:, None], normals)
-    return _indexed(corners.reshape(-1, 3), normals.reshape(-1, 3))
+    return _indexed(np.concatenate([corners, normals], 2).reshape(-1, 6))
 
 
 def plane(size: Array) -> Mesh:
@@ -98,9 +95,7 @@ def plane(size: Array) -> Mesh:
         raise UserError("expected planes with ends, found one without")
     x, y = (_lines(size[axis], size[2]) for axis in (0, 1))
     u, v = np.meshgrid(x, y, indexing="ij")  # (rows, columns)
-    places = np.stack([u, v, np.zeros_like(u)], -1)  # (rows, columns, 3)
-    quads = np.stack([places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:]], 2)
-    return _quads(quads.reshape(-1, 4, 3), lambda p: np.broadcast_to([0.0, 0, 1], p.shape))
+    return _surface(np.stack([u, v, np.zeros_like(u)], -1), [0, 0, 1])
 
 
 def _lines(half: float, spacing: float) -> Array:
@@ -115,8 +110,8 @@ def _lines(half: float, spacing: float) -> Array:
 def box(quads: int) -> Mesh:
     """Six sides of ``quads`` x ``quads``."""
     steps = np.linspace(-1, 1, quads + 1)
-    u, v = np.meshgrid(steps, steps, indexing="ij")
-    parts = []
+    u, v = np.meshgrid(steps, steps, indexing="ij")  # (rows, columns)
+    sides = []
     for axis in range(3):
         for sign in (1, -1):
             # The other two axes in the order that makes the quads face outwards.
@@ -125,36 +120,30 @@ def box(quads: int) -> Mesh:
             places[..., axis] = sign
             places[..., first] = u
             places[..., second] = v
-            corners = [places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:]]
-            normal = np.eye(3)[axis] * sign
-            parts.append(
-                _quads(
-                    np.stack(corners, 2).reshape(-1, 4, 3),
-                    lambda p, n=normal: np.broadcast_to(n, p.shape),
-                )
-            )
-    return joined(parts)
+            sides.append(_surface(places, np.eye(3)[axis] * sign))
+    return joined(sides)
 
 
 def sphere(slices: int, stacks: int) -> Mesh:
     """A unit sphere, poles along z."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, stacks + 1)
-    return _turned(np.cos(angles), np.sin(angles), slices, lambda p: p)
+    places = _turned(np.cos(angles), np.sin(angles), slices)
+    return _surface(places, places)
 
 
 def cylinder(slices: int, stacks: int) -> Mesh:
     """Radius 1, z from -1 to 1, with both ends closed."""
-    side = tube(slices, stacks)
     rings = np.linspace(0, 1, stacks // 2 + 1)
-    top = _turned(rings[::-1], np.ones_like(rings), slices, lambda p: p * 0 + [0, 0, 1])
-    bottom = _turned(rings, -np.ones_like(rings), slices, lambda p: p * 0 + [0, 0, -1])
-    return joined([bottom, side, top])
+    top = _surface(_turned(rings[::-1], np.ones_like(rings), slices), [0, 0, 1])
+    bottom = _surface(_turned(rings, -np.ones_like(rings), slices), [0, 0, -1])
+    return joined([bottom, tube(slices, stacks), top])
 
 
 def tube(slices: int, stacks: int) -> Mesh:
     """A cylinder without its ends."""
     heights = np.linspace(-1, 1, stacks + 1)
-    return _turned(np.ones_like(heights), heights, slices, lambda p: p * [1, 1, 0])
+    places = _turned(np.ones_like(heights), heights, slices)
+    return _surface(places, places * [1, 1, 0])
 
 
 def capsule(slices: int, stacks: int, size: Array) -> Mesh:
@@ -166,49 +155,41 @@ def capsule(slices: int, stacks: int, size: Array) -> Mesh:
     # Half a unit sphere is moved before it is scaled by ``height``, up to the end of the tube.
     shift = size[2] / height
     angles = np.linspace(0, np.pi / 2, stacks // 2 + 1)  # From the rim to the pole.
-    radii = np.cos(angles)
-    heights = np.sin(angles)
-    top = _turned(radii, heights, slices, lambda p: p)
-    bottom = _turned(radii[::-1], -heights[::-1], slices, lambda p: p)
-    return joined(
-        [
-            tube(slices, stacks).scaled(size),
-            top.scaled(ends, (0, 0, shift)),
-            bottom.scaled(ends, (0, 0, -shift)),
-        ]
-    )
+    above = _turned(np.cos(angles), np.sin(angles), slices)
+    below = _turned(np.cos(angles)[::-1], -np.sin(angles)[::-1], slices)
+    top = _surface(above, above).scaled(ends, (0, 0, shift))
+    bottom = _surface(below, below).scaled(ends, (0, 0, -shift))
+    return joined([tube(slices, stacks).scaled(size), top, bottom])
 
 
-def _turned(radii: Array, heights: Array, slices: int, normal) -> Mesh:
-    """A profile turned about z, from below to above; points of radius 0 become triangles."""
-    angles = np.linspace(0, 2 * np.pi, slices + 1)
-    x = radii[:, None] * np.cos(angles)  # (rings, slices + 1)
-    y = radii[:, None] * np.sin(angles)
-    z = np.broadcast_to(heights[:, None], x.shape)
-    places = np.stack([x, y, z], -1)  # (rings, slices + 1, 3)
-    corners = [places[:-1, :-1], places[:-1, 1:], places[1:, 1:], places[1:, :-1]]
-    return _quads(np.stack(corners, 2).reshape(-1, 4, 3), normal)
+def _turned(radii: Array, heights: Array, slices: int) -> Array:
+    """(slices + 1, rings, 3): a profile from below to above, turned about z."""
+    angles = np.linspace(0, 2 * np.pi, slices + 1)[:, None]
+    x = np.cos(angles) * radii  # (slices + 1, rings)
+    y = np.sin(angles) * radii
+    return np.stack([x, y, np.broadcast_to(heights, x.shape)], -1)
 
 
-def _quads(quads: Array, normal) -> Mesh:
-    """(n, 4, 3) quads as triangles, cut along the diagonal that Mesa cuts; those without area go
-    away."""
-    triangles = quads[:, [[0, 1, 3], [1, 2, 3]]].reshape(-1, 3, 3)  # (m, corner, xyz)
-    area = np.linalg.norm(
-        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
-    )
-    corners = triangles[area > 1e-12].reshape(-1, 3)  # (3 m, 3)
-    return _indexed(corners, np.array(normal(corners), float))
+def _surface(places: Array, normals: Array | list[int]) -> Mesh:
+    """A grid of ``places`` (rows, columns, 3) as triangles, cut along the diagonal that Mesa cuts;
+    those without area, as at the poles, go away. ``normals`` are a grid, or one for all."""
+    both = np.concatenate([places, np.broadcast_to(normals, places.shape)], -1)
+    quads = np.stack([both[:-1, :-1], both[1:, :-1], both[1:, 1:], both[:-1, 1:]], 2)
+    corners = quads.reshape(-1, 4, 6)[:, [[0, 1, 3], [1, 2, 3]]].reshape(-1, 3, 6)  # (m, corner, 6)
+    sides = corners[:, 1:, :3] - corners[:, :1, :3]
+    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)  # (m,)
+    return _indexed(corners[area > 1e-12].reshape(-1, 6))
 
 
-def _indexed(corners: Array, normals: Array) -> Mesh:
-    """The mesh of ``corners`` and ``normals``, both (3 m, 3), three rows a triangle. Corners that
+def _indexed(corners: Array) -> Mesh:
+    """The mesh of ``corners`` (3 m, 6), positions and normals, three rows a triangle. Corners that
     are equal in both are there once."""
-    both = np.round(np.concatenate([corners, normals], 1), 9)  # (3 m, 6)
     # ``first``: where each of the n different rows is first; ``place``: which of them a row is.
-    _, first, place = np.unique(both, axis=0, return_index=True, return_inverse=True)
+    _, first, place = np.unique(
+        np.round(corners, 9), axis=0, return_index=True, return_inverse=True
+    )
     order = np.argsort(first)  # In the order of their first use, which packs better.
     new = np.empty_like(order)  # (n,) where a row that np.unique has sorted goes.
     new[order] = np.arange(len(order))
-    kept = first[order]
-    return Mesh(corners[kept], normals[kept], corners[kept], new[place].reshape(-1, 3))
+    kept = corners[first[order]]
+    return Mesh(kept[:, :3], kept[:, 3:], new[place].reshape(-1, 3))

@@ -107,7 +107,7 @@ def _check_once(words: Iterable[str]) -> None:
 
 def _shown(config: type, words: Sequence[str]) -> type:
     """``config`` without the groups of options that are ignored under what ``words`` choose."""
-    chosen = {f"--{each.name}": each.default for each in fields(config)}
+    chosen = {f"--{option.name}": option.default for option in fields(config)}
     pairs = " ".join(words).replace("=", " ").split()
     chosen |= dict(zip(pairs, pairs[1:], strict=False))
     hidden = [

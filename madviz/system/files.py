@@ -178,13 +178,13 @@ def _bounded(value: Any) -> Any:
     level = [value]
     for _ in range(DEEPEST):
         inner: list[Any] = []
-        for each in level:
-            if isinstance(each, dict):
-                inner += [*each.keys(), *each.values()]
-            elif isinstance(each, list):
-                inner += each
-            elif isinstance(each, str):
-                each.encode()
+        for item in level:
+            if isinstance(item, dict):
+                inner += [*item.keys(), *item.values()]
+            elif isinstance(item, list):
+                inner += item
+            elif isinstance(item, str):
+                item.encode()
         level = inner
     if level:
         raise RecursionError

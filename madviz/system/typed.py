@@ -80,7 +80,7 @@ def _at(kind: type, place: str) -> list[msgspec.inspect.Type]:
     """The type of what may stand at ``place``."""
     here = _choices(msgspec.inspect.type_info(kind))
     for name, _ in _steps(place):
-        inner = [each for node in here for each in _inside(node, name)]
+        inner = [child for node in here for child in _inside(node, name)]
         here = [choice for node in inner for choice in _choices(node)]
     return here
 

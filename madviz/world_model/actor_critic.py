@@ -165,7 +165,7 @@ def imagine(
         features.append(belief.feature)
         states.append(world.predicted_state(belief.feature))
         entropies.append(entropy)
-    later = torch.cat(features[1:])
+    later = torch.cat(features[1:])  # (H * B, Z)
     shape = noise.action.shape[:2]
     reward = world.predicted_reward(later).view(shape)
     discount = gamma * world.predicted_follows(later).view(shape)

@@ -129,12 +129,12 @@ class MultiViewAutoencoder(nn.Module):
         """Every view's picture, and the reward, from what was kept."""
         batch = len(features)
         width = self.config.width
-        marks = self.hidden + self.marks
-        everything = marks.expand(batch, -1, -1).to(features.dtype)
-        where = keep[..., None].expand(-1, -1, width)
+        marks = self.hidden + self.marks  # (M, W)
+        everything = marks.expand(batch, -1, -1).to(features.dtype)  # (B, M, W)
+        where = keep[..., None].expand(-1, -1, width)  # (B, K, W)
         seen = features + marks.to(features.dtype)[keep]
         everything = everything.scatter(1, where, seen)
-        patches = self.pixels(self.draw_norm(self.decoder(everything))).float()
+        patches = self.pixels(self.draw_norm(self.decoder(everything))).float()  # (B, M, 3 patch^2)
         difference = pictures_of(patches.unflatten(1, (len(self.mean), -1)), self.config.patch)
         reward = self.reward(features.mean(1)).squeeze(-1).float()
         return Drawn(self.mean + difference, reward)
@@ -159,7 +159,7 @@ class TokenReader(nn.Module):
 
     def forward(self, tokens: Tensor) -> Tensor:
         """(B, K, W) -> (B, 8 W)."""
-        query = self.questions.to(tokens.dtype).expand(len(tokens), -1, -1)
+        query = self.questions.to(tokens.dtype).expand(len(tokens), -1, -1)  # (B, 8, W)
         query, key, value = map(_split, (query, self.key(tokens), self.value(tokens)))
         return F.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(1)
 
@@ -208,7 +208,7 @@ def drawn_tokens(
     share = float(torch.rand((), generator=generator)) * 1.5
     share = 1.0 if share >= 1 else LEAST_KEPT + share * (1 - LEAST_KEPT)
     count = max(1, round(share * visible * tokens))
-    order = torch.rand(batch, views, generator=generator).argsort(1).argsort(1)
+    order = torch.rand(batch, views, generator=generator).argsort(1).argsort(1)  # Ranks, (B, V).
     score = torch.rand(batch, views, tokens, generator=generator)
     score[order >= visible] = 2.0  # Hidden views: larger than any score of a visible one.
     return score.flatten(1).argsort(1)[:, :count].sort(1).values
@@ -256,25 +256,13 @@ def reconstruction_loss(
     ``moving_weight``, and of these the mean. A camera on the hand, whose whole picture moves,
     counts no more than one in which a few pixels do."""
     weight = 1 + moving_weight * moves.to(drawn.dtype)
-    error = (drawn - pictures).square().mean(2)
+    error = (drawn - pictures).square().mean(2)  # (B, V, H, W)
     return ((weight * error).sum((0, 2, 3)) / weight.sum((0, 2, 3))).mean()
 
 
 def symlog(x: Tensor) -> Tensor:
     """sign(x) log(1 + |x|): rewards of any size in a range that a network can give."""
     return x.sign() * x.abs().log1p()
-
-
-def psnr(
-    drawn: Float[Tensor, "B V 3 H W"],
-    pictures: Float[Tensor, "B V 3 H W"],
-    where: Bool[Tensor, "B V H W"],
-) -> Float[Tensor, "B V"]:
-    """Peak signal-to-noise ratio in dB over the pixels ``where``, of pictures from 0 to 1; NaN
-    where there are none. An error of 0.1 everywhere has 20 dB, one of 0.01 has 40."""
-    error = (drawn.clamp(0, 1) - pictures).square().mean(2)
-    mean = (error * where).sum((2, 3)) / where.sum((2, 3))
-    return -10 * mean.log10()
 
 
 # --- Patches ------------------------------------------------------------------------------------
@@ -296,14 +284,13 @@ def squares_of(views: Shaped[Tensor, "B V C H W"], patch: int) -> Shaped[Tensor,
     batch, count, channels, size, _ = views.shape
     side = size // patch
     half = patch // 2
-    if views.dtype != torch.uint8:
-        cut = views.reshape(batch, count, channels, side, half, 2, side, half, 2)
-        cut = cut.permute(0, 1, 3, 6, 4, 7, 2, 5, 8)
-        return cut.reshape(batch, count * side**2, half**2, 4 * channels)
-    pairs = views.contiguous().view(torch.int16)  # Neighbours in a row, moved together: faster.
-    cut = pairs.view(batch, count, channels, side, half, 2, side, half)
-    cut = cut.permute(0, 1, 3, 6, 4, 7, 2, 5)
-    return cut.reshape(batch, count * side**2, half**2, 2 * channels).view(torch.uint8)
+    whole = views.dtype == torch.uint8
+    # Two bytes that are neighbours in a row are moved together, which is faster.
+    pixels = views.contiguous().view(torch.int16) if whole else views
+    cut = pixels.reshape(batch, count, channels, side, half, 2, side, half, -1)
+    cut = cut.permute(0, 1, 3, 6, 4, 7, 2, 5, 8)  # By view, patch and square; channels inside.
+    squares = cut.reshape(batch, count * side**2, half**2, -1)  # (B, M, P, S)
+    return squares.view(torch.uint8) if whole else squares
 
 
 def pictures_of(patches: Float[Tensor, "B V T P"], patch: int) -> Float[Tensor, "B V 3 H W"]:
@@ -311,4 +298,5 @@ def pictures_of(patches: Float[Tensor, "B V T P"], patch: int) -> Float[Tensor, 
     batch, views, tokens, _ = patches.shape
     side = round(tokens**0.5)
     grid = patches.reshape(batch, views, side, side, 3, patch, patch)
+    # (B, V, 3, patch row, row in patch, patch column, column in patch)
     return grid.permute(0, 1, 4, 2, 5, 3, 6).reshape(batch, views, 3, side * patch, side * patch)

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -43,15 +42,6 @@ from madviz.world_model.world import REWARD, Window, world_model_losses
 
 LARGEST = {"pictures": 1.0, "world": 100.0, "actor": 100.0, "critic": 100.0}
 """Norms that gradients are cut to: the paper's 100, and 1 for the autoencoder."""
-
-
-@dataclass(frozen=True)
-class Labels:
-    """An expert's actions at the time steps of a stretch."""
-
-    action: Float[Tensor, "L+1 B A"]
-    known: Bool[Tensor, " B"]
-    """Which samples have labels at all."""
 
 
 class WorldLearner:
@@ -97,14 +87,16 @@ class WorldLearner:
             "actor": config.heads_rate,
             "critic": config.heads_rate,
         }
-        kinds = {"pictures": partial(torch.optim.AdamW, weight_decay=0.01)}
         self.optimisers: dict[str, torch.optim.Optimizer] = {
-            name: kinds.get(name, torch.optim.Adam)(part.parameters(), fused=True)
+            name: torch.optim.Adam(part.parameters(), fused=True)
             for name, part in self.parts.items()
         }
+        pictures = self.net.autoencoder.parameters()
+        self.optimisers["pictures"] = torch.optim.AdamW(pictures, weight_decay=0.01, fused=True)
         self.set_learning_rates(0.0)
         self.updates = 0
         self._device = next(agent.parameters()).device
+        self._groups = self.net.world.rssm.config.groups
         self._generator = torch.Generator().manual_seed(seed)
 
     # --- Learning -------------------------------------------------------------------------------
@@ -129,17 +121,20 @@ class WorldLearner:
         return {"autoencoder_loss": loss.item()}
 
     def update(
-        self, stretch: Stretch, labels: Labels | None = None, imagines: bool = True
+        self,
+        stretch: Stretch,
+        labels: Float[Tensor, "L+1 E A"] | None = None,
+        imagines: bool = True,
     ) -> dict[str, float]:
         """One step of the world model and then, if it ``imagines``, of actor and critic; returns
-        named losses."""
+        named losses. ``labels``: an expert's actions in the last E samples of ``stretch``."""
         # An evaluation before may have left it otherwise, and PyTorch's transformers compute
         # differently then: a resumed run, which was not evaluated, would go on elsewhere.
         self.agent.train()
-        window = self._window(_moved(stretch, self._device))
+        moved = {name: tensor.to(self._device) for name, tensor in vars(stretch).items()}
+        window = self._window(replace(stretch, **moved))
         frames, batch = window.present.shape[:2]
-        groups = self.net.world.rssm.config.groups
-        noise = self._uniform(frames + len(window.action), batch, groups)
+        noise = self._uniform(frames + len(window.action), batch, self._groups)  # (T + L, B, G)
         losses = world_model_losses(self.net.world, window, noise, self.config.kl_weight)
         total = torch.stack(list(losses.values())).sum()
         self._step("world", total)
@@ -155,18 +150,18 @@ class WorldLearner:
             self.target.load_state_dict(self.critic.state_dict())
         return named
 
-    def _imagine(self, window: Window, labels: Labels | None) -> dict[str, float]:
+    def _imagine(self, window: Window, labels: Tensor | None) -> dict[str, float]:
         """One step of actor and critic, from beliefs of ``window``."""
         config = self.config
-        belief, state = self._starts(window)
+        belief, state = self._starts(window)  # (L + 1) B samples
         cloning = torch.zeros((), device=self._device)
         if labels is not None:
-            cloning = self._cloning_loss(belief, state, _moved(labels, self._device))
+            cloning = self._cloning_loss(belief, state, labels.to(self._device))
         belief, state = self.subsample(belief, state)
         with frozen(self.net.world, self.target):
             drawn = self._noise(len(state))
             imagined = imagine(self.net.world, self.actor, belief, state, drawn, self.gamma)
-            value = self.target.value(imagined.feature[1:], imagined.state[1:])
+            value = self.target.value(imagined.feature[1:], imagined.state[1:])  # (H, B)
             returns = lambda_returns(imagined.reward, imagined.discount, value, config.mixture)
             weight = reached(imagined.discount)
             loss = imagined_actor_loss(returns, imagined.entropy, weight, config.entropy_weight)
@@ -183,21 +178,26 @@ class WorldLearner:
             "cloning_loss": cloning.item(),
         }
 
-    def _cloning_loss(self, belief: Belief, state: Tensor, labels: Labels) -> Tensor:
-        """Squared error of the actor's likeliest action, a mean over labelled samples."""
-        known = labels.known.expand(len(labels.action), -1).flatten()
-        middle, _ = self.actor(belief.feature[known], state[known])
-        return (torch.tanh(middle) - labels.action.flatten(0, 1)[known]).square().mean()
+    def _cloning_loss(self, belief: Belief, state: Tensor, labels: Tensor) -> Tensor:
+        """Squared error of the actor's likeliest action, a mean over the last E samples."""
+        steps, labelled, _ = labels.shape
+        feature, felt = (
+            x.unflatten(0, (steps, -1))[:, -labelled:] for x in (belief.feature, state)
+        )  # (L + 1, E, Z), (L + 1, E, S)
+        middle, _ = self.actor(feature, felt)
+        return (torch.tanh(middle) - labels).square().mean()
 
     @torch.no_grad()
     def _starts(self, window: Window) -> tuple[Belief, Tensor]:
         """Beliefs and states at the last L + 1 frames, each rebuilt over its own stack; time
         first."""
-        count = len(window.state)
+        count = len(window.state)  # L + 1
         stack = len(window.present) - count + 1
-        frames = torch.stack([window.present[t : t + count].flatten(0, 1) for t in range(stack)])
-        noise = self._uniform(*frames.shape[:2], self.net.world.rssm.config.groups)
-        return self.net.world.rssm.observe(frames, noise), window.state.flatten(0, 1)
+        # The stack of the frame i begins at the frame i: its t-th frames are those from t on.
+        frames = [window.present[t : t + count].flatten(0, 1) for t in range(stack)]
+        stacks = torch.stack(frames)  # (stack, (L + 1) B, E)
+        noise = self._uniform(*stacks.shape[:2], self._groups)
+        return self.net.world.rssm.observe(stacks, noise), window.state.flatten(0, 1)
 
     def subsample(self, belief: Belief, state: Tensor) -> tuple[Belief, Tensor]:
         """Those that are imagined from."""
@@ -212,13 +212,11 @@ class WorldLearner:
 
     def _window(self, stretch: Stretch) -> Window:
         """Tokens of all views, and what is read of those that are present."""
-        frames = stretch.frames
+        frames = stretch.frames  # (T, B, V, 3, H, W)
         with torch.no_grad(), autocast():
-            tokens = self.net.autoencoder.all_tokens(frames.flatten(0, 1)).unflatten(
-                0, frames.shape[:2]
-            )
-            count = len(stretch.state)
-            features = self._features(tokens[-count:])
+            tokens = self.net.autoencoder.all_tokens(frames.flatten(0, 1))  # (T * B, V, P, W)
+            tokens = tokens.unflatten(0, frames.shape[:2])
+            features = self._features(tokens[-len(stretch.state) :])  # (L + 1, B, M, W)
         present = drawn_views(self._generator, *frames.shape[1:3]).to(self._device)
         return Window(
             self._embedded(tokens, present),
@@ -239,17 +237,17 @@ class WorldLearner:
     ) -> Float[Tensor, "T B E"]:
         """The embeddings that the world model reads of the views that are present in each sample;
         samples with as many of them go through the networks together."""
-        found = []
+        parts = []
         order = []
         for size in present.sum(1).unique():
             which = (present.sum(1) == size).nonzero().flatten()
-            seen = torch.stack([tokens[:, b, present[b]] for b in which.tolist()], 1)
+            seen = [tokens[:, b, present[b]] for b in which.tolist()]  # (T, N, P, W) of each
             with torch.no_grad(), autocast():
-                features = self._features(seen)
-            read = self.net.world.embed(features.float().flatten(0, 1))
-            found.append(read.unflatten(0, features.shape[:2]))
+                features = self._features(torch.stack(seen, 1))
+            read = self.net.world.embed(features.float().flatten(0, 1))  # (T * n, E)
+            parts.append(read.unflatten(0, features.shape[:2]))
             order.append(which)
-        return torch.cat(found, 1)[:, torch.cat(order).argsort()]
+        return torch.cat(parts, 1)[:, torch.cat(order).argsort()]  # Samples in their old order.
 
     # --- Acting, and going on -------------------------------------------------------------------
 
@@ -258,7 +256,7 @@ class WorldLearner:
         """(L, V, C, H, W) uint8 and (L, S) to drawn actions (L, A), on all views."""
         self.agent.eval()
         mask = torch.ones(1, views.shape[1], dtype=torch.bool, device=self._device)
-        belief = self.net.encode_and_merge(views.to(self._device), mask)[1][0]
+        belief = self.net.encode_and_merge(views.to(self._device), mask)[1][0]  # (L, Z)
         noise = self._uniform(len(views), self.agent.config.action_dim)
         return act(self.actor, belief, state.to(self._device), noise)[0].cpu().numpy()
 
@@ -266,7 +264,9 @@ class WorldLearner:
         """Everything a resumed run needs to go on as if it had never stopped."""
         return {
             "agent": self.agent.state_dict(),
-            "optimisers": {name: one.state_dict() for name, one in self.optimisers.items()},
+            "optimisers": {
+                name: optimiser.state_dict() for name, optimiser in self.optimisers.items()
+            },
             "generator": self._generator.get_state(),
             "updates": self.updates,
         }
@@ -282,10 +282,9 @@ class WorldLearner:
         return torch.rand(*shape, generator=self._generator).to(self._device)
 
     def _noise(self, batch: int) -> Noise:
-        config = self.agent.config
         horizon = self.config.horizon
-        action = self._uniform(horizon, batch, config.action_dim)
-        return Noise(action, self._uniform(horizon, batch, self.net.world.rssm.config.groups))
+        action = self._uniform(horizon, batch, self.agent.config.action_dim)
+        return Noise(action, self._uniform(horizon, batch, self._groups))
 
     def _step(self, name: str, loss: Tensor) -> None:
         optimiser = self.optimisers[name]
@@ -306,12 +305,6 @@ def drawn_views(generator: torch.Generator, batch: int, views: int) -> Bool[Tens
     count = torch.randint(1, views + 1, (batch,), generator=generator)
     order = torch.rand(batch, views, generator=generator).argsort(1).argsort(1)
     return order < count[:, None]
-
-
-def _moved(of_tensors: Any, device: torch.device) -> Any:
-    """A dataclass of tensors, on ``device``."""
-    moved = {name: tensor.to(device) for name, tensor in vars(of_tensors).items()}
-    return replace(of_tensors, **moved)
 
 
 @contextmanager

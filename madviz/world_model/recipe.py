@@ -26,6 +26,7 @@ from dataclasses import fields
 import msgspec
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from madviz.agent.agent import TorchPolicy
@@ -39,7 +40,7 @@ from madviz.runs.reward_run import RewardRun
 from madviz.runs.run_folder import RunFolder
 from madviz.runs.training_plan import TrainingPlan
 from madviz.types import Array
-from madviz.world_model.learner import Labels, WorldLearner
+from madviz.world_model.learner import WorldLearner
 from madviz.world_model.mv_mwm_options import SIZES, MvMwmConfig
 
 SCHEDULE = "in the imagination of a world model"
@@ -115,7 +116,6 @@ class MvMwmRun(RewardRun[WorldLearner, MvMwmConfig]):
         if self.demonstrations:
             theirs, labels = demonstrated(self.demonstrations, expert, config.ahead, self.rng)
             stretch = beside(stretch, theirs)
-            labels = unlabelled_before(labels, len(index))
         self._note(self.learner.update(stretch, labels, imagines))
         self.updates += 1
 
@@ -168,37 +168,30 @@ def recorded(plan: TrainingPlan, count: int) -> Dataset:
 
 def demonstrated(
     data: Dataset, size: int, ahead: int, rng: np.random.Generator
-) -> tuple[Stretch, Labels]:
+) -> tuple[Stretch, Float[Tensor, "L+1 B A"]]:
     """``size`` stretches of ``ahead`` decisions from an expert's episodes, and what it would do at
     each of their L + 1 last time steps."""
     places = data.horizon - ahead
     index = rng.integers(0, data.episodes * places, size)
     index = index // places * data.horizon + index % places
-    seen = torch.cat([data.views(index), data.views(index + ahead, ahead)], 2)
-    known = index + np.arange(ahead + 1)[:, None]
+    seen = torch.cat([data.views(index), data.views(index + ahead, ahead)], 2)  # (B, V, 3 T, H, W)
+    known = index + np.arange(ahead + 1)[:, None]  # (L + 1, B)
     done = known[:-1]
     reward = data.column("rewards", done)
     stretch = Stretch(
-        frames=seen.unflatten(2, (-1, 3)).permute(2, 0, 1, 3, 4, 5),
+        frames=seen.unflatten(2, (-1, 3)).permute(2, 0, 1, 3, 4, 5),  # (T, B, V, 3, H, W)
         state=data.column("states", known),
         action=data.column("actions", done),
         reward=reward,
         follows=torch.ones_like(reward),
     )
-    return stretch, Labels(data.column("labels", known), torch.ones(size, dtype=torch.bool))
+    return stretch, data.column("labels", known)
 
 
 def beside(one: Stretch, other: Stretch) -> Stretch:
     """The samples of both."""
     names = [field.name for field in fields(Stretch)]
     return Stretch(*(torch.cat([getattr(one, name), getattr(other, name)], 1) for name in names))
-
-
-def unlabelled_before(labels: Labels, count: int) -> Labels:
-    """``labels`` after ``count`` samples that have none."""
-    shape = (labels.action.shape[0], count, labels.action.shape[2])
-    action = torch.cat([torch.zeros(shape), labels.action], 1)
-    return Labels(action, torch.cat([torch.zeros(count, dtype=torch.bool), labels.known]))
 
 
 def train_mv_mwm(plan: TrainingPlan, config: MvMwmConfig, folder: RunFolder) -> None:

@@ -50,15 +50,11 @@ class Belief:
         """Both parts, as other networks read them."""
         return torch.cat([self.deterministic, self.latent.flatten(1)], 1)
 
-    def detach(self) -> Belief:
-        """The same numbers, as data."""
-        return Belief(self.deterministic.detach(), self.latent.detach(), self.logits.detach())
-
 
 def joined(beliefs: list[Belief]) -> Belief:
     """T beliefs of B samples each as one of T x B, time first."""
     parts = ("deterministic", "latent", "logits")
-    return Belief(*(torch.cat([getattr(one, part) for one in beliefs]) for part in parts))
+    return Belief(*(torch.cat([getattr(belief, part) for belief in beliefs]) for part in parts))
 
 
 class Rssm(nn.Module):
@@ -92,7 +88,7 @@ class Rssm(nn.Module):
             done = before.deterministic.new_zeros(batch, self.actions + 1)
         else:
             done = torch.cat([action, action.new_ones(batch, 1)], 1)
-        inputs = self.inputs(torch.cat([before.latent.flatten(1), done], 1))
+        inputs = self.inputs(torch.cat([before.latent.flatten(1), done], 1))  # (B, hidden)
         return self.cell(inputs, before.deterministic)
 
     def prior_belief(
@@ -146,7 +142,8 @@ def straight_through(
     if noise is None:
         index = logits.argmax(-1)
     else:
-        below = probabilities.detach().cumsum(-1) <= noise[..., None]
+        # The value drawn is the first whose cumulated probability is above the noise.
+        below = probabilities.detach().cumsum(-1) <= noise[..., None]  # (..., K)
         index = below.sum(-1).clamp(max=logits.shape[-1] - 1)
     drawn = F.one_hot(index, logits.shape[-1]).to(probabilities)
     return drawn + probabilities - probabilities.detach()

@@ -12,8 +12,8 @@ from safetensors.numpy import save
 
 from benchmarks.site import BenchSiteConfig, bench_site, opened, serving
 from madviz.policies.checkpoint import describe, policy_folders
-from madviz.site.fixtures import fixtures
 from madviz.site.site import SiteConfig, fits, run_site
+from tests.site_fixtures import fixtures
 
 SEED = 5003
 HAMMER, MERGED = "metaworld-hammer-mad-light", "metaworld-hammer-merged-only-light"

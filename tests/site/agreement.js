@@ -1,6 +1,6 @@
 /**
  * Runs in a page of a site: compares what the browser draws, reads and simulates with what Python
- * did at the same moments (`madviz/site/fixtures.py`).
+ * did at the same moments (`tests/site_fixtures.py`).
  */
 
 /**

@@ -76,7 +76,6 @@ class ManiSkill(PlacedCameras):
     """
 
     setting_cameras = SETTING_CAMERAS
-    own_cameras = staticmethod(cameras_of)
 
     @staticmethod
     def describe(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> EnvSpec:

@@ -42,8 +42,8 @@ def lighten(scene: Any) -> None:
             continue
         lighter = sapien.render.RenderBodyComponent()
         for shape in body.render_shapes:
-            for each in _lighter_shapes(shape):
-                lighter.attach(each)
+            for new_shape in _lighter_shapes(shape):
+                lighter.attach(new_shape)
         lighter.visibility = body.visibility
         entity.remove_component(body)
         entity.add_component(lighter)
@@ -62,10 +62,10 @@ def _lighter_shapes(shape: Any) -> list[Any]:
         mesh = (part.vertices, part.triangles, part.get_vertex_normal(), part.get_vertex_uv())
         textured = part.material.base_color_texture is not None
         mesh = lighter(mesh, textured) if len(mesh[1]) > TRIANGLES else mesh
-        each = sapien.render.RenderShapeTriangleMesh(*mesh, part.material)
-        each.local_pose = shape.local_pose
-        each.scale = shape.scale
-        made.append(each)
+        new_shape = sapien.render.RenderShapeTriangleMesh(*mesh, part.material)
+        new_shape.local_pose = shape.local_pose
+        new_shape.scale = shape.scale
+        made.append(new_shape)
     return made
 
 
@@ -123,7 +123,7 @@ def shade(vertices: Array, triangles: Array) -> Mesh:
 def flat_rectangle(mesh: Mesh) -> Mesh | None:
     """Two triangles for a level rectangle in x and y whose texture is linear in them; None for any
     other mesh."""
-    vertices, triangles, normals, uvs = (np.asarray(each) for each in mesh)
+    vertices, triangles, normals, uvs = (np.asarray(array) for array in mesh)
     low = vertices.min(0)
     high = vertices.max(0)
     a, b, c = (vertices[triangles[:, k], :2].astype(float) for k in range(3))

@@ -22,15 +22,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from madviz.envs.checks import check_size
 from madviz.envs.maniskill.meshes import lighten
 from madviz.envs.maniskill.sapien_bodies import ManiSkillBodies
 from madviz.envs.maniskill.shaders import STOCK, shader_pack
 from madviz.envs.maniskill.tasks import build
-from madviz.errors import UserError
-from madviz.types import Array, CameraSpec, View
+from madviz.types import Array, View
 
-MAX_SIZE = 512
-"""The largest view in pixels; the page needs no more."""
 NEAR = 0.01
 FAR = 100.0
 """Metres."""
@@ -69,8 +67,7 @@ class DrawnCopy:
         are made once. Raises UserError for a size that cannot be drawn."""
         import sapien
 
-        if not 1 <= size <= MAX_SIZE:
-            raise UserError(f"a view must have 1 to {MAX_SIZE} pixels a side, found {size}")
+        check_size(size)
         if (name, size) not in self._cameras:
             self._cameras[name, size] = self._camera(size)
         entity, camera = self._cameras[name, size]
@@ -103,24 +100,6 @@ class DrawnCopy:
         entity.add_component(camera)
         self._scene.add_entity(entity)
         return entity, camera
-
-
-def sensor(camera: CameraSpec, mount: Any = None) -> Any:
-    """``camera`` as one of ManiSkill's own sensors; ``mount`` is the link that it rides on."""
-    import sapien
-    from mani_skill.sensors.camera import CameraConfig
-    from mani_skill.utils.structs.pose import Pose
-
-    return CameraConfig(
-        uid=camera.name,
-        pose=Pose.create(sapien.Pose(sapien_pose(camera.position, camera.wxyz))),
-        width=camera.size,
-        height=camera.size,
-        fov=float(np.radians(camera.fovy)),
-        near=NEAR,
-        far=FAR,
-        mount=mount,
-    )
 
 
 def sapien_pose(position: Sequence[float] | Array, wxyz: Sequence[float] | Array) -> Array:

@@ -88,7 +88,7 @@ def states(task: str, simulation: Any, info: dict[str, Any]) -> Array:
     numbers.append(simulation.agent.tcp.pose.raw_pose)
     shown = {"pick-cube": "goal_site", "place-sphere": "bin", "poke-cube": "peg"}
     numbers.append(getattr(simulation, shown.get(task, "goal_region")).pose.p)
-    return np.concatenate([each.cpu().numpy().astype(np.float32) for each in numbers], axis=1)
+    return np.concatenate([column.cpu().numpy().astype(np.float32) for column in numbers], axis=1)
 
 
 PLACES = {
@@ -103,8 +103,8 @@ PLACES = {
 
 def places(task: str, simulation: Any) -> Array:
     """(3 P,) float32 metres, world frame: where they are now."""
-    found = [position(getattr(simulation, name)) for name in PLACES[task]]
-    return np.concatenate(found).astype(np.float32)
+    positions = [position(getattr(simulation, name)) for name in PLACES[task]]
+    return np.concatenate(positions).astype(np.float32)
 
 
 def position(thing: Any) -> Array:

@@ -93,11 +93,6 @@ class MetaWorld(MuJoCoWorld):
     setting_cameras = SETTING_CAMERAS
 
     @staticmethod
-    def own_cameras(task: str) -> tuple[CameraSpec, ...]:
-        """The paper's three, which are the same for every task."""
-        return CAMERAS
-
-    @staticmethod
     def describe(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> EnvSpec:
         """The facts of ``task``, without a simulator."""
         return EnvSpec(

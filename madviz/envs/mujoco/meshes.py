@@ -61,7 +61,8 @@ def _decimate(model: mujoco.MjModel, mesh: int) -> None:
     model.mesh_normal[normal : normal + len(small)] = normals
     for faces_of in (model.mesh_face, model.mesh_facenormal):
         faces_of[face : face + len(triangles)] = triangles
-    model.mesh_vertnum[mesh], model.mesh_facenum[mesh] = len(small), len(triangles)
+    model.mesh_vertnum[mesh] = len(small)
+    model.mesh_facenum[mesh] = len(triangles)
 
 
 def _vertex_normals(vertices: Array, triangles: Array) -> Array:

@@ -19,7 +19,8 @@ from madviz.types import Array, Body, Part
 
 BEAD = 0.015
 """Metres of radius."""
-_MAX_GEOMS = 2000
+MAX_GEOMS = 2000
+"""Shapes in a scene."""
 
 
 class MuJoCoBodies:
@@ -29,17 +30,23 @@ class MuJoCoBodies:
         """``data`` of an episode: what is visible is read from it."""
         parts: dict[int, list[Part]] = {}
         sites: dict[int, Part] = {}
-        for geom in _drawn(model, data):
+        for geom in visible_scene(model, data)[1]:
+            if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+                continue
             if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
-                of = int(model.geom_bodyid[geom.objid])
-                parts.setdefault(of, []).append(_geom(model, geom))
+                body = int(model.geom_bodyid[geom.objid])
+                place = model.geom_pos[geom.objid]
+                turn = model.geom_quat[geom.objid]
+                part = shapes.part(_shape(model, geom), _colour(model, geom), place, turn)
+                parts.setdefault(body, []).append(part)
             elif geom.objtype == mujoco.mjtObj.mjOBJ_SITE and max(geom.size) >= BEAD:
                 sites[geom.objid] = shapes.part(_shape(model, geom), _colour(model, geom))
         self._bodies = list(parts)
         self._sites = list(sites)
-        self.bodies = tuple(
-            Body(f"{model.body(of).name or 'body'}-{of}", tuple(some)) for of, some in parts.items()
-        ) + tuple(Body(f"{model.site(of).name}-site-{of}", (one,)) for of, one in sites.items())
+        self.bodies = (
+            *(Body(f"{model.body(i).name or 'body'}-{i}", tuple(p)) for i, p in parts.items()),
+            *(Body(f"{model.site(i).name}-site-{i}", (part,)) for i, part in sites.items()),
+        )
 
     def poses(self, data: mujoco.MjData) -> Array:
         """(N, 7) float32: position in metres and wxyz in the world, in the order of ``bodies``."""
@@ -51,22 +58,16 @@ class MuJoCoBodies:
         return np.concatenate([position, turn], 1).astype(np.float32)
 
 
-def _drawn(model: mujoco.MjModel, data: mujoco.MjData) -> list[mujoco.MjvGeom]:
-    """The shapes that are visible and have an end."""
-    scene = mujoco.MjvScene(model, _MAX_GEOMS)
+def visible_scene(
+    model: mujoco.MjModel, data: mujoco.MjData
+) -> tuple[mujoco.MjvScene, list[mujoco.MjvGeom]]:
+    """The scene that MuJoCo would draw of ``data``, and its shapes that are not transparent."""
+    scene = mujoco.MjvScene(model, MAX_GEOMS)
     everything = mujoco.mjtCatBit.mjCAT_ALL.value
     mujoco.mjv_updateScene(
         model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene
     )
-    plane = mujoco.mjtGeom.mjGEOM_PLANE
-    return [g for g in scene.geoms[: scene.ngeom] if g.rgba[3] > 0 and g.type != plane]
-
-
-def _geom(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> Part:
-    """One shape in its body's frame."""
-    place = model.geom_pos[geom.objid]
-    turn = model.geom_quat[geom.objid]
-    return shapes.part(_shape(model, geom), _colour(model, geom), place, turn)
+    return scene, [geom for geom in scene.geoms[: scene.ngeom] if geom.rgba[3] > 0]
 
 
 def _shape(model: mujoco.MjModel, geom: mujoco.MjvGeom) -> shapes.Shape:

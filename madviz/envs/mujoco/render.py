@@ -19,12 +19,11 @@ from contextlib import nullcontext
 import mujoco
 import numpy as np
 
+from madviz.envs.checks import MAX_SIZE, check_size
 from madviz.envs.mujoco.meshes import lighter_meshes
 from madviz.errors import UserError
 from madviz.types import Array, View
 
-MAX_SIZE = 512
-"""The largest view in pixels; the frame buffer has this many rows and columns."""
 _MAX_GEOMS = 2000
 
 
@@ -61,8 +60,7 @@ class SceneCameras:
     def draw(self, position: Array, rotation: Array, fovy: float, size: int) -> View:
         """The view from ``position`` (3,) metres; ``rotation`` (3, 3) has the OpenGL camera's axes
         (right, up, back) as columns; ``fovy`` in degrees; square of ``size`` pixels."""
-        if not 1 <= size <= MAX_SIZE:
-            raise UserError(f"a view must have 1 to {MAX_SIZE} pixels a side, found {size}")
+        check_size(size)
         if self._gl is None:
             raise RuntimeError("these cameras are closed")
         self._gl.make_current()
@@ -72,13 +70,13 @@ class SceneCameras:
                 self._model, self._data, self._option, None, self._free, categories, self._scene
             )
             self._stale = False
-        near, far = self._place(position, rotation, fovy)
+        near, far = self._place(position, rotation, fovy)  # Metres.
         rectangle = mujoco.MjrRect(0, 0, size, size)
         rgb = np.empty((size, size, 3), np.uint8)
         raw = np.empty((size, size), np.float32)
         mujoco.mjr_render(rectangle, self._scene, self._context)
         mujoco.mjr_readPixels(rgb, raw, rectangle, self._context)
-        depth = 1.0 / (1.0 / far + raw * (1.0 / near - 1.0 / far))
+        depth = 1.0 / (1.0 / far + raw * (1.0 / near - 1.0 / far))  # (H, W)
         # OpenGL's first row is the bottom one.
         return View(np.ascontiguousarray(rgb[::-1]), np.ascontiguousarray(depth[::-1]))
 
@@ -96,9 +94,9 @@ class SceneCameras:
         far = self._model.vis.map.zfar * extent
         half_height = near * np.tan(np.radians(fovy) / 2)
         for camera in self._scene.camera:  # The two eyes of a stereo pair, here at one place.
-            camera.pos[:], camera.up[:], camera.forward[:] = (
-                position, rotation[:, 1], -rotation[:, 2],
-            )  # fmt: skip
+            camera.pos[:] = position
+            camera.up[:] = rotation[:, 1]
+            camera.forward[:] = -rotation[:, 2]
             camera.frustum_center = 0.0
             camera.frustum_width = half_height
             camera.frustum_bottom = -half_height
