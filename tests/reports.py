@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from madviz.measure.evidence import find_evidence
 from madviz.report.layouts import LAYOUTS
-from madviz.report.results import ReportConfig, run_report
+from madviz.report.results import ReportConfig, ReportResult, run_report
 from madviz.report.rows import Row
 from madviz.report.tables import ResultTable, build
 from tests.evidence import rates
@@ -24,7 +23,7 @@ def every_table(root: Path) -> list[ResultTable]:
     return [t for layout in LAYOUTS for t in build(layout, find_evidence(root)[0])]
 
 
-def report(root: Path) -> tuple[dict[str, Any], str]:
+def report(root: Path) -> tuple[ReportResult, str]:
     result = run_report(ReportConfig(root))
     return result, Path(result["path"]).read_text()
 

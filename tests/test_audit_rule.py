@@ -175,9 +175,12 @@ def test_a_camera_is_settled_by_both_of_its_tests():
 def test_an_audit_ends_at_the_look_that_settles_all():
     plan = AuditPlan(Cameras(THREE, lambda mask: True), 100, 5000)
     outcomes = {c: dict.fromkeys(range(5000, 5100), c == INTACT) for c in plan.deciding}
-    look, judgement = plan.stopped(outcomes)
+    end = plan.stopped(outcomes)
+    assert end is not None
+    look, judgement = end
     assert judgement.settled.all() and look.episodes == plan.looks[0].episodes < 100
-    assert plan.reached(outcomes)[0] == look, "what was played later does not count"
+    reached = plan.reached(outcomes)
+    assert reached and reached[0] == look, "what was played later does not count"
     assert {seed for _, seed in plan.wanted(outcomes)} == set(range(5000, 5000 + look.episodes))
 
 

@@ -40,7 +40,7 @@ class KeptTransitions:
     """Stands in for a buffer: all that it is told, in order."""
 
     def __init__(self) -> None:
-        self.begun: list[tuple[Array, dict[str, Array]]] = []
+        self.begun: list[tuple[Array, list[Array]]] = []
         self.added: list[tuple[Any, ...]] = []
 
     def begin(self, state: Array, frames: Any) -> None:

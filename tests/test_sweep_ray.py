@@ -96,7 +96,7 @@ def test_the_ray_backend_hands_runs_over_and_reports_those_that_ray_gave_up(
     result = run_sweep(config(tmp_path, backend="ray", cpus=2), program)
     assert (result["finished"], result["failed"]) == (3, 1)
     assert fake.options["num_cpus"] == 2 and fake.options["max_retries"] > 0
-    error = next(run["error"] for run in result["runs"] if run["state"] == "failed")
+    error = next(run.get("error") for run in result["runs"] if run["state"] == "failed")
     assert error == "Ray gave the run up (RayError): the node died"
     backend = RayBackend(tmp_path, None, cpus=2)
     assert backend.slots == 2 + 1 and RayBackend(tmp_path, 2, cpus=1).slots == 2
