@@ -27,6 +27,7 @@ from madviz.policies import checkpoint
 from madviz.policies.config import TrainingRecord, policy_config
 from madviz.policies.seeds import seeds_from, training_seed, use_of
 from madviz.report.results import ReportConfig, run_report
+from madviz.report.rows import difference
 from madviz.report.threshold import judge
 from madviz.types import PolicySpec
 from tests.evidence import rates, write_policy
@@ -215,8 +216,9 @@ def test_figures_in_readme_pool_trainings_on_alike_seeds(
     count = tool.count(files.row("shown"))
     files.policies.cache_clear()
     assert rows["mad"].trainings == 3 and rows["mad"].seeds == "development"
-    assert tool.joined(rows["mad"], "all").startswith("0.60 [")
-    assert tool.gap(rows["vib"], rows["mad"], ["all"]).startswith("+45 points"), "of one training"
+    assert files.rates(rows["mad"], ["all"])[0].startswith("0.60 [")
+    gap = difference(rows["vib"], rows["mad"], ["all"])
+    assert str(gap).startswith("+45 points"), "of one training"
     assert count == "n = 100, reporting seeds"
 
 

@@ -9,18 +9,21 @@ A block stands between ``<!-- figures: NAME -->`` and ``<!-- end -->``. Each NAM
 
 from __future__ import annotations
 
+import json
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 import measurements
 import package_tree
 from measurements import table
-from policy_files import LABELS, ROOT, SINGLES, methods, on_development, policies, rates, row
+from policy_files import LABELS, ROOT, every_table, policies, rates, row
 
+from madviz.policies import checkpoint
+from madviz.report.findings import findings_table
 from madviz.report.layouts import THREE
-from madviz.report.rows import Row, difference
+from madviz.report.rows import Row
 from madviz.report.threshold import TWENTY, WEAK, judge
 
 START = "<!-- figures: "
@@ -32,11 +35,6 @@ LACKING = {("maniskill/poke-cube", "first"): " (it does not see the goal)"}
 def count(measured: Row) -> str:
     """For example ``n = 100, reporting seeds``."""
     return f"n = {len(measured.cells['all'])}, {measured.seeds} seeds"
-
-
-def joined(measured: Row, *subsets: str) -> str:
-    """Rates in a line; those of every single camera if no subset is given."""
-    return ", ".join(rates(measured, subsets or SINGLES))
 
 
 def weak() -> str:
@@ -56,48 +54,24 @@ def weak() -> str:
 
 
 def findings() -> str:
-    push, cube = methods("metaworld/push"), methods("maniskill/push-cube")
-    mad, merged, single, singular = (
-        push[name] for name in ("mad", "merged-only", "single", "singular-only")
-    )
-    included = row("metaworld-push-mad-light")
-    names = "First person, Third A and Third B"
-    about = f"{mad.trainings} trainings, n = {len(mad.cells['all'])}, {mad.seeds} seeds"
+    """The table of RESULTS.md, and two findings that are no difference of two rows."""
     return (
-        f"1. **A policy trained on the sum alone can fail on one camera.** Push ({about}), all "
-        f"cameras: MAD {joined(mad, 'all')}, Merged Only {joined(merged, 'all')}. On {names} "
-        f"alone: MAD {joined(mad)}; Merged Only {joined(merged)}. *Limit:* a small budget: "
-        f"the included policy was trained longer, on more episodes and under a noise that fades, "
-        f"and has {joined(included)} there ({included.seeds} seeds); "
-        f"PushCube's First person alone is enough for Merged Only too, "
-        f"and who acts in the training episodes counts as well as the loss "
-        f"([alpha](docs/training.md#light)).\n"
-        f"2. **One policy for all cameras can beat one policy for each.** On push's single "
-        f"cameras, three policies with one camera each have {joined(single)}. MAD minus these: "
-        f"{gap(mad, single, SINGLES)}, but on First person alone {gap(mad, single, SINGLES[:1])}; "
-        f"on PushCube {gap(cube['mad'], cube['single'], SINGLES)}. "
-        f"MAD minus Singular Only, all cameras: {gap(mad, singular, ['all'])}; on PushCube "
-        f"{gap(cube['mad'], cube['singular-only'], ['all'])}. *Limit:* two tasks; MAD's alpha was "
-        f"chosen with push's first training, on these episodes.\n"
-        f"3. **A camera alone has to see what decides.** {weak()}. "
-        f"Peg-insert-side's First person had 0.33. Then its policy learned from a script that "
-        f"carries the peg over the box first, where that camera sees the box, and it has "
-        f"{joined(row('metaworld-peg-insert-side-mad-light'), 'first')}. *Limit:* one "
-        f"training each; other options differ too "
-        f"([places](docs/benchmarks.md#places)).\n"
-        f"4. **From rewards alone, MAD learns to act from one camera too.** {from_rewards()}; "
-        f"these two do not differ measurably. *Limit:* one training each, at a "
-        f"fifth of the paper's decisions.\n"
+        f"{findings_table(every_table()).rstrip()}\n\n"
+        f"- **A camera alone has to see what decides.** {weak()}.\n"
+        f"- **{holding_still()}\n"
     )
 
 
-def from_rewards() -> str:
-    """MAD and Single Camera by reinforcement learning, on the seeds that both have."""
-    mad = on_development("maniskill-push-cube-mad-paper-vectorised")
-    single = on_development("maniskill-push-cube-single-third_a-paper-vectorised", ("all",))
+def holding_still() -> str:
+    """Success at the last step and at any step of the policy that learned from rewards."""
+    file = ROOT / "checkpoints/maniskill-push-cube-mad-paper-vectorised" / checkpoint.DEVELOPMENT
+    subsets = json.loads(file.read_text())["subsets"].values()
+    last = [subset["success"] for subset in subsets]
+    ever = [subset["success_any"] for subset in subsets]
     return (
-        f"PushCube ({count(mad)}), all cameras, then {', '.join(LABELS.values())} alone: MAD "
-        f"{joined(mad, *THREE)}; Single Camera on Third A {joined(single, 'all')}"
+        "From rewards alone, MAD reaches the goal from every camera and does not hold still.** "
+        f"PushCube, on all cameras and each alone: at the last step {min(last):.2f} to "
+        f"{max(last):.2f}, at any step {min(ever):.2f} to {max(ever):.2f} (one training, n = 100)."
     )
 
 
@@ -113,13 +87,6 @@ def included(method: str) -> str:
         ("policy", "all cameras", *LABELS.values(), "episodes"),
         [(policy.label, *rates(policy, THREE), count(policy)) for policy in measured],
     )
-
-
-def gap(first: Row, second: Row, subsets: Sequence[str]) -> str:
-    """For example ``+15 points [+2, +28]``, paired."""
-    paired = difference(first, second, subsets)
-    assert paired, "both have these subsets"
-    return str(paired)
 
 
 BLOCKS: dict[str, Callable[[], str]] = {

@@ -10,7 +10,7 @@ from madviz.measure.evidence import Evidence, find_evidence
 from madviz.policies.seeds import DEVELOPMENT
 from madviz.report.layouts import LAYOUTS, THREE
 from madviz.report.rows import Row
-from madviz.report.tables import build, row_of
+from madviz.report.tables import ResultTable, build, row_of
 
 ROOT = Path(__file__).resolve().parent.parent
 SINGLES = THREE[1:]
@@ -43,8 +43,12 @@ def rates(measured: Row, subsets: Sequence[str] = SINGLES) -> list[str]:
     return [rate.without_count if (rate := measured.rate(subset)) else "–" for subset in subsets]
 
 
+def every_table() -> list[ResultTable]:
+    """The tables of results/RESULTS.md."""
+    return [table for layout in LAYOUTS for table in build(layout, list(policies().values()))]
+
+
 def methods(task: str) -> dict[str, Row]:
     """By method, the row of ``results/RESULTS.md`` on one task, with all its trainings."""
-    overall = next(layout for layout in LAYOUTS if layout.key == "overall")
-    tables = [table for table in build(overall, list(policies().values())) if table.imitation]
-    return {row.label: row for table in tables for at, row in table.rows if at == task}
+    overall = [table for table in every_table() if table.layout.key == "overall"]
+    return {row.label: row for table in overall for at, row in table.rows if at == task}

@@ -1,0 +1,206 @@
+"""What was found, in one table: a claim, what was measured, the result, the paper, a verdict.
+
+Every result is a difference of two rows of the report's tables, paired by scene. The verdict
+follows from its interval alone:
+
+    expected          interval                       verdict
+    first is ahead    above 0                        shown here, or shown in part
+    first is ahead    holds 0                        not shown
+    first is ahead    below 0                        contradicted here
+    both are alike    within 10 points either way    shown here, or shown in part
+    both are alike    holds 0, and is wider          not shown
+    both are alike    does not hold 0                contradicted here
+
+*Shown here* takes reinforcement learning, which the paper's sentences are about, with three
+trainings or more. All else is *shown in part*. A claim whose rows were not measured is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from madviz.measure.statistics import Interval
+from madviz.report.claims import SEVERAL
+from madviz.report.layouts import THREE
+from madviz.report.rows import Difference, Row, difference
+from madviz.report.tables import ResultTable
+from madviz.system.markdown import markdown_table
+
+MARGIN = 0.1
+"""Differences within this either way count as none."""
+HEADER = ("claim", "measured", "result, in points", "the paper", "verdict")
+ALONE = THREE[1:]
+PUSH = "metaworld/push"
+CUBE = "maniskill/push-cube"
+Place = tuple[str, str]
+"""A layout's key and a row's label in its table."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A row: ``first`` minus ``second`` on the mean of ``columns``, on one task."""
+
+    claim: str
+    task: str
+    first: Place
+    second: Place
+    columns: tuple[str, ...]
+    paper: str
+    expected: Literal["ahead", "alike"] = "ahead"
+
+
+FINDINGS = (
+    Finding(
+        "On a single camera, MAD is ahead of training on the sum alone",
+        PUSH,
+        ("overall", "mad"),
+        ("overall", "merged-only"),
+        ALONE,
+        "MAD is ahead",
+    ),
+    Finding(
+        "The same",
+        CUBE,
+        ("overall", "mad"),
+        ("overall", "merged-only"),
+        ALONE,
+        "MAD is ahead",
+    ),
+    Finding(
+        "Recorded episodes count as well: the sum's loss on MAD's episodes, against its own",
+        PUSH,
+        ("alpha", "alpha 1"),
+        ("overall", "merged-only"),
+        ("first",),
+        "not asked",
+    ),
+    Finding(
+        "With all cameras, MAD is as good as training on the sum alone",
+        PUSH,
+        ("overall", "mad"),
+        ("overall", "merged-only"),
+        ("all",),
+        "MAD is ahead",
+        "alike",
+    ),
+    Finding(
+        "MAD is ahead of one policy for each camera (alpha 0.25)",
+        PUSH,
+        ("overall", "mad"),
+        ("overall", "single"),
+        ALONE,
+        "MAD is ahead",
+    ),
+    Finding(
+        "The same with the paper's alpha, 0.8",
+        PUSH,
+        ("alpha", "alpha 0.8"),
+        ("overall", "single"),
+        ALONE,
+        "MAD is ahead",
+    ),
+    Finding(
+        "The same (alpha 0.25)",
+        CUBE,
+        ("overall", "mad"),
+        ("overall", "single"),
+        ALONE,
+        "MAD is ahead",
+    ),
+    Finding(
+        "From rewards alone, on Third A, MAD is as good as a policy of that camera",
+        CUBE,
+        ("scratch", "mad, paper-vectorised"),
+        ("scratch", "single, paper-vectorised"),
+        ("third_a",),
+        "MAD is ahead",
+        "alike",
+    ),
+    Finding(
+        "Two cameras turned away: MAD is as good as the camera that is left",
+        CUBE,
+        ("occlusion", "mad"),
+        ("occlusion", "single"),
+        ("all",),
+        "alike: 63 % and 62 %",
+        "alike",
+    ),
+    Finding(
+        "The same with the paper's alpha, 0.8",
+        CUBE,
+        ("occlusion", "mad, alpha 0.8"),
+        ("occlusion", "single"),
+        ("all",),
+        "alike: 63 % and 62 %",
+        "alike",
+    ),
+    Finding(
+        "Colour and depth: MAD is as good as a policy of both",
+        CUBE,
+        ("modality", "mad, one-rgbd"),
+        ("modality", "single, one-rgbd"),
+        ("all",),
+        "alike",
+        "alike",
+    ),
+    Finding(
+        "Pictures of several sizes cost nothing",
+        CUBE,
+        ("resolution", "mad"),
+        ("resolution", "mad, one size"),
+        THREE,
+        "no loss",
+        "alike",
+    ),
+)
+
+
+def findings_table(tables: Sequence[ResultTable]) -> str:
+    """Markdown; '' where no claim can be judged from ``tables``."""
+    rows = []
+    for finding in FINDINGS:
+        first = _row(tables, finding.task, finding.first)
+        second = _row(tables, finding.task, finding.second)
+        gap = difference(first, second, finding.columns) if first and second else None
+        if first and gap:
+            rewards = finding.first[0] == "scratch"
+            learning = "reinforcement learning" if rewards else "imitation"
+            measured = f"{learning}, {finding.task.split('/')[1]}, {_amount(gap)}, {first.seeds}"
+            said = verdict(finding.expected, gap.interval, rewards, len(gap.trainings))
+            rows.append([finding.claim, measured, str(gap), finding.paper, said])
+    return markdown_table(HEADER, rows) if rows else ""
+
+
+def verdict(expected: str, interval: Interval, rewards: bool, trainings: int) -> str:
+    """See the module."""
+    low, high = interval
+    if expected == "ahead":
+        shown = low > 0
+        contradicted = high < 0
+    else:
+        shown = -MARGIN <= low and high <= MARGIN
+        contradicted = not shown and (low > 0 or high < 0)
+    if contradicted:
+        return "contradicted here"
+    if not shown:
+        return "not shown"
+    return "shown here" if rewards and trainings >= SEVERAL else "shown in part"
+
+
+def _amount(gap: Difference) -> str:
+    trainings = len(gap.trainings)
+    return f"{trainings} training{'s' * (trainings > 1)}, n = {gap.n}"
+
+
+def _row(tables: Sequence[ResultTable], task: str, place: Place) -> Row | None:
+    key, label = place
+    rows = [
+        row
+        for table in tables
+        if table.layout.key == key
+        for at, row in table.rows
+        if (at, row.label) == (task, label)
+    ]
+    return rows[0] if rows else None
