@@ -84,21 +84,21 @@ def live():
 def test_seeds_are_run_in_order_one_at_a_time_until_there_are_enough(live):
     evaluator, workers = live
     assert evaluator.request("ann", POLICY, ALL).n == 0
-    for seed in (5000, 5001, 5002, 5003):
+    for seed in (60000, 60001, 60002, 60003):
         assert workers.jobs == [("all", seed)]
-        workers.finish(success=seed > 5000)
+        workers.finish(success=seed > 60000)
     assert workers.jobs == []
     tally = evaluator.request("ann", POLICY, ALL)
     assert (tally.success.successes, tally.success.n, tally.success_any.value) == (3, 4, 1.0)
     assert tally.success.interval == pytest.approx((0.3006, 0.9544), abs=1e-4)
-    assert [result.seed for result in tally.results] == [5000, 5001, 5002, 5003]
+    assert [result.seed for result in tally.results] == [60000, 60001, 60002, 60003]
 
 
 def test_asking_the_same_again_changes_nothing(live):
     evaluator, workers = live
     for _ in range(5):
         evaluator.request("ann", POLICY, ALL)
-    assert workers.jobs == [("all", 5000)]
+    assert workers.jobs == [("all", 60000)]
 
 
 def test_a_changed_setting_is_next_and_the_old_one_is_resumed_later(live):
@@ -106,13 +106,13 @@ def test_a_changed_setting_is_next_and_the_old_one_is_resumed_later(live):
     evaluator.request("ann", POLICY, ALL)
     evaluator.request("ann", POLICY, NONE)
     evaluator.request("ann", POLICY, FIRST)
-    assert workers.jobs == [("all", 5000)]  # One episode of the past at most.
+    assert workers.jobs == [("all", 60000)]  # One episode of the past at most.
     workers.finish()
-    assert workers.jobs == [("first", 5000)]
+    assert workers.jobs == [("first", 60000)]
     workers.finish()
     evaluator.request("ann", POLICY, ALL)
     workers.finish()
-    assert workers.jobs == [("all", 5001)]
+    assert workers.jobs == [("all", 60001)]
     assert evaluator.tally(POLICY, ALL).n == 1 and evaluator.tally(POLICY, FIRST).n == 2
 
 
@@ -124,21 +124,23 @@ def test_visitors_take_turns_and_share_what_they_both_want(live):
     for _ in range(6):
         order += workers.jobs
         workers.finish()
-    assert order == [(subset, seed) for seed in (5000, 5001, 5002) for subset in ("all", "first")]
+    assert order == [
+        (subset, seed) for seed in (60000, 60001, 60002) for subset in ("all", "first")
+    ]
     evaluator.request("bob", POLICY, ALL)
     assert evaluator.request("bob", POLICY, ALL).n == 3
-    assert workers.jobs == [("all", 5003)]
+    assert workers.jobs == [("all", 60003)]
 
 
 def test_several_workers_get_different_episodes():
     evaluator, workers = fake(3, episodes=5)
     evaluator.request("ann", POLICY, ALL)
     evaluator.request("bob", POLICY, ALL)
-    assert workers.jobs == [("all", 5000), ("all", 5001), ("all", 5002)]
+    assert workers.jobs == [("all", 60000), ("all", 60001), ("all", 60002)]
     workers.waiting.append(workers.waiting.pop(0))  # The first one takes longest.
     workers.finish()
-    assert [r.seed for r in evaluator.tally(POLICY, ALL).results] == [5001]
-    assert workers.jobs == [("all", 5002), ("all", 5000), ("all", 5003)]
+    assert [r.seed for r in evaluator.tally(POLICY, ALL).results] == [60001]
+    assert workers.jobs == [("all", 60002), ("all", 60000), ("all", 60003)]
 
 
 def test_a_visitor_who_left_is_not_served(live):
@@ -176,16 +178,16 @@ def test_an_error_ends_its_setting_only_and_asking_anew_tries_again(live):
     evaluator.request("bob", POLICY, FIRST)
     workers.fail(UserError("cannot act on 'all'"))
     assert evaluator.tally(POLICY, ALL).error == "cannot act on 'all'"
-    assert workers.jobs == [("first", 5000)]
+    assert workers.jobs == [("first", 60000)]
     workers.finish()
-    assert workers.jobs == [("first", 5001)]
+    assert workers.jobs == [("first", 60001)]
     evaluator.request("ann", POLICY, ALL)
-    assert workers.jobs == [("first", 5001)]  # Nothing was asked anew.
+    assert workers.jobs == [("first", 60001)]  # Nothing was asked anew.
     evaluator.request("ann", POLICY, NONE)
     evaluator.request("ann", POLICY, ALL)
     assert evaluator.tally(POLICY, ALL).error == ""
     workers.finish()
-    assert workers.jobs == [("all", 5000)]
+    assert workers.jobs == [("all", 60000)]
 
 
 def test_after_a_killed_worker_the_same_seed_is_run_again(live):
@@ -193,7 +195,7 @@ def test_after_a_killed_worker_the_same_seed_is_run_again(live):
     evaluator.request("ann", POLICY, ALL)
     workers.finish()
     workers.fail(BrokenProcessPool("killed"))
-    assert workers.generation == 1 and workers.jobs == [("all", 5001)]
+    assert workers.generation == 1 and workers.jobs == [("all", 60001)]
     tally = evaluator.tally(POLICY, ALL)
     assert tally.n == 1 and tally.error == ""
 
@@ -205,7 +207,7 @@ def test_it_gives_up_when_workers_keep_dying_and_starts_again_on_a_new_wish(live
         workers.fail(BrokenProcessPool("killed"))
     assert workers.jobs == [] and evaluator.tally(POLICY, ALL).error.startswith("expected worker")
     evaluator.request("ann", POLICY, FIRST)
-    assert workers.jobs == [("first", 5000)]
+    assert workers.jobs == [("first", 60000)]
 
 
 def test_unknown_policies_are_refused_and_the_wish_stays(live):
@@ -214,7 +216,7 @@ def test_unknown_policies_are_refused_and_the_wish_stays(live):
     with pytest.raises(UserError, match="unknown policy 'nope'"):
         evaluator.request("ann", "nope", FIRST)
     workers.finish()
-    assert workers.jobs == [("all", 5001)]
+    assert workers.jobs == [("all", 60001)]
 
 
 def test_nothing_starts_after_close(live):
@@ -241,7 +243,7 @@ def test_results_of_policy_folders_go_into_the_store(monkeypatch, tmp_path):
     later, workers = fake(1, store)
     tally = later.request("bob", "toy", ALL)
     assert (tally.success.successes, tally.success.n) == (1, 2)
-    assert workers.jobs == [("all", 5002)]
+    assert workers.jobs == [("all", 60002)]
     assert later.tally("toy", FIRST).n == 0
 
 
@@ -263,7 +265,7 @@ def test_real_workers_survive_a_kill_and_give_the_right_numbers():
     assert enough.wait(300)
     runner, tally = Runner(), evaluator.tally(POLICY, ALL)
     assert tally.results == tuple(runner.run(Job(*tally.request, r.seed))[0] for r in tally.results)
-    assert [r.seed for r in tally.results] == list(range(5000, 5060))
+    assert [r.seed for r in tally.results] == list(range(60000, 60060))
     evaluator.close()
 
 
@@ -361,7 +363,7 @@ def test_measuring_goes_on_when_the_disk_is_full_and_the_page_says_so(monkeypatc
     with full_disk(), pytest.warns(UserWarning, match="memory only"):
         workers.finish()
     workers.finish()
-    assert heard[-1].n == 2 and not heard[-1].error and workers.jobs == [("all", 5002)]
+    assert heard[-1].n == 2 and not heard[-1].error and workers.jobs == [("all", 60002)]
     assert "not stored: " in bars_html(frame, rates) and "memory only" in bars_html(frame, rates)
 
 

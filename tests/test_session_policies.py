@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from madviz.envs.registry import make_env
 from madviz.envs.toy import ToyReach
@@ -301,7 +302,7 @@ def test_a_replay_closes_the_player_and_the_environment_once():
     assert again.sha256 == episode.sha256
     assert policy.players[-1].closed and not policy.players[0].closed
     with pytest.raises(UserError, match="found ended after 6"):
-        replay_episode(replace(episode, ended=True), lambda _: policy, built)
+        replay_episode(structs.replace(episode, ended=True), lambda _: policy, built)
     with pytest.raises(UserError, match="expected policies for toy/reach"):
         replay_episode(episode, lambda _: FakePolicy(task="metaworld/hammer"), built)
     assert [world.closed for world in worlds] == [1, 1, 1]

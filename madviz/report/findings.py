@@ -1,4 +1,4 @@
-"""What was found, in one table: a claim, what was measured, the result, the paper, a verdict.
+"""The findings in one table: a claim, the measurement, the result, the paper, a verdict.
 
 Every result is a difference of two rows of the report's tables, paired by scene. The verdict
 follows from its interval alone:
