@@ -218,10 +218,12 @@ def test_every_row_of_the_table_has_a_file_of_its_name() -> None:
 
 def test_own_sizes_are_options_that_the_networks_are_built_from() -> None:
     with_own = {name: own_options(name) for name, row in MERGES.items() if row.options}
-    assert set(with_own) == {"vib", "mv-mae", "mv-mwm"}
+    assert {"vib", "mv-mae", "mv-mwm"} <= set(with_own)
+    common = {size.name for size in fields(NetworkConfig)}
     for name, kind in with_own.items():
         sizes = set(MERGES[name].sizes)
         assert sizes and sizes <= {option.name for option in fields(kind)}
+        assert not sizes & common, "they stand beside each other in config.json"
 
 
 def test_the_table_says_which_merges_bring_a_loss() -> None:

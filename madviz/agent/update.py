@@ -166,7 +166,7 @@ class Learner:
 
     @torch.inference_mode()
     def act_all(self, views: Tensor, state: Tensor) -> Array:
-        """(L, V, C, H, W) uint8 and (L, S) to drawn actions (L, A); for exploration.
+        """(L, V, C, H, W) uint8 and (L, S) to drawn actions (L, A), to act in training.
 
         On all streams, except by a method that never learns to act on them: it takes one of its
         rows, drawn anew at every decision.

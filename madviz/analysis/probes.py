@@ -4,9 +4,9 @@ Each stream is encoded once. Every subset's merged feature is a masked sum of th
 all of them is one batch through the heads: with three streams 8 rows, with six 64. Switching a
 camera off then reads a row of this table, and no network runs for it.
 
-Other policies look at all their cameras in one pass, so that every subset costs a pass: at 40 ms
-each, 8 rows take 0.3 s. Of those, the table holds the rows somebody asked for, and ``read_row``
-adds one.
+Policies with other merges may look at all their cameras in one pass, so that every subset costs a
+pass: at 40 ms each, 8 rows take 0.3 s. Of those, the table holds the rows somebody asked for, and
+``read_row`` adds one.
 """
 
 from __future__ import annotations

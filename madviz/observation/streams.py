@@ -68,8 +68,8 @@ def to_channels(frame: Array) -> Array:
 class StreamStack:
     """The last ``length`` frames of every stream, occlusions applied as they arrive.
 
-    An occlusion that begins now spoils one frame of the stack now and all of them ``length`` steps
-    later, as a failing camera would. ``replace_last`` re-applies a changed ablation to the newest
+    An occlusion that begins now spoils one frame of the stack now and all of them after ``length``
+    frames, as a failing camera would. ``replace_last`` re-applies a changed ablation to the newest
     frames only: it is what makes a toggle visible before the next step.
     """
 

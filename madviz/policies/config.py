@@ -40,7 +40,7 @@ from madviz.system.typed import typed
 from madviz.types import CameraSpec, EnvSpec, PolicySpec
 
 FORMAT = 1
-OTHER_MERGES = ("bottleneck_dim", "autoencoder", "end_to_end", "world_model")
+OLDER_SIZES = ("bottleneck_dim", "autoencoder", "end_to_end", "world_model")
 """Sizes that older files hold under ``networks`` for every merge, whatever their own one is."""
 FIX = "restore the file or retrain"
 
@@ -239,7 +239,7 @@ def _checked(document: Document, where: Path) -> PolicyConfig:
     sizes = [field.name for field in fields(NetworkConfig) if field.name != "own"]
     sizes += _own_sizes(config.merge)
     for name in typed(document["networks"], dict[str, object], where, FIX):
-        if name not in (*sizes, *OTHER_MERGES):
+        if name not in (*sizes, *OLDER_SIZES):
             raise UserError(
                 f"{where}: networks that cannot be built: {unknown('size', name, sizes)}"
             )

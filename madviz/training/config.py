@@ -91,8 +91,7 @@ class TrainConfig:
     per core for ``paper``, one per core without a worker for the others. Sums are split between
     threads, so another number is another run."""
     own: OwnOptions = field(default_factory=OwnOptions)
-    """Options of the method's merge, if it has any: ``VibOptions``, ``MvMaeOptions``,
-    ``MvMwmOptions``."""
+    """Options of the method's merge, if it has any."""
     light: Annotated[LightConfig, Recipe("light", train_light), Only("recipe", "light")] = field(
         default_factory=LightConfig
     )

@@ -89,9 +89,10 @@ class MergeFacts:
     options: str = ""
     """The class of its own options, module:name; empty: it has none."""
     sizes: tuple[str, ...] = ()
-    """Those of its options that its networks are built from: config.json has them, too."""
+    """Those of its options that its networks are built from: config.json has them, too, beside the
+    sizes of ``NetworkConfig``, so they need other names."""
     own_loss: bool = False
-    """Whether it brings a loss, and therefore is a method of its own and serves no other."""
+    """Whether it adds a loss or a penalty of its own; no other method can be trained with it."""
     costly_rows: bool = False
     """Whether a row costs as much as encoding: rows are kept where they would be made again, and a
     page reads the subsets that it is asked for."""
