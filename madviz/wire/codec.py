@@ -33,6 +33,8 @@ DEEPEST = 16
 _MARK = "__ndarray__"
 _SCALAR = "__npgeneric__"
 _IMAGE = "__image__"
+MARKS = frozenset({_MARK, _SCALAR, _IMAGE})
+"""Keys of a table that stands for an array."""
 
 
 class BadMessage(Exception):

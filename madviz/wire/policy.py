@@ -22,7 +22,7 @@ from madviz.errors import UserError
 from madviz.subsets import name_of
 from madviz.types import Array, Encoded, PolicySpec, Readout
 from madviz.wire.connection import PolicyConnection, shown
-from madviz.wire.protocols import Speaker, greeted
+from madviz.wire.protocols import Speaker, greeted, look
 from madviz.wire.wiring import Wiring
 
 
@@ -114,7 +114,7 @@ class ServedPolicy:
             if on
         }
         words = self.spec.instruction
-        message = speaker.message(self.wiring, shown_now, encoded.state, words, noise)
+        message = look(self.wiring, speaker.name, shown_now, encoded.state, words, noise)
         connection.answered |= self._warm
         found = speaker.ask(connection, message)
         self._warm = True

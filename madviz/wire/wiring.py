@@ -29,12 +29,12 @@ from msgspec import Meta
 
 from madviz.envs.registry import choose, env_spec
 from madviz.errors import UserError, unknown
-from madviz.subsets import camera_of, every_mask, modality_of, name_of
+from madviz.subsets import camera_of, every_mask, name_of
 from madviz.system.typed import typed
 from madviz.types import CameraSpec, EnvSpec, Modality, Policy, PolicySpec, PolicyWithMemory
 from madviz.wire.codec import Protocol
+from madviz.wire.keys import PLACES, Key, KeyPath, check_paths, outgoing
 
-Key = str | list[str]
 Size = Annotated[int, Meta(ge=8, le=1024)]
 Digits = Annotated[int, Meta(ge=1, le=1000)]
 Seconds = Annotated[float, Meta(gt=0, le=3600)]
@@ -75,11 +75,7 @@ class Wiring(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=Tr
     @property
     def streams(self) -> tuple[str, ...]:
         """Our names in the order of axis V."""
-        return tuple(self._stream(name) for name in self.cameras)
-
-    def key(self, stream: str) -> Key:
-        """Their key of one of ``streams``."""
-        return next(k for name, k in self.cameras.items() if self._stream(name) == stream)
+        return tuple(self.stream(name) for name in self.cameras)
 
     def size_of(self, stream: str) -> int:
         """Rows and columns of what ``stream`` sends."""
@@ -90,7 +86,12 @@ class Wiring(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=Tr
         """The size with which all cameras are drawn."""
         return self.size if isinstance(self.size, int) else max(self.size.values())
 
-    def _stream(self, name: str) -> str:
+    def paths(self, protocol: Protocol) -> dict[str, KeyPath]:
+        """By entry of the file, where its value stands in a look."""
+        return outgoing(protocol, self.cameras, self.state, self.noise)
+
+    def stream(self, name: str) -> str:
+        """Our stream that ``name`` of [cameras] means."""
         if "." in name:
             return name
         modality = self.modality if isinstance(self.modality, str) else self.modality.get(name)
@@ -131,17 +132,35 @@ def checked(wiring: Wiring, where: str | Path) -> Wiring:
     tables += [("size", wiring.size), ("modality", wiring.modality)]
     for table, names in tables:
         for name in names if isinstance(names, dict) else ():
-            if camera_of(name) not in known:
+            if (camera_of(name) if table == "cameras" else name) not in known:
                 raise UserError(f"{where}: {unknown(f'camera in [{table}]', name, known)}")
     for camera in dict.fromkeys(camera_of(stream) for stream in wiring.streams):
         if not isinstance(wiring.size, int) and camera not in wiring.size:
             raise UserError(f"{where}: expected 'size.{camera}', found none; say its pixels")
     for stream in wiring.streams:
-        if "." in stream and modality_of(stream) not in ("rgb", "depth"):
+        if "." in stream and stream.partition(".")[2] not in ("rgb", "depth"):
             raise UserError(
                 f"{where}: expected a camera, or one with .rgb or .depth, found {stream!r:.60}"
             )
+    _check_keys(wiring, where)
     return wiring
+
+
+def _check_keys(wiring: Wiring, where: str | Path) -> None:
+    """Raises UserError where two entries of the file send the same stream, or go out under keys
+    that clash. A file that leaves the protocol out must fit each of them."""
+    names: dict[str, str] = {}
+    for name in wiring.cameras:
+        stream = wiring.stream(name).removesuffix(".rgb")
+        if stream in names:
+            raise UserError(
+                f"{where}: expected each stream once, found 'cameras.{names[stream]}' and "
+                f"'cameras.{name}', which both send {stream!r}; drop one"
+            )
+        names[stream] = name
+    for protocol in PLACES if wiring.protocol is None else (wiring.protocol,):
+        said = "" if wiring.protocol else f" (in a look of {protocol}, as 'protocol' is left out)"
+        check_paths(wiring.paths(protocol), f"{where}{said}")
 
 
 def policy_spec(wiring: Wiring, address: str) -> PolicySpec:
