@@ -82,7 +82,7 @@ def test_the_page_shows_the_same_episode_of_a_served_policy(make):
 
 def test_several_episodes_at_the_same_time_do_not_mix():
     with serving(Chunked()) as server:
-        alone = evaluate(Chunked(), ["all"], episodes=3).episodes
+        alone = evaluate(Chunked(), ["all"], episodes=3, seed=5000).episodes
         found: dict[int, object] = {}
 
         def play(seed: int) -> None:
@@ -112,7 +112,7 @@ def look(**changed):
 
 def test_single_frames_are_stacked_by_the_server_as_they_are_here():
     policy, env = FakePolicy(), make_env("toy/reach")
-    expected = evaluate(policy, ["all"], episodes=1).episodes[0]
+    expected = evaluate(policy, ["all"], episodes=1, seed=5000).episodes[0]
     with serving(policy) as server, connect(server.address) as socket:
         greeting = told(socket, "hello", {})["payload"]
         assert greeting["action_spec"]["actions"]["dims"] == 2
@@ -138,6 +138,11 @@ def test_single_frames_are_stacked_by_the_server_as_they_are_here():
             "observation",
             look(images={"first": np.zeros((84, 84), np.uint8)}),
             r"expected 'first' as \(H, W, 3 or 9\) uint8, 84 by 84, found \(84, 84\)",
+        ),
+        (
+            "observation",
+            look(images={"first": np.zeros((480, 640, 3), np.uint8)}),
+            "expected 'first' as 84 by 84 pixels, or another square, found 480 by 640",
         ),
         ("observation", look(state=np.zeros(3)), r"expected 6 finite numbers.*found \(3,\)"),
         ("observation", look(state=[np.nan] * 6), "expected 6 finite numbers"),

@@ -91,7 +91,12 @@ class ServedEpisodes:
             raise BadLook(
                 f"expected {stream!r} as (H, W, {depths}) uint8, {size} by {size}, found {what:.60}"
             )
-        if shape[:2] != (size, size):
+        if shape[0] != shape[1]:
+            raise BadLook(
+                f"expected {stream!r} as {size} by {size} pixels, or another square, found "
+                f"{shape[0]} by {shape[1]}; crop it, or give it black bars as in training"
+            )
+        if shape[0] != size:
             frames = [
                 cv2.resize(picture[..., i : i + 3], (size, size), interpolation=cv2.INTER_AREA)
                 for i in range(0, shape[2], 3)

@@ -63,7 +63,7 @@ class ServedPolicy:
         """(V, C, H, W) to pictures, each in its own size. There are no features."""
         pictures = {}
         for stream, view in zip(self.spec.streams, views, strict=True):
-            pictures[stream] = _sized(view, self.wiring.size_of(stream))
+            pictures[stream] = _sized(view, self.wiring.shape_of(stream))
         state = np.asarray(state, np.float32)
         return Encoded(np.zeros((len(views), 1), np.float32), state, ServedLook(pictures))
 
@@ -204,11 +204,19 @@ def noise_at(seed: int, step: int) -> int:
     return int(np.random.SeedSequence([seed, step]).generate_state(1)[0] >> 1)
 
 
-def _sized(view: Array, size: int) -> Array:
-    """(C, H, W) -> (size, size, C)."""
-    picture = np.ascontiguousarray(view.transpose(1, 2, 0))
-    if picture.shape[0] == size:
+def _sized(view: Array, shape: tuple[int, int]) -> Array:
+    """A square (C, S, S) -> (H, W, C), ``shape`` being H and W: the largest square that fits, and
+    equal black bars beside it."""
+    picture = np.ascontiguousarray(view.transpose(1, 2, 0))  # (S, S, C)
+    side = min(shape)
+    if picture.shape[0] != side:
+        frames = [picture[..., i : i + 3] for i in range(0, picture.shape[-1], 3)]
+        sized = [cv2.resize(frame, (side, side), interpolation=cv2.INTER_AREA) for frame in frames]
+        picture = np.concatenate(sized, axis=-1)
+    if shape == (side, side):
         return picture
-    frames = [picture[..., i : i + 3] for i in range(0, picture.shape[-1], 3)]
-    sized = [cv2.resize(frame, (size, size), interpolation=cv2.INTER_AREA) for frame in frames]
-    return np.concatenate(sized, axis=-1)
+    boxed = np.zeros((*shape, picture.shape[-1]), np.uint8)  # (H, W, C)
+    top = (shape[0] - side) // 2
+    left = (shape[1] - side) // 2
+    boxed[top : top + side, left : left + side] = picture
+    return boxed
