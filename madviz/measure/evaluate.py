@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from madviz.errors import Unfinished, UserError, saving, unknown
-from madviz.measure.episodes import FIRST_SEED, unsupported
+from madviz.measure.episodes import FIRST_SEED, clipped_words, unsupported
 from madviz.measure.readings import note_reading
 from madviz.measure.statistics import SuccessRate
 from madviz.measure.store import EpisodeResult, Store
@@ -59,6 +59,7 @@ class Evaluation:
                 "n": rate.n,
                 "ci95": list(rate.interval),
                 "trained": subset in trained_names(self.spec),
+                "outside": sum(e.outside for e in mine) / len(mine),
             }
         return table
 
@@ -278,4 +279,7 @@ def success_table(result: EvaluationFile) -> str:
             f"   any step {row['success_any']:.2f}"
             + ("" if row["trained"] else "   not trained on this subset")
         )
+    episodes = sum(row["n"] for row in result["subsets"].values())
+    outside = sum(row["n"] * row.get("outside", 0.0) for row in result["subsets"].values())
+    lines += filter(None, [clipped_words(outside / episodes)])
     return "\n".join(lines)

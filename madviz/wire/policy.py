@@ -72,9 +72,9 @@ class ServedPolicy:
         ``masks``."""
         masks = np.atleast_2d(masks)
         with self._lock:
-            actions = np.stack([self._asked(encoded, mask)[0] for mask in masks])
+            actions = np.stack([self._asked(encoded, mask)[0] for mask in masks])  # (N, A)
         unknown = np.full(len(masks), np.nan, np.float32)
-        return Readout(np.zeros((len(masks), 1), np.float32), actions, unknown)
+        return Readout(np.zeros((len(masks), 1), np.float32), np.clip(actions, -1, 1), unknown)
 
     def supports(self, mask: Array) -> bool:
         if len(mask) != len(self.spec.streams):
@@ -106,8 +106,8 @@ class ServedPolicy:
         mask: Array,
         noise: int,
     ) -> Array:
-        """(n, A) float32, n >= 1, what is answered on ``connection``. Raises UserError for an
-        answer that is none."""
+        """(n, A) float32, n >= 1, what is answered on ``connection``, before it is clipped. Raises
+        UserError for an answer that is none."""
         shown_now = {
             stream: picture
             for (stream, picture), on in zip(encoded.private.pictures.items(), mask, strict=True)
@@ -150,7 +150,7 @@ class ServedPolicy:
             raise connection.wrong(expected, f"the shape {np.shape(found[key])}")
         if not np.isfinite(action).all():
             raise connection.wrong(expected, "NaN or infinity")
-        return np.clip(action, -1, 1)
+        return action
 
 
 class ServedPlayer:
@@ -160,6 +160,8 @@ class ServedPlayer:
         self._policy = policy
         self._seed = seed
         self._step = 0
+        self.outside = 0
+        """Numbers of the actions so far that lay outside [-1, 1]; they are clipped."""
         self._connection = PolicyConnection(policy.address, policy.wiring.timeout)
         self._plan: list[Array] = []
         self._speaker: Speaker | None = (
@@ -177,7 +179,9 @@ class ServedPlayer:
             answer = self._answer(encoded, mask)
             self._plan = list(answer[: self._policy.wiring.chunk])
         self._step += 1
-        return self._plan.pop(0)
+        action = self._plan.pop(0)
+        self.outside += numbers_outside(action)
+        return np.clip(action, -1, 1)
 
     def close(self) -> None:
         self._connection.close()
@@ -196,6 +200,11 @@ class ServedPlayer:
             self._speaker = policy.begun(self._connection, self._seed)
         noise = noise_at(self._seed, self._step)
         return policy.answer(self._connection, self._speaker, encoded, mask, noise)
+
+
+def numbers_outside(action: Array) -> int:
+    """Numbers of ``action`` (A,) that lie outside [-1, 1] by more than rounding."""
+    return int(np.count_nonzero(np.abs(action) > 1 + 1e-6))
 
 
 def noise_at(seed: int, step: int) -> int:

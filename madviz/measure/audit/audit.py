@@ -96,7 +96,9 @@ def audit(
         table.play(wanted, workers, progress)
     try:
         env, _ = table.runner.opened(table.job(INTACT, 0))
-        return audit_document(plan, outcomes(), facts_of(loaded.spec, env.spec))
+        facts = facts_of(loaded.spec, env.spec)
+        facts["outside"] = table.outside(plan.every)
+        return audit_document(plan, outcomes(), facts)
     finally:
         table.runner.close()
 
