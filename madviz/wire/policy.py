@@ -22,7 +22,7 @@ from madviz.errors import UserError
 from madviz.subsets import name_of
 from madviz.types import Array, Encoded, PolicySpec, Readout
 from madviz.wire.connection import PolicyConnection, shown
-from madviz.wire.protocols import Speaker, greeted, look
+from madviz.wire.protocols import Speaker, greeted, identity_in, look
 from madviz.wire.wiring import Wiring
 
 
@@ -40,13 +40,20 @@ class ServedPolicy:
     """See the module. It may be used by several threads."""
 
     def __init__(
-        self, address: str, wiring: Wiring, spec: PolicySpec, supported: frozenset[str] | None
+        self,
+        address: str,
+        wiring: Wiring,
+        spec: PolicySpec,
+        supported: frozenset[str] | None,
+        identity: dict[str, str],
     ) -> None:
-        """``supported``: the subsets it can act on, by name; None: those that ``wiring`` says. Its
-        ``protocol`` must be known. Nothing is connected yet."""
+        """``supported``: the subsets it can act on, by name; None: those that ``wiring`` says, of a
+        server that is not madviz's. Its ``protocol`` must be known. ``identity``: what the server
+        said that it serves (``identity_in``). Nothing is connected yet."""
         self.spec = spec
         self.address = address
         self.wiring = wiring
+        self.identity = identity
         self._supported = supported
         self._connection = PolicyConnection(address, wiring.timeout)
         self._speaker: Speaker | None = None
@@ -58,6 +65,11 @@ class ServedPolicy:
         """Whether an answer depends on the look alone, whoever asks and whatever was asked."""
         ours = self._supported is not None
         return not self.wiring.history and (ours or self.wiring.protocol == "openpi")
+
+    @property
+    def has_digest(self) -> bool:
+        """Whether the server says a digest of its weights."""
+        return bool(self.identity.get("digest"))
 
     def encode(self, views: Array, state: Array) -> Encoded:
         """(V, C, H, W) to pictures, each in its own size. There are no features."""
@@ -93,8 +105,16 @@ class ServedPolicy:
             self._connection.close()
 
     def begun(self, connection: PolicyConnection, seed: int) -> Speaker:
-        """Connects ``connection`` and begins an episode on it."""
-        speaker, _ = greeted(connection, self.wiring.protocol)
+        """Connects ``connection`` and begins an episode on it. Raises UserError where another
+        policy is served there by now."""
+        speaker, greeting = greeted(connection, self.wiring.protocol)
+        identity = identity_in(greeting)
+        if identity != self.identity:
+            raise connection.wrong(
+                f"the policy that says {self.identity!s:.150}",
+                f"{identity!s:.150}",
+                "another one is served there by now: start again",
+            )
         speaker.begin(connection, seed, self.spec.task)
         return speaker
 

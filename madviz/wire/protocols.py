@@ -25,6 +25,8 @@ LISTEN = 1.0
 """Seconds in which an openpi server has spoken."""
 OURS = "madviz"
 """Under this key of the greeting, servers of madviz's own say all about the policy."""
+IDENTITY = ("name", "model_server", "model", "policy", "checkpoint", "revision", "digest")
+"""Keys of a greeting that say which policy is served; ``digest`` is one of its weights."""
 VERSION = 1
 """The version of vla-eval's protocol."""
 
@@ -137,6 +139,13 @@ def greeted(connection: PolicyConnection, wanted: Name | None) -> tuple[Speaker,
     else:
         speaker = SPEAKERS["vla-eval" if ours else wanted or "vla-eval"]()
     return speaker, speaker.greet(connection)
+
+
+def identity_in(greeting: dict[str, Any]) -> dict[str, str]:
+    """What a server says of the policy that it serves; empty where it says nothing."""
+    facts = greeting.get(OURS)
+    facts = facts if isinstance(facts, dict) else greeting
+    return {key: facts[key][:200] for key in IDENTITY if isinstance(facts.get(key), str)}
 
 
 def look(

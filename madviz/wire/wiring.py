@@ -177,11 +177,13 @@ def _check_keys(wiring: Wiring, where: str | Path) -> None:
         check_paths(wiring.paths(protocol), f"{where}{said}")
 
 
-def policy_spec(wiring: Wiring, address: str) -> PolicySpec:
-    """The specification of the policy behind ``wiring``."""
+def policy_spec(wiring: Wiring, address: str, identity: dict[str, str]) -> PolicySpec:
+    """The specification of the policy behind ``wiring``. Another ``identity``, which its server
+    says, has another digest."""
     env = env_of(wiring)
     own = {camera.name: camera for camera in _cameras(wiring.task)}
     text = msgspec.json.encode(as_written(wiring), order="sorted")
+    text += msgspec.json.encode(identity, order="sorted") if identity else b""
     return PolicySpec(
         name=wiring.name or address,
         task=wiring.task,
@@ -214,7 +216,7 @@ def served_spec(facts: PolicyFacts, wiring: Wiring, address: str) -> PolicySpec:
     for camera in facts.cameras:
         check_size(camera.size)
     return replace(
-        policy_spec(wiring, address),
+        policy_spec(wiring, address, {}),
         name=facts.name,
         method=facts.method,
         setting=facts.setting,
