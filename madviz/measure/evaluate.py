@@ -135,6 +135,13 @@ def evaluate(
     conditions = [
         Condition(subset, occluded).noticed(streams) for subset in _subsets(loaded, subsets)
     ]
+    noticed = {camera for condition in conditions for camera, _ in condition.occlusions}
+    for camera, occlusion in occluded:
+        if camera not in noticed and occlusion.kind != "none":
+            raise UserError(
+                f"expected a subset with {camera!r}, which is occluded, found only "
+                f"{' '.join(c.subset for c in conditions)!r:.100}; add one, or do not occlude it"
+            )
 
     def so_far() -> Evaluation:
         known = [table.results(condition) for condition in conditions]
