@@ -142,7 +142,7 @@ def greeted(connection: PolicyConnection, wanted: Name | None) -> tuple[Speaker,
 
 
 def identity_in(greeting: dict[str, Any]) -> dict[str, str]:
-    """What a server says of the policy that it serves; empty where it says nothing."""
+    """The words of a server on the policy that it serves; empty where it says nothing."""
     facts = greeting.get(OURS)
     facts = facts if isinstance(facts, dict) else greeting
     return {key: facts[key][:200] for key in IDENTITY if isinstance(facts.get(key), str)}

@@ -37,7 +37,7 @@ class AuditedPolicy(TypedDict):
     policy: str
     digest: str
     identity: dict[str, str]
-    """What the server of a policy says that it is; empty for others."""
+    """The words of a server on what it serves; empty for others."""
     answer: list[float] | None
     """The action (A,) after a fixed look; None where the digest is enough, or answers differ."""
     seed: int
