@@ -37,6 +37,9 @@ def make_picky():
         ("off:first,black:third_a", "third_a+third_b", {"third_a": BLACK}),
         ("dropped:all", "none", {}),
         ("first+third_a,frozen:first", "first+third_a", {"first": Occlusion("freeze")}),
+        ("first,black:all", "first", dict.fromkeys(CAMERAS, BLACK)),
+        ("rgb,third_a=black", "rgb", {"third_a": BLACK}),
+        ("third_a.rgb+first,third_a=black", "third_a.rgb+first", {"third_a": BLACK}),
     ],
 )
 def test_conditions_are_read(word, subset, occlusions):
@@ -52,11 +55,22 @@ def test_conditions_are_read(word, subset, occlusions):
         ("black:first,late:first", "expected 'first' once"),
         ("first,off:third_a", "expected one subset of cameras"),
         ("noise:first:2", "expected a number from 0 to 1"),
+        ("third_a,third_b=black", "'third_a,third_b=black'.*'third_b', which 'third_a' leaves out"),
+        ("third_b=black,first+third_a", "'third_b', which 'first.third_a' leaves out"),
+        ("none,black:all", "found 'all', which 'none' leaves out"),
     ],
 )
 def test_what_is_no_condition_is_refused(word, said):
     with pytest.raises(UserError, match=said):
         parse_condition(word, CAMERAS)
+
+
+def test_a_failure_that_would_be_ignored_is_refused_before_anything_is_played(monkeypatch):
+    monkeypatch.setattr("madviz.measure.table.run_anywhere", None)
+    with pytest.raises(UserError, match="condition 'third_a,third_b=black': .*'third_b'"):
+        run_compare(config("all", "third_a,third_b=black"))
+    with pytest.raises(UserError, match="a subset with 'third_b', which is occluded, found only"):
+        evaluate(FakePolicy(), ["first", "third_a"], occlusions={"third_b": BLACK})
 
 
 def test_the_words_of_the_page_are_understood():

@@ -194,7 +194,7 @@ def test_the_document_has_the_schema(folder):
     assert document["task"] == "toy/reach" and document["definition"].startswith("at the last step")
     assert set(document["subsets"]) == {"all", "first+third_a"}
     for name, row in document["subsets"].items():
-        assert set(row) == {"success", "success_any", "n", "ci95", "trained"}
+        assert set(row) == {"success", "success_any", "n", "ci95", "trained", "outside"}
         assert row["n"] == 3 and row["trained"] == (name == "all")
         assert 0 <= row["ci95"][0] <= row["success"] <= row["ci95"][1] <= 1
     assert len(document["episodes"]) == 6

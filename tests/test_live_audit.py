@@ -37,7 +37,9 @@ class Measured:
         seeds = self.known.setdefault(request, [])
         seeds += range(len(seeds), len(seeds) + self.step)
         results = tuple(
-            EpisodeResult(condition.subset, FIRST_SEED + i, self.success(condition, i), False, 0.0)
+            EpisodeResult(
+                condition.subset, FIRST_SEED + i, self.success(condition, i), False, 0.0, 0.25
+            )
             for i in seeds
         )
         return Tally(request, results, self.error)
@@ -90,10 +92,11 @@ def test_it_comes_to_what_the_command_comes_to(monkeypatch):
     def play(jobs, count, here, progress):
         for job in jobs:
             good = workers.success(job.condition, job.seed - FIRST_SEED)
-            yield job, (EpisodeResult(job.condition.subset, job.seed, good, good, 0.0), "")
+            yield job, (EpisodeResult(job.condition.subset, job.seed, good, good, 0.0, 0.25), "")
 
     monkeypatch.setattr("madviz.measure.table.run_anywhere", play)
     assert audit(FakePolicy(), episodes=100) == status.found
+    assert status.found.get("outside") == 0.25
 
 
 def test_what_verdicts_rest_on_is_asked_for_first_and_a_condition_at_a_time():

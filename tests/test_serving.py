@@ -82,7 +82,7 @@ def test_the_page_shows_the_same_episode_of_a_served_policy(make):
 
 def test_several_episodes_at_the_same_time_do_not_mix():
     with serving(Chunked()) as server:
-        alone = evaluate(Chunked(), ["all"], episodes=3).episodes
+        alone = evaluate(Chunked(), ["all"], episodes=3, seed=5000).episodes
         found: dict[int, object] = {}
 
         def play(seed: int) -> None:
@@ -112,7 +112,7 @@ def look(**changed):
 
 def test_single_frames_are_stacked_by_the_server_as_they_are_here():
     policy, env = FakePolicy(), make_env("toy/reach")
-    expected = evaluate(policy, ["all"], episodes=1).episodes[0]
+    expected = evaluate(policy, ["all"], episodes=1, seed=5000).episodes[0]
     with serving(policy) as server, connect(server.address) as socket:
         greeting = told(socket, "hello", {})["payload"]
         assert greeting["action_spec"]["actions"]["dims"] == 2
@@ -139,6 +139,11 @@ def test_single_frames_are_stacked_by_the_server_as_they_are_here():
             look(images={"first": np.zeros((84, 84), np.uint8)}),
             r"expected 'first' as \(H, W, 3 or 9\) uint8, 84 by 84, found \(84, 84\)",
         ),
+        (
+            "observation",
+            look(images={"first": np.zeros((480, 640, 3), np.uint8)}),
+            "expected 'first' as 84 by 84 pixels, or another square, found 480 by 640",
+        ),
         ("observation", look(state=np.zeros(3)), r"expected 6 finite numbers.*found \(3,\)"),
         ("observation", look(state=[np.nan] * 6), "expected 6 finite numbers"),
         ("observation", look(state="x"), "expected 6 finite numbers"),
@@ -161,13 +166,75 @@ def _raise(said: str) -> None:
 def test_openpi_is_greeted_answered_and_told_what_was_wrong():
     with serving(FakePolicy()) as server, connect(server.address) as socket:
         assert unpack(socket.recv(5))["madviz"]["wiring"]["task"] == "toy/reach"
-        flat = {**look()["images"], "state": np.zeros(6, np.float32), "prompt": "go"}
+        flat = {**look()["images"], "state": np.zeros(6, np.float32), "prompt": "go", "episode": 1}
         socket.send(pack(flat, "openpi"))
         assert unpack(socket.recv(5))["actions"].shape == (1, 2)
         socket.send(pack({**flat, "state": np.zeros(2)}, "openpi"))
         assert "expected 6 finite numbers" in str(socket.recv(5))
         with pytest.raises(ConnectionClosed):
             socket.recv(5)
+
+
+def openpi_actions(socket, looks, **more) -> list:
+    """The answers to looks of random pictures, the same for the same number."""
+    found = []
+    for number in looks:
+        rng = np.random.default_rng(number)
+        images = {name: rng.integers(0, 255, (84, 84, 3), np.uint8) for name in look()["images"]}
+        state = np.full(6, number / 10, np.float32)
+        socket.send(pack({**images, "state": state, **more}, "openpi"))
+        found.append(unpack(socket.recv(5))["actions"])
+    return found
+
+
+@pytest.mark.parametrize("make", [networks, Chunked])
+def test_the_second_episode_of_a_connection_has_nothing_of_the_first(make):
+    with serving(make()) as server, connect(server.address) as socket:
+        socket.recv(5)
+        first = openpi_actions(socket, range(7), episode=5)
+        second = openpi_actions(socket, range(7), episode="next")
+        np.testing.assert_array_equal(first, second)
+        going_on = openpi_actions(socket, range(7), episode="next")
+        assert not np.array_equal(going_on, second), "what an episode leaves behind counts"
+
+
+def test_an_episode_of_vla_eval_that_ended_leaves_nothing_behind():
+    def acted(socket) -> list:
+        picture = np.random.default_rng(0).integers(0, 255, (84, 84, 3), np.uint8)
+        images = dict.fromkeys(look()["images"], picture)
+        seen = [look(), look(images=images)]
+        return [told(socket, "observation", one)["payload"]["actions"] for one in seen]
+
+    with serving(networks()) as server, connect(server.address) as socket:
+        first = acted(socket)
+        end = {"type": "episode_end", "payload": {}, "seq": 0, "timestamp": 0.0}
+        socket.send(pack(end, "vla-eval"))
+        np.testing.assert_array_equal(acted(socket), first)
+        assert not np.array_equal(acted(socket), first)
+
+
+@pytest.mark.parametrize(
+    ("make", "changed", "said"),
+    [
+        (networks, {}, r"'episode' beside single frames.* the last 3; .*\(H, W, 9\)"),
+        (Chunked, {}, "expected 'episode' in the look, found none, and .* remembers an episode"),
+        (networks, {"episode": [1]}, "'episode' as a whole number or a text"),
+    ],
+)
+def test_a_look_of_openpi_that_may_be_of_any_episode_is_refused(make, changed, said):
+    with serving(make()) as server, connect(server.address) as socket:
+        socket.recv(5)
+        sent = {**look()["images"], "state": np.zeros(6, np.float32), **changed}
+        socket.send(pack(sent, "openpi"))
+        pytest.raises(UserError, _raise, socket.recv(5)).match(said)
+
+
+def test_a_look_that_holds_all_frames_needs_no_episode():
+    with serving(networks()) as server, connect(server.address) as socket:
+        socket.recv(5)
+        whole = {name: np.zeros((84, 84, 9), np.uint8) for name in look()["images"]}
+        socket.send(pack({**whole, "state": np.zeros(6, np.float32)}, "openpi"))
+        assert unpack(socket.recv(5))["actions"].shape == (1, 2)
 
 
 # --- Who may ask ---

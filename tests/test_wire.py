@@ -121,7 +121,14 @@ def test_a_missing_key_is_named_before_anything_is_connected(key, tmp_path):
         ({"task": '"toy/run"'}, "unknown task 'toy/run'"),
         ({"cameras": '{ left = "x" }'}, r"unknown camera in \[cameras\] 'left'"),
         ({"size": "{ first = 84 }"}, "expected 'size.third_a', found none"),
-        ({"size": "100000"}, "size"),
+        ({"size": "640"}, "'size' to be a whole number <= 512, found 640"),
+        ({"size": "{ first = 84, third_a = 640 }"}, "'size.*' to be a whole number <= 512"),
+        ({"size": "[84]"}, "size"),
+        ({"size": "[48, 64]"}, "the size of 'first' to be a square, as 48 by 48, found 48 by 64"),
+        (
+            {"size": "{ first = 84, third_a = [64, 48] }"},
+            "'third_a' .* found 64 by 48; say letterb",
+        ),
         ({"modality": '{ fist = "depth" }'}, r"unknown camera in \[modality\] 'fist'"),
     ],
 )
@@ -173,6 +180,26 @@ def test_pictures_state_and_words_arrive_under_their_names(protocol, tmp_path):
     assert "hand" in alone and "front" not in alone, "a camera that is dropped is not sent"
     noise = [look["noise"] for look in looks]
     assert noise[:13] == noise[13:] == [noise_at(7, step) for step in range(0, 25, 2)]
+
+
+def test_a_picture_that_is_no_square_stands_between_black_bars(tmp_path):
+    looks: list[dict[str, Any]] = []
+
+    def answer(look: dict[str, Any], connection: ServerConnection) -> dict[str, Any]:
+        looks.append(look["images"])
+        return {"actions": np.zeros(2)}
+
+    file = {"size": "{ first = [48, 64], third_a = [512, 8] }", "letterbox": "true"}
+    with foreign_server(answer) as address:
+        policy = load_policy(wired(address, tmp_path, **file))
+        assert policy.spec.image_size == 48
+        views = np.full((2, 9, 48, 48), 200, np.uint8)
+        policy.read(policy.encode(views, np.zeros(6, np.float32)), np.ones(2, bool))
+    (images,) = looks
+    wide, high = images["wrist"], images["front"]
+    assert wide.shape == (48, 64, 9) and high.shape == (512, 8, 9)
+    assert (wide[:, 8:56] == 200).all() and wide.sum() == 200 * 48 * 48 * 9
+    assert (high[252:260] == 200).all() and high.sum() == 200 * 8 * 8 * 9
 
 
 def test_who_cannot_leave_a_camera_out_says_so(tmp_path):

@@ -34,17 +34,20 @@ def wiring_file(folder: Path, **changed: str | None) -> Path:
 
 
 @contextmanager
-def foreign_server(answer: Answer, protocol: Protocol = "vla-eval") -> Iterator[str]:
-    """The address of a server that is not madviz's own, and says nothing of its policy."""
+def foreign_server(
+    answer: Answer, protocol: Protocol = "vla-eval", says: dict[str, Any] | None = None
+) -> Iterator[str]:
+    """The address of a server that is not madviz's own. It says ``says`` of its policy, which may
+    change meanwhile."""
 
     def talk(connection: ServerConnection) -> None:
         try:
             if protocol == "openpi":
-                connection.send(pack({"robot": "toy"}, protocol))
+                connection.send(pack({"robot": "toy", **(says or {})}, protocol))
             for data in connection:
                 told = unpack(data)
                 if protocol == "vla-eval":
-                    _vla_eval(connection, told, answer)
+                    _vla_eval(connection, told, answer, says or {})
                 elif (payload := answer(told, connection)) is not None:
                     connection.send(pack(payload, protocol))
         except ConnectionClosed:
@@ -60,11 +63,13 @@ def foreign_server(answer: Answer, protocol: Protocol = "vla-eval") -> Iterator[
         thread.join(5)
 
 
-def _vla_eval(connection: ServerConnection, told: dict[str, Any], answer: Answer) -> None:
+def _vla_eval(
+    connection: ServerConnection, told: dict[str, Any], answer: Answer, says: dict[str, Any]
+) -> None:
     back = {"seq": told["seq"], "timestamp": 0.0}
     if told["type"] == "hello":
         connection.send(
-            pack({"type": "hello", "payload": {"capabilities": {}}, **back}, "vla-eval")
+            pack({"type": "hello", "payload": {"capabilities": {}, **says}, **back}, "vla-eval")
         )
     elif told["type"] == "observation":
         payload = answer(told["payload"], connection)

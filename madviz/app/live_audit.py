@@ -137,6 +137,7 @@ class LiveAudit:
         status = replace(status, outcomes=outcomes)
         missing = {condition for condition, _ in plan.wanted(outcomes)}
         if not missing:
+            self._facts["outside"] = self._rates.outside(spec, plan.every)
             document = audit_document(plan, outcomes, self._facts)
             return replace(status, state="done", found=document)
         condition = next(condition for condition in plan.every if condition in missing)

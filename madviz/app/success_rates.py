@@ -9,7 +9,7 @@ changed, so readers need no lock.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import Any
 
 from madviz.app.session_maker import Reference, own_name
@@ -48,6 +48,8 @@ class SuccessRates:
         """Between writers: pages and the evaluator add episodes, and pages come and go."""
         self._shipped: dict[str, dict[str, SuccessRate]] = {}
         self._live: dict[tuple[str, Condition], dict[int, bool]] = {}
+        self._outside: dict[tuple[str, Condition], float] = {}
+        """The share of action numbers outside [-1, 1] in the episodes of the workers."""
         self._listeners: tuple[Callable[[], None], ...] = ()
 
     def shipped(self, spec: PolicySpec) -> dict[str, SuccessRate]:
@@ -69,6 +71,11 @@ class SuccessRates:
     def outcomes(self, spec: PolicySpec, condition: Condition) -> Mapping[int, bool]:
         """Success by seed of what was measured here."""
         return self._live.get((self._key(spec), condition), {})
+
+    def outside(self, spec: PolicySpec, conditions: Iterable[Condition]) -> float:
+        """The share of action numbers outside [-1, 1], on average over ``conditions``."""
+        shares = [self._outside.get((self._key(spec), one), 0.0) for one in conditions]
+        return sum(shares) / max(len(shares), 1)
 
     def best(self, spec: PolicySpec, condition: Condition) -> SuccessRate:
         """Whichever says more. They are not added up: workers begin with the shipped seeds."""
@@ -139,7 +146,12 @@ class SuccessRates:
     def _hear(self, tally: Tally) -> None:
         request = tally.request
         outcomes = {result.seed: result.success for result in tally.results}
-        self._add((request.digest or request.policy, request.condition), outcomes, tally.error)
+        key = (request.digest or request.policy, request.condition)
+        share = sum(result.outside for result in tally.results) / max(len(tally.results), 1)
+        with self._lock:
+            kept = {k: v for k, v in self._outside.items() if k in self._live}
+            self._outside = {**kept, key: share}
+        self._add(key, outcomes, tally.error)
 
     def _key(self, spec: PolicySpec) -> str:
         """The key of a policy's episodes: its version, or its reference where it has

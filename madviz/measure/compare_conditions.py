@@ -11,7 +11,7 @@ from dataclasses import asdict
 from typing import Any, TypedDict
 
 from madviz.errors import UserError
-from madviz.measure.episodes import unsupported
+from madviz.measure.episodes import clipped_words, unsupported
 from madviz.measure.statistics import PairedRow, SuccessRate, pair
 from madviz.measure.table import Table, seeds_of_run
 from madviz.observation.grammar import parse_condition
@@ -25,6 +25,8 @@ class PlayedCondition(RateRow):
     subset: str
     occlusions: dict[str, dict[str, Any]]
     """By camera: the fields of ``Occlusion``."""
+    outside: float
+    """The share of action numbers outside [-1, 1]; they were clipped."""
 
 
 class ConditionPairRow(PairedRow):
@@ -71,6 +73,7 @@ def compare_conditions(
         rows[word] = {
             "subset": played[word].subset,
             "occlusions": {name: asdict(o) for name, o in asked[word].occlusions},
+            "outside": table.outside([played[word]]),
             **SuccessRate.counted(outcomes[word].values()).row(),
         }
     first = words[0]
@@ -105,4 +108,6 @@ def conditions_table(result: ConditionsFile) -> str:
             f"{second} {pair_row['second_only']} of {pair_row['n']}   "
             f"exact p = {pair_row['p']:.2g}"
         )
+    shares = [row["outside"] for row in result["conditions"].values()]
+    lines += filter(None, [clipped_words(sum(shares) / len(shares))])
     return "\n".join(lines)

@@ -26,6 +26,7 @@ from madviz.policies.players import player_of
 from madviz.policies.seeds import FIRST_TRY
 from madviz.subsets import camera_of, name_of
 from madviz.types import Array, Environment, Policy, PolicySpec
+from madviz.wire.policy import numbers_outside
 
 Finished = tuple[EpisodeResult, str]
 """An episode's result and the definition of success it was judged by."""
@@ -85,6 +86,7 @@ def run_episode(
     total = 0.0
     success_any = False
     decision = 0
+    outside = 0
     with closing(player_of(policy, seed)) as player:
         while not now.last:
             if stop():
@@ -92,11 +94,26 @@ def run_episode(
             views = {camera: env.view(camera) for camera in cameras}
             stack.push(views, ablation, seed, decision)
             encoded = policy.encode(stack.views, now.state)  # (V, C, H, W) -> features (V, Z)
-            now = env.step(player.act(encoded, mask))
+            action = player.act(encoded, mask)  # (A,)
+            outside += numbers_outside(action)
+            now = env.step(action)
             total += float(now.reward)
             success_any |= bool(now.success)
             decision += 1
-    return EpisodeResult(name_of(mask, streams), seed, bool(now.success), success_any, total)
+        outside += getattr(player, "outside", 0)  # A player that clips has counted before.
+    share = outside / max(decision * env.spec.action_dim, 1)
+    success = bool(now.success)
+    return EpisodeResult(name_of(mask, streams), seed, success, success_any, total, share)
+
+
+def clipped_words(share: float) -> str:
+    """One sentence on ``share`` of the action numbers that lay outside [-1, 1]; '' for none."""
+    if share <= 0:
+        return ""
+    return (
+        f"{100 * share:.2g} % of the policy's action numbers lay outside [-1, 1] and were clipped: "
+        "a policy that acts in other units is not measured here."
+    )
 
 
 class Runner:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from madviz.errors import Unfinished, UserError, saving, unknown
-from madviz.measure.episodes import FIRST_SEED, unsupported
+from madviz.measure.episodes import FIRST_SEED, clipped_words, unsupported
 from madviz.measure.readings import note_reading
 from madviz.measure.statistics import SuccessRate
 from madviz.measure.store import EpisodeResult, Store
@@ -59,6 +59,7 @@ class Evaluation:
                 "n": rate.n,
                 "ci95": list(rate.interval),
                 "trained": subset in trained_names(self.spec),
+                "outside": sum(e.outside for e in mine) / len(mine),
             }
         return table
 
@@ -134,6 +135,13 @@ def evaluate(
     conditions = [
         Condition(subset, occluded).noticed(streams) for subset in _subsets(loaded, subsets)
     ]
+    noticed = {camera for condition in conditions for camera, _ in condition.occlusions}
+    for camera, occlusion in occluded:
+        if camera not in noticed and occlusion.kind != "none":
+            raise UserError(
+                f"expected a subset with {camera!r}, which is occluded, found only "
+                f"{' '.join(c.subset for c in conditions)!r:.100}; add one, or do not occlude it"
+            )
 
     def so_far() -> Evaluation:
         known = [table.results(condition) for condition in conditions]
@@ -278,4 +286,7 @@ def success_table(result: EvaluationFile) -> str:
             f"   any step {row['success_any']:.2f}"
             + ("" if row["trained"] else "   not trained on this subset")
         )
+    episodes = sum(row["n"] for row in result["subsets"].values())
+    outside = sum(row["n"] * row.get("outside", 0.0) for row in result["subsets"].values())
+    lines += filter(None, [clipped_words(outside / episodes)])
     return "\n".join(lines)

@@ -40,11 +40,17 @@ CREATE TABLE IF NOT EXISTS episodes_1 (
     PRIMARY KEY (digest, task, definition, render_profile, occlusions, subset, seed)
 ) WITHOUT ROWID
 """
-_MATCH = " AND ".join(
-    f"{column} = ?"
-    for column in ("digest", "task", "definition", "render_profile", "occlusions", "subset")
-)
+_COLUMNS = ("digest", "task", "definition", "render_profile", "occlusions", "subset", "seed")
+_CREATE_OUTSIDE = f"""
+CREATE TABLE IF NOT EXISTS outside_1 (
+    digest TEXT, task TEXT, definition TEXT, render_profile TEXT, occlusions TEXT, subset TEXT,
+    seed INTEGER, outside REAL NOT NULL, PRIMARY KEY ({", ".join(_COLUMNS)})
+) WITHOUT ROWID
+"""
+"""A table beside the other, whose columns older versions write; only shares above 0 are in it."""
+_MATCH = " AND ".join(f"{column} = ?" for column in _COLUMNS[:-1])
 _INSERT = f"INSERT OR REPLACE INTO episodes_1 VALUES ({', '.join('?' * 10)})"
+_INSERT_OUTSIDE = f"INSERT OR REPLACE INTO outside_1 VALUES ({', '.join('?' * 8)})"
 _CORRUPT = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 
 
@@ -60,6 +66,8 @@ class EpisodeResult:
     """At any step."""
     total_reward: float
     """The return: rewards summed over the episode, undiscounted."""
+    outside: float = 0.0
+    """The share of action numbers that lay outside [-1, 1] and were clipped."""
 
 
 @dataclass(frozen=True)
@@ -93,19 +101,25 @@ class Store:
     def put(self, key: ResultKey, result: EpisodeResult) -> None:
         """Stores a result; the same episode again changes nothing."""
         if key.digest:
-            row = (*astuple(key), *astuple(result)[1:])
-            self._run(lambda db: db.execute(_INSERT, row))
+            *row, outside = (*astuple(key), *astuple(result)[1:])
+
+            def write(db: sqlite3.Connection) -> None:
+                db.execute(_INSERT, row)
+                if outside:
+                    db.execute(_INSERT_OUTSIDE, (*row[: len(_COLUMNS)], outside))
+
+            self._run(write)
 
     def results(self, key: ResultKey) -> dict[int, EpisodeResult]:
         """All known episodes under ``key``, by seed, in the order of seeds."""
         query = (
-            f"SELECT seed, success, success_any, total_reward FROM episodes_1 WHERE {_MATCH} "
-            "ORDER BY seed"
+            "SELECT seed, success, success_any, total_reward, COALESCE(outside, 0) FROM episodes_1 "
+            f"LEFT JOIN outside_1 USING ({', '.join(_COLUMNS)}) WHERE {_MATCH} ORDER BY seed"
         )
         rows = self._run(lambda db: db.execute(query, astuple(key)).fetchall())
         return {
-            seed: EpisodeResult(key.subset, seed, bool(success), bool(anytime), total)
-            for seed, success, anytime, total in rows
+            seed: EpisodeResult(key.subset, seed, bool(success), bool(anytime), total, outside)
+            for seed, success, anytime, total, outside in rows
         }
 
     def close(self) -> None:
@@ -137,13 +151,16 @@ class Store:
     def _copied_to_memory(self, error: sqlite3.Error) -> sqlite3.Connection:
         """A store in memory with what the file holds, as far as that can still be read."""
         rows: list[tuple[object, ...]] = []
+        shares: list[tuple[object, ...]] = []
         with suppress(sqlite3.Error):
             rows = self._db.execute("SELECT * FROM episodes_1").fetchall()
+            shares = self._db.execute("SELECT * FROM outside_1").fetchall()
         with suppress(sqlite3.Error):
             self._db.close()
         db = self._in_memory(error)
         with db:
             db.executemany(_INSERT, rows)
+            db.executemany(_INSERT_OUTSIDE, shares)
         return db
 
     def _in_memory(self, error: Exception) -> sqlite3.Connection:
@@ -180,6 +197,7 @@ class Store:
                 raise sqlite3.DatabaseError(verdict)
             with db:
                 db.execute(_CREATE)
+                db.execute(_CREATE_OUTSIDE)
         except sqlite3.Error:
             db.close()
             raise

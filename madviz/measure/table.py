@@ -86,6 +86,11 @@ class Table:
         """Success at the last step, by seed."""
         return {seed: result.success for seed, result in self.results(condition).items()}
 
+    def outside(self, conditions: Iterable[Condition]) -> float:
+        """The share of action numbers outside [-1, 1] in all known episodes of ``conditions``."""
+        shares = [r.outside for c in conditions for r in self.results(c).values()]
+        return sum(shares) / max(len(shares), 1)
+
     def job(self, condition: Condition, seed: int) -> Job:
         """The episode ``seed`` of ``condition``, to be run."""
         return Job(self.reference, self.spec.digest, condition, seed)

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 from madviz.errors import UserError, unknown
 from madviz.observation.ablation import KINDS, PLACE, Occlusion, by_sides
 from madviz.observation.condition import Condition
+from madviz.subsets import camera_of
 from madviz.system.streams import say
 
 SAME = {"dropped": "off", "frozen": "freeze", **{row.button: kind for kind, row in KINDS.items()}}
@@ -119,8 +120,9 @@ def parse_occlusions(words: Iterable[str]) -> dict[str, Occlusion]:
 def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
     """``all``, ``first+third_b``, ``third_a=black`` and the other forms of the module, as it was
     written (see ``Condition.noticed``). Raises UserError, also for a subset beside a dropped
-    camera."""
+    camera, and for a failure of a camera that the subset leaves out."""
     subsets: list[str] = []
+    failing: list[str] = []
     dropped: list[str] = []
     occlusions: dict[str, Occlusion] = {}
     for part in word.split(","):
@@ -136,6 +138,8 @@ def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
         occlusion = parse_what(f"{what}:{strength}" if strength else what)
         if name not in (*cameras, "all"):
             raise unknown(f"camera in the condition {word!r:.60}:", name, [*cameras, "all"])
+        if occlusion is not None:
+            failing.append(name)
         for camera in cameras if name == "all" else (name,):
             if camera in dropped or camera in occlusions:
                 raise UserError(f"expected {camera!r} once in a condition, found {word!r:.60}")
@@ -149,7 +153,22 @@ def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
         )
     present = "+".join(camera for camera in cameras if camera not in dropped) or "none"
     subset = subsets[0] if subsets else present if dropped else "all"
+    _check_present(word, subset, failing, cameras)
     return Condition(subset, tuple(occlusions.items()))
+
+
+def _check_present(word: str, subset: str, failing: Sequence[str], cameras: Sequence[str]) -> None:
+    """Raises UserError where a camera of ``failing`` is not in ``subset``: nothing would happen."""
+    words = {camera_of(name.strip()) for name in subset.split("+")}
+    if words & {"all", "rgb", "depth"}:
+        return
+    for name in failing:
+        if not words & ({*cameras} if name == "all" else {name}):
+            raise UserError(
+                f"condition {word!r:.60}: expected a failure of a camera that is present, found "
+                f"{name!r}, which {subset!r:.60} leaves out; add it to the subset, or leave its "
+                "failure out"
+            )
 
 
 def failure_text(camera: str, occlusion: Occlusion | None, begin: int | None = None) -> str:

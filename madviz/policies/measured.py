@@ -7,7 +7,7 @@ and the same document.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, TypedDict
+from typing import Annotated, NotRequired, TypedDict
 
 from msgspec import Meta
 
@@ -44,6 +44,8 @@ class SubsetRow(TypedDict):
     """Wilson's interval of ``success``."""
     trained: bool
     """Whether the policy was trained on the subset."""
+    outside: NotRequired[Rate]
+    """The share of action numbers outside [-1, 1]; they were clipped."""
 
 
 EpisodeRow = TypedDict(

@@ -4,6 +4,11 @@ A look holds the pictures of one step by stream, the state, and nothing of the p
 one frame of a camera, (H, W, 3), leaves the stack to the server; whoever sends all of them,
 (H, W, 3 x frames), asks about that look alone, and gets the answer an episode in one process gives,
 to the bit. A stream that is not sent is dropped.
+
+The frames of an episode, and the rest of its chunk, must not reach the next one. vla-eval says
+when an episode begins and ends. openpi has no word for it, so its clients send ``episode``, a
+number or text that is another one in each episode. Without it, a look is answered only where
+nothing of the past counts.
 """
 
 from __future__ import annotations
@@ -15,7 +20,7 @@ import numpy as np
 
 from madviz.policies.players import player_of
 from madviz.subsets import name_of
-from madviz.types import Array, Player, Policy
+from madviz.types import Array, Player, Policy, PolicyWithMemory
 
 
 class BadLook(Exception):
@@ -32,11 +37,37 @@ class ServedEpisodes:
         self._state_dim = state_dim
         self._frames: dict[str, list[Array]] = {}
         self._player: Player | None = None
+        self._episode: int | str | None = None
+        """The name of the running episode, where a look says it."""
+
+    def enter(self, look: dict[str, Any]) -> None:
+        """Begins another episode if ``look`` of openpi says so. Raises BadLook for a look that
+        needs the past and does not say which episode it belongs to."""
+        episode = look.get("episode")
+        if episode is not None:
+            if not isinstance(episode, int | str):
+                raise BadLook("expected 'episode' as a whole number or a text, found another kind")
+            if episode != self._episode:
+                self.begin()
+            self._episode = episode
+            return
+        if isinstance(self._policy, PolicyWithMemory):
+            raise BadLook(
+                f"expected 'episode' in the look, found none, and {self._spec.name} remembers an "
+                "episode; send a number that is another one in each episode"
+            )
+        frames = self._spec.frame_stack
+        pictures = [look[stream] for stream in self._spec.streams if stream in look]
+        if frames > 1 and any(np.shape(picture)[2:] == (3,) for picture in pictures):
+            raise BadLook(
+                f"expected 'episode' beside single frames, found none, and {self._spec.name} acts "
+                f"on the last {frames}; send a number that is another one in each episode, or "
+                f"pictures of {frames} frames, (H, W, {3 * frames})"
+            )
 
     def begin(self, seed: int = 0) -> None:
         """Another episode: nothing of the last one is remembered."""
         self.close()
-        self._frames = {}
         self._player = player_of(self._policy, seed)
 
     def act(self, images: Any, state: Any) -> Array:
@@ -60,7 +91,8 @@ class ServedEpisodes:
         return np.asarray(self._player.act(encoded, mask), np.float32)
 
     def close(self) -> None:
-        """The connection is gone."""
+        """The episode is over, or the connection is gone."""
+        self._frames = {}
         if self._player is not None:
             self._player.close()
         self._player = None
@@ -91,7 +123,12 @@ class ServedEpisodes:
             raise BadLook(
                 f"expected {stream!r} as (H, W, {depths}) uint8, {size} by {size}, found {what:.60}"
             )
-        if shape[:2] != (size, size):
+        if shape[0] != shape[1]:
+            raise BadLook(
+                f"expected {stream!r} as {size} by {size} pixels, or another square, found "
+                f"{shape[0]} by {shape[1]}; crop it, or give it black bars as in training"
+            )
+        if shape[0] != size:
             frames = [
                 cv2.resize(picture[..., i : i + 3], (size, size), interpolation=cv2.INTER_AREA)
                 for i in range(0, shape[2], 3)

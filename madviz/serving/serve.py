@@ -167,13 +167,14 @@ class PolicyServer:
             state = payload.get("state", payload.get("states"))
             with self._computing, one_thread():
                 return "action", {"actions": episodes.act(payload.get("images"), state)}
-        elif kind != "episode_end":
+        elif kind == "episode_end":
+            episodes.close()
+        else:
             raise BadLook(f"expected hello, episode_start or observation, found {kind!r:.40}")
         return None
 
     def _talk_openpi(self, connection: ServerConnection, episodes: ServedEpisodes) -> None:
         connection.send(pack({FACTS: self._facts}, "openpi"))
-        episodes.begin()
         while True:
             data = connection.recv()
             try:
@@ -182,6 +183,7 @@ class PolicyServer:
                     raise BadLook("expected a table, found something else")
                 images = {name: look[name] for name in self._policy.spec.streams if name in look}
                 with self._computing, one_thread():
+                    episodes.enter(look)
                     action = episodes.act(images, look.get("state"))
             except (BadMessage, BadLook, UserError) as bad:
                 connection.send(str(bad))  # A text is how this protocol says that it failed.

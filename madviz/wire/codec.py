@@ -26,13 +26,15 @@ from madviz.types import Array
 
 Protocol = Literal["vla-eval", "openpi"]
 MOST_BYTES = 64 * 2**20
-"""The largest size of one message. Ten pictures of 1024 pixels, three frames each, are 94 MB; of
-640, 37 MB."""
+"""The largest size of one message. Sixteen pictures of 512 pixels, three frames each, are 38
+MB."""
 MOST_PIXELS = 4096 * 4096
 DEEPEST = 16
 _MARK = "__ndarray__"
 _SCALAR = "__npgeneric__"
 _IMAGE = "__image__"
+MARKS = frozenset({_MARK, _SCALAR, _IMAGE})
+"""Keys of a table that stands for an array."""
 
 
 class BadMessage(Exception):

@@ -22,7 +22,7 @@ from madviz.errors import UserError
 from madviz.subsets import name_of
 from madviz.types import Array, Encoded, PolicySpec, Readout
 from madviz.wire.connection import PolicyConnection, shown
-from madviz.wire.protocols import Speaker, greeted
+from madviz.wire.protocols import Speaker, greeted, identity_in, look
 from madviz.wire.wiring import Wiring
 
 
@@ -40,13 +40,20 @@ class ServedPolicy:
     """See the module. It may be used by several threads."""
 
     def __init__(
-        self, address: str, wiring: Wiring, spec: PolicySpec, supported: frozenset[str] | None
+        self,
+        address: str,
+        wiring: Wiring,
+        spec: PolicySpec,
+        supported: frozenset[str] | None,
+        identity: dict[str, str],
     ) -> None:
-        """``supported``: the subsets it can act on, by name; None: those that ``wiring`` says. Its
-        ``protocol`` must be known. Nothing is connected yet."""
+        """``supported``: the subsets it can act on, by name; None: those that ``wiring`` says, of a
+        server that is not madviz's. Its ``protocol`` must be known. ``identity``: what the server
+        said that it serves (``identity_in``). Nothing is connected yet."""
         self.spec = spec
         self.address = address
         self.wiring = wiring
+        self.identity = identity
         self._supported = supported
         self._connection = PolicyConnection(address, wiring.timeout)
         self._speaker: Speaker | None = None
@@ -59,11 +66,16 @@ class ServedPolicy:
         ours = self._supported is not None
         return not self.wiring.history and (ours or self.wiring.protocol == "openpi")
 
+    @property
+    def has_digest(self) -> bool:
+        """Whether the server says a digest of its weights."""
+        return bool(self.identity.get("digest"))
+
     def encode(self, views: Array, state: Array) -> Encoded:
         """(V, C, H, W) to pictures, each in its own size. There are no features."""
         pictures = {}
         for stream, view in zip(self.spec.streams, views, strict=True):
-            pictures[stream] = _sized(view, self.wiring.size_of(stream))
+            pictures[stream] = _sized(view, self.wiring.shape_of(stream))
         state = np.asarray(state, np.float32)
         return Encoded(np.zeros((len(views), 1), np.float32), state, ServedLook(pictures))
 
@@ -72,9 +84,9 @@ class ServedPolicy:
         ``masks``."""
         masks = np.atleast_2d(masks)
         with self._lock:
-            actions = np.stack([self._asked(encoded, mask)[0] for mask in masks])
+            actions = np.stack([self._asked(encoded, mask)[0] for mask in masks])  # (N, A)
         unknown = np.full(len(masks), np.nan, np.float32)
-        return Readout(np.zeros((len(masks), 1), np.float32), actions, unknown)
+        return Readout(np.zeros((len(masks), 1), np.float32), np.clip(actions, -1, 1), unknown)
 
     def supports(self, mask: Array) -> bool:
         if len(mask) != len(self.spec.streams):
@@ -93,8 +105,16 @@ class ServedPolicy:
             self._connection.close()
 
     def begun(self, connection: PolicyConnection, seed: int) -> Speaker:
-        """Connects ``connection`` and begins an episode on it."""
-        speaker, _ = greeted(connection, self.wiring.protocol)
+        """Connects ``connection`` and begins an episode on it. Raises UserError where another
+        policy is served there by now."""
+        speaker, greeting = greeted(connection, self.wiring.protocol)
+        identity = identity_in(greeting)
+        if identity != self.identity:
+            raise connection.wrong(
+                f"the policy that says {self.identity!s:.150}",
+                f"{identity!s:.150}",
+                "another one is served there by now: start again",
+            )
         speaker.begin(connection, seed, self.spec.task)
         return speaker
 
@@ -106,15 +126,15 @@ class ServedPolicy:
         mask: Array,
         noise: int,
     ) -> Array:
-        """(n, A) float32, n >= 1, what is answered on ``connection``. Raises UserError for an
-        answer that is none."""
+        """(n, A) float32, n >= 1, what is answered on ``connection``, before it is clipped. Raises
+        UserError for an answer that is none."""
         shown_now = {
             stream: picture
             for (stream, picture), on in zip(encoded.private.pictures.items(), mask, strict=True)
             if on
         }
         words = self.spec.instruction
-        message = speaker.message(self.wiring, shown_now, encoded.state, words, noise)
+        message = look(self.wiring, speaker.name, shown_now, encoded.state, words, noise)
         connection.answered |= self._warm
         found = speaker.ask(connection, message)
         self._warm = True
@@ -150,7 +170,7 @@ class ServedPolicy:
             raise connection.wrong(expected, f"the shape {np.shape(found[key])}")
         if not np.isfinite(action).all():
             raise connection.wrong(expected, "NaN or infinity")
-        return np.clip(action, -1, 1)
+        return action
 
 
 class ServedPlayer:
@@ -160,6 +180,8 @@ class ServedPlayer:
         self._policy = policy
         self._seed = seed
         self._step = 0
+        self.outside = 0
+        """Numbers of the actions so far that lay outside [-1, 1]; they are clipped."""
         self._connection = PolicyConnection(policy.address, policy.wiring.timeout)
         self._plan: list[Array] = []
         self._speaker: Speaker | None = (
@@ -177,7 +199,9 @@ class ServedPlayer:
             answer = self._answer(encoded, mask)
             self._plan = list(answer[: self._policy.wiring.chunk])
         self._step += 1
-        return self._plan.pop(0)
+        action = self._plan.pop(0)
+        self.outside += numbers_outside(action)
+        return np.clip(action, -1, 1)
 
     def close(self) -> None:
         self._connection.close()
@@ -198,17 +222,30 @@ class ServedPlayer:
         return policy.answer(self._connection, self._speaker, encoded, mask, noise)
 
 
+def numbers_outside(action: Array) -> int:
+    """Numbers of ``action`` (A,) that lie outside [-1, 1] by more than rounding."""
+    return int(np.count_nonzero(np.abs(action) > 1 + 1e-6))
+
+
 def noise_at(seed: int, step: int) -> int:
     """The number that fixes a policy's noise at one step of an episode: the same for every subset,
     so that they differ by their cameras alone."""
     return int(np.random.SeedSequence([seed, step]).generate_state(1)[0] >> 1)
 
 
-def _sized(view: Array, size: int) -> Array:
-    """(C, H, W) -> (size, size, C)."""
-    picture = np.ascontiguousarray(view.transpose(1, 2, 0))
-    if picture.shape[0] == size:
+def _sized(view: Array, shape: tuple[int, int]) -> Array:
+    """A square (C, S, S) -> (H, W, C), ``shape`` being H and W: the largest square that fits, and
+    equal black bars beside it."""
+    picture = np.ascontiguousarray(view.transpose(1, 2, 0))  # (S, S, C)
+    side = min(shape)
+    if picture.shape[0] != side:
+        frames = [picture[..., i : i + 3] for i in range(0, picture.shape[-1], 3)]
+        sized = [cv2.resize(frame, (side, side), interpolation=cv2.INTER_AREA) for frame in frames]
+        picture = np.concatenate(sized, axis=-1)
+    if shape == (side, side):
         return picture
-    frames = [picture[..., i : i + 3] for i in range(0, picture.shape[-1], 3)]
-    sized = [cv2.resize(frame, (size, size), interpolation=cv2.INTER_AREA) for frame in frames]
-    return np.concatenate(sized, axis=-1)
+    boxed = np.zeros((*shape, picture.shape[-1]), np.uint8)  # (H, W, C)
+    top = (shape[0] - side) // 2
+    left = (shape[1] - side) // 2
+    boxed[top : top + side, left : left + side] = picture
+    return boxed

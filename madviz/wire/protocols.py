@@ -18,12 +18,15 @@ from typing import Any, Protocol
 from madviz.types import Array
 from madviz.wire.codec import Protocol as Name
 from madviz.wire.connection import OPENING, PolicyConnection
-from madviz.wire.wiring import Key, Wiring
+from madviz.wire.keys import put
+from madviz.wire.wiring import Wiring
 
 LISTEN = 1.0
 """Seconds in which an openpi server has spoken."""
 OURS = "madviz"
 """Under this key of the greeting, servers of madviz's own say all about the policy."""
+IDENTITY = ("name", "model_server", "model", "policy", "checkpoint", "revision", "digest")
+"""Keys of a greeting that say which policy is served; ``digest`` is one of its weights."""
 VERSION = 1
 """The version of vla-eval's protocol."""
 
@@ -46,12 +49,6 @@ class Speaker(Protocol):
         """The server's answer to one look."""
         ...
 
-    def message(
-        self, wiring: Wiring, pictures: dict[str, Array], state: Array, instruction: str, noise: int
-    ) -> dict[str, Any]:
-        """A look: the pictures (H, W, C) uint8 that are present, by stream, and the rest."""
-        ...
-
 
 class VlaEval:
     """See the module."""
@@ -71,14 +68,6 @@ class VlaEval:
     def ask(self, connection: PolicyConnection, message: dict[str, Any]) -> dict[str, Any]:
         number = self._tell(connection, "observation", message)
         return self._answer(connection, "action", "an action", number)
-
-    def message(
-        self, wiring: Wiring, pictures: dict[str, Array], state: Array, instruction: str, noise: int
-    ) -> dict[str, Any]:
-        images: dict[str, Any] = {}
-        for stream, picture in pictures.items():
-            _put(images, wiring.key(stream), picture)
-        return {"images": images, "task_description": instruction, **_besides(wiring, state, noise)}
 
     def _tell(self, connection: PolicyConnection, kind: str, payload: dict[str, Any]) -> int:
         self._number += 1
@@ -136,14 +125,6 @@ class OpenPi:
             raise connection.wrong("an action", _kind(found))
         return found
 
-    def message(
-        self, wiring: Wiring, pictures: dict[str, Array], state: Array, instruction: str, noise: int
-    ) -> dict[str, Any]:
-        message: dict[str, Any] = {"prompt": instruction, **_besides(wiring, state, noise)}
-        for stream, picture in pictures.items():
-            _put(message, wiring.key(stream), picture)
-        return message
-
 
 SPEAKERS: dict[Name, type[VlaEval] | type[OpenPi]] = {"vla-eval": VlaEval, "openpi": OpenPi}
 
@@ -160,21 +141,31 @@ def greeted(connection: PolicyConnection, wanted: Name | None) -> tuple[Speaker,
     return speaker, speaker.greet(connection)
 
 
-def _besides(wiring: Wiring, state: Array, noise: int) -> dict[str, Any]:
-    """State and noise under their keys."""
-    message: dict[str, Any] = {}
-    if wiring.state:
-        _put(message, wiring.state, state)
-    if wiring.noise:
-        message[wiring.noise] = noise
+def identity_in(greeting: dict[str, Any]) -> dict[str, str]:
+    """The words of a server on the policy that it serves; empty where it says nothing."""
+    facts = greeting.get(OURS)
+    facts = facts if isinstance(facts, dict) else greeting
+    return {key: facts[key][:200] for key in IDENTITY if isinstance(facts.get(key), str)}
+
+
+def look(
+    wiring: Wiring,
+    protocol: Name,
+    pictures: dict[str, Array],
+    state: Array,
+    instruction: str,
+    noise: int,
+) -> dict[str, Any]:
+    """A look as ``protocol`` sends it: the pictures (H, W, C) uint8 that are present, by stream,
+    and the rest, each under its key."""
+    values: dict[str, Any] = {"instruction": instruction, "state": state, "noise": noise}
+    streams = {name: wiring.stream(name) for name in wiring.cameras}
+    values |= {f"cameras.{name}": pictures[s] for name, s in streams.items() if s in pictures}
+    message: dict[str, Any] = {"images": {}} if protocol == "vla-eval" else {}
+    for entry, path in wiring.paths(protocol).items():
+        if entry in values:
+            put(message, path, values[entry])
     return message
-
-
-def _put(message: dict[str, Any], key: Key, value: Any) -> None:
-    *tables, last = [key] if isinstance(key, str) else key
-    for name in tables:
-        message = message.setdefault(name, {})
-    message[last] = value
 
 
 def _kind(found: Any) -> str:

@@ -16,7 +16,7 @@ from madviz.errors import UserError
 from madviz.system.typed import typed
 from madviz.wire.connection import PolicyConnection, shown
 from madviz.wire.policy import ServedPolicy
-from madviz.wire.protocols import OURS, greeted
+from madviz.wire.protocols import OURS, greeted, identity_in
 from madviz.wire.wiring import PolicyFacts, checked, policy_spec, read_wiring, served_spec
 
 MARK = "#wire="
@@ -54,9 +54,11 @@ def connect(reference: str) -> ServedPolicy:
     with PolicyConnection(address, wiring.timeout if wiring else 4.0) as connection:
         speaker, greeting = greeted(connection, wiring.protocol if wiring else None)
     where = shown(address)
+    identity = identity_in(greeting)
     if wiring is not None:
         wiring = msgspec.structs.replace(wiring, protocol=speaker.name)
-        return ServedPolicy(address, wiring, policy_spec(wiring, where), None)
+        spec = policy_spec(wiring, where, identity)
+        return ServedPolicy(address, wiring, spec, None, identity)
     if OURS not in greeting:
         raise UserError(
             f"{where}: expected a server that says how it is wired, found one that speaks "
@@ -65,4 +67,4 @@ def connect(reference: str) -> ServedPolicy:
     facts = typed(greeting[OURS], PolicyFacts, where, "it runs another version of madviz")
     wiring = checked(msgspec.structs.replace(facts.wiring, protocol=speaker.name), where)
     spec = served_spec(facts, wiring, where)
-    return ServedPolicy(address, wiring, spec, frozenset(facts.supported))
+    return ServedPolicy(address, wiring, spec, frozenset(facts.supported), identity)

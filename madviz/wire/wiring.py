@@ -2,7 +2,8 @@
 
     task = "metaworld/hammer"
     protocol = "openpi"             # found out at the handshake where it is left out
-    size = 224                      # of pictures; or one for each camera: size.first = 128
+    size = 224                      # of pictures; or one for each camera: size.first = [128, 160]
+    letterbox = true                # a picture that is no square has black bars
     state = "observation/state"     # "" sends none
     action = "actions"
     masks = false                   # a camera that is left out must have a picture in its place
@@ -27,15 +28,17 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from madviz.envs.checks import MAX_SIZE, check_size
 from madviz.envs.registry import choose, env_spec
 from madviz.errors import UserError, unknown
-from madviz.subsets import camera_of, every_mask, modality_of, name_of
+from madviz.subsets import camera_of, every_mask, name_of
 from madviz.system.typed import typed
 from madviz.types import CameraSpec, EnvSpec, Modality, Policy, PolicySpec, PolicyWithMemory
 from madviz.wire.codec import Protocol
+from madviz.wire.keys import PLACES, Key, KeyPath, check_paths, outgoing
 
-Key = str | list[str]
-Size = Annotated[int, Meta(ge=8, le=1024)]
+Side = Annotated[int, Meta(ge=8, le=MAX_SIZE)]
+Size = Side | Annotated[list[Side], Meta(min_length=2, max_length=2)]
 Digits = Annotated[int, Meta(ge=1, le=1000)]
 Seconds = Annotated[float, Meta(gt=0, le=3600)]
 Text = Annotated[str, Meta(max_length=500)]
@@ -48,7 +51,8 @@ class Wiring(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=Tr
     cameras: Annotated[dict[str, Key], Meta(min_length=1, max_length=16)]
     """Our camera, or stream (``first.depth``) = their key."""
     size: Size | dict[str, Size]
-    """Rows and columns of a picture; one for all cameras, or for each."""
+    """Rows and columns of a picture, one number where they are the same; one size for all cameras,
+    or for each."""
     state: Key
     """Their key of the state (S,) float32; '' sends none."""
     masks: bool
@@ -65,6 +69,8 @@ class Wiring(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=Tr
     """Whether it remembers earlier steps of an episode, more than the rest of a chunk."""
     frames: Annotated[int, Meta(ge=1, le=8)] = 1
     """Frames of a camera in its picture, on the last axis, the oldest first."""
+    letterbox: bool = False
+    """Whether a picture that is no square has black bars: cameras draw squares."""
     noise: str = ""
     """Their key of a number that fixes the policy's noise at a step; '' sends none."""
     name: Annotated[str, Meta(max_length=100)] = ""
@@ -75,22 +81,24 @@ class Wiring(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=Tr
     @property
     def streams(self) -> tuple[str, ...]:
         """Our names in the order of axis V."""
-        return tuple(self._stream(name) for name in self.cameras)
+        return tuple(self.stream(name) for name in self.cameras)
 
-    def key(self, stream: str) -> Key:
-        """Their key of one of ``streams``."""
-        return next(k for name, k in self.cameras.items() if self._stream(name) == stream)
-
-    def size_of(self, stream: str) -> int:
+    def shape_of(self, stream: str) -> tuple[int, int]:
         """Rows and columns of what ``stream`` sends."""
-        return self.size if isinstance(self.size, int) else self.size[camera_of(stream)]
+        size = self.size[camera_of(stream)] if isinstance(self.size, dict) else self.size
+        return (size, size) if isinstance(size, int) else (size[0], size[1])
 
     @property
     def largest(self) -> int:
-        """The size with which all cameras are drawn."""
-        return self.size if isinstance(self.size, int) else max(self.size.values())
+        """Rows and columns with which all cameras are drawn: enough for the largest picture."""
+        return max(min(self.shape_of(stream)) for stream in self.streams)
 
-    def _stream(self, name: str) -> str:
+    def paths(self, protocol: Protocol) -> dict[str, KeyPath]:
+        """By entry of the file, where its value stands in a look."""
+        return outgoing(protocol, self.cameras, self.state, self.noise)
+
+    def stream(self, name: str) -> str:
+        """Our stream that ``name`` of [cameras] means."""
         if "." in name:
             return name
         modality = self.modality if isinstance(self.modality, str) else self.modality.get(name)
@@ -131,24 +139,51 @@ def checked(wiring: Wiring, where: str | Path) -> Wiring:
     tables += [("size", wiring.size), ("modality", wiring.modality)]
     for table, names in tables:
         for name in names if isinstance(names, dict) else ():
-            if camera_of(name) not in known:
+            if (camera_of(name) if table == "cameras" else name) not in known:
                 raise UserError(f"{where}: {unknown(f'camera in [{table}]', name, known)}")
     for camera in dict.fromkeys(camera_of(stream) for stream in wiring.streams):
-        if not isinstance(wiring.size, int) and camera not in wiring.size:
+        if isinstance(wiring.size, dict) and camera not in wiring.size:
             raise UserError(f"{where}: expected 'size.{camera}', found none; say its pixels")
+        height, width = wiring.shape_of(camera)
+        if height != width and not wiring.letterbox:
+            side = min(height, width)
+            raise UserError(
+                f"{where}: expected the size of {camera!r} to be a square, as {side} by {side}, "
+                f"found {height} by {width}; say letterbox = true, and black bars fill the rest"
+            )
     for stream in wiring.streams:
-        if "." in stream and modality_of(stream) not in ("rgb", "depth"):
+        if "." in stream and stream.partition(".")[2] not in ("rgb", "depth"):
             raise UserError(
                 f"{where}: expected a camera, or one with .rgb or .depth, found {stream!r:.60}"
             )
+    _check_keys(wiring, where)
     return wiring
 
 
-def policy_spec(wiring: Wiring, address: str) -> PolicySpec:
-    """The specification of the policy behind ``wiring``."""
+def _check_keys(wiring: Wiring, where: str | Path) -> None:
+    """Raises UserError where two entries of the file send the same stream, or go out under keys
+    that clash. A file that leaves the protocol out must fit each of them."""
+    names: dict[str, str] = {}
+    for name in wiring.cameras:
+        stream = wiring.stream(name).removesuffix(".rgb")
+        if stream in names:
+            raise UserError(
+                f"{where}: expected each stream once, found 'cameras.{names[stream]}' and "
+                f"'cameras.{name}', which both send {stream!r}; drop one"
+            )
+        names[stream] = name
+    for protocol in PLACES if wiring.protocol is None else (wiring.protocol,):
+        said = "" if wiring.protocol else f" (in a look of {protocol}, as 'protocol' is left out)"
+        check_paths(wiring.paths(protocol), f"{where}{said}")
+
+
+def policy_spec(wiring: Wiring, address: str, identity: dict[str, str]) -> PolicySpec:
+    """The specification of the policy behind ``wiring``. Another ``identity``, which its server
+    says, has another digest."""
     env = env_of(wiring)
     own = {camera.name: camera for camera in _cameras(wiring.task)}
-    text = msgspec.json.encode(wiring, order="sorted")
+    text = msgspec.json.encode(as_written(wiring), order="sorted")
+    text += msgspec.json.encode(identity, order="sorted") if identity else b""
     return PolicySpec(
         name=wiring.name or address,
         task=wiring.task,
@@ -176,9 +211,12 @@ def policy_spec(wiring: Wiring, address: str) -> PolicySpec:
 
 
 def served_spec(facts: PolicyFacts, wiring: Wiring, address: str) -> PolicySpec:
-    """The same of a policy that madviz serves: it keeps its name, and its digest."""
+    """The same of a policy that madviz serves: it keeps its name, and its digest. Raises UserError
+    for a camera that cannot be drawn."""
+    for camera in facts.cameras:
+        check_size(camera.size)
     return replace(
-        policy_spec(wiring, address),
+        policy_spec(wiring, address, {}),
         name=facts.name,
         method=facts.method,
         setting=facts.setting,
@@ -211,7 +249,7 @@ def served(policy: Policy) -> dict[str, Any]:
     spec = policy.spec
     known = [name_of(m, spec.streams) for m in every_mask(len(spec.streams)) if policy.supports(m)]
     return {
-        "wiring": msgspec.to_builtins(wiring_of(spec, isinstance(policy, PolicyWithMemory))),
+        "wiring": as_written(wiring_of(spec, isinstance(policy, PolicyWithMemory))),
         "name": spec.name,
         "method": spec.method,
         "setting": spec.setting,
@@ -221,6 +259,15 @@ def served(policy: Policy) -> dict[str, Any]:
         "digest": spec.digest,
         "cameras": [asdict(camera) for camera in spec.cameras],
     }
+
+
+def as_written(wiring: Wiring) -> dict[str, Any]:
+    """``wiring`` as a table. A word that older versions do not know is there only where it says
+    something, so that they can read it, and digests stay."""
+    table = msgspec.to_builtins(wiring)
+    if not wiring.letterbox:
+        del table["letterbox"]
+    return table
 
 
 def env_of(wiring: Wiring) -> EnvSpec:

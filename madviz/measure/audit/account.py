@@ -13,6 +13,7 @@ from html import escape
 from madviz.measure.audit.document import AuditFile, ConditionRow
 from madviz.measure.audit.lost_cameras import HOWS
 from madviz.measure.audit.sentences import HOW_WORDS, MEANING, change, deciding, in_words, planned
+from madviz.measure.episodes import clipped_words
 from madviz.measure.statistics import SuccessRate
 from madviz.plots import figures
 from madviz.policies.seeds import use_of
@@ -60,12 +61,14 @@ class Block:
 
 def account(found: AuditFile, command: str) -> list[Block]:
     """All blocks; ``command`` makes the audit again."""
+    clipped = clipped_words(found.get("outside", 0.0))
     return [
         Block("h1", [f"Does {found['policy']} use its cameras?"]),
         Block("words", in_words(found)),
         Block("p", [planned(found)]),
         Block("h2", ["Verdicts"]),
         Block("table", VERDICT_HEADS, _verdict_rows(found)),
+        *([Block("p", [clipped])] if clipped else []),
         Block("list", [f"{name}: {meaning}." for name, meaning in MEANING.items()]),
         Block("h2", ["Success by condition"]),
         Block("svg", [rates_picture(found)]),

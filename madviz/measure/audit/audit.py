@@ -4,7 +4,8 @@
 
 plays the same scenes with every camera removed and alone, and with none, and writes audit.html,
 audit.json and audit.md. Every episode is kept in episodes.sqlite of that folder as it finishes, so
-that an audit which was stopped goes on where it was, with the same command.
+that an audit which was stopped goes on where it was, with the same command. policy.json says with
+which policy and seed it began; another one is refused.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pathlib import Path
 from madviz.envs.registry import TaskName
 from madviz.errors import Interrupted, UserError, saving
 from madviz.measure.audit.account import html, markdown
+from madviz.measure.audit.audited_policy import FILE, check_same_policy
 from madviz.measure.audit.document import AuditFile, audit_document, facts_of
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras, How
 from madviz.measure.audit.schedule import AuditPlan, Outcomes
@@ -96,7 +98,9 @@ def audit(
         table.play(wanted, workers, progress)
     try:
         env, _ = table.runner.opened(table.job(INTACT, 0))
-        return audit_document(plan, outcomes(), facts_of(loaded.spec, env.spec))
+        facts = facts_of(loaded.spec, env.spec)
+        facts["outside"] = table.outside(plan.every)
+        return audit_document(plan, outcomes(), facts)
     finally:
         table.runner.close()
 
@@ -106,7 +110,8 @@ def audit(
 
 def run_audit(config: AuditConfig) -> AuditFile:
     """``madviz audit``; progress goes to standard error. Raises Interrupted at Ctrl-C, and
-    UserError for a policy of another task and a folder with another audit."""
+    UserError for a policy of another task, and for a folder whose audit began with another policy
+    or seed."""
     trust(config.policy, config.trust)
     reference = with_wire(config.policy, config.wire)
     policy = checkpoint.load_policy(reference)
@@ -116,6 +121,7 @@ def run_audit(config: AuditConfig) -> AuditFile:
             f"{policy.spec.task}; leave --task out, or name another policy"
         )
     _check_folder(config.out, policy)
+    check_same_policy(config.out, policy, config.seed)
     with closing(Store(config.out / EPISODES)) as store:
         try:
             document = audit(
@@ -143,7 +149,7 @@ def _check_folder(out: Path, policy: Policy) -> None:
         out.mkdir()
     if not out.is_dir():
         raise UserError(f"--out {out}: expected a folder, found a file; choose another name")
-    for name in (*FILES, EPISODES):
+    for name in (*FILES, EPISODES, FILE):
         written_to(out / name, "--out")
     if (out / "audit.json").is_file():
         before = read_json(out / "audit.json")

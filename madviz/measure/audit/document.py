@@ -91,6 +91,8 @@ class AuditFile(TypedDict):
     shapley: dict[str, ShapleyRow]
     """Empty where there are too many cameras."""
     shapley_how: str
+    outside: NotRequired[float]
+    """The share of action numbers outside [-1, 1] in all episodes; they were clipped."""
     decided_by: dict[str, dict[str, str]]
     """By camera, how it was removed and how the others were, for the verdict."""
     verdict: dict[str, str]
@@ -104,6 +106,7 @@ class AuditFacts(TypedDict):
     digest: str
     definition: str
     labels: dict[str, str]
+    outside: NotRequired[float]
 
 
 def facts_of(policy: PolicySpec, env: EnvSpec) -> AuditFacts:
@@ -129,7 +132,7 @@ def audit_document(plan: AuditPlan, outcomes: Outcomes, facts: AuditFacts) -> Au
     deciding = {name: cameras.deciding(name) for name in cameras.names}
     smallest = plan.detectable
     dropped = not any(condition.occlusions for condition in cameras.sets())
-    return {
+    document: AuditFile = {
         "schema": 1,
         "policy": facts["policy"],
         "task": facts["task"],
@@ -154,6 +157,9 @@ def audit_document(plan: AuditPlan, outcomes: Outcomes, facts: AuditFacts) -> Au
             for name, code in zip(cameras.names, judgement.verdict, strict=True)
         },
     }
+    if "outside" in facts:
+        document["outside"] = facts["outside"]
+    return document
 
 
 def _rows(plan: AuditPlan, seen: Seen, look: Look, judgement: Judgement) -> list[ConditionRow]:

@@ -6,6 +6,7 @@ import math
 
 from madviz.measure.audit.document import AuditFile, ConditionRow, DifferenceRow
 from madviz.measure.audit.verdict import LEVEL, MARGIN
+from madviz.measure.episodes import clipped_words
 from madviz.measure.statistics import SuccessRate
 
 HOW_WORDS = {
@@ -32,6 +33,7 @@ def in_words(found: AuditFile) -> list[str]:
     """One sentence or two for the policy, for each camera, and for what is not the same as
     dropping."""
     lines = [_intact(found)]
+    lines += filter(None, [clipped_words(found.get("outside", 0.0))])
     lines += [_camera(found, name) for name in found["verdict"]]
     lines += _occluded(found)
     if any("mean" in how.values() for how in found["decided_by"].values()):

@@ -1,0 +1,85 @@
+"""Actions outside [-1, 1] are clipped, counted and said."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from madviz.cli import main
+from madviz.measure.audit.account import html
+from madviz.measure.audit.audit import AuditConfig, run_audit
+from madviz.measure.evaluate import evaluate
+from madviz.measure.store import EpisodeResult, ResultKey, Store
+from madviz.wire.reference import with_wire
+from tests.fakes import FakePolicy
+from tests.wires import foreign_server, wiring_file
+
+SAID = "50 % of the policy's action numbers lay outside [-1, 1] and were clipped"
+
+
+def tenfold(look: dict[str, Any], connection: object) -> dict[str, Any]:
+    """One number in range and one that is not, in each of three decisions."""
+    return {"actions": np.array([[10.0, 0.5], [0.5, -3.0], [1.0, 2.0]], np.float32)}
+
+
+class Wild(FakePolicy):
+    """Acts here, and beyond the range."""
+
+    def read(self, encoded: Any, masks: Any) -> Any:
+        readout = super().read(encoded, masks)
+        readout.action[:] = (7.0, 0.5)
+        return readout
+
+
+def test_eval_counts_prints_and_stores_them(tmp_path, capsys):
+    with foreign_server(tenfold) as address:
+        wire, out = str(wiring_file(tmp_path, chunk="3")), tmp_path / "out.json"
+        words = ["eval", "--policy", address, "--wire", wire, "--subsets", "all", "--episodes", "2"]
+        assert main([*words, "--workers", "0"]) == 0
+        assert SAID in capsys.readouterr().out
+        assert main([*words, "--workers", "1", "--json", str(out)]) == 0
+    assert json.loads(out.read_text())["subsets"]["all"]["outside"] == 0.5
+
+
+@pytest.mark.parametrize(("policy", "share"), [(Wild(), 0.5), (FakePolicy(), 0.0)])
+def test_those_of_a_policy_here_are_counted_too(policy, share):
+    assert evaluate(policy, ["all"], episodes=1).rows["all"].get("outside") == share
+
+
+def test_an_audit_says_them_beside_its_verdicts_also_when_it_goes_on(tmp_path):
+    with foreign_server(tenfold) as address:
+        wire = wiring_file(tmp_path, chunk="3")
+        config = AuditConfig(
+            address, tmp_path / "out", episodes=2, how=("dropped",), workers=0, wire=wire
+        )
+        found = run_audit(config)
+        again = run_audit(config)  # All episodes come from the folder.
+    assert found.get("outside") == again.get("outside") == 0.5
+    assert json.loads((tmp_path / "out" / "audit.json").read_text())["outside"] == 0.5
+    for name in ("audit.md", "audit.html"):
+        assert (tmp_path / "out" / name).read_text().count("action numbers lay outside") == 2
+    assert "lay outside" not in html({**found, "outside": 0.0}, "")
+
+
+def test_the_command_that_compares_conditions_says_them(tmp_path, capsys):
+    with foreign_server(tenfold) as address:
+        reference = with_wire(address, wiring_file(tmp_path, chunk="3"))
+        words = ["--conditions", "all", "first", "--episodes", "1", "--workers", "0"]
+        assert main(["compare", reference, *words]) == 0
+    assert SAID in capsys.readouterr().out
+
+
+def test_a_store_keeps_the_share_and_reads_files_without_it(tmp_path):
+    key = ResultKey("digest", "toy/reach", "near", "fast", "", "all")
+    store = Store(tmp_path / "a.sqlite")
+    results = [EpisodeResult("all", seed, True, True, 1.0, seed / 4) for seed in range(3)]
+    for result in results:
+        store.put(key, result)
+    assert list(store.results(key).values()) == results
+    store._run(lambda db: db.execute("DROP TABLE outside_1"))  # As an older version left it.
+    store.close()
+    again = Store(tmp_path / "a.sqlite")
+    assert [result.outside for result in again.results(key).values()] == [0, 0, 0]
