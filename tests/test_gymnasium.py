@@ -14,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 
 from madviz.envs.gymnasium_env import MadvizEnv, ids, register
 from madviz.envs.registry import TASKS, make_env
+from madviz.system.depth import depth_code, depth_metres
 
 ROOT = Path(__file__).resolve().parent.parent
 QUICK = ("madviz/reach-v0", "madviz/hammer-v0")
@@ -62,7 +63,9 @@ def test_an_episode_is_the_one_of_its_seed_and_ends_at_its_horizon():
     while not ended:
         np.testing.assert_array_equal(seen["agent_pos"], now.state.astype(np.float32))
         np.testing.assert_array_equal(seen["pixels"]["third_a"], world.view("third_a").rgb)
-        np.testing.assert_allclose(seen["depth"]["first"][..., 0], world.view("first").depth)
+        # Depth has 256 steps from 0 to 2 m.
+        there = world.view("first").depth
+        np.testing.assert_allclose(seen["depth"]["first"][..., 0], there, atol=1.001 / 255)
         assert info["is_success"] == now.success
         action = np.array([0.5, -0.5], np.float32)
         seen, reward, terminated, ended, info = env.step(action)
@@ -98,3 +101,14 @@ def test_several_of_them_step_together(mode):
     seen, _, _, _, info = many.step(np.zeros((2, 2), np.float32))
     assert info["is_success"].shape == (2,)
     many.close()
+
+
+def test_depth_is_what_a_policy_gets_and_its_range_is_the_cameras():
+    env = MadvizEnv("metaworld/hammer", size=48, flat=True)
+    seen, _ = env.reset(seed=5000)
+    code = depth_code(env._world.view("third_a").depth, (0.5, 1.7))
+    np.testing.assert_array_equal(seen["third_a_depth"], depth_metres(code, (0.5, 1.7)))
+    assert env._world.view("third_a").depth.max() > 10
+    space = env.get_wrapper_attr("observation_space")["third_a_depth"]
+    assert (space.low.min(), space.high.max()) == (np.float32(0.5), np.float32(1.7))
+    env.close()

@@ -6,7 +6,8 @@
 An observation is a table, named as LeRobot names it:
 
     pixels     {first, third_a, third_b}   (H, W, 3) uint8
-    depth      the same cameras            (H, W, 1) float32, metres
+    depth      the same cameras            (H, W, 1) float32, metres, in the 256 steps of the
+                                           camera's range in which a policy gets it here
     agent_pos  (S,) float32
 
 ``flat=True`` puts all of it side by side (``first``, ``first_depth``, ``agent_pos``), for programs
@@ -24,11 +25,10 @@ import numpy as np
 from gymnasium import spaces
 
 from madviz.envs.registry import SUITES, env_spec, make_env
+from madviz.system.depth import depth_code, depth_metres
 from madviz.types import Array, CameraSpec, Environment, TimeStep
 
 NAMESPACE = "madviz"
-FARTHEST = 1e6
-"""Metres; the end of a depth picture's space."""
 SEEDS = 2**31
 Observation = dict[str, Any]
 
@@ -94,8 +94,10 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
         observation: Observation = {"pixels": pixels}
         if self._depth:
             observation["depth"] = {
-                name: np.clip(view.depth, 0, FARTHEST)[..., None].astype(np.float32)
-                for name, view in views.items()
+                camera.name: depth_metres(
+                    depth_code(views[camera.name].depth, camera.depth_range), camera.depth_range
+                )
+                for camera in self._cameras
             }
         observation["agent_pos"] = np.asarray(moment.state, np.float32)
         info = {"is_success": bool(moment.success), "task": self.task}
@@ -107,7 +109,7 @@ class MadvizEnv(gymnasium.Env[Observation, Array]):
         for camera in self._cameras:
             shape = (camera.size, camera.size)
             pixels[camera.name] = spaces.Box(0, 255, (*shape, 3), np.uint8)
-            depth[camera.name] = spaces.Box(0, FARTHEST, (*shape, 1), np.float32)
+            depth[camera.name] = spaces.Box(*camera.depth_range, (*shape, 1), np.float32)
         parts: Observation = {"pixels": pixels}
         if self._depth:
             parts["depth"] = depth
