@@ -10,6 +10,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ClosedEnvironmentError, Error, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 from madviz.envs.gymnasium_env import MadvizEnv, ids, register
@@ -112,3 +113,34 @@ def test_depth_is_what_a_policy_gets_and_its_range_is_the_cameras():
     space = env.get_wrapper_attr("observation_space")["third_a_depth"]
     assert (space.low.min(), space.high.max()) == (np.float32(0.5), np.float32(1.7))
     env.close()
+
+
+def test_gymnasiums_own_errors_say_what_comes_first():
+    with pytest.raises(Error, match="at least 1 pixel, found 0"):
+        MadvizEnv("toy/reach", size=0)
+    env = MadvizEnv("toy/reach", render_mode="rgb_array")
+    with pytest.raises(ResetNeeded, match="reset.. before step"):
+        env.step(np.zeros(2, np.float32))
+    with pytest.raises(ResetNeeded, match="reset.. before render"):
+        env.render()
+    env.reset(seed=1)
+    env.close()
+    env.close()
+    for late in (lambda: env.step(np.zeros(2, np.float32)), env.render, env.reset):
+        with pytest.raises(ClosedEnvironmentError, match="not closed"):
+            late()
+
+
+def test_forked_processes_are_refused_where_the_parent_has_drawn():
+    """In a process of its own: whether something was drawn there holds until it ends."""
+    program = (
+        "import gymnasium, madviz, sys\n"
+        "env = gymnasium.make('madviz/hammer-v0', size=16); env.reset(seed=1); env.close()\n"
+        "many = gymnasium.make_vec('madviz/hammer-v0', 2, vectorization_mode='async', size=16)\n"
+        "try:\n    many.reset(seed=[1, 2])\n"
+        "except gymnasium.error.Error as error:\n    print('refused', error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, timeout=120
+    )
+    assert "refused" in done.stdout and '"context": "spawn"' in done.stdout, done.stderr
