@@ -13,9 +13,10 @@ import numpy as np
 from madviz.envs.metaworld.environment import MetaWorld
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import Ablation
-from madviz.observation.streams import StreamStack, depth_code
+from madviz.observation.streams import StreamStack
 from madviz.policies.checkpoint import load_policy
 from madviz.subsets import every_mask
+from madviz.system.depth import depth_code
 from madviz.types import Array
 
 

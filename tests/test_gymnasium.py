@@ -10,10 +10,12 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ClosedEnvironmentError, Error, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 from madviz.envs.gymnasium_env import MadvizEnv, ids, register
 from madviz.envs.registry import TASKS, make_env
+from madviz.system.depth import depth_code, depth_metres
 
 ROOT = Path(__file__).resolve().parent.parent
 QUICK = ("madviz/reach-v0", "madviz/hammer-v0")
@@ -62,7 +64,9 @@ def test_an_episode_is_the_one_of_its_seed_and_ends_at_its_horizon():
     while not ended:
         np.testing.assert_array_equal(seen["agent_pos"], now.state.astype(np.float32))
         np.testing.assert_array_equal(seen["pixels"]["third_a"], world.view("third_a").rgb)
-        np.testing.assert_allclose(seen["depth"]["first"][..., 0], world.view("first").depth)
+        # Depth has 256 steps from 0 to 2 m.
+        there = world.view("first").depth
+        np.testing.assert_allclose(seen["depth"]["first"][..., 0], there, atol=1.001 / 255)
         assert info["is_success"] == now.success
         action = np.array([0.5, -0.5], np.float32)
         seen, reward, terminated, ended, info = env.step(action)
@@ -98,3 +102,45 @@ def test_several_of_them_step_together(mode):
     seen, _, _, _, info = many.step(np.zeros((2, 2), np.float32))
     assert info["is_success"].shape == (2,)
     many.close()
+
+
+def test_depth_is_what_a_policy_gets_and_its_range_is_the_cameras():
+    env = MadvizEnv("metaworld/hammer", size=48, flat=True)
+    seen, _ = env.reset(seed=5000)
+    code = depth_code(env._world.view("third_a").depth, (0.5, 1.7))
+    np.testing.assert_array_equal(seen["third_a_depth"], depth_metres(code, (0.5, 1.7)))
+    assert env._world.view("third_a").depth.max() > 10
+    space = env.get_wrapper_attr("observation_space")["third_a_depth"]
+    assert (space.low.min(), space.high.max()) == (np.float32(0.5), np.float32(1.7))
+    env.close()
+
+
+def test_gymnasiums_own_errors_say_what_comes_first():
+    with pytest.raises(Error, match="at least 1 pixel, found 0"):
+        MadvizEnv("toy/reach", size=0)
+    env = MadvizEnv("toy/reach", render_mode="rgb_array")
+    with pytest.raises(ResetNeeded, match="reset.. before step"):
+        env.step(np.zeros(2, np.float32))
+    with pytest.raises(ResetNeeded, match="reset.. before render"):
+        env.render()
+    env.reset(seed=1)
+    env.close()
+    env.close()
+    for late in (lambda: env.step(np.zeros(2, np.float32)), env.render, env.reset):
+        with pytest.raises(ClosedEnvironmentError, match="not closed"):
+            late()
+
+
+def test_forked_processes_are_refused_where_the_parent_has_drawn():
+    """In a process of its own: whether something was drawn there holds until it ends."""
+    program = (
+        "import gymnasium, madviz, sys\n"
+        "env = gymnasium.make('madviz/hammer-v0', size=16); env.reset(seed=1); env.close()\n"
+        "many = gymnasium.make_vec('madviz/hammer-v0', 2, vectorization_mode='async', size=16)\n"
+        "try:\n    many.reset(seed=[1, 2])\n"
+        "except gymnasium.error.Error as error:\n    print('refused', error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, timeout=120
+    )
+    assert "refused" in done.stdout and '"context": "spawn"' in done.stdout, done.stderr

@@ -8,7 +8,8 @@ import pytest
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
-from madviz.observation.streams import StreamStack, depth_code, stream_frame
+from madviz.observation.streams import StreamStack, stream_frame
+from madviz.system.depth import depth_code
 from madviz.types import View
 
 THREE, RGBD = SETTINGS["three"].streams, SETTINGS["three-rgbd"].streams

@@ -23,8 +23,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from madviz.analysis.imagination import Imagined
 from madviz.drawing.colours import INK, MUTED, NOTE, camera_colours, heat, rgb
-from madviz.observation.streams import depth_code
 from madviz.session.frame import Frame
+from madviz.system.depth import depth_code
 from madviz.types import Array, CameraSpec
 
 GAP = 6

@@ -18,6 +18,7 @@ import numpy as np
 from madviz.errors import UserError
 from madviz.observation.ablation import LATEST, Ablation, noise_generator
 from madviz.subsets import camera_of, modality_of
+from madviz.system.depth import depth_code
 from madviz.types import Array, EnvSpec, View
 
 IMAGE_SIZE = 84
@@ -32,13 +33,6 @@ MeanPictures = Mapping[str, Array]
 def no_mean_pictures() -> MeanPictures:
     """Raises UserError: nobody knows the mean pictures here."""
     raise UserError("expected mean pictures of the cameras, found none here; choose black or noise")
-
-
-def depth_code(depth: Array, depth_range: tuple[float, float]) -> Array:
-    """(H, W) metres -> (H, W, 1) uint8 over ``depth_range``."""
-    near, far = depth_range
-    unit = np.clip((depth - near) / (far - near), 0, 1)
-    return np.round(unit * 255).astype(np.uint8)[..., None]
 
 
 def stream_frame(view: View, stream: str, env: EnvSpec, size: int = IMAGE_SIZE) -> Array:

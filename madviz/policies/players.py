@@ -18,6 +18,12 @@ class Reader:
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
+        self._outside_before = getattr(policy, "outside", 0)
+
+    @property
+    def outside(self) -> int:
+        """Action numbers of this episode that the policy itself clipped to [-1, 1]."""
+        return getattr(self._policy, "outside", 0) - self._outside_before
 
     def act(self, encoded: Encoded, mask: Array) -> Array:
         """(A,): the subset ``mask`` (V,) read alone."""

@@ -6,28 +6,28 @@ from a page or from a file is not trusted.
 
 What it was trained on is read from its own spaces, those of ``gymnasium.make("madviz/hammer-v0",
 flat=True)``: pictures by camera, ``first_depth`` in metres, and ``agent_pos``. Which task it was,
-the file does not say: ``sb3:model.zip@metaworld/hammer``.
+the file does not say: ``sb3:model.zip@metaworld/hammer``. The statistics of VecNormalize are in a
+file of their own, which is trusted with it: ``sb3:model.zip+statistics.pkl@metaworld/hammer``.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Collection
-from dataclasses import replace
+import pickle
+import warnings
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from madviz.envs.registry import env_spec
 from madviz.errors import UserError
-from madviz.subsets import camera_of
-from madviz.types import Array, Encoded, PolicySpec, Readout
+from madviz.policies.sb3_policy import Sb3Policy, policy_on
 
 PREFIX = "sb3:"
 AT = "@"
+PLUS = ".zip+"
 VARIABLE = "MADVIZ_TRUST"
+NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space")
 
 
 def is_sb3(policy: str) -> bool:
@@ -36,29 +36,49 @@ def is_sb3(policy: str) -> bool:
 
 
 def trust(policy: str | None, on: bool) -> None:
-    """Makes the file of ``policy`` trusted in this process and all that it starts, if ``on``."""
+    """Makes the files of ``policy`` trusted in this process and all that it starts, if ``on``."""
     if policy is not None and on and is_sb3(policy):
-        os.environ[VARIABLE] = os.pathsep.join([*_trusted(), str(_parts(policy)[0].resolve())])
+        file, statistics, _ = _parts(policy)
+        files = [str(each.resolve()) for each in (file, statistics) if each is not None]
+        os.environ[VARIABLE] = os.pathsep.join([*_trusted(), *files])
 
 
 def shown_sb3(policy: str) -> str:
-    """``policy`` as it may be shown to others: of the file's path the last part only."""
-    file, task = _parts(policy)
-    return f"{PREFIX}{file.name}" + (f"{AT}{task}" if task else "")
+    """``policy`` as it may be shown to others: of a file's path the last part only."""
+    file, statistics, task = _parts(policy)
+    added = f"+{statistics.name}" if statistics else ""
+    return f"{PREFIX}{file.name}{added}" + (f"{AT}{task}" if task else "")
 
 
 def load_sb3(policy: str) -> Sb3Policy:
     """The policy ``sb3:FILE@TASK``. Raises UserError for a file that is not trusted, cannot be
-    loaded, or was trained on something else than the task's pictures and state."""
-    named, task = _parts(policy)
-    file = named.resolve()
-    if str(file) not in _trusted():
-        raise UserError(
-            f"{file}: a file of Stable-Baselines3 runs code when it is loaded, and nobody has said "
-            "that this one is trusted; if you trust whoever made it, add --trust"
-        )
+    loaded, or was trained on something else than the task's pictures, state and actions."""
+    file, statistics, task = _parts(policy)
+    file = file.resolve()
+    for each in (file, statistics):
+        if each is not None and str(each.resolve()) not in _trusted():
+            raise UserError(
+                f"{each.resolve()}: a file of Stable-Baselines3 runs code when it is loaded, and "
+                "nobody has said that this one is trusted; if you trust whoever made it, add "
+                "--trust"
+            )
     if not task:
         raise UserError(f"expected {PREFIX}FILE{AT}TASK, found no task; add {AT}metaworld/hammer")
+    data, weights = _opened(file)
+    if statistics is None and _was_normalised(data):
+        raise UserError(
+            f"{file}: was trained under VecNormalize, whose statistics are not in the file; save "
+            f"them with VecNormalize.save and name them: {PREFIX}FILE{PLUS}STATISTICS.pkl{AT}TASK"
+        )
+    network = _network(file, data, weights)
+    table = None if statistics is None else _statistics(statistics.resolve())
+    read = file.read_bytes() + (statistics.read_bytes() if statistics else b"")
+    digest = hashlib.sha256(read).hexdigest()
+    return policy_on(env_spec(task), network, table, file, digest)
+
+
+def _opened(file: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The facts of a model as Stable-Baselines3 wrote them, and its weights. Raises UserError."""
     try:
         from stable_baselines3.common.save_util import load_from_zip_file
     except ImportError as error:
@@ -66,103 +86,78 @@ def load_sb3(policy: str) -> Sb3Policy:
             "expected Stable-Baselines3, found none here; pip install 'madviz[sb3]'"
         ) from error
     try:
-        data, parameters, _ = load_from_zip_file(str(file), device="cpu")
-        made = data["policy_class"](  # type: ignore[index]
-            data["observation_space"],  # type: ignore[index]
-            data["action_space"],  # type: ignore[index]
-            lambda _: 0.0,
-            **data.get("policy_kwargs", {}),  # type: ignore[union-attr]
+        with warnings.catch_warnings(record=True) as unread:
+            warnings.simplefilter("always")
+            data, weights, _ = load_from_zip_file(str(file), device="cpu")
+    except Exception as error:  # Foreign objects may raise anything.
+        raise _broken(file, error) from error
+    for key in NEEDED:
+        if key not in (data or {}):
+            reasons = [
+                str(each.message) for each in unread if f"object {key}." in str(each.message)
+            ]
+            reason = " ".join(reasons).rpartition("Exception: ")[2] or "nothing of it"
+            raise _broken(file, ValueError(f"{key} cannot be read: {reason}"))
+    assert data is not None
+    return data, weights
+
+
+def _network(file: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
+    """The policy of Stable-Baselines3 with its weights. Raises UserError."""
+    options = {key: each for key, each in data["policy_kwargs"].items() if key != "device"}
+    if data.get("use_sde"):
+        options["use_sde"] = True
+    try:
+        network = data["policy_class"](
+            data["observation_space"], data["action_space"], lambda _: 0.0, **options
         )
-        made.load_state_dict(parameters["policy"])
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        network.load_state_dict(weights["policy"])
+    except Exception as error:  # A class of the user's own may raise anything.
+        raise _broken(file, error) from error
+    if hasattr(network, "lstm_actor"):
+        raise UserError(f"{file}: expected a policy without a recurrent state, found one with LSTM")
+    return network
+
+
+def _statistics(file: Path) -> Any:
+    """The VecNormalize of a file. Raises UserError."""
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    try:
+        table = pickle.loads(file.read_bytes())
+    except Exception as error:  # A pickle may raise anything.
+        raise UserError(f"{file}: expected statistics of VecNormalize, found: {error}") from error
+    if not isinstance(table, VecNormalize) or not isinstance(getattr(table, "obs_rms", {}), dict):
         raise UserError(
-            f"{file}: expected a policy of Stable-Baselines3, found: {reason:.200}"
-        ) from error
-    return Sb3Policy(made, task, file)
-
-
-class Sb3Policy:
-    """See the module. It cannot leave a camera out."""
-
-    def __init__(self, policy: Any, task: str, file: Path) -> None:
-        """``policy``: of Stable-Baselines3, whose spaces are tables."""
-        self._policy = policy
-        env = env_spec(task)
-        known = {camera.name: camera for camera in env.cameras}
-        parts = dict(getattr(policy.observation_space, "spaces", {}))
-        state = parts.pop("agent_pos", None)
-        shapes = {_stream(name, known): part.shape for name, part in parts.items()}
-        streams = tuple(name for name in shapes if camera_of(name) in known)
-        # Pictures are trained on as (3, H, W), and depth as (H, W, 1).
-        sizes = {max(shapes[name]) for name in streams if len(shapes[name]) == 3}
-        if set(streams) != set(shapes) or len(sizes) != 1 or state is None:
-            raise UserError(
-                f"{file}: expected pictures of {', '.join(known)} in one size and agent_pos, found "
-                f"{', '.join(map(str, parts)) or 'none'}; train it on flat=True"
-            )
-        if policy.action_space.shape != (env.action_dim,):
-            raise UserError(
-                f"{file}: expected {env.action_dim} action numbers for {task}, found "
-                f"{policy.action_space.shape}; name the task it was trained on"
-            )
-        self._ranges = {name: known[camera_of(name)].depth_range for name in streams}
-        size = int(sizes.pop())
-        self.spec = PolicySpec(
-            name=file.stem,
-            task=task,
-            method=type(policy).__name__,
-            setting="as trained",
-            recipe="stable-baselines3",
-            streams=streams,
-            trained_subsets=("all",),
-            frame_stack=1,
-            cameras=tuple(
-                replace(known[name], size=size) for name in dict.fromkeys(map(camera_of, streams))
-            ),
-            digest=hashlib.sha256(file.read_bytes()).hexdigest(),
-            state_dim=env.state_dim,
-            action_dim=env.action_dim,
-            horizon=env.horizon,
-            image_size=size,
-            instruction=env.instruction,
-            can_drop=False,
+            f"{file}: expected statistics of VecNormalize, found {type(table).__name__}"
         )
-
-    def encode(self, views: Array, state: Array) -> Encoded:
-        """(V, 3, H, W) uint8 to what it was trained on; depth back to metres."""
-        seen: dict[str, Array] = {"agent_pos": np.asarray(state, np.float32)}
-        for stream, view in zip(self.spec.streams, views, strict=True):
-            if stream.endswith(".depth"):
-                near, far = self._ranges[stream]
-                metres = near + view[:1].astype(np.float32) / 255 * (far - near)
-                seen[stream.replace(".", "_")] = metres.transpose(1, 2, 0)
-            else:
-                seen[stream] = view.transpose(1, 2, 0)
-        return Encoded(np.zeros((len(views), 1), np.float32), seen["agent_pos"], seen)
-
-    def read(self, encoded: Encoded, masks: Array) -> Readout:
-        """Its deterministic action, the same for each of ``masks``, all of which are full."""
-        action, _ = self._policy.predict(encoded.private, deterministic=True)
-        rows = np.repeat(np.clip(np.asarray(action, np.float32), -1, 1)[None], len(masks), 0)
-        unknown = np.full(len(rows), np.nan, np.float32)
-        return Readout(np.zeros((len(rows), 1), np.float32), rows, unknown)
-
-    def supports(self, mask: Array) -> bool:
-        return bool(np.all(mask))
+    return table
 
 
-def _stream(name: str, cameras: Collection[str]) -> str:
-    """``first.depth`` for ``first_depth``."""
-    camera = name.removesuffix("_depth")
-    return f"{camera}.depth" if camera != name and camera in cameras else name
+def _was_normalised(data: dict[str, Any]) -> bool:
+    """Whether a model says that it was trained under VecNormalize. Those that learn from what they
+    just did keep raw observations only then; the others always keep them."""
+    return "gae_lambda" in data and data.get("_last_original_obs") is not None
 
 
-def _parts(policy: str) -> tuple[Path, str]:
-    """File and task, '' where there is none. A folder of the file may have an @ in its name."""
+def _broken(file: Path, error: Exception) -> UserError:
+    if isinstance(error, ImportError):
+        module = (error.name or str(error)).partition(".")[0]
+        return UserError(
+            f"{file}: needs the Python module {module}, which is not found here; set PYTHONPATH to "
+            f"the folder with {module}.py, or install it"
+        )
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return UserError(f"{file}: expected a policy of Stable-Baselines3, found: {reason:.200}")
+
+
+def _parts(policy: str) -> tuple[Path, Path | None, str]:
+    """File, file of statistics, and task, '' where there is none. A folder of the file may have an
+    @ in its name."""
     words = policy.removeprefix(PREFIX)
-    file, _, task = words.rpartition(AT) if AT in words else (words, "", "")
-    return Path(file), task
+    files, _, task = words.rpartition(AT) if AT in words else (words, "", "")
+    file, plus, statistics = files.partition(PLUS)
+    return Path(f"{file}.zip" if plus else file), Path(statistics) if plus else None, task
 
 
 def _trusted() -> list[str]:

@@ -19,8 +19,8 @@ from madviz.drawing.colours import heat
 from madviz.errors import UserError
 from madviz.measure.mean_picture import mean_pictures
 from madviz.observation.ablation import KINDS, Occlusion, noise_generator
-from madviz.observation.streams import depth_code
 from madviz.subsets import every_mask, name_of
+from madviz.system.depth import depth_code
 from madviz.teaching import Moment, frames_of
 from madviz.teaching.show import MARK, Figure, Picture, TextTable, bars, presence, sheet, table
 from madviz.types import Array, Policy, PolicySpec
