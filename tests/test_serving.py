@@ -226,7 +226,7 @@ def test_a_look_of_openpi_that_may_be_of_any_episode_is_refused(make, changed, s
         socket.recv(5)
         sent = {**look()["images"], "state": np.zeros(6, np.float32), **changed}
         socket.send(pack(sent, "openpi"))
-        pytest.raises(UserError, _raise, socket.recv(5)).match(said)
+        pytest.raises(UserError, _raise, str(socket.recv(5))).match(said)
 
 
 def test_a_look_that_holds_all_frames_needs_no_episode():

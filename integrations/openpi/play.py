@@ -31,7 +31,8 @@ def main() -> None:
         over = False
         while not over:
             sent = {name: each for name, each in seen["pixels"].items() if name not in asked.drop}
-            answer = policy.infer({**sent, "state": seen["agent_pos"], "prompt": "", "episode": seed})
+            sent |= {"state": seen["agent_pos"], "prompt": "", "episode": seed}
+            answer = policy.infer(sent)
             seen, _, terminated, truncated, info = env.step(answer["actions"][0])
             over = terminated or truncated
         successes += info["is_success"]
