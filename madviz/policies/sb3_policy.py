@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from madviz.errors import UserError
 from madviz.policies.players import Reader
@@ -215,6 +214,8 @@ class Sb3Policy:
     def action_after(self, frames: list[Observation]) -> Array:
         """(A,) clipped: the decision after the last ``frames`` of an episode, oldest first."""
         tensors, _ = self._policy.obs_to_tensor(self._stacked(frames))
+        import torch  # Names of policies are listed without it.
+
         with torch.no_grad():
             action = self._policy._predict(tensors, deterministic=True).cpu().numpy()
         action = action.reshape(self.spec.action_dim)
