@@ -266,7 +266,7 @@ def test_a_training_is_followed_while_the_episode_stands_still(monkeypatch):
 
 
 class Counted(Panel):
-    """A panel that counts its updates, and the frames of which it is told."""
+    """A panel that counts its updates and the frames it is given."""
 
     def __init__(self) -> None:
         self.updates = 0

@@ -37,7 +37,7 @@ HORIZON = 25
 
 
 class KeptTransitions:
-    """Stands in for a buffer: all that it is told, in order."""
+    """A fake buffer, which keeps its arguments in order."""
 
     def __init__(self) -> None:
         self.begun: list[tuple[Array, list[Array]]] = []

@@ -236,7 +236,7 @@ class SyncedInput:
         self._held = None
 
     def confirms(self, value: Any) -> bool:
-        """Whether a state with ``value`` is as the visitor wants it."""
+        """True where a state with ``value`` is what the visitor asked for."""
         return self._held in (None, value)
 
     def show(self, value: Any, force: bool = False) -> list[Assign]:

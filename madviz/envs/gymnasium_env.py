@@ -168,7 +168,7 @@ def flattened(parts: Observation) -> Observation:
 
 
 def _graphics_forked(task: str) -> bool:
-    """Whether this process was forked from one whose simulator of ``task`` had drawn: neither
+    """True where this process was forked from one whose simulator of ``task`` had drawn: neither
     OpenGL nor SAPIEN works on in such a process."""
     if os.getpid() == _IMPORTED_IN or task.startswith("toy/"):
         return False

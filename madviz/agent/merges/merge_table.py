@@ -92,7 +92,7 @@ class MergeFacts:
     """Those of its options that its networks are built from: config.json has them, too, beside the
     sizes of ``NetworkConfig``, so they need other names."""
     own_loss: bool = False
-    """Whether it adds a loss or a penalty of its own; no other method can be trained with it."""
+    """True where the merge adds a loss or a penalty of its own; then it serves no other method."""
     costly_rows: bool = False
     """Whether a row costs as much as encoding: rows are kept where they would be made again, and a
     page reads the subsets that it is asked for."""

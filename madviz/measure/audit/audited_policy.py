@@ -103,7 +103,7 @@ def _begun(out: Path) -> dict[str, Any]:
 
 
 def _has_digest(policy: Policy) -> bool:
-    """Whether the digest is that of the weights."""
+    """True where the digest is that of the weights."""
     if isinstance(policy, ServedPolicy):
         return policy.has_digest
     return bool(policy.spec.digest)

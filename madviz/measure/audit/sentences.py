@@ -75,7 +75,7 @@ def change(row: ConditionRow | DifferenceRow) -> str:
 
 
 def makes_no_difference(row: ConditionRow) -> bool:
-    """Whether the interval that holds for all cameras together lies within the margin."""
+    """True where the interval that holds for all cameras together lies within ``MARGIN`` of 0."""
     return "ci_all" in row and -MARGIN <= row["ci_all"][0] and row["ci_all"][1] <= MARGIN
 
 

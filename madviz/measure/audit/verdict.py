@@ -151,6 +151,6 @@ def table(first: Array, second: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def within(interval: tuple[Array, Array]) -> Array:
-    """Whether the interval of a difference lies within ``MARGIN`` either way."""
+    """True where the interval (low, high) of a difference lies within ``MARGIN`` of 0."""
     low, high = interval
     return (low >= -MARGIN) & (high <= MARGIN)
