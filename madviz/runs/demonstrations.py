@@ -160,10 +160,13 @@ class Dataset:
         return self.episodes * self.horizon
 
     def add(self, episode: Episode) -> None:
-        """Copies an episode in. The arrays are allocated at the first one; untouched pages of them
-        cost no memory."""
+        """Copies an episode in, without streams that are not asked for. The arrays are allocated at
+        the first one; untouched pages of them cost no memory."""
         size = self._capacity * self.horizon
+        read = {*COLUMNS, *(f"{FRAMES}{stream}" for stream in self.streams)}
         for name, rows in episode.rows().items():
+            if name not in read:
+                continue
             if name not in self._rows:
                 self._rows[name] = np.empty((size, *rows.shape[1:]), rows.dtype)
             self._rows[name][len(self) : len(self) + self.horizon] = rows

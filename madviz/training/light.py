@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import copy
 import time
+from concurrent.futures import Future
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,7 @@ from madviz.runs.demonstrations import Dataset, Driver, Episode, Recorder
 from madviz.runs.run_folder import RunFolder, interruptible
 from madviz.runs.training_plan import TrainingPlan
 from madviz.subsets import mask_of
+from madviz.training.kept_episodes import FOLDER, KeptEpisodes, episode_files
 from madviz.training.light_critic import REWARD_SCALE, fit_critic
 from madviz.training.light_focus import Outcomes, failures, focused, in_turn, shares
 from madviz.training.light_losses import PlacesHead as PlacesHead
@@ -62,7 +64,8 @@ class LightRun:
     """The state of a run and one method per thing that happens to it."""
 
     def __init__(self, plan: TrainingPlan, config: LightConfig, folder: Path) -> None:
-        """Episodes are saved in ``folder``, for a run that is resumed."""
+        """Episodes are saved in ``folder``, for a run that is resumed. Raises UserError for kept
+        episodes that do not fit."""
         self.plan = plan
         self.config = config
         self.agent = plan.new_agent()
@@ -72,6 +75,7 @@ class LightRun:
         # The drivers at alpha 0 and 1, too, where some of these subsets are not trained: runs with
         # published rates were driven so.
         subsets = plan.method.trained_subsets(streams)
+        subsets = subsets if config.drivers == "turns" else ["all"]
         self.driven = [mask_of(name, streams) for name in subsets]
         self._even = plan.method.row_weights(streams, config.alpha)
         self.weights = torch.from_numpy(self._even)
@@ -91,25 +95,30 @@ class LightRun:
         self.places: PlacesHead | None = None
         self.round = self.updates = 0
         self.seconds = 0.0
-        self._episodes = folder / "episodes"
+        self._episodes = folder / FOLDER
+        self._kept = KeptEpisodes(plan, config) if config.episodes else None
 
     def drivers(self, round_index: int) -> list[tuple[Driver, int]]:
-        """The driver of each seed in a round: the trained subsets in turn, round 0 the expert.
+        """The driver of each seed in a round: the trained subsets in turn, round 0 the expert. None
+        where the episodes are recorded already.
 
         A function of the configuration, the round, and of the average and the outcomes at the time
         of the call.
         """
         config = self.config
-        if round_index == 0:
-            demonstration = Driver(1.0, config.noise_share, noise_spread=config.noise_spread)
-            seeds = [training_seed(self.plan.seed, i) for i in range(config.demonstrations)]
-            return [(demonstration, seed) for seed in seeds]
-        share = config.expert_share * config.share_decay ** (round_index - 1)
-        fade = config.noise_decay ** (round_index - 1)
-        student = TorchPolicy(self.plan.spec, copy.deepcopy(self.average))
-        first = config.demonstrations + (round_index - 1) * config.episodes_per_round
+        if self._kept is not None:
+            return []
+        fade = config.noise_decay ** max(round_index - 1, 0)
         noise = config.noise_share * fade
         spread = config.noise_spread * fade
+        first = config.demonstrations + (round_index - 1) * config.episodes_per_round
+        if round_index == 0 or config.drivers == "expert":
+            expert = Driver(1.0, noise, noise_spread=spread)
+            numbers = range(first, first + config.episodes_per_round)
+            numbers = numbers if round_index else range(config.demonstrations)
+            return [(expert, training_seed(self.plan.seed, number)) for number in numbers]
+        share = config.expert_share * config.share_decay ** (round_index - 1)
+        student = TorchPolicy(self.plan.spec, copy.deepcopy(self.average))
         planned = []
         for number, chosen in enumerate(
             in_turn(self.shares(), config.episodes_per_round, first), first
@@ -128,11 +137,12 @@ class LightRun:
         """Adds a round's episodes, which went as ``planned``, to the data and to the run folder."""
         self._episodes.mkdir(exist_ok=True)
         for number, episode in enumerate(episodes):
-            episode.save(self._episodes / f"{round_index:03d}-{number:02d}.npz")
+            if self._kept is None:
+                episode.save(self._episodes / f"{round_index:03d}-{number:02d}.npz")
             self.data.add(episode)
         if round_index == 0:
             self._look_at_demonstrations()
-        elif episodes:
+        elif planned and planned[0][0].student is not None:
             drove = [self._place(driver) for driver, _ in planned]
             found = [episode.success for episode in episodes]
             self.outcomes.append(list(zip(drove, found, strict=True)))
@@ -257,15 +267,21 @@ class LightRun:
             "seconds": self.seconds,
         }
 
+    def saved(self, round_index: int) -> list[Episode]:
+        """The episodes of a round that are in files: another run's, or this one's from before."""
+        if self._kept is not None:
+            return self._kept.round(round_index)
+        files = episode_files(self._episodes).get(round_index, [])
+        return [Episode.load(file) for file in files]
+
     def restore(self, state: dict[str, Any]) -> None:
         """Continues from ``state``; episodes come back from the run folder. Raises UserError for a
         state that an older version saved."""
         self.round, self.updates, self.seconds = (state[k] for k in ("round", "updates", "seconds"))
         self.outcomes = state["outcomes"]
-        files = {tuple(map(int, f.stem.split("-"))): f for f in self._episodes.glob("*.npz")}
-        for (round_index, _), file in sorted(files.items()):
-            if round_index <= self.round:
-                self.data.add(Episode.load(file))
+        for round_index in range(self.round + 1):
+            for episode in self.saved(round_index):
+                self.data.add(episode)
         self._look_at_demonstrations()
         self.agent.load_state_dict(state["agent"])
         self.average.load_state_dict(state["average"])
@@ -280,7 +296,8 @@ def train_light(plan: TrainingPlan, config: LightConfig, folder: RunFolder) -> N
     """Trains by the light recipe, from the folder's last state on if it has one; Ctrl-C saves after
     the round at hand. Raises UserError for options that do not fit, before anything is recorded,
     and if a recording process is killed."""
-    run = LightRun(plan, config, folder.resume)
+    # What is in ``resume`` goes when the run is over.
+    run = LightRun(plan, config, folder.path if config.keep_episodes else folder.resume)
     if config.position_weight:
         with closing(plan.drawn_task.build()) as env:
             check_places(run.agent.actor, env)
@@ -297,16 +314,20 @@ def run_rounds(run: LightRun, folder: RunFolder, recorder: Recorder) -> None:
     by the student as it stood at the start of round k."""
     config = run.config
     began = time.monotonic() - run.seconds
+
+    def finish(recording: list[Future[Episode]], round_index: int) -> list[Episode]:
+        return run.saved(round_index) if config.episodes else Recorder.finish(recording)
+
     if len(run.data) == 0:
         planned = run.drivers(0)
-        run.add(Recorder.finish(recorder.start(planned)), 0, planned)
+        run.add(finish(recorder.start(planned), 0), 0, planned)
     with interruptible(folder) as stop:
         while run.round < config.all_rounds and not stop.is_set():
             ahead = run.round + 1
             planned = run.drivers(ahead) if ahead < config.rounds else []
             recording = recorder.start(planned)
             loss = run.learn()
-            episodes = Recorder.finish(recording)
+            episodes = finish(recording, ahead)
             run.add(episodes, ahead, planned)
             run.seconds = time.monotonic() - began
             # In this order: a row without its state is dropped and comes again, a state without

@@ -23,6 +23,18 @@ from madviz.system.numbers import (
 )
 from madviz.types import EnvSpec
 
+RECORDING = (
+    "expert_share",
+    "share_decay",
+    "noise_share",
+    "noise_spread",
+    "noise_decay",
+    "focus",
+    "drivers",
+    "keep_episodes",
+)
+"""Options that have no effect where episodes are recorded already."""
+
 
 @dataclass(frozen=True)
 class LightConfig(RecipeOptions):
@@ -83,6 +95,13 @@ class LightConfig(RecipeOptions):
     all, 1 in proportion to the failures of the last rounds."""
     critic_updates: CountOrNone = 1500
     """Gradient steps of the critic at the end."""
+    drivers: Literal["turns", "all", "expert"] = "turns"
+    """The driver after the demonstrations: the student on its trained subsets in turn, the student
+    on all cameras, or the expert alone."""
+    keep_episodes: bool = False
+    """Keep the recorded episodes in the run's folder; 1 GB for 20 rounds of hammer."""
+    episodes: str = ""
+    """The folder of a run with kept episodes, to learn from those; nothing is recorded then."""
     workers: Threads = 1
     """Recording processes."""
 
