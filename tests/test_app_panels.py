@@ -143,6 +143,22 @@ def test_looking_back_leaves_the_curves_as_they_are(server):
     panel.remove()
 
 
+def test_an_episode_ends_in_words_and_a_guess_counts_for_one(server):
+    session = Recorder()
+    session.at(0.0)
+    gui = recorded(server.gui)
+    panel = WordsPanel(gui, session.frames[-1], SuccessRates())
+    session.ask(Compare("toy-other"))
+    panel.guess = "both"
+    first = session.steps(25)
+    apply(panel.update(first))
+    assert first.ended and "You said both" in gui.html and "not measured yet" in gui.html
+    apply(panel.update(session.steps(1)))
+    apply(panel.update(session.steps(25)))
+    assert "mv-ending" in gui.html and "You said" not in gui.html
+    panel.remove()
+
+
 def test_features_table_names_every_stream_and_the_sum():
     html = features_html(frame_with(SetCamera("third_a", OFF)))
     for words in ("First person", "Third A · dropped", "Third B", "merged: their sum"):

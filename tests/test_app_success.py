@@ -201,7 +201,7 @@ def test_what_a_policy_is_for_tells_those_of_one_task_apart():
         purpose("merged-only", "three", "paper"),
     ]
     assert words[0].startswith("MAD: ") and words[1] == f"{words[0]} (three-rgbd)"
-    assert words[2].startswith("Merged Only: ") and words[2].endswith("only (paper)")
+    assert words[2].startswith("Merged Only: ") and words[2].endswith("together (paper)")
 
 
 def test_bars_and_outcomes_of_both_sides_stand_under_each_other(server):

@@ -85,7 +85,7 @@ def test_cameras_that_begin_apart_are_not_linked() -> None:
 def test_both_sides_of_a_switched_camera_make_a_pair_in_the_next_episode() -> None:
     play = Played()
     play(Compare("toy-mad"), 3, SetCamera("first", OFF), 25)
-    frame = play(30)
+    frame = play(40)
     assert [str(pair.sides[0][1]) for pair in frame.pairs] == ["third_a+third_b"] * len(frame.pairs)
     assert frame.pairs
 

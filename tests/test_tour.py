@@ -156,9 +156,9 @@ def test_the_comparison_is_offered_and_drops_a_camera_on_both_sides(
     client = browser(server)
     tour = Tour(client, table.session.send, lambda: table.frame, CHOICES, [])
     tour.greet()
-    assert buttons(client) == ["MAD against Merged Only", "explore one policy"]
+    assert buttons(client) == ["just show me", "explore one policy"]
     assert table.tick().second is None
-    use(client.gui.find("MAD against Merged Only"))
+    use(client.gui.find("just show me"))
     frame = table.tick()
     assert frame.second is not None and frame.linked and frame.world.step < 2
     assert (frame.world.policy.method, frame.second.world.policy.method) == ("mad", "merged-only")
@@ -174,6 +174,21 @@ def test_the_comparison_is_offered_and_drops_a_camera_on_both_sides(
     assert not frame.schedule and frame.condition.subset == "all" and frame.second is not None
     tour.next()
     assert table.tick().second is not None and "Your turn" not in client.gui.html
+
+
+def test_a_guess_is_heard_and_leads_on(table: Table, server: viser.ViserServer):
+    client = browser(server)
+    guesses: list[str] = []
+    tour = Tour(
+        client, table.session.send, lambda: table.frame, CHOICES, [], guessed=guesses.append
+    )
+    tour.greet()
+    assert client.gui.find("Your guess").options == ("MAD", "Merged Only", "both")
+    use(client.gui.find("Your guess"), "both")
+    assert guesses == ["both"] and table.tick().second is not None
+    labels = [getattr(handle, "label", "") for handle in client.gui.present]
+    assert "Your guess" not in labels
+    tour.end()
 
 
 def test_one_click_leads_past_the_comparison_and_leaves_all_as_it_is(

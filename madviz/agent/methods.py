@@ -33,7 +33,7 @@ import numpy as np
 from madviz.agent.merges.merge_table import MERGES, SEVERAL_STREAMS, MergeFacts, Needs
 from madviz.errors import UserError, unknown
 from madviz.subsets import every_mask, mad_subsets, mask_of, name_of, single_streams
-from madviz.types import Array
+from madviz.types import Array, PolicySpec
 
 Streams = tuple[str, ...]
 
@@ -156,13 +156,13 @@ METHODS: dict[str, Method] = {
         subsets=mad_subsets,
         weights=_mad,
         needs=SEVERAL_STREAMS,
-        page_words="MAD: trained on all cameras and each one alone.",
+        page_words="MAD: works with all cameras and with each one alone.",
     ),
     "merged-only": Method(
         "all streams summed, trained on the sum only",
         subsets=_nothing,
         weights=_merged_only,
-        page_words="Merged Only: trained on all cameras together only.",
+        page_words="Merged Only: works with all of them together.",
     ),
     "singular-only": Method(
         "every subset alone and never the merge: each is its own teacher",
@@ -170,7 +170,7 @@ METHODS: dict[str, Method] = {
         weights=lambda alpha: {"singular": 1.0},
         targets="own",
         needs=SEVERAL_STREAMS,
-        page_words="Singular Only: trained on single cameras only.",
+        page_words="Singular Only: works with each camera alone.",
     ),
     "naive-both": Method(
         "merged and singular rows as if they were different samples: each is its own teacher and "
@@ -179,7 +179,7 @@ METHODS: dict[str, Method] = {
         weights=lambda alpha: {"every": 1.0},
         targets="own",
         needs=SEVERAL_STREAMS,
-        page_words="Naive Both: trained on all cameras and each one alone, each its own teacher.",
+        page_words="Naive Both: works with all cameras and with each alone, each its own teacher.",
     ),
     "single": Method(
         "one camera from the start, --camera: what the others are measured against",
@@ -187,7 +187,7 @@ METHODS: dict[str, Method] = {
         weights=_merged_only,
         other_merges=False,
         one_camera=True,
-        page_words="Single: trained on one camera.",
+        page_words="Single: works with one camera.",
     ),
     **{name: _merging(name, merge) for name, merge in MERGES.items() if name != "sum"},
     "mv-mae": replace(
@@ -207,6 +207,12 @@ METHODS: dict[str, Method] = {
         recipes=("mv-mwm",),
     ),
 }
+
+
+def label_of(spec: PolicySpec) -> str:
+    """The name of a policy beside others of its task: ``MAD``, ``Merged Only``."""
+    name = spec.method.upper() if len(spec.method) < 4 else spec.method.replace("-", " ").title()
+    return name if spec.setting in ("three", "") else f"{name}, {spec.setting}"
 
 
 def method(name: str) -> Method:

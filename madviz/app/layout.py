@@ -103,14 +103,14 @@ class Panels:
         named = shared.references.name_of
         visitor = None if readonly else client.client_id
         keys = Keys(self._send, newest, frame)
-        tour = Tour(client, self._send, newest, choices, keys.help, named)
+        tour = Tour(client, self._send, newest, choices, keys.help, named, self._guessed)
         policy = PolicyPanel(gui, self._send, frame, choices, named)
         self.success = SuccessPanel(gui, frame, rates, visitor, measures)
         dockable = dock(client, wide)
         with dockable.add_tab("Cameras", viser.Icon.CAMERA):
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
             cameras = CamerasPanel(gui, self._send, frame, width, PAIRED_WIDE if wide else PAIRED)
-            words = WordsPanel(gui, frame, rates)
+            self._words = WordsPanel(gui, frame, rates)
             tabs = gui.add_tab_group()
         tabbed = self._build_tabs(tabs, frame)
         self._extras = [dockable, tour, *commands(client, keys.table)]
@@ -120,7 +120,7 @@ class Panels:
         self.panels = [
             TimedPanel(cameras, FASTEST),
             TimedPanel(policy, FASTEST),
-            TimedPanel(words, FASTEST),
+            TimedPanel(self._words, FASTEST),
             *tabbed,
             TimedPanel(self.success, 0.5),
             TimedPanel(scene, 0.05),
@@ -172,6 +172,9 @@ class Panels:
             with tabs.add_tab(name):
                 built += [TimedPanel(build(), period) for build, period in panels]
         return built
+
+    def _guessed(self, guess: str) -> None:
+        self._words.guess = guess
 
     def _explain(self, target: Target | None) -> None:
         self._session.send(SetSaliency(target))

@@ -64,14 +64,18 @@ class Tour:
         choices: Sequence[PolicyChoice],
         keys: Sequence[tuple[str, str]],
         named: Reference = own_name,
+        guessed: Callable[[str], None] = lambda guess: None,
     ) -> None:
-        """``send`` None: a watcher, who gets help only. ``keys``: (key, what it does)."""
+        """``send`` None: a watcher, who gets help only. ``keys``: (key, what it does). ``guessed``
+        hears who a visitor thinks will succeed."""
         self._client = client
         self._send = send
         self._newest = newest
         self._named = named
         self._choices = choices
         self._keys = keys
+        self._guessed = guessed
+        self._guesses: viser.GuiButtonGroupHandle | None = None
         self._panel: viser.PanelHandle | None = None
         self._help: Any = None
         self._start: Frame | None = None
@@ -126,11 +130,13 @@ class Tour:
         gui = self._client.gui
         self._panel = gui.add_panel()
         self._panel.float(x=10, y=10, width=WIDTH)
-        with self._panel.add_tab("Tour", viser.Icon.ROUTE):
-            self._text = gui.add_html("")
+        self._tab = self._panel.add_tab("Tour", viser.Icon.ROUTE)
+        with self._tab:
+            # Above the words, whose length differs: a button stays where it was pressed last.
             self._next = gui.add_button("next step", hint="Goes on.")
             self._end = gui.add_button("end the tour", color="gray", hint="All as it was before.")
             place(gui, "tour-steps", 1, [Cell(self._next, 1), Cell(self._end, 1)])
+            self._text = gui.add_html("")
         self._next.on_click(heard(lambda _: self.next()))
         self._end.on_click(heard(lambda _: self.end()))
         self._show()
@@ -165,14 +171,28 @@ class Tour:
         self._text.content = step_html(step, self._at + 1, count)
         self._next.label = step.go
         self._end.label = step.leave
-        if self._at + 1 == count and not step.keep:
-            self._next.visible = False
+        self._next.disabled = self._at + 1 == count and not step.keep
+        self._ask(step)
         frame = self._newest()
         if isinstance(frame, Frame) and (step.commands or step.back):
             self._start = self._start or frame
         if step.back and isinstance(frame, Frame):
             self._do((Scrub(max(0, frame.world.step - step.back)),))
         self._do(step.commands)
+
+    def _ask(self, step: Step) -> None:
+        """The answers that a visitor can give, under the words."""
+        if self._guesses is not None:
+            self._guesses.remove()
+            self._guesses = None
+        if step.guesses and self._panel is not None:
+            with self._tab:
+                self._guesses = self._client.gui.add_button_group("Your guess", step.guesses)
+            self._guesses.on_click(heard(lambda event: self._guess(event.target.value)))
+
+    def _guess(self, guess: str) -> None:
+        self._guessed(guess)
+        self.next()
 
     def _do(self, commands: Sequence[Command]) -> None:
         send = self._send

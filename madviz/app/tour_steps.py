@@ -31,6 +31,7 @@ from madviz.session.commands import (
     SetSchedule,
     SetSpeed,
 )
+from madviz.session.ending import BOTH
 from madviz.session.frame import Frame, untouched
 from madviz.types import PolicySpec
 
@@ -54,6 +55,8 @@ class Step(NamedTuple):
     leave: str = "end the tour"
     keep: bool = False
     """Whether leading on from the last step leaves things as they are."""
+    guesses: tuple[str, ...] = ()
+    """Answers to a question in the words; each leads on, too."""
 
 
 def steps(frame: Frame, choices: Sequence[PolicyChoice], named: Reference = own_name) -> list[Step]:
@@ -131,17 +134,18 @@ def comparison_steps(frame: Frame, other: str, named: Reference = own_name) -> l
     return [
         Step(
             "Can a robot lose a camera?",
-            "Two policies for one task. MAD was trained on all cameras and on each one alone, "
-            "Merged Only on all of them together and nothing else. See both in the same episode, "
-            "while a camera goes.",
-            go="MAD against Merged Only",
+            "Two policies for one task, in the same episode. MAD was trained on all cameras and on "
+            "each one alone, Merged Only on all of them together and nothing else. At step "
+            f"{GOES_AT}, {camera.label} is dropped on both sides. Which will still do it?",
+            go="just show me",
             leave="explore one policy",
+            guesses=("MAD", "Merged Only", BOTH),
         ),
         Step(
             "The same episode, twice",
             f"A is MAD, B is Merged Only. Both start from the same scene. At step {GOES_AT} "
-            f"{camera.label} is dropped on both sides: its pictures turn dim. Which of the two "
-            f"still does it? It is done when: {frame.world.env.success}.",
+            f"{camera.label} is dropped on both sides: its pictures turn dim. It is done when: "
+            f"{frame.world.env.success}. The line under the pictures says how it ended.",
             (
                 *unbroken,
                 SetSpeed(10.0),

@@ -54,3 +54,33 @@ INSTRUCTIONS = {
     "toy/reach": "Go to the orange target.",
 }
 """By task. The sentences are ours: neither the paper nor the simulators have any."""
+
+DONE = {
+    "metaworld/basketball": ("put the ball through the hoop", "put the ball through the hoop"),
+    "metaworld/hammer": ("drive the nail in", "drove the nail in"),
+    "metaworld/peg-insert-side": ("put the peg in", "put the peg in"),
+    "metaworld/soccer": ("bring the ball into the goal", "brought the ball into the goal"),
+    "metaworld/sweep-into": ("sweep the cube into the hole", "swept the cube into the hole"),
+    "metaworld/assembly": ("put the ring over the peg", "put the ring over the peg"),
+    "metaworld/hand-insert": ("put the cube into the hole", "put the cube into the hole"),
+    "metaworld/pick-out-of-hole": ("bring the puck to the goal", "brought the puck to the goal"),
+    "metaworld/pick-place": ("bring the puck to the goal", "brought the puck to the goal"),
+    "metaworld/push": ("push the puck to the goal", "pushed the puck to the goal"),
+    "metaworld/shelf-place": ("put the cube on the shelf", "put the cube on the shelf"),
+    "metaworld/disassemble": ("lift the wrench off the peg", "lifted the wrench off the peg"),
+    "metaworld/stick-pull": ("pull the thermos to the goal", "pulled the thermos to the goal"),
+    "metaworld/stick-push": ("push the thermos to the goal", "pushed the thermos to the goal"),
+    "metaworld/pick-place-wall": ("bring the puck to the goal", "brought the puck to the goal"),
+    "maniskill/push-cube": ("push the cube to the target", "pushed the cube to the target"),
+    "maniskill/pull-cube": ("pull the cube to the target", "pulled the cube to the target"),
+    "maniskill/pick-cube": ("bring the cube to the goal", "brought the cube to the goal"),
+    "maniskill/place-sphere": ("put the sphere into the bin", "put the sphere into the bin"),
+    "maniskill/poke-cube": ("poke the cube to the target", "poked the cube to the target"),
+    "toy/reach": ("reach the target", "reached the target"),
+}
+"""By task: what a policy did that succeeded, after *did not* and in the past."""
+
+
+def done_words(task: str) -> tuple[str, str]:
+    """``DONE`` of ``task``; ``succeed``, ``succeeded`` for one of a user's own."""
+    return DONE.get(task, ("succeed", "succeeded"))

@@ -65,6 +65,11 @@ class Occlusion:
         return self._filled_in(KINDS[self.kind].predicate)
 
     @property
+    def past(self) -> str:
+        """The same of an episode that is over: ``sent 70 % noise``."""
+        return self._filled_in(KINDS[self.kind].past)
+
+    @property
     def badge(self) -> str:
         """The words on a camera's picture: ``NOISE 70 %``."""
         return self._filled_in(KINDS[self.kind].badge)
@@ -135,6 +140,8 @@ class Kind:
     """Its line in a notebook's menu, after the camera's name."""
     predicate: str
     """See ``Occlusion.predicate``. ``{strength}`` and ``{late}`` are filled in, here and below."""
+    past: str
+    """See ``Occlusion.past``."""
     badge: str = ""
     arrives: Callable[[Occlusion, Array, Array | None, np.random.Generator], Array] = _whole
     """The rule behind ``Occlusion.apply``."""
@@ -144,16 +151,29 @@ class Kind:
 
 _STRENGTH = ("strength",)
 KINDS: dict[OcclusionKind, Kind] = {
-    "none": Kind("none", "sees", "sends its picture again"),
+    "none": Kind("none", "sees", "sends its picture again", "sent its picture"),
     # Every pixel is 0.
     "black": Kind(
-        "black", "sends black", "sends black", "BLACK", lambda _, frame, *__: np.zeros_like(frame)
+        "black",
+        "sends black",
+        "sends black",
+        "sent black",
+        "BLACK",
+        lambda _, frame, *__: np.zeros_like(frame),
     ),
     # The mean of what the camera sees in other episodes, the same picture all the time.
-    "mean": Kind("mean", "sends its mean", "sends its mean picture", "MEAN"),
+    "mean": Kind(
+        "mean", "sends its mean", "sends its mean picture", "sent its mean picture", "MEAN"
+    ),
     # Blended with uniform noise by ``strength``.
     "noise": Kind(
-        "noise", "sends noise", "sends {strength} noise", "NOISE {strength}", _noisy, _STRENGTH
+        "noise",
+        "sends noise",
+        "sends {strength} noise",
+        "sent {strength} noise",
+        "NOISE {strength}",
+        _noisy,
+        _STRENGTH,
     ),
     # The picture that arrived at the step before the first one it spoils. A click while step t is
     # shown spoils t, so t - 1 is held; a click while t + 1 is drawn spoils t + 1, so t is held.
@@ -161,12 +181,19 @@ KINDS: dict[OcclusionKind, Kind] = {
         "freeze",
         "is frozen",
         "is frozen",
+        "was frozen",
         "FROZEN",
         lambda _, frame, before, rng: frame if before is None else before,
     ),
     # Gaussian, sigma = 8 px x ``strength``.
     "blur": Kind(
-        "blur", "is blurred", "is blurred by {strength}", "BLUR {strength}", _blurred, _STRENGTH
+        "blur",
+        "is blurred",
+        "is blurred by {strength}",
+        "was blurred by {strength}",
+        "BLUR {strength}",
+        _blurred,
+        _STRENGTH,
     ),
     # A black rectangle, ``width`` and ``height`` as shares of the picture, whose middle is at
     # (``x``, ``y``), blended by ``strength``.
@@ -174,6 +201,7 @@ KINDS: dict[OcclusionKind, Kind] = {
         "patch",
         "has a patch",
         "has a patch in view",
+        "had a patch in view",
         "PATCH {strength}",
         _patched,
         ("strength", *PLACE),
@@ -183,6 +211,7 @@ KINDS: dict[OcclusionKind, Kind] = {
         "lossy",
         "loses pictures",
         "loses {strength} of its pictures",
+        "lost {strength} of its pictures",
         "LOSSY {strength}",
         _lost,
         _STRENGTH,
@@ -192,6 +221,7 @@ KINDS: dict[OcclusionKind, Kind] = {
         "late",
         "is late",
         "sends what it saw {late} steps ago",
+        "was {late} steps late",
         "LATE BY {late}",
         uses=_STRENGTH,
     ),

@@ -9,12 +9,12 @@ nowhere.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from madviz.observation.ablation import Ablation
 from madviz.observation.condition import Condition
-from madviz.session.frame import Outcome
-from madviz.types import PolicySpec, TimeStep
+from madviz.session.frame import Deed, Outcome
+from madviz.types import CameraSpec, PolicySpec, TimeStep
 
 
 @dataclass
@@ -27,6 +27,13 @@ class EpisodeRecord:
     """All that a decision was taken under, with the policy."""
     worst: dict[str, str] = field(default_factory=dict)
     """By camera: off, occluded or moved, the first of these that it was at any decision."""
+    decisions: int = 0
+    since: dict[str, tuple[str, int]] = field(default_factory=dict)
+    """By camera that is not as in training: in which way, and since which decision."""
+    ablation: Ablation = Ablation()
+    """The one of the last decision."""
+    last: Condition | None = None
+    """Likewise."""
 
     def arrived(self, time_step: TimeStep) -> None:
         """Counts a decision's reward and success."""
@@ -45,11 +52,42 @@ class EpisodeRecord:
                 self.worst[camera] = "occluded"
             elif camera in ablation.moves:
                 self.worst.setdefault(camera, "moved")
+        ways = {camera: "moved" for camera in ablation.moves if camera in present}
+        ways |= {camera: how.kind for camera, how in occluded.items() if camera in present}
+        ways |= {camera: "off" for camera in ablation.cameras if camera not in present}
+        before = self.since
+        self.since = {
+            camera: before[camera] if before.get(camera, ("",))[0] == way else (way, self.decisions)
+            for camera, way in ways.items()
+        }
+        self.ablation = ablation
+        self.last = condition
+        self.decisions += 1
+
+    def deeds(self, cameras: Iterable[CameraSpec]) -> tuple[Deed, ...]:
+        """What befell each of ``cameras``, in words."""
+        return tuple(
+            Deed(camera.label, self._past(camera.name), self.since.get(camera.name, ("", None))[1])
+            for camera in cameras
+            if camera.name in self.worst
+        )
+
+    def _past(self, camera: str) -> str:
+        way, _ = self.since.get(camera, (self.worst[camera], 0))
+        move = self.ablation.moves.get(camera)
+        if way == "off":
+            return "was dropped"
+        if way == "occluded":
+            return "was broken"
+        if way == "moved":
+            return f"stood elsewhere ({move.words()})" if move else "stood elsewhere"
+        return self.ablation.camera(camera).occlusion.past
 
     def outcome(
-        self, spec: PolicySpec, seed: int, success: bool, cameras: Iterable[str]
+        self, spec: PolicySpec, seed: int, success: bool, cameras: Iterable[CameraSpec]
     ) -> Outcome:
         """The result of the episode, which has ended."""
+        cameras = list(cameras)
         only = next(iter(self.conditions))[1] if len(self.conditions) == 1 else None
         return Outcome(
             policy=spec,
@@ -57,12 +95,12 @@ class EpisodeRecord:
             success=success,
             success_any=self.success_any,
             total_reward=self.total_reward,
-            cameras={camera: self.worst.get(camera, "") for camera in cameras},
+            cameras={camera.name: self.worst.get(camera.name, "") for camera in cameras},
             condition=only,
+            last=self.last,
+            deeds=self.deeds(cameras),
         )
 
     def copy(self) -> EpisodeRecord:
         """For ``Snapshot``: what happens later does not change it."""
-        return EpisodeRecord(
-            self.total_reward, self.success_any, set(self.conditions), dict(self.worst)
-        )
+        return replace(self, conditions=set(self.conditions), worst=dict(self.worst))

@@ -41,6 +41,17 @@ class Change:
     """Where the camera went, in words, if that is what was done."""
 
 
+class Deed(NamedTuple):
+    """What befell a camera in an episode."""
+
+    label: str
+    """The camera's."""
+    past: str
+    """In words: ``was dropped``, ``sent black``."""
+    step: int | None
+    """The first decision that was taken so, of all that followed; None: not until the end."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """How a live episode ended."""
@@ -57,6 +68,10 @@ class Outcome:
     ``moved``."""
     condition: Condition | None
     """The condition, if it and the policy were the same for all decisions."""
+    last: Condition | None = None
+    """The condition of the last decision."""
+    deeds: tuple[Deed, ...] = ()
+    """The cameras that were not as in training, in the order of the environment."""
 
 
 Side = tuple[PolicySpec, Condition | None]

@@ -12,6 +12,8 @@ from collections import deque
 
 HOLD = 2.0
 """Seconds an ended episode stays on the page before the next one starts; none at full speed."""
+HOLD_TO_READ = 10.0
+"""The same where a camera was changed, or policies were compared: there is a sentence to read."""
 RATE_WINDOW = 20
 """Decisions over which the achieved rate is measured."""
 
@@ -44,9 +46,10 @@ class StepClock:
         self._stepped = now
         self.due = max(self.due + self.period, now)
 
-    def hold(self, now: float) -> None:
-        """An episode is over; the next may begin after ``HOLD``."""
-        self.due = now + (HOLD if self.speed is not None else 0.0)
+    def hold(self, now: float, to_read: bool) -> None:
+        """An episode is over; the next may begin after ``HOLD``, or ``HOLD_TO_READ``."""
+        seconds = HOLD_TO_READ if to_read else HOLD
+        self.due = now + (seconds if self.speed is not None else 0.0)
 
     def interrupt(self) -> None:
         """Forgets the rate: what comes next says nothing of it."""

@@ -210,7 +210,7 @@ class Session(LiveSession):
         self._stage.step(self._serve_cameras)
         self._pace.step(now)
         if self._stage.ended:
-            self._pace.hold(now)
+            self._pace.hold(now, self._stage.has_an_ending)
         self._emit()
 
     # Commands.

@@ -172,9 +172,9 @@ class Simulation:
         self.record.arrived(time_step)
         self._arrive(self._seen(time_step, self.now.step + 1, between))
         if time_step.last:
-            names = [camera.name for camera in self.env.spec.cameras]
             spec = self.policy.spec
-            self.outcomes.append(self.record.outcome(spec, self.seed, time_step.success, names))
+            cameras = self.env.spec.cameras
+            self.outcomes.append(self.record.outcome(spec, self.seed, time_step.success, cameras))
 
     def close(self) -> None:
         """Frees the environment, and what the policy holds for this episode."""

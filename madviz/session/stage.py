@@ -76,6 +76,11 @@ class Stage:
         return self.simulation is not None and self.simulation.ended
 
     @property
+    def has_an_ending(self) -> bool:
+        """Whether a camera was changed in the episode that is over, or two policies compared."""
+        return self._second is not None or bool(self._live.outcomes[-1].deeds)
+
+    @property
     def _live(self) -> Simulation:
         if self.simulation is None:
             raise UserError("there is no simulation; press play to start one")

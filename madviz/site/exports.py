@@ -9,8 +9,10 @@ from typing import Any
 
 from safetensors.numpy import save
 
+from madviz.agent.methods import label_of
 from madviz.envs.metaworld.environment import MetaWorld
 from madviz.envs.registry import make_env
+from madviz.envs.tasks import done_words
 from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyFolder, load_policy, shipped_evaluation
 from madviz.policies.measured import seeds_of
@@ -19,7 +21,6 @@ from madviz.site.files import write_packed, write_shared
 from madviz.site.graph import policy_graph
 from madviz.site.mjcf import model_text
 from madviz.site.starts import start_states
-from madviz.types import PolicySpec
 
 
 def export_task(out: Path, task: str, seeds: Sequence[int]) -> dict[str, Any]:
@@ -37,6 +38,7 @@ def export_task(out: Path, task: str, seeds: Sequence[int]) -> dict[str, Any]:
             "name": task,
             "label": task.partition("/")[2].replace("-", " ").capitalize(),
             "success": env.spec.success,
+            "done": done_words(task),
             "horizon": env.spec.horizon,
             "action_repeat": env.spec.action_repeat,
             "reach": [simulation.mocap_low.tolist(), simulation.mocap_high.tolist()],
@@ -79,9 +81,3 @@ def description_of(folder: PolicyFolder) -> dict[str, Any]:
         "measured": dict(evaluation["subsets"]) if evaluation else {},
         "seeds": f"{seeds_of(evaluation)} seeds" if evaluation else "",
     }
-
-
-def label_of(spec: PolicySpec) -> str:
-    """The page's name for a policy beside others of its task: ``MAD``, ``Merged Only``."""
-    name = spec.method.upper() if len(spec.method) < 4 else spec.method.replace("-", " ").title()
-    return name if spec.setting == "three" else f"{name}, {spec.setting}"

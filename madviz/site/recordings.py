@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from madviz.drawing.viewpoint import FOV, first_view, place_and_target
 from madviz.envs.registry import make_env
+from madviz.envs.tasks import done_words
 from madviz.errors import UserError
 from madviz.measure.episodes import one_thread
 from madviz.observation.condition import Condition
@@ -81,6 +82,7 @@ def record_policy(
         "policy": spec.name,
         "task_label": task.task.partition("/")[2].replace("-", " ").capitalize(),
         "success": task.success,
+        "done": done_words(task.task),
         "horizon": task.horizon,
         "seeds_words": described["seeds"],
         "seeds": list(seeds),

@@ -50,7 +50,7 @@ test('an episode that met its goal and lost it says so', () => {
   assert.deepEqual(outcomeWords(world), {kind: 'bad', text: '✕ failed (goal met, then lost)'});
 });
 
-const TASK = {name: 't', label: 'Task', success: 'done', horizon: 100, seeds: [5000, 5001]};
+const TASK = {name: 't', label: 'Task', success: 'done', done: ['do it', 'did it'], horizon: 100, seeds: [5000, 5001]};
 const policy = (name, method, task = 't') => ({name, label: name, method, task, streams: ['first'],
   cameras: CAMERAS, measured: {}, trained_subsets: ['all']});
 const manifest = {tasks: [TASK], recordings: [{...policy('', 'mad', 'r'), policy: 'film',

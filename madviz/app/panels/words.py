@@ -1,4 +1,4 @@
-"""The line under the pictures that says what a visitor has just changed, and what came of it."""
+"""The line under the pictures: what a visitor has just changed, and how the episode ended."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import viser
 from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import NOTE
+from madviz.session.ending import Ending, ending_of, guess_words
 from madviz.session.frame import Change, Frame, deed, words
 from madviz.types import PolicySpec
 
@@ -24,12 +25,23 @@ class WordsPanel(HtmlPanel):
     def __init__(self, gui: viser.GuiApi, frame: Frame, rates: SuccessRates) -> None:
         self._rates = rates
         self._last: tuple[Change, PolicySpec] | None = None
+        self.guess = ""
+        """A visitor's guess who will succeed in the comparison; it counts for one episode."""
+        self._guessed_in: int | None = None
+        """The episode in which the guess was compared."""
         super().__init__(gui, frame, self._content)
 
     def _content(self, frame: Frame) -> str:
         if frame.world.change is not None:
             self._last = (frame.world.change, frame.world.policy)
-        if self._last is None or self._last[1] != frame.world.policy:
+        ending = ending_of(frame, self._rates.best)
+        if self._guessed_in not in (None, frame.world.episode):
+            self.guess = ""
+            self._guessed_in = None
+        if ending is not None:
+            self._guessed_in = frame.world.episode if self.guess else None
+            said = ending_html(ending, frame, self.guess)
+        elif self._last is None or self._last[1] != frame.world.policy:
             said = f'<span class="dim">{self.HINT}</span>'
         else:
             said = escape(both_sides(self._last[0], frame, self._rates))
@@ -37,6 +49,18 @@ class WordsPanel(HtmlPanel):
             f'<div class="mv mv-words" style="border-left:3px solid {NOTE};margin:0 10px 4px;'
             f'padding:2px 8px;min-height:36px">{said}</div>'
         )
+
+
+def ending_html(ending: Ending, frame: Frame, guess: str = "") -> str:
+    """What was done, who succeeded, what a visitor guessed, what was measured, how it goes on."""
+    result = f'<b style="color:{NOTE}">{escape(ending.result)}</b>'
+    guessed = escape(guess_words(guess, ending.winners)) if guess else ""
+    parts = (escape(ending.done), result, guessed, escape(ending.measured))
+    goes_on = "" if frame.pace.speed is None or not frame.pace.auto_next else " The next one soon."
+    return (
+        f'<div class="mv-ending" role="status">{" ".join(filter(None, parts))}'
+        f'<span class="dim">{goes_on} R: again. N: the next start.</span></div>'
+    )
 
 
 def both_sides(change: Change, frame: Frame, rates: SuccessRates) -> str:

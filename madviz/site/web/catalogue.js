@@ -17,6 +17,7 @@
  * @property {string} method
  * @property {string} task_label
  * @property {string} success When it is a success, in words.
+ * @property {[string, string]} done What who succeeds does: `drive the nail in`, and in the past.
  * @property {number} horizon
  * @property {string[]} streams
  * @property {string[]} trained_subsets
@@ -46,7 +47,7 @@ export class Catalogue {
       const task = tasks.get(policy.task);
       if (!task) continue;
       this.entries.push({...policy, task_label: task.label, success: task.success,
-        horizon: task.horizon, seeds: task.seeds, seeds_words: policy.seeds, recorded: false});
+        done: task.done, horizon: task.horizon, seeds: task.seeds, seeds_words: policy.seeds, recorded: false});
     }
     for (const one of manifest.recordings) {
       const known = this.entries.some(entry => entry.name === one.policy);

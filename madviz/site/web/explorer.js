@@ -7,9 +7,10 @@
 
 import {intact} from './camera_state.js';
 import {byId, calm, make, say} from './dom.js';
+import {endingOf} from './ending.js';
 import {mergedEvents} from './link.js';
 import {notice} from './notices.js';
-import {SPEED, headline, openingEvents, story, tell} from './opening.js';
+import {SPEED, endingNodes, headline, openingEvents, story, tell} from './opening.js';
 import {Features, Subsets} from './readout.js';
 import {SceneView} from './scene_view.js';
 import {Side} from './side.js';
@@ -220,7 +221,9 @@ export class Explorer {
   /** The line that says what has just happened. @param {Frame} frame @param {World[]} worlds */
   words(frame, worlds) {
     const line = byId('line');
-    if (this.mode === 'opening') return tell(line, story(frame, this.catalogue.opening()));
+    if (this.mode === 'opening') return tell(line, story(frame, this.catalogue.opening(), this.tally));
+    const ending = endingNodes(endingOf(worlds, this.entries, this.tally));
+    if (ending.length) return tell(line, ending);
     const changes = worlds.map((world, index) => world.change && world.step - world.change.step < 40
       ? `${worlds.length > 1 ? `${this.entries[index].label}: ` : ''}${
         changeWords(world.change, this.entries[index].cameras)}` : '').filter(Boolean);

@@ -316,6 +316,7 @@
  * @property {string} name For example `metaworld/hammer`.
  * @property {string} label For example `Hammer`.
  * @property {string} success When it is a success, in words.
+ * @property {[string, string]} done What who succeeds does: `drive the nail in`, and in the past.
  * @property {number} horizon Decisions in an episode.
  * @property {number} action_repeat
  * @property {[number[], number[]]} reach Where the hand can go: low and high, metres.
@@ -336,6 +337,7 @@
  * @property {string} task
  * @property {string} task_label
  * @property {string} success When it is a success, in words.
+ * @property {[string, string]} done What who succeeds does: `drive the nail in`, and in the past.
  * @property {number} horizon Decisions in an episode.
  * @property {string[]} streams
  * @property {string[]} trained_subsets

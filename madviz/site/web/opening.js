@@ -7,12 +7,10 @@
 
 import {noOcclusion} from './camera_state.js';
 import {make, say} from './dom.js';
-import {rateWords} from './statistics.js';
+import {endingOf} from './ending.js';
 import {effectWords, labelOf} from './words.js';
 
 /** @typedef {import('./messages.js').Frame} Frame */
-/** @typedef {import('./messages.js').World} World */
-/** @typedef {import('./catalogue.js').Entry} Entry */
 
 /** @typedef {import('./catalogue.js').Opening} Opening */
 
@@ -36,12 +34,13 @@ export function headline({entries}) {
  * The line under the headline.
  * @param {Frame} frame
  * @param {Opening} opening
+ * @param {import('./statistics.js').Tally} tally
  * @returns {Node[]}
  */
-export function story(frame, {entries, step, camera: name}) {
+export function story(frame, {entries, step, camera: name}, tally) {
   const worlds = [frame.first, ...(frame.second ? [frame.second] : [])];
   const camera = labelOf(name, entries[0].cameras);
-  if (frame.first.ended) return ending(worlds, entries, camera);
+  if (frame.first.ended) return endingNodes(endingOf(worlds, entries, tally));
   if (frame.first.step < step) {
     return [strong(`${entries[0].task_label}. `),
       text(`${entries.length > 1 ? 'Both policies see the same' : 'The policy sees'} `
@@ -53,19 +52,10 @@ export function story(frame, {entries, step, camera: name}) {
     text(effects.length ? `${effects.join('. ')}.` : '')];
 }
 
-/** @param {World[]} worlds @param {Entry[]} entries @param {string} camera @returns {Node[]} */
-function ending(worlds, entries, camera) {
-  const nodes = worlds.flatMap((world, i) => [
-    strong(`${entries[i].label} ${world.success ? '✓ succeeded' : '✕ failed'}`,
-      world.success ? 'good' : 'bad'),
-    text(i + 1 < worlds.length ? ', ' : '. ')]);
-  const rates = worlds.map((world, i) => entries[i].measured[world.condition.subset]);
-  if (rates.every(Boolean)) {
-    const words = rates.map((rate, i) =>
-      `${entries[i].label} ${rateWords(rate.success, rate.ci95, rate.n)}`);
-    nodes.push(text(`Over many episodes without ${camera}: ${words.join('; ')}.`));
-  }
-  return nodes;
+/** @param {ReturnType<typeof endingOf>} parts @returns {Node[]} */
+export function endingNodes(parts) {
+  return parts ? [text(parts.done ? `${parts.done} ` : ''), strong(parts.result),
+    text(` ${parts.measured}`)] : [];
 }
 
 /** @param {string} words */

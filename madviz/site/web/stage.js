@@ -14,8 +14,10 @@ import {Stock} from './stock.js';
 /** @typedef {import('./messages.js').ScheduledEvent} ScheduledEvent */
 /** @typedef {import('./messages.js').Side} Side */
 
-/** Milliseconds for which the end of an episode stays. */
+/** Milliseconds for which the end of an episode stays, and where there are words to read: a camera
+ * was changed, or policies were compared. */
 const HOLD = 2000;
+const HOLD_TO_READ = 10000;
 
 export class Stage extends Episodes {
   /** @param {(answer: Answer, buffers?: Transferable[]) => void} say */
@@ -54,7 +56,8 @@ export class Stage extends Episodes {
     if (this.sides.length === 0 || !this.visible) return this.pace.sleep();
     if (this.many) return this.playMany();
     if (this.phase === 'ended' && this.autoNext) {
-      const left = this.endedAt + HOLD - performance.now();
+      const toRead = this.sides.length > 1 || this.sides[0].events.length > 0;
+      const left = this.endedAt + (toRead ? HOLD_TO_READ : HOLD) - performance.now();
       if (left > 0) return this.pace.sleep(left);
       this.phase = 'playing';
       return this.begin(this.nextSeed());

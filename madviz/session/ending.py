@@ -1,0 +1,157 @@
+"""The words that end an episode in which a camera was changed, and every comparison.
+
+    First person was dropped at step 15. MAD drove the nail in, Merged Only did not. Without it from
+    the start, over 100 episodes: 1.00 [0.96, 1.00] and 0.00 [0.00, 0.04].
+
+They say what was done, who succeeded, and what was measured. Page, film and lessons have them from
+here; the site says the same in ``site/web/ending.js``, and one table of cases tests both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from madviz.agent.methods import label_of
+from madviz.envs.tasks import done_words
+from madviz.measure.statistics import SuccessRate
+from madviz.observation.condition import Condition
+from madviz.session.frame import Deed, Frame, Outcome
+from madviz.types import PolicySpec
+
+RateOf = Callable[[PolicySpec, Condition], SuccessRate]
+"""The rate that is known of a policy under a condition; its n is 0 where none is."""
+
+
+@dataclass(frozen=True)
+class EndedSide:
+    """A policy at the end of its episode."""
+
+    label: str
+    success: bool
+    rate: SuccessRate
+    """Measured with the cameras as they were at the last decision."""
+    deeds: tuple[Deed, ...] = ()
+
+
+@dataclass(frozen=True)
+class Ending:
+    """The three parts of the words; each may be empty."""
+
+    done: str
+    """What was done to the cameras."""
+    result: str
+    """Who succeeded."""
+    measured: str
+    winners: tuple[str, ...] = ()
+    """The labels of those who succeeded."""
+
+    def __str__(self) -> str:
+        return " ".join(filter(None, (self.done, self.result, self.measured)))
+
+
+def ending_of(frame: Frame, rate_of: RateOf) -> Ending | None:
+    """The words for an episode that is over, where something was changed or compared."""
+    if not frame.ended or frame.past or not frame.world.outcomes:
+        return None
+    sides = [frame.world, *([frame.second.world] if frame.second is not None else [])]
+    if any(not side.outcomes or side.step < side.env.horizon for side in sides):
+        return None
+    outcomes = [side.outcomes[-1] for side in sides]
+    if len(outcomes) == 1 and not outcomes[0].deeds:
+        return None
+    labels = [label_of(outcome.policy) for outcome in outcomes]
+    if len(set(labels)) < len(labels):
+        labels = ["A", "B"]
+    ended = [_side(label, one, rate_of) for label, one in zip(labels, outcomes, strict=True)]
+    return ending(ended, done_words(frame.world.env.task))
+
+
+def _side(label: str, outcome: Outcome, rate_of: RateOf) -> EndedSide:
+    condition = outcome.last or Condition("all")
+    return EndedSide(label, outcome.success, rate_of(outcome.policy, condition), outcome.deeds)
+
+
+def ending(sides: Sequence[EndedSide], done: tuple[str, str]) -> Ending:
+    """The words for one side or two; ``done`` as in ``envs/tasks.py:DONE``."""
+    winners = tuple(side.label for side in sides if side.success)
+    return Ending(
+        _what_was_done(sides), _who_succeeded(sides, done), _what_was_measured(sides), winners
+    )
+
+
+BOTH = "both"
+
+
+def guess_words(guess: str, winners: Sequence[str]) -> str:
+    """``You said both, and it was MAD alone.`` A guess is a label, or ``BOTH``."""
+    came = {0: "neither", 1: f"{next(iter(winners), '')} alone"}.get(len(winners), BOTH)
+    right = guess == BOTH if len(winners) == 2 else list(winners) == [guess]
+    return f"You said {guess}, and so it was." if right else f"You said {guess}, and it was {came}."
+
+
+def _what_was_done(sides: Sequence[EndedSide]) -> str:
+    if len({side.deeds for side in sides}) == 1:
+        return f"{_deeds(sides[0].deeds)}." if sides[0].deeds else ""
+    parts = [f"{side.label}: {_deeds(side.deeds) or 'all cameras intact'}" for side in sides]
+    return f"{'; '.join(parts)}."
+
+
+def _deeds(deeds: Sequence[Deed]) -> str:
+    return _listed([f"{deed.label} {deed.past} {_when(deed)}" for deed in deeds])
+
+
+def _when(deed: Deed) -> str:
+    if deed.step is None:
+        return "for a while"
+    if deed.step == 0:
+        return "from the start"
+    return f"{'at' if deed.past == 'was dropped' else 'from'} step {deed.step}"
+
+
+def _listed(parts: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return " and ".join([", ".join(parts[:-1])] * (len(parts) > 1) + list(parts[-1:]))
+
+
+def _who_succeeded(sides: Sequence[EndedSide], done: tuple[str, str]) -> str:
+    base, past = done
+    labels = [side.label for side in sides]
+    if len(sides) == 1:
+        return f"{labels[0]} {past}." if sides[0].success else f"{labels[0]} did not {base}."
+    first, second = (side.success for side in sides)
+    if first and second:
+        return f"{labels[0]} and {labels[1]} both {past}."
+    if not first and not second:
+        return f"Neither {labels[0]} nor {labels[1]} {past}."
+    winner, loser = labels if first else labels[::-1]
+    return f"{winner} {past}, {loser} did not."
+
+
+def _what_was_measured(sides: Sequence[EndedSide]) -> str:
+    rates = [side.rate for side in sides]
+    counts = {rate.n for rate in rates}
+    if counts == {0}:
+        return "How often that happens is not measured yet."
+    lead = _lead(sides)
+    if len(counts) == 1:
+        over = f"{lead}, over" if lead else "Over"
+        return f"{over} {counts.pop()} episodes: {_listed([_rate(rate) for rate in rates])}."
+    measured = _listed([f"{_rate(r)} (n = {r.n})" if r.n else "not measured" for r in rates])
+    return f"{lead or 'Measured'}: {measured}."
+
+
+def _lead(sides: Sequence[EndedSide]) -> str:
+    """The condition that was measured, where it did not hold all the time."""
+    deeds = sides[0].deeds
+    alike = len({side.deeds for side in sides}) == 1
+    if all(deed.step == 0 for side in sides for deed in side.deeds):
+        return ""
+    if alike and len(deeds) == 1 and deeds[0].past == "was dropped" and deeds[0].step is not None:
+        return "Without it from the start"
+    return "With the cameras as at the end, from the start"
+
+
+def _rate(rate: SuccessRate) -> str:
+    low, high = rate.interval
+    return f"{rate.value:.2f} [{low:.2f}, {high:.2f}]"

@@ -1,0 +1,177 @@
+/**
+ * The words that end an episode in which a camera was changed, and every comparison.
+ *
+ *     First person was dropped at step 15. MAD drove the nail in, Merged Only did not. Without it
+ *     from the start, over 100 episodes: 1.00 [0.96, 1.00] and 0.00 [0.00, 0.04].
+ *
+ * The same as `madviz/session/ending.py`; one table of cases tests both.
+ */
+
+import {wilson} from './statistics.js';
+import {labelOf, moveWords} from './words.js';
+
+/** @typedef {import('./messages.js').World} World */
+/** @typedef {import('./messages.js').CameraState} CameraState */
+/** @typedef {{value: number, interval: [number, number], n: number}} Rate */
+/** @typedef {[label: string, past: string, step: number | null]} Deed What befell a camera: null
+ *   where not until the end. */
+/** @typedef {{label: string, success: boolean, rate: Rate, deeds: Deed[]}} EndedSide */
+
+/**
+ * What befell the cameras of an episode, as its decisions saw it.
+ * @param {World} world
+ * @param {import('./messages.js').CameraSpec[]} cameras
+ * @returns {Deed[]}
+ */
+export function deedsOf(world, cameras) {
+  /** @type {Deed[]} */
+  const deeds = [];
+  for (const {name} of cameras) {
+    const events = world.events.filter(one => one.camera === name && one.step < world.horizon);
+    const label = labelOf(name, cameras);
+    /** @type {CameraState | undefined} */
+    let state;
+    /** @type {import('./messages.js').Displacement | null} */
+    let move = null;
+    let way = '', since = 0, worst = '';
+    events.forEach((event, i) => {
+      if (event.state) state = event.state; else move = event.move ?? null;
+      if (events[i + 1]?.step === event.step) return; // No decision was taken so.
+      const now = wayOf(state, move);
+      if (now !== way) since = event.step;
+      way = now;
+      const rank = ['', 'moved', 'occluded', 'off'];
+      const bad = ['', 'moved', 'off'].includes(now) ? now : 'occluded';
+      if (rank.indexOf(bad) > rank.indexOf(worst)) worst = bad;
+    });
+    if (way) deeds.push([label, pastOf(way, state, move), since]);
+    else if (worst) deeds.push([label, pastOf(worst, undefined, null), null]);
+  }
+  return deeds;
+}
+
+/** @param {CameraState | undefined} state @param {unknown} move */
+function wayOf(state, move) {
+  if (state?.input === 'off') return 'off';
+  if (state && state.occlusion.kind !== 'none') return state.occlusion.kind;
+  return move ? 'moved' : '';
+}
+
+/**
+ * @param {string} way
+ * @param {CameraState | undefined} state
+ * @param {import('./messages.js').Displacement | null} move
+ */
+function pastOf(way, state, move) {
+  const share = `${Math.round(100 * (state?.occlusion.strength ?? 1))} %`;
+  return {off: 'was dropped', occluded: 'was broken', black: 'sent black',
+    noise: `sent ${share} noise`, freeze: 'was frozen', blur: `was blurred by ${share}`,
+    patch: 'had a patch in view',
+    moved: move ? `stood elsewhere (${moveWords(move)})` : 'stood elsewhere'}[way] ?? way;
+}
+
+/**
+ * The words for the present frame; null where no episode has ended, or nothing was done in it.
+ * @param {World[]} worlds
+ * @param {import('./catalogue.js').Entry[]} entries
+ * @param {import('./statistics.js').Tally} tally Of what was counted here.
+ */
+export function endingOf(worlds, entries, tally) {
+  if (worlds.some(world => !world.ended)) return null;
+  const same = worlds.length > 1 && entries[0].label === entries[1].label;
+  const sides = worlds.map((world, i) => ({label: same ? 'AB'[i] : entries[i].label,
+    success: world.success, rate: rateOf(world, entries[i], tally),
+    deeds: deedsOf(world, entries[i].cameras)}));
+  if (sides.length === 1 && !sides[0].deeds.length) return null;
+  return endingParts(sides, entries[0].done);
+}
+
+/**
+ * What is known of the condition at the end: what was measured before, or counted here.
+ * @param {World} world
+ * @param {import('./catalogue.js').Entry} entry
+ * @param {import('./statistics.js').Tally} tally
+ * @returns {Rate}
+ */
+function rateOf({policy, condition}, entry, tally) {
+  const {successes, n} = tally.count(policy, condition);
+  const known = condition.occlusions ? undefined : entry.measured[condition.subset];
+  if (known && known.n > n) return {value: known.success, interval: known.ci95, n: known.n};
+  return {value: n ? successes / n : NaN, interval: wilson(successes, n), n};
+}
+
+/**
+ * The three parts of the words; each may be empty.
+ * @param {EndedSide[]} sides One or two.
+ * @param {[string, string]} done What was done, after *did not* and in the past.
+ */
+export function endingParts(sides, done) {
+  return {done: whatWasDone(sides), result: whoSucceeded(sides, done),
+    measured: whatWasMeasured(sides)};
+}
+
+/** @param {EndedSide[]} sides */
+function whatWasDone(sides) {
+  if (alike(sides)) return sides[0].deeds.length ? `${deedWords(sides[0].deeds)}.` : '';
+  return `${sides.map(({label, deeds}) =>
+    `${label}: ${deedWords(deeds) || 'all cameras intact'}`).join('; ')}.`;
+}
+
+/** @param {EndedSide[]} sides */
+function alike(sides) {
+  return sides.every(side => JSON.stringify(side.deeds) === JSON.stringify(sides[0].deeds));
+}
+
+/** @param {Deed[]} deeds */
+function deedWords(deeds) {
+  return listed(deeds.map(([label, past, step]) => {
+    const place = past === 'was dropped' ? 'at' : 'from';
+    const when = step === null ? 'for a while' : step === 0 ? 'from the start'
+      : `${place} step ${step}`;
+    return `${label} ${past} ${when}`;
+  }));
+}
+
+/** `a`, `a and b`, `a, b and c`. @param {string[]} parts */
+function listed(parts) {
+  const last = parts.slice(-1);
+  return [...(parts.length > 1 ? [parts.slice(0, -1).join(', ')] : []), ...last].join(' and ');
+}
+
+/** @param {EndedSide[]} sides @param {[string, string]} done */
+function whoSucceeded(sides, [base, past]) {
+  const [first, second] = sides;
+  if (!second) return first.success ? `${first.label} ${past}.` : `${first.label} did not ${base}.`;
+  if (first.success && second.success) return `${first.label} and ${second.label} both ${past}.`;
+  if (!first.success && !second.success) return `Neither ${first.label} nor ${second.label} ${past}.`;
+  const [winner, loser] = first.success ? [first, second] : [second, first];
+  return `${winner.label} ${past}, ${loser.label} did not.`;
+}
+
+/** @param {EndedSide[]} sides */
+function whatWasMeasured(sides) {
+  const rates = sides.map(side => side.rate), counts = new Set(rates.map(rate => rate.n));
+  if (rates.every(rate => !rate.n)) return 'How often that happens is not measured yet.';
+  const lead = measuredUnder(sides);
+  if (counts.size === 1) {
+    return `${lead ? `${lead}, over` : 'Over'} ${rates[0].n} episodes: ${
+      listed(rates.map(inWords))}.`;
+  }
+  return `${lead || 'Measured'}: ${listed(rates.map(rate =>
+    rate.n ? `${inWords(rate)} (n = ${rate.n})` : 'not measured'))}.`;
+}
+
+/** The condition that was measured, where it did not hold all the time. @param {EndedSide[]} sides */
+function measuredUnder(sides) {
+  const [deed, ...more] = sides[0].deeds;
+  if (sides.every(side => side.deeds.every(([, , step]) => step === 0))) return '';
+  if (alike(sides) && !more.length && deed[1] === 'was dropped' && deed[2] !== null) {
+    return 'Without it from the start';
+  }
+  return 'With the cameras as at the end, from the start';
+}
+
+/** @param {Rate} rate */
+function inWords({value, interval: [low, high]}) {
+  return `${value.toFixed(2)} [${low.toFixed(2)}, ${high.toFixed(2)}]`;
+}

@@ -1,0 +1,47 @@
+/** The words at the end of an episode: the same table as Python's, and what befell the cameras. */
+
+import assert from 'node:assert/strict';
+import {readFileSync} from 'node:fs';
+import test from 'node:test';
+
+import {intact, noOcclusion} from '../../madviz/site/web/camera_state.js';
+import {deedsOf, endingOf, endingParts} from '../../madviz/site/web/ending.js';
+import {Tally, wilson} from '../../madviz/site/web/statistics.js';
+
+const CASES = JSON.parse(readFileSync(new URL('./endings.json', import.meta.url), 'utf8'));
+const CAMERAS = [['first', 'First person'], ['third_a', 'Third A']].map(([name, label]) =>
+  ({name, label}));
+const OFF = {...intact(), input: 'off'};
+const BLACK = {...intact(), occlusion: {...noOcclusion(), kind: 'black'}};
+const words = parts => [parts.done, parts.result, parts.measured].filter(Boolean).join(' ');
+
+test('the words are those of the table', () => {
+  assert.ok(CASES.length > 4);
+  for (const {done, sides, words: expected} of CASES) {
+    const ended = sides.map(({successes, n, ...side}) => ({...side,
+      rate: {value: n ? successes / n : NaN, interval: wilson(successes, n), n}}));
+    assert.equal(words(endingParts(ended, done)), expected);
+  }
+});
+
+test('what befell a camera is what its decisions saw', () => {
+  const events = [{step: 3, camera: 'first', state: OFF}, {step: 5, camera: 'third_a', state: BLACK},
+    {step: 7, camera: 'third_a', state: intact()}, {step: 100, camera: 'third_a', state: OFF}];
+  assert.deepEqual(deedsOf({events, horizon: 100}, CAMERAS),
+    [['First person', 'was dropped', 3], ['Third A', 'was broken', null]]);
+  const undone = [{step: 3, camera: 'first', state: OFF}, {step: 3, camera: 'first', state: intact()}];
+  assert.deepEqual(deedsOf({events: undone, horizon: 100}, CAMERAS), []);
+});
+
+test('an episode ends in words where something was done, with what is known of it', () => {
+  const events = [{step: 0, camera: 'first', state: OFF}];
+  const world = {policy: 'one', ended: true, success: true, horizon: 100, events,
+    condition: {subset: 'third_a', occlusions: ''}};
+  const entry = {label: 'MAD', done: ['do it', 'did it'], cameras: CAMERAS,
+    measured: {third_a: {success: 0.9, ci95: [0.83, 0.94], n: 100}}};
+  const ending = endingOf([world], [entry], new Tally());
+  assert.equal(words(ending),
+    'First person was dropped from the start. MAD did it. Over 100 episodes: 0.90 [0.83, 0.94].');
+  assert.equal(endingOf([{...world, events: []}], [entry], new Tally()), null);
+  assert.equal(endingOf([{...world, ended: false}], [entry], new Tally()), null);
+});

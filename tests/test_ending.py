@@ -1,0 +1,115 @@
+"""The words at the end of an episode, and how long they stay."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from madviz.envs.registry import TASKS
+from madviz.envs.tasks import DONE, done_words
+from madviz.measure.statistics import SuccessRate
+from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.condition import Condition
+from madviz.observation.displacement import Displacement, MoveCamera
+from madviz.session.commands import Compare, Scrub, SetCamera, SetSpeed
+from madviz.session.ending import EndedSide, ending, ending_of, guess_words
+from madviz.session.frame import Deed
+from madviz.session.pace import HOLD, HOLD_TO_READ
+from madviz.types import PolicySpec
+from tests.sessions import BLACK, OFF, Recorder
+
+CASES = json.loads((Path(__file__).parent / "site" / "endings.json").read_text())
+"""The site's JavaScript is tested on the same table."""
+
+
+def measured(spec: PolicySpec, condition: Condition) -> SuccessRate:
+    return SuccessRate.of(70, 100) if condition == Condition("all") else SuccessRate.of(1, 4)
+
+
+def side(values: dict[str, Any]) -> EndedSide:
+    deeds = tuple(Deed(*deed) for deed in values["deeds"])
+    rate = SuccessRate.of(values["successes"], values["n"])
+    return EndedSide(values["label"], values["success"], rate, deeds)
+
+
+@pytest.mark.parametrize("case", CASES, ids=[case["words"][:30] for case in CASES])
+def test_the_words_are_those_of_the_table(case: dict[str, Any]) -> None:
+    sides = [side(values) for values in case["sides"]]
+    assert str(ending(sides, tuple(case["done"]))) == case["words"]
+
+
+def test_every_task_says_what_was_done() -> None:
+    assert set(TASKS) == set(DONE)
+    assert done_words("own:make") == ("succeed", "succeeded")
+
+
+def test_an_episode_says_what_befell_its_cameras(session: Recorder) -> None:
+    session.steps(4)
+    session.ask(SetCamera("first", OFF))
+    session.ask(SetCamera("third_a", CameraState(occlusion=Occlusion("noise", 0.5))))
+    session.steps(3)
+    session.ask(SetCamera("third_a", CameraState(occlusion=Occlusion("noise", 0.7))))
+    session.ask(SetCamera("third_b", BLACK))
+    session.steps(1)
+    session.ask(SetCamera("third_b", CameraState()))
+    frame = session.steps(17)
+    assert frame.world.outcomes[-1].deeds == (
+        Deed("First person", "was dropped", 4),
+        Deed("Third A", "sent 70 % noise", 4),
+        Deed("Third B", "was broken", None),
+    )
+    words = ending_of(frame, measured)
+    assert words is not None and words.measured.endswith("over 4 episodes: 0.25 [0.05, 0.70].")
+    assert session.at(session.time + HOLD_TO_READ - 0.1) is not None
+    assert session.frames[-1].world.step == 25, "there is time to read"
+    assert ending_of(session.ask(Scrub(3)), measured) is None, "an earlier step is no end"
+
+
+def test_a_camera_that_was_moved_says_where_it_stood(session: Recorder) -> None:
+    session.ask(MoveCamera("first", Displacement(pan=10)))
+    deeds = session.steps(25).world.outcomes[-1].deeds
+    assert deeds == (Deed("First person", "stood elsewhere (turned right 10°)", 0),)
+
+
+def test_an_episode_without_a_change_ends_without_words(session: Recorder) -> None:
+    frame = session.steps(25)
+    assert ending_of(frame, measured) is None
+    session.at(session.time + HOLD)
+    assert session.frames[-1].world.step == 0
+
+
+def test_every_comparison_ends_in_words(session: Recorder) -> None:
+    session.ask(Compare("toy-other"))
+    frame = session.steps(25)
+    words = ending_of(frame, measured)
+    assert words is not None and words.done == ""
+    assert words.measured == "Over 100 episodes: 0.70 [0.60, 0.78] and 0.70 [0.60, 0.78]."
+    session.at(session.time + HOLD)
+    assert session.frames[-1].ended
+
+
+@pytest.mark.parametrize(
+    ("guess", "winners", "words"),
+    [
+        ("both", ("MAD",), "You said both, and it was MAD alone."),
+        ("both", ("MAD", "Merged Only"), "You said both, and so it was."),
+        ("MAD", ("MAD",), "You said MAD, and so it was."),
+        ("MAD", ("MAD", "Merged Only"), "You said MAD, and it was both."),
+        ("Merged Only", (), "You said Merged Only, and it was neither."),
+    ],
+)
+def test_a_guess_is_compared_with_what_came(
+    guess: str, winners: tuple[str, ...], words: str
+) -> None:
+    assert guess_words(guess, winners) == words
+
+
+def test_at_full_speed_nothing_is_held(session: Recorder) -> None:
+    session.ask(SetCamera("first", OFF))
+    session.ask(SetSpeed(None))
+    for _ in range(26):
+        session.at(session.time)
+    assert session.frames[-1].world.episode == 2
