@@ -90,7 +90,7 @@
  * @typedef {{kind: 'SetSpeed', rate: number | null}} SetSpeed
  */
 /**
- * Whether the next seed starts by itself 2 s after an episode is over.
+ * Whether the next seed starts by itself some seconds after an episode is over.
  * @typedef {{kind: 'SetAutoNext', on: boolean}} SetAutoNext
  */
 /**
