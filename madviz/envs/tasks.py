@@ -78,7 +78,7 @@ DONE = {
     "maniskill/poke-cube": ("poke the cube to the target", "poked the cube to the target"),
     "toy/reach": ("reach the target", "reached the target"),
 }
-"""By task: what a policy did that succeeded, after *did not* and in the past."""
+"""By task: the deed of a policy that succeeded, after *did not* and in the past."""
 
 
 def done_words(task: str) -> tuple[str, str]:

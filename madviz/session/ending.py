@@ -39,7 +39,7 @@ class Ending:
     """The three parts of the words; each may be empty."""
 
     done: str
-    """What was done to the cameras."""
+    """The changes of cameras."""
     result: str
     """Who succeeded."""
     measured: str

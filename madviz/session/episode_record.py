@@ -65,7 +65,7 @@ class EpisodeRecord:
         self.decisions += 1
 
     def deeds(self, cameras: Iterable[CameraSpec]) -> tuple[Deed, ...]:
-        """What befell each of ``cameras``, in words."""
+        """The change of each of ``cameras``, in words."""
         return tuple(
             Deed(camera.label, self._past(camera.name), self.since.get(camera.name, ("", None))[1])
             for camera in cameras

@@ -42,7 +42,7 @@ class Change:
 
 
 class Deed(NamedTuple):
-    """What befell a camera in an episode."""
+    """A change of one camera in an episode that is over."""
 
     label: str
     """The camera's."""

@@ -55,7 +55,7 @@ def dropped(visitor: Visitor) -> list[bool]:
 
 def test_a_comparison_is_offered_first_and_drops_a_camera_on_both_sides(newcomer: Visitor):
     page = newcomer.page
-    newcomer.press("MAD against Merged Only")
+    newcomer.press("just show me")
     page.wait_for_selector(".mv-side", timeout=PATIENCE)
     assert page.locator(".mv-side").count() == 2
     first, second = (box.bounding_box() for box in page.locator(".mv-mosaic").all())
@@ -81,7 +81,7 @@ def test_a_comparison_is_offered_first_and_drops_a_camera_on_both_sides(newcomer
 
 def test_at_1280_by_800_the_comparison_needs_no_scrolling(newcomer: Visitor):
     page = newcomer.page
-    newcomer.press("MAD against Merged Only")
+    newcomer.press("just show me")
     page.wait_for_selector(".mv-side", timeout=PATIENCE)
     page.get_by_role("tab", name="A/B").click()
     page.wait_for_function(
@@ -97,7 +97,7 @@ def test_at_1280_by_800_the_comparison_needs_no_scrolling(newcomer: Visitor):
 def test_one_click_leads_to_plain_exploring_and_no_note_hides_the_scene(newcomer: Visitor):
     page = newcomer.page
     newcomer.press("explore one policy")
-    offer = page.get_by_role("button", name="MAD against Merged Only")
+    offer = page.get_by_role("button", name="just show me")
     offer.wait_for(state="detached", timeout=PATIENCE)
     assert page.locator(".mv-side").count() == 0
     page.wait_for_selector(".mv-gpu", timeout=PATIENCE)

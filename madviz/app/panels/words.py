@@ -52,7 +52,7 @@ class WordsPanel(HtmlPanel):
 
 
 def ending_html(ending: Ending, frame: Frame, guess: str = "") -> str:
-    """What was done, who succeeded, what a visitor guessed, what was measured, how it goes on."""
+    """The three parts of an end, a visitor's guess, and how it goes on."""
     result = f'<b style="color:{NOTE}">{escape(ending.result)}</b>'
     guessed = escape(guess_words(guess, ending.winners)) if guess else ""
     parts = (escape(ending.done), result, guessed, escape(ending.measured))
