@@ -62,6 +62,7 @@ def manifest() -> dict[str, Any]:
         "name": "metaworld/hammer",
         "label": "Hammer",
         "success": "the nail is driven in by more than 0.09 m",
+        "done": ["drive the nail in", "drove the nail in"],
         "horizon": 30,
         "action_repeat": 2,
         "seeds": [5000, 5001, 5002],

@@ -62,10 +62,14 @@ def switch(page: Any, camera: str, value: str, board: int = 0) -> None:
 def test_the_opening_tells_what_happens_and_hands_over_the_switches(visit, address):
     page = visit(address)
     assert page.locator(".side").count() == 2
+    until(page, "Which policy will still do it?", "#line")
+    page.get_by_role("button", name="both").click()
     until(page, "Step 15: First person is off.", "#line")
     assert tags(page, "first") == ["off", "off"]
-    told = until(page, "MAD ✓ succeeded, Merged Only ✕ failed", "#line")
-    assert "MAD 1.00 [0.96, 1.00] n=100; Merged Only 0.00 [0.00, 0.04] n=100" in told
+    words = until(page, "MAD drove the nail in, Merged Only did not.", "#line")
+    assert "First person was dropped at step 15." in words
+    assert "You said both, and it was MAD alone." in words
+    assert "over 100 episodes: 1.00 [0.96, 1.00] and 0.00 [0.00, 0.04]." in words
     page.get_by_role("button", name="Your turn").click()
     until(page, "Cameras", "#controls")
     page.wait_for_function("() => !document.querySelector('.view.off')")
@@ -245,7 +249,7 @@ def test_what_is_asked_for_comes_from_the_same_place(visit, address):
     page.context.on("request", lambda request: seen.append(request.url))
     page.reload()
     page.wait_for_selector("body[data-ready]")
-    until(page, "Step 15", "#line")
+    until(page, "At step 15", "#line")
     assert any(url.endswith("worker.js") for url in seen), "workers are recorded, too"
     assert [url for url in seen if not url.startswith((address, "data:", "blob:"))] == []
 

@@ -5,7 +5,7 @@ import {readFileSync} from 'node:fs';
 import test from 'node:test';
 
 import {intact, noOcclusion} from '../../madviz/site/web/camera_state.js';
-import {deedsOf, endingOf, endingParts} from '../../madviz/site/web/ending.js';
+import {deedsOf, endingOf, endingParts, guessWords} from '../../madviz/site/web/ending.js';
 import {Tally, wilson} from '../../madviz/site/web/statistics.js';
 
 const CASES = JSON.parse(readFileSync(new URL('./endings.json', import.meta.url), 'utf8'));
@@ -17,10 +17,12 @@ const words = parts => [parts.done, parts.result, parts.measured].filter(Boolean
 
 test('the words are those of the table', () => {
   assert.ok(CASES.length > 4);
-  for (const {done, sides, words: expected} of CASES) {
+  for (const {done, sides, words: expected, guess, guess_words} of CASES) {
     const ended = sides.map(({successes, n, ...side}) => ({...side,
       rate: {value: n ? successes / n : NaN, interval: wilson(successes, n), n}}));
-    assert.equal(words(endingParts(ended, done)), expected);
+    const parts = endingParts(ended, done);
+    assert.equal(words(parts), expected);
+    if (guess) assert.equal(guessWords(guess, parts.winners), guess_words);
   }
 });
 

@@ -107,7 +107,21 @@ function rateOf({policy, condition}, entry, tally) {
  */
 export function endingParts(sides, done) {
   return {done: whatWasDone(sides), result: whoSucceeded(sides, done),
-    measured: whatWasMeasured(sides)};
+    measured: whatWasMeasured(sides),
+    winners: sides.filter(side => side.success).map(side => side.label)};
+}
+
+export const BOTH = 'both';
+
+/**
+ * `You said both, and it was MAD alone.` A guess is a label, or `BOTH`.
+ * @param {string} guess
+ * @param {string[]} winners
+ */
+export function guessWords(guess, winners) {
+  const came = ['neither', `${winners[0]} alone`, BOTH][winners.length];
+  const right = guess === (winners.length === 2 ? BOTH : winners[0]);
+  return `You said ${guess}, and ${right ? 'so it was' : `it was ${came}`}.`;
 }
 
 /** @param {EndedSide[]} sides */

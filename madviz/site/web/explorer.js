@@ -10,7 +10,7 @@ import {byId, calm, make, say} from './dom.js';
 import {endingOf} from './ending.js';
 import {mergedEvents} from './link.js';
 import {notice} from './notices.js';
-import {SPEED, endingNodes, headline, openingEvents, story, tell} from './opening.js';
+import {SPEED, endingNodes, guesses, headline, openingEvents, story, tell} from './opening.js';
 import {Features, Subsets} from './readout.js';
 import {SceneView} from './scene_view.js';
 import {Side} from './side.js';
@@ -62,6 +62,10 @@ export class Explorer {
     this.link = make('button', {type: 'button', onclick: () => this.setLinked(!this.linked)});
     this.drawn = 0;
     this.asked = false;
+    /** Whether the opening waits for a guess. */
+    this.asks = false;
+    /** Who will succeed in an episode, as the visitor thinks; '' where nobody guessed. */
+    this.guess = {words: '', episode: 0};
   }
 
   /** @param {'loading' | 'opening' | 'explore'} mode */
@@ -82,9 +86,13 @@ export class Explorer {
     const button = (/** @type {string} */ words, /** @type {() => void} */ act, main = false) =>
       make('button', {type: 'button', class: main ? 'main' : '', onclick: act}, words);
     if (this.mode === 'opening') {
-      say(title, headline(this.catalogue.opening()));
-      turn.replaceChildren(button('Your turn', () => this.yourTurn(), true),
-        button('Again', () => this.again()));
+      const opening = this.catalogue.opening();
+      say(title, headline(opening));
+      turn.replaceChildren(...this.asks ? guesses(opening).map(guess =>
+        button(guess, () => this.begins(guess))) : [],
+      ...this.asks ? [button('Just show me', () => this.begins(''), true)]
+        : [button('Your turn', () => this.yourTurn(), true),
+          button('Again', () => this.again())]);
     } else {
       say(title, this.entries[1] ? `${this.entries[0].label} and ${this.entries[1].label}: `
         + `${this.entries[0].task_label}` : `${this.entries[0].label}: ${this.entries[0].task_label}`);
@@ -106,7 +114,26 @@ export class Explorer {
     this.send({kind: 'SetSchedule', events: openingEvents(this.catalogue.opening())});
     this.send({kind: 'SetSpeed', rate: SPEED});
     this.send({kind: 'Reset', next_seed: false});
-    this.send({kind: calm() ? 'Pause' : 'Play'});
+    this.ask(this.entries.length > 1);
+    this.send({kind: calm() || this.asks ? 'Pause' : 'Play'});
+  }
+
+  /**
+   * The opening stands at its first step until the visitor has guessed, or wants to see it.
+   * @param {boolean} asks Whether there are two to guess between.
+   */
+  ask(asks) {
+    this.asks = asks;
+    this.guess = {words: '', episode: 0};
+    this.headline();
+  }
+
+  /** @param {string} guess */
+  begins(guess) {
+    this.asks = false;
+    this.guess = {words: guess, episode: this.frame?.first.episode ?? 0};
+    this.headline();
+    this.send({kind: 'Play'});
   }
 
   /** All cameras work. */
@@ -221,7 +248,11 @@ export class Explorer {
   /** The line that says what has just happened. @param {Frame} frame @param {World[]} worlds */
   words(frame, worlds) {
     const line = byId('line');
-    if (this.mode === 'opening') return tell(line, story(frame, this.catalogue.opening(), this.tally));
+    if (this.mode === 'opening') {
+      const {words, episode} = this.guess;
+      return tell(line, story(frame, this.catalogue.opening(), this.tally,
+        {asks: this.asks, guess: episode === frame.first.episode ? words : ''}));
+    }
     const ending = endingNodes(endingOf(worlds, this.entries, this.tally));
     if (ending.length) return tell(line, ending);
     const changes = worlds.map((world, index) => world.change && world.step - world.change.step < 40

@@ -7,7 +7,7 @@
 
 import {noOcclusion} from './camera_state.js';
 import {make, say} from './dom.js';
-import {endingOf} from './ending.js';
+import {BOTH, endingOf, guessWords} from './ending.js';
 import {effectWords, labelOf} from './words.js';
 
 /** @typedef {import('./messages.js').Frame} Frame */
@@ -30,17 +30,27 @@ export function headline({entries}) {
     : 'One robot, several cameras, and one of them goes off';
 }
 
+/** The answers to the question who will succeed. @param {Opening} opening */
+export function guesses({entries}) {
+  return [...entries.map(entry => entry.label), BOTH];
+}
+
 /**
  * The line under the headline.
  * @param {Frame} frame
  * @param {Opening} opening
  * @param {import('./statistics.js').Tally} tally
+ * @param {{asks: boolean, guess: string}} visitor
  * @returns {Node[]}
  */
-export function story(frame, {entries, step, camera: name}, tally) {
+export function story(frame, {entries, step, camera: name}, tally, {asks, guess}) {
   const worlds = [frame.first, ...(frame.second ? [frame.second] : [])];
   const camera = labelOf(name, entries[0].cameras);
-  if (frame.first.ended) return endingNodes(endingOf(worlds, entries, tally));
+  if (frame.first.ended) return endingNodes(endingOf(worlds, entries, tally), guess);
+  if (asks && frame.first.step === 0) {
+    return [strong(`${entries[0].task_label}. `), text(`At step ${step}, ${camera} goes off on both sides. `
+      + 'Which policy will still do it?')];
+  }
   if (frame.first.step < step) {
     return [strong(`${entries[0].task_label}. `),
       text(`${entries.length > 1 ? 'Both policies see the same' : 'The policy sees'} `
@@ -52,10 +62,10 @@ export function story(frame, {entries, step, camera: name}, tally) {
     text(effects.length ? `${effects.join('. ')}.` : '')];
 }
 
-/** @param {ReturnType<typeof endingOf>} parts @returns {Node[]} */
-export function endingNodes(parts) {
+/** @param {ReturnType<typeof endingOf>} parts @param {string} [guess] @returns {Node[]} */
+export function endingNodes(parts, guess = '') {
   return parts ? [text(parts.done ? `${parts.done} ` : ''), strong(parts.result),
-    text(` ${parts.measured}`)] : [];
+    text(guess ? ` ${guessWords(guess, parts.winners)}` : ''), text(` ${parts.measured}`)] : [];
 }
 
 /** @param {string} words */

@@ -66,7 +66,8 @@ class Page {
       second: scene.vs});
     this.engine.post({kind: 'SetSchedule', events: scene.events});
     this.engine.post({kind: 'SetSpeed', rate: SPEED});
-    this.engine.post({kind: calm() ? 'Pause' : 'Play'});
+    this.explorer.ask(mode === 'opening' && scene.vs !== null);
+    this.engine.post({kind: calm() || this.explorer.asks ? 'Pause' : 'Play'});
     if (this.ready) this.explorer.setMode(mode);
   }
 
