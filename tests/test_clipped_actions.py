@@ -11,9 +11,13 @@ import pytest
 from madviz.cli import main
 from madviz.measure.audit.account import html
 from madviz.measure.audit.audit import AuditConfig, run_audit
+from madviz.measure.compare import CompareConfig, compare_policies, comparison_table
+from madviz.measure.displace import DisplaceConfig, displacement_table, run_displace
 from madviz.measure.evaluate import evaluate
 from madviz.measure.store import EpisodeResult, ResultKey, Store
+from madviz.system.files import read_json, write_json
 from madviz.wire.reference import with_wire
+from tests.evidence import rates, write_policy
 from tests.fakes import FakePolicy
 from tests.wires import foreign_server, wiring_file
 
@@ -47,6 +51,26 @@ def test_eval_counts_prints_and_stores_them(tmp_path, capsys):
 @pytest.mark.parametrize(("policy", "share"), [(Wild(), 0.5), (FakePolicy(), 0.0)])
 def test_those_of_a_policy_here_are_counted_too(policy, share):
     assert evaluate(policy, ["all"], episodes=1).rows["all"].get("outside") == share
+
+
+def test_displace_counts_and_prints_them():
+    config = DisplaceConfig(f"{__name__}:Wild", "third_a", steps=2, episodes=1, workers=0)
+    found = run_displace(config)
+    assert [point.get("outside") for point in found["points"]] == [0.5, 0.5]
+    assert SAID in displacement_table(found)
+
+
+def test_compare_says_them_of_each_policy(tmp_path):
+    tame = write_policy(tmp_path, rates(0.9, 0.9, 0.9, 0.9))
+    wild = write_policy(tmp_path, rates(0.9, 0.9, 0.9, 0.9), method="merged-only")
+    measured = read_json(wild / "evaluation.json")
+    for row in measured["subsets"].values():
+        row["outside"] = 0.5
+    write_json(wild / "evaluation.json", measured)
+    found = compare_policies(CompareConfig((str(tame), str(wild))))
+    assert [policy.get("outside") for policy in found["policies"]] == [0.0, 0.5]
+    words = comparison_table(found)
+    assert f"metaworld-hammer-merged-only-light: {SAID}" in words and words.count("clipped") == 1
 
 
 def test_an_audit_says_them_beside_its_verdicts_also_when_it_goes_on(tmp_path):

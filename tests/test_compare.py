@@ -112,9 +112,10 @@ def test_episodes_may_come_from_a_store(
         evidence = read_evidence(policy)
         key = ResultKey(Path(policy).name, evidence.config.task, evidence.config.definition, *facts)
         for seed in range(4):
-            store.put(key, EpisodeResult(stored, seed, seed < successes, True, 0.0))
+            store.put(key, EpisodeResult(stored, seed, seed < successes, True, 0.0, seed / 12))
     store.close()
     result = compare_policies(CompareConfig(two, (asked,), store=str(tmp_path / "store.sqlite")))
+    assert [policy.get("outside") for policy in result["policies"]] == [0.125, 0.125]
     assert result["comparisons"][0]["subsets"][asked]["difference"] == 0.5
     with pytest.raises(UserError, match="expected episodes on 'fourth' of every policy"):
         compare_policies(CompareConfig(two, ("fourth",), store=str(tmp_path / "store.sqlite")))

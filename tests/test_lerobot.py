@@ -7,7 +7,9 @@ import json
 import os
 import subprocess
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -123,7 +125,7 @@ def test_what_fails_on_the_way_leaves_nothing(tmp_path: Path) -> None:
             NanPolicy(), env, recording.parse_schedule(("third_a@3", "first@3"), CAMERAS), 3
         )
         with pytest.raises(UserError, match="finite"):
-            write_dataset(tmp_path / "set", "go", 10, iter([failing]))
+            write_dataset(tmp_path / "set", env.spec, 10, iter([failing]))
     assert not list(tmp_path.iterdir())
 
 
@@ -171,17 +173,75 @@ def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
     assert [each.name for each in tmp_path.iterdir()] == ["mine.txt"]
 
 
-def test_depth_becomes_three_equal_channels(tmp_path: Path) -> None:
-    _, rows = recorded(tmp_path / "set", policy="toy-rgbd")
-    depth = picture(rows[0], "first.depth")
-    assert depth.shape == (84, 84, 3) and (depth[..., 0] == depth[..., 2]).all()
+def test_depth_says_that_it_is_depth_in_which_unit_and_range(tmp_path: Path) -> None:
+    _, rows = recorded(tmp_path / "set", policy="toy-rgbd", seed=3, drop=("third_a=black@5",))
+    depth = picture(rows[4], "first.depth")
+    assert depth.shape == (84, 84) and depth.dtype == np.uint16
+    with closing(make_env("toy/reach")) as env:
+        env.reset(3)
+        for row in rows[:4]:
+            env.step(np.array(row["action"], np.float32))
+        near, far = env.spec.camera("first").depth_range
+        seen = np.clip(env.view("first").depth, near, far) * 1000
+    half_a_code = (far - near) * 1000 / 255 / 2
+    assert np.abs(depth - seen).max() <= half_a_code + 0.5 + 1e-3
+    assert (picture(rows[5], "third_a.depth") == round(near * 1000)).all()
     assert len(rows[0]["camera_mask"]) == len(FakePolicy("x", "three-rgbd").spec.streams)
+    feature = json.loads((tmp_path / "set/meta/info.json").read_text())["features"]
+    feature = feature["observation.images.first.depth"]
+    assert (feature["dtype"], feature["shape"]) == ("image", [84, 84, 1])
+    said = {"is_depth_map": True, "depth_unit": "mm"}
+    assert feature["info"] == {**said, "video.depth_min": near, "video.depth_max": far}
+    stats = json.loads((tmp_path / "set/meta/stats.json").read_text())
+    found = stats["observation.images.first.depth"]
+    every = np.stack([picture(row, "first.depth") for row in rows]).astype(float)
+    assert np.shape(found["mean"]) == (1, 1, 1)
+    np.testing.assert_allclose(np.ravel(found["mean"]), every.mean(), rtol=1e-6)
+    np.testing.assert_allclose(np.ravel(found["std"]), every.std(), rtol=1e-6)
+
+
+def test_a_depth_that_millimetres_cannot_say_is_refused() -> None:
+    with closing(make_env("toy/reach")) as env:
+        far = replace(env.spec.camera("first"), depth_range=(0.0, 70.0))
+        spec = replace(env.spec, cameras=(far, *env.spec.cameras[1:]))
+    with pytest.raises(UserError, match="first.depth to end within 65.535 m.*found 70 m"):
+        lerobot.depth_range_of("first.depth", spec)
 
 
 def test_a_decision_says_what_came_after_it() -> None:
     with closing(make_env("toy/reach")) as env:
         played = list(expert_decisions(env, CAMERAS, 0.0, 5))
     assert isinstance(played[0], Decision) and not played[0].success and played[-1].success
+
+
+def read_by_lerobot(program: str, folder: Path) -> Any:
+    """The JSON that ``program`` prints in LeRobot's own environment."""
+    done = subprocess.run(
+        [str(PYTHON), "-c", program, str(folder)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "HF_HUB_OFFLINE": "1"},
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not PYTHON.exists(), reason="integrations/lerobot/setup.sh makes it")
+def test_lerobots_own_loader_reads_depth_in_millimetres(tmp_path: Path) -> None:
+    _, rows = recorded(tmp_path / "set", policy="toy-rgbd")
+    program = (
+        "import json, sys; from lerobot.datasets.lerobot_dataset import LeRobotDataset\n"
+        "key = 'observation.images.third_b.depth'\n"
+        "mm = LeRobotDataset('madviz/toy', root=sys.argv[1])\n"
+        "m = LeRobotDataset('madviz/toy', root=sys.argv[1], depth_output_unit='m')\n"
+        "print(json.dumps([mm.meta.depth_keys, mm[7][key].tolist(), m[7][key].tolist()]))"
+    )
+    keys, millimetres, metres = read_by_lerobot(program, tmp_path / "set")
+    assert keys == [f"observation.images.{camera}.depth" for camera in CAMERAS]
+    written = picture(rows[7], "third_b.depth")
+    assert np.abs(np.array(millimetres) - written).max() == 0 and np.shape(metres) == (1, 84, 84)
+    assert np.abs(np.array(metres) * 1000 - written).max() < 0.01
 
 
 @pytest.mark.slow
@@ -197,14 +257,8 @@ def test_lerobots_own_loader_reads_it(tmp_path: Path) -> None:
         "r['camera_mask'].tolist(), r['task'], r['observation.images.first'].mean().item(), "
         "d.meta.stats['action']['mean'].tolist()]))"
     )
-    done = subprocess.run(
-        [str(PYTHON), "-c", program, str(tmp_path / "set")],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "HF_HUB_OFFLINE": "1"},
-    )
-    assert done.returncode == 0, done.stderr
-    count, episodes, padded, mask, task, mean, action = json.loads(done.stdout.splitlines()[-1])
+    found = read_by_lerobot(program, tmp_path / "set")
+    count, episodes, padded, mask, task, mean, action = found
     assert (count, episodes, padded) == (50, 2, [False, True, True])
     assert mask == [True, False, True] and task == "Go to the orange target."
     assert mean == pytest.approx(picture(rows[24], "first").mean() / 255, abs=1e-5)

@@ -267,6 +267,28 @@ def test_statistics_of_training_are_used_or_asked_for(keys, stack, tmp_path):
     acts_as_trained(policy, ppo, ppo.get_env())
 
 
+@pytest.mark.parametrize("kind", [sb3.SAC, sb3.TD3])
+@pytest.mark.parametrize("options", [{"norm_obs_keys": ["agent_pos"]}, {"norm_obs": False}, None])
+def test_an_off_policy_model_of_a_normalised_state_needs_its_statistics(kind, options, tmp_path):
+    envs = VecTransposeImage(small_env())
+    if options is not None:
+        envs = VecNormalize(envs, **options)
+    model = kind("MultiInputPolicy", envs, buffer_size=50, learning_starts=4, batch_size=4, seed=0,
+                 policy_kwargs=dict(NETWORK), device="cpu")  # fmt: skip
+    model.learn(8)
+    file = tmp_path / "off.zip"
+    model.save(file)
+    if not (options and "norm_obs_keys" in options):
+        assert loaded(file).spec.method.endswith("Policy")
+        return
+    with pytest.raises(UserError, match="VecNormalize.*STATISTICS.pkl@TASK"):
+        loaded(file)
+    assert isinstance(envs, VecNormalize)
+    envs.save(tmp_path / "norm.pkl")
+    envs.training = False
+    acts_as_trained(loaded(file, tmp_path / "norm.pkl"), model, model.get_env(), decisions=5)
+
+
 def test_statistics_are_code_too_and_nobody_trusted_them(tmp_path):
     envs = VecNormalize(small_env(), norm_obs_keys=["agent_pos"])
     _, file = saved(envs, tmp_path / "norm.zip")

@@ -75,6 +75,11 @@ class Demonstrations:
     def __init__(self, folder: Path) -> None:
         self.loaded = LeRobotDataset(folder.name, root=folder)
         self.keys = list(self.loaded.meta.camera_keys)
+        if depths := self.loaded.meta.depth_keys:
+            raise SystemExit(
+                f"{folder}: expected pictures in colour alone, which ACT takes, found the depth "
+                f"{', '.join(depths)}; record a policy without depth, or an expert"
+            )
         rows = self.loaded.hf_dataset
         columns = [OBS_STATE, ACTION, "episode_index", SUCCESS]
         numbers = rows.with_format("numpy", columns=columns)[:]

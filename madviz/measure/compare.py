@@ -19,11 +19,11 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypedDict
+from typing import NotRequired, TypedDict
 
 from madviz.errors import UserError
 from madviz.measure.compare_conditions import ConditionsFile, compare_conditions, conditions_table
-from madviz.measure.episodes import FIRST_SEED
+from madviz.measure.episodes import FIRST_SEED, clipped_words
 from madviz.measure.evidence import Evidence, Outcomes, alike, readable
 from madviz.measure.formulas import student
 from madviz.measure.statistics import (
@@ -32,7 +32,7 @@ from madviz.measure.statistics import (
     mean_interval,
     pair,
 )
-from madviz.measure.store import ResultKey, Store
+from madviz.measure.store import EpisodeResult, ResultKey, Store
 from madviz.plots import figures
 from madviz.policies import checkpoint
 from madviz.policies.listing import BrokenRow
@@ -79,6 +79,9 @@ class ComparedPolicy(TypedDict):
     method: str
     seed: int
     """The seed of its training."""
+    outside: NotRequired[float]
+    """The share of its action numbers outside [-1, 1] on the compared subsets; they were
+    clipped."""
 
 
 class RatesRow(PairedRow):
@@ -130,7 +133,8 @@ def compare_policies(config: CompareConfig) -> CompareFile:
     first = policies[0]
     for other in policies[1:]:
         _same_terms(first, other)
-    table = _outcomes(policies, config)
+    store = None if config.store is None else _opened(config.store)
+    table = _outcomes(policies, config.subset, store)
     for name, rows in table.items():
         for other, outcomes in zip(policies, rows, strict=True):
             _same_seeds(name, first, rows[0], other, outcomes)
@@ -145,7 +149,13 @@ def compare_policies(config: CompareConfig) -> CompareFile:
         "task": first.config.task,
         "definition": first.config.definition,
         "policies": [
-            {"name": e.config.name, "path": str(e.path), "method": e.config.method, "seed": e.seed}
+            {
+                "name": e.config.name,
+                "path": str(e.path),
+                "method": e.config.method,
+                "seed": e.seed,
+                "outside": _outside(e, list(table), store),
+            }
             for e in policies
         ],
         "comparisons": [
@@ -218,16 +228,17 @@ def spans(seeds: Outcomes) -> str:
     return f"{min(seeds)}-{max(seeds)} ({len(seeds)})" if seeds else "none"
 
 
-def _outcomes(found: Sequence[Evidence], config: CompareConfig) -> dict[str, list[Outcomes]]:
+def _outcomes(
+    found: Sequence[Evidence], subsets: Sequence[str], store: Store | None
+) -> dict[str, list[Outcomes]]:
     """Outcomes of every policy by subset. Raises UserError where one was not measured."""
     table: dict[str, list[Outcomes]] = {}
-    store = None if config.store is None else _opened(config.store)
-    for name in config.subset or found[0].outcomes:
-        rows = [e.of(name) if store is None else _stored(store, e, name) for e in found]
+    for name in subsets or found[0].outcomes:
+        rows = [e.of(name) if store is None else _successes(store, e, name) for e in found]
         lacking = [str(e.path) for e, row in zip(found, rows, strict=True) if not row]
         if not lacking:
             table[name] = [row for row in rows if row]
-        elif config.subset:
+        elif subsets:
             raise UserError(
                 f"expected episodes on {name!r} of every policy, found none of "
                 f"{', '.join(lacking)}; run `madviz eval --policy {lacking[0]} --subsets {name}"
@@ -244,7 +255,23 @@ def _opened(path: str) -> Store:
     return Store(path)
 
 
-def _stored(store: Store, evidence: Evidence, subset: str) -> Outcomes:
+def _outside(evidence: Evidence, subsets: Sequence[str], store: Store | None) -> float:
+    """The share of a policy's action numbers outside [-1, 1], on average over ``subsets``."""
+    if store is None:
+        names = [evidence.name_there(subset) for subset in subsets]
+        shares = [evidence.outside[name] for name in names if name is not None]
+    else:
+        found = [_stored(store, evidence, subset) for subset in subsets]
+        shares = [result.outside for results in found for result in results.values()]
+    return sum(shares) / len(shares)
+
+
+def _successes(store: Store, evidence: Evidence, subset: str) -> Outcomes:
+    results = _stored(store, evidence, subset)
+    return {seed: result.success for seed, result in results.items()}
+
+
+def _stored(store: Store, evidence: Evidence, subset: str) -> dict[int, EpisodeResult]:
     config = evidence.config
     digest = checkpoint.describe(evidence.path).spec.digest
     try:
@@ -252,8 +279,7 @@ def _stored(store: Store, evidence: Evidence, subset: str) -> Outcomes:
     except UserError:
         return {}  # A camera that this policy does not have.
     facts = (config.task, config.definition, config.render_profile, "", name)
-    results = store.results(ResultKey(digest, *facts))
-    return {seed: result.success for seed, result in results.items()}
+    return store.results(ResultKey(digest, *facts))
 
 
 # --- Figures --------------------------------------------------------------------------------
@@ -342,5 +368,8 @@ def comparison_table(result: CompareFile | ConditionsFile) -> str:
                 f"  {name:24} {row['first']:.2f} - {row['second']:.2f} = {row['difference']:+.2f} "
                 f"[{low:+.2f}, {high:+.2f}] n={row['n']}   exact p = {row['p']:.2g}"
             )
+    for policy in result["policies"]:
+        if said := clipped_words(policy.get("outside", 0.0)):
+            lines.append(f"{policy['name']}: {said}")
     lines += [_broken_line(row) for row in result["broken"]]
     return "\n".join(lines)

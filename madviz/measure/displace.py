@@ -20,12 +20,12 @@ import csv
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypedDict
+from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
 
 from madviz.errors import UserError, saving, unknown
-from madviz.measure.episodes import FIRST_SEED, unsupported
+from madviz.measure.episodes import FIRST_SEED, clipped_words, unsupported
 from madviz.measure.statistics import SuccessRate
 from madviz.measure.table import Table, seeds_of_run
 from madviz.observation.condition import Condition
@@ -94,6 +94,8 @@ class Point:
     at: float
     """Metres, degrees or times."""
     success: SuccessRate
+    outside: float = 0.0
+    """The share of action numbers outside [-1, 1]; they were clipped."""
 
 
 def places(
@@ -143,7 +145,11 @@ def displace(
     }
     table.play([(c, s) for c in conditions.values() for s in seeds], workers, progress)
     return tuple(
-        Point(at, SuccessRate.counted(table.outcomes(condition).values()))
+        Point(
+            at,
+            SuccessRate.counted(table.outcomes(condition).values()),
+            table.outside([condition]),
+        )
         for at, condition in conditions.items()
     )
 
@@ -168,6 +174,8 @@ class PointRow(RateRow):
 
     at: float
     successes: int
+    outside: NotRequired[float]
+    """The share of action numbers outside [-1, 1]; they were clipped."""
 
 
 class DisplaceFile(TypedDict):
@@ -218,6 +226,7 @@ def run_displace(config: DisplaceConfig) -> DisplaceFile:
             {
                 "at": point.at,
                 "successes": point.success.successes,
+                "outside": point.outside,
                 **point.success.row(),
             }
             for point in points
@@ -256,6 +265,8 @@ def displacement_table(result: DisplaceFile) -> str:
     for point in result["points"]:
         place = f"{point['at']:g} {result['unit']}"
         rows.append(f"  {place:12} {SuccessRate.read(point)}")
+    shares = [point.get("outside", 0.0) for point in result["points"]]
+    rows += filter(None, [clipped_words(sum(shares) / len(shares))])
     return "\n".join(rows)
 
 

@@ -39,6 +39,10 @@ class Evidence:
     """By subset, as the evaluation file names them."""
     development: Mapping[str, Outcomes]
     """As ``outcomes``, from development.json; empty without that file."""
+    outside: Mapping[str, float]
+    """By subset of ``outcomes``, the share of action numbers outside [-1, 1]; they were clipped."""
+    development_outside: Mapping[str, float]
+    """As ``outside``, from development.json."""
 
     @property
     def command(self) -> str:
@@ -69,7 +73,9 @@ class Evidence:
 
     def on(self, use: str) -> Evidence | None:
         """The same policy on seeds of ``use``; None if it was not measured there."""
-        earlier = replace(self, outcomes=self.development, development={})
+        earlier = replace(
+            self, outcomes=self.development, development={}, outside=self.development_outside
+        )
         return next((each for each in (self, earlier) if each.seeds == use), None)
 
     @property
@@ -81,13 +87,18 @@ class Evidence:
     def of(self, subset: str) -> Outcomes | None:
         """Outcomes of ``subset`` under whatever name: for a policy with one camera, that camera's
         name is ``all``. None if it was not measured."""
+        name = self.name_there(subset)
+        return None if name is None else self.outcomes[name]
+
+    def name_there(self, subset: str) -> str | None:
+        """The name of ``subset`` in ``outcomes``, None if it was not measured."""
         if subset in self.outcomes:
-            return self.outcomes[subset]
+            return subset
         try:
             mask = mask_of(subset, self.config.streams)
-            for name, found in self.outcomes.items():
+            for name in self.outcomes:
                 if np.array_equal(mask, mask_of(name, self.config.streams)):
-                    return found
+                    return name
         except UserError:
             pass  # A camera that this policy does not have.
         return None
@@ -116,6 +127,8 @@ def read_evidence(folder: str | Path) -> Evidence:
         occlusions=evaluation["occlusions"],
         outcomes=_outcomes(path / checkpoint.EVALUATION, evaluation),
         development=_outcomes(path / checkpoint.DEVELOPMENT, development) if development else {},
+        outside=_outside(evaluation),
+        development_outside=_outside(development) if development else {},
     )
 
 
@@ -152,6 +165,10 @@ def readable(folders: Iterable[Path]) -> tuple[list[Evidence], list[BrokenRow]]:
         except UserError as error:
             broken.append({"name": folder.name, "path": str(folder), "error": str(error)})
     return found, broken
+
+
+def _outside(evaluation: EvaluationFile) -> dict[str, float]:
+    return {name: row.get("outside", 0.0) for name, row in evaluation["subsets"].items()}
 
 
 def _outcomes(file: Path, evaluation: EvaluationFile) -> dict[str, dict[int, bool]]:

@@ -19,14 +19,18 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from madviz.envs.registry import env_spec
 from madviz.errors import UserError
-from madviz.policies.sb3_policy import Sb3Policy, policy_on
+from madviz.policies.sb3_policy import STATE, Sb3Policy, policy_on
 
 PREFIX = "sb3:"
 AT = "@"
 PLUS = ".zip+"
 VARIABLE = "MADVIZ_TRUST"
+MOST_UNSEEN = 0.01
+"""A state that changed by more has moved something that the pictures show."""
 NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space")
 
 
@@ -134,9 +138,18 @@ def _statistics(file: Path) -> Any:
 
 
 def _was_normalised(data: dict[str, Any]) -> bool:
-    """Whether a model says that it was trained under VecNormalize. Those that learn from what they
-    just did keep raw observations only then; the others always keep them."""
-    return "gae_lambda" in data and data.get("_last_original_obs") is not None
+    """Whether a model says that it was trained under VecNormalize. An on-policy model keeps raw
+    observations only then. An off-policy model always keeps them: under VecNormalize those of the
+    last observation, whose pictures are then the same and whose state is not; without it those of
+    the decision before."""
+    raw = data.get("_last_original_obs")
+    seen = data.get("_last_obs")
+    if "gae_lambda" in data or not isinstance(raw, dict) or not isinstance(seen, dict):
+        return "gae_lambda" in data and raw is not None
+    same = {key: np.array_equal(raw[key], seen[key]) for key in raw.keys() & seen.keys()}
+    apart = np.abs(raw.get(STATE, 0.0) - seen.get(STATE, 0.0)).max()
+    same.pop(STATE, None)
+    return bool(apart > MOST_UNSEEN and same and all(same.values()))
 
 
 def _broken(file: Path, error: Exception) -> UserError:

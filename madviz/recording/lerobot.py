@@ -6,11 +6,14 @@ format is written here; a slow test reads it with LeRobot's own loader, in its o
     meta/info.json, stats.json       what a row holds; least, largest, mean, std of columns
     meta/tasks.parquet               the task in words
     meta/episodes/…/file-000.parquet where each episode stands, and its own statistics
-    data/chunk-000/file-000.parquet  a row for each decision; pictures as PNG
+    data/chunk-000/file-000.parquet  a row for each decision; pictures as PNG, depth as TIFF
 
 A row is a decision: what every camera sent (``observation.images.first``), the state, the action,
 and ``camera_mask``, 1 for each camera that the policy was given. A dropped camera still has its
 picture there; an occluded one has what it sent.
+
+Depth (``observation.images.first.depth``) is LeRobot's own depth feature: uint16 millimetres of one
+channel, marked ``is_depth_map``, with its unit and, in metres, the range to which it was clipped.
 
 An expert's actions are kept as it would have done them, also where noise made the robot do
 something else: that is how recoveries are shown. A hammer episode of 100 decisions and three
@@ -21,7 +24,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,14 +41,18 @@ from madviz.observation.ablation import Ablation
 from madviz.observation.schedule import Schedule, reached
 from madviz.observation.streams import StreamStack
 from madviz.policies.players import player_of
+from madviz.recording.dataset_statistics import described, described_pictures, tally
 from madviz.runs.demonstrations import slow_noise
 from madviz.session.frame import untouched
+from madviz.subsets import camera_of
+from madviz.system.depth import depth_millimetres
 from madviz.system.files import new_folder, write_json
-from madviz.types import Array, Environment, Policy
+from madviz.types import Array, Environment, EnvSpec, Policy
 
 FILE_BYTES = 100 * 2**20
 """A data file of at least this size is followed by another one, as LeRobot does."""
-QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+DEEPEST = 65.535
+"""Metres that uint16 millimetres can say."""
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 KINDS = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
 
@@ -55,7 +62,7 @@ class Decision:
     """One decision of an episode."""
 
     pictures: dict[str, Array]
-    """(H, W, C) uint8 by stream, as they arrived."""
+    """(H, W, C) uint8 by stream, as they arrived; depth in its code."""
     mask: Array
     """(V,) bool, the streams that counted."""
     state: Array
@@ -116,14 +123,15 @@ def policy_decisions(
 
 
 def write_dataset(
-    out: Path, task: str, fps: float, episodes: Iterator[Iterator[Decision]]
+    out: Path, env: EnvSpec, fps: float, episodes: Iterator[Iterator[Decision]]
 ) -> list[bool]:
-    """Writes all of ``episodes`` to the folder ``out``; whether each ended in success. Whoever
-    finds ``out`` finds all of it. Raises UserError for a folder that is there already."""
+    """Writes all of ``episodes`` in ``env`` to the folder ``out``; whether each ended in success.
+    The folder appears when it is complete. Raises UserError for a folder that is there already, and
+    for a depth that does not fit."""
     check_folder(out)
     try:
         with new_folder(out) as part:
-            dataset = LeRobotFolder(part, task, fps)
+            dataset = LeRobotFolder(part, env, fps)
             ends = [dataset.add(list(episode)) for episode in episodes]
             dataset.close()
     except OSError as error:
@@ -149,9 +157,10 @@ def check_folder(out: Path) -> None:
 class LeRobotFolder:
     """The folder, episode by episode. ``close`` completes it."""
 
-    def __init__(self, folder: Path, task: str, fps: float) -> None:
+    def __init__(self, folder: Path, env: EnvSpec, fps: float) -> None:
         self._folder = folder
-        self._task = task
+        self._task = env.instruction or env.task
+        self._env = env
         self._fps = fps
         self._features: dict[str, dict[str, Any]] = {}
         self._episodes: list[dict[str, Any]] = []
@@ -165,15 +174,19 @@ class LeRobotFolder:
         """Writes an episode; whether it ended in success."""
         columns = self._numbers(decisions)
         pictures = list(decisions[0].pictures)
+        ranges = {name: depth_range_of(name, self._env) for name in pictures}
         if not self._features:
-            self._features = features(decisions[0], columns)
+            self._features = features(decisions[0], columns, ranges)
         stats = {name: described(column) for name, column in columns.items()}
         data: dict[str, pa.Array] = {}
         for name in pictures:
             frames = [one.pictures[name] for one in decisions]
-            data[_key(name)] = _png_column(frames)
+            span = ranges[name]
+            if span:
+                frames = [frame[..., :1] for frame in frames]  # Three equal channels, if three.
+            data[_key(name)] = _picture_column(frames, span)
             tallied = tally(frames)
-            stats[_key(name)] = described_pictures(tallied, len(frames))
+            stats[_key(name)] = described_pictures(tallied, len(frames), span)
             self._tallies[name] = self._tallies.get(name, 0) + tallied
         for name, column in columns.items():
             data[name] = _column(column)
@@ -207,7 +220,8 @@ class LeRobotFolder:
         )
         whole = {name: described(np.concatenate(each)) for name, each in self._columns.items()}
         for name, tallied in self._tallies.items():
-            whole[_key(name)] = described_pictures(tallied, self._frames)
+            span = depth_range_of(name, self._env)
+            whole[_key(name)] = described_pictures(tallied, self._frames, span)
         write_json(self._made("meta/stats.json"), whole)
         pq.write_table(tasks_table(self._task), self._made("meta/tasks.parquet"))
         where = "meta/episodes/chunk-000/file-000.parquet"
@@ -255,13 +269,33 @@ class LeRobotFolder:
         return path
 
 
-def features(one: Decision, columns: dict[str, Array]) -> dict[str, dict[str, Any]]:
+def depth_range_of(stream: str, env: EnvSpec) -> tuple[float, float] | None:
+    """Nearest and farthest metres of ``stream``, None for colour. Raises UserError where
+    millimetres do not fit."""
+    if not stream.endswith(".depth"):
+        return None
+    near, far = env.camera(camera_of(stream)).depth_range
+    if far > DEEPEST:
+        raise UserError(
+            f"expected {stream} to end within {DEEPEST} m, the most that millimetres of 16 bits "
+            f"can say, found {far:g} m; give the camera a nearer depth_range"
+        )
+    return near, far
+
+
+def features(
+    one: Decision, columns: dict[str, Array], ranges: Mapping[str, tuple[float, float] | None]
+) -> dict[str, dict[str, Any]]:
     """LeRobot's description of every column."""
     table: dict[str, dict[str, Any]] = {}
     for name, picture in one.pictures.items():
-        shape = [*picture.shape[:2], 3]
+        span = ranges[name]
+        shape = [*picture.shape[:2], 1 if span else 3]
         axes = ["height", "width", "channels"]
         table[_key(name)] = {"dtype": "image", "shape": shape, "names": axes}
+        if span:
+            words = {"video.depth_min": span[0], "video.depth_max": span[1]}
+            table[_key(name)]["info"] = {"is_depth_map": True, "depth_unit": "mm", **words}
     for name, column in columns.items():
         named = list(one.pictures) if name == "camera_mask" else None
         table[name] = {"dtype": str(column.dtype), "shape": [column.shape[1]], "names": named}
@@ -299,46 +333,6 @@ def tasks_table(task: str) -> pa.Table:
     return table.replace_schema_metadata({"pandas": json.dumps(index)})
 
 
-def described(column: Array) -> dict[str, list[float]]:
-    """Statistics of (T, n), each with n numbers."""
-    values = column.astype(np.float64)
-    statistics = {
-        "min": values.min(0),
-        "max": values.max(0),
-        "mean": values.mean(0),
-        "std": values.std(0),
-        **{name: np.quantile(values, share, axis=0) for name, share in QUANTILES.items()},
-    }
-    return _listed(statistics, len(column))
-
-
-def tally(frames: Sequence[Array]) -> Array:
-    """(3, 256): how many pixels of T pictures (H, W, C) have each value, by channel."""
-    colour = np.stack([np.broadcast_to(frame, (*frame.shape[:2], 3)) for frame in frames])
-    return np.stack([np.bincount(colour[..., c].ravel(), minlength=256) for c in range(3)])
-
-
-def described_pictures(tallied: Array, count: int) -> dict[str, Any]:
-    """Statistics of pictures from their ``tally``, each (3, 1, 1), of values from 0 to 1."""
-    values = np.arange(256) / 255
-    total = tallied.sum(1)  # (3,)
-    mean = tallied @ values / total  # (3, 256) @ (256,) -> (3,)
-    below = tallied.cumsum(1) / total[:, None]  # (3, 256)
-    statistics = {
-        "min": values[(tallied > 0).argmax(1)],
-        "max": values[255 - (tallied[:, ::-1] > 0).argmax(1)],
-        "mean": mean,
-        "std": np.sqrt(np.maximum(tallied @ values**2 / total - mean**2, 0)),
-        **{name: values[(below >= share).argmax(1)] for name, share in QUANTILES.items()},
-    }
-    return _listed({name: each.reshape(3, 1, 1) for name, each in statistics.items()}, count)
-
-
-def _listed(statistics: dict[str, Array], count: int) -> dict[str, Any]:
-    """Statistics as LeRobot writes them, with the number of rows that they are of."""
-    return {**{name: each.tolist() for name, each in statistics.items()}, "count": [count]}
-
-
 def _key(stream: str) -> str:
     return f"observation.images.{stream}"
 
@@ -351,12 +345,16 @@ def _column(column: Array) -> pa.Array:
     return flat if size == 1 else pa.FixedSizeListArray.from_arrays(flat, size)
 
 
-def _png_column(frames: Sequence[Array]) -> pa.Array:
-    """Pictures (H, W, C) as LeRobot keeps them in a table."""
+def _picture_column(frames: Sequence[Array], span: tuple[float, float] | None) -> pa.Array:
+    """Pictures (H, W, C) as LeRobot keeps them in a table: PNG, or TIFF for depth over ``span``."""
     rows = []
     for number, frame in enumerate(frames):
         buffer = io.BytesIO()
-        colour = np.broadcast_to(frame, (*frame.shape[:2], 3))
-        Image.fromarray(np.ascontiguousarray(colour)).save(buffer, "PNG")
-        rows.append({"bytes": buffer.getvalue(), "path": f"frame-{number:06d}.png"})
+        if span:
+            depth = Image.fromarray(depth_millimetres(frame[..., 0], span))  # (H, W)
+            depth.save(buffer, "TIFF", compression="tiff_adobe_deflate")
+        else:
+            Image.fromarray(np.ascontiguousarray(frame)).save(buffer, "PNG")
+        kind = "tiff" if span else "png"
+        rows.append({"bytes": buffer.getvalue(), "path": f"frame-{number:06d}.{kind}"})
     return pa.array(rows, pa.struct([("bytes", pa.binary()), ("path", pa.string())]))

@@ -246,8 +246,7 @@ def run_dataset(config: RecordConfig) -> dict[str, Any]:
             else lerobot.expert_decisions(env, streams, config.noise, seed)
             for seed in seeds
         )
-        words = env.spec.instruction or env.spec.task
-        ends = lerobot.write_dataset(config.out, words, config.fps, played)
+        ends = lerobot.write_dataset(config.out, env.spec, config.fps, played)
         decisions = len(ends) * env.spec.horizon
     return {
         "schema": 1,
