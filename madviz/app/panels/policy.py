@@ -280,6 +280,8 @@ def _goal(frame: Frame) -> str:
 def _action(frame: Frame) -> str:
     if np.isfinite(frame.action).all():
         return action_bars(frame.action)
+    if frame.world.probe.waiting[frame.row]:
+        return '<span class="dim">the policy has not answered yet</span>'
     return f'<span style="color:{NOTE}">not a number, or this policy cannot act on that</span>'
 
 

@@ -12,6 +12,8 @@ from madviz.drawing.colours import NOTE
 from madviz.session.frame import Change, Frame, deed, words
 from madviz.types import PolicySpec
 
+WAITS = "Waiting for the policy: {:.0f} s. What you change now counts from its next decision on."
+
 
 class WordsPanel(HtmlPanel):
     """See the module."""
@@ -29,7 +31,9 @@ class WordsPanel(HtmlPanel):
     def _content(self, frame: Frame) -> str:
         if frame.world.change is not None:
             self._last = (frame.world.change, frame.world.policy)
-        if self._last is None or self._last[1] != frame.world.policy:
+        if frame.pace.waited >= 1:
+            said = escape(WAITS.format(frame.pace.waited))
+        elif self._last is None or self._last[1] != frame.world.policy:
             said = f'<span class="dim">{self.HINT}</span>'
         else:
             said = escape(both_sides(self._last[0], frame, self._rates))
