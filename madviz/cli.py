@@ -24,6 +24,7 @@ from typing import Any
 from madviz import __version__
 from madviz.commands import COMMANDS, MOVED, OTHERS, Command
 from madviz.errors import Interrupted, NotWritten, UserError, WithResult, saving, signal_of, unknown
+from madviz.system.address import without_secrets
 from madviz.system.files import pretty, write_json, written_to
 from madviz.system.signals import terminable
 from madviz.system.streams import open_standard_streams, say, telling
@@ -42,7 +43,8 @@ def main(
         os.environ.setdefault("MUJOCO_GL", "egl")
     try:
         with terminable():
-            return run(sys.argv[1:] if words is None else words, commands, prog)
+            written = sys.argv[1:] if words is None else words
+            return run([without_secrets(word) for word in written], commands, prog)
     except UserError as error:
         say(f"madviz: {error}")
         return 2

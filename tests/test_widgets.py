@@ -156,10 +156,11 @@ def threads() -> set[threading.Thread]:
     return {one for one in threading.enumerate() if one.name.startswith("madviz-")}
 
 
-def test_closing_ends_both_threads_and_says_so() -> None:
+def test_closing_ends_all_threads_and_says_so() -> None:
     before = threads()
     explorer = Explorer(FakePolicy())
-    assert {one.name for one in threads() - before} == {"madviz-session", "madviz-painter"}
+    names = {"madviz-session", "madviz-attends", "madviz-painter"}
+    assert {one.name for one in threads() - before} == names
     explorer.close()
     assert explorer.play.disabled and switch(explorer, "first")[0].disabled
     explorer.close()

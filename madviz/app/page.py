@@ -169,7 +169,7 @@ class Page:
         assert self._waiting is not None
         if isinstance(frame, NoFrame):
             self._waiting.content = waiting_html(frame.title, frame.error)
-            self._said = now
+            self._said = None if frame.passing else now
             return None
         if self._said is not None and now > self._said + STAYS:
             self._said = None

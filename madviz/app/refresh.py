@@ -59,7 +59,8 @@ class Refresh:
         Ends early where ``interrupted`` says that somebody waits for a newer frame."""
         for timed in self.panels:
             timed.panel.note(frame)
-        touched = (frame.world.change, frame.world.policy, frame.pace.phase, frame.pace.error)
+        world = frame.world
+        touched = (world.change, world.ablation, world.policy, frame.pace.phase, frame.pace.error)
         urgent = touched != self._touched  # Somebody has touched something since the last frame.
         self._touched = touched
         if urgent:

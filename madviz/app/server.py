@@ -207,7 +207,7 @@ def open_app(config: ExploreConfig) -> App:
     for reference, spec in given.items():
         references.note(reference, spec)
     if name not in [choice.name for choice in choices]:
-        choices = [PolicyChoice(name, name, given[name].task), *choices]
+        choices = [PolicyChoice(name, checkpoint.shown(name), given[name].task), *choices]
     make = SessionMaker(
         name, named or None, config.task, config.speed, script, trusted=config.trust
     )

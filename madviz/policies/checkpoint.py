@@ -36,12 +36,12 @@ from madviz.policies.config import (
     read_config,
 )
 from madviz.policies.measured import EvaluationFile, as_evaluation
-from madviz.policies.sb3 import is_sb3, load_sb3
+from madviz.policies.sb3 import is_sb3, load_sb3, shown_sb3
 from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.options import Listed
 from madviz.system.plugins import made_by
 from madviz.types import Policy, PolicySpec
-from madviz.wire.reference import connect, is_served
+from madviz.wire.reference import connect, is_served, plain
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -164,6 +164,12 @@ def describe(policy: str | Path) -> PolicyFolder:
 def is_folder(policy: str | Path) -> bool:
     """Whether ``policy`` is a path or a name, and not ``module:factory`` or nothing at all."""
     return bool(str(policy)) and (":" not in str(policy) or os.path.exists(policy))
+
+
+def shown(policy: str) -> str:
+    """The reference ``policy`` as it may be shown to others: no secret, and of paths the last part
+    alone."""
+    return shown_sb3(policy) if is_sb3(policy) else plain(policy)
 
 
 def load_policy(policy: str | Path) -> Policy:

@@ -36,7 +36,7 @@ from madviz.observation.schedule import (
     schedule_words,
 )
 from madviz.policies import checkpoint
-from madviz.policies.sb3 import is_sb3, shown_sb3, trust
+from madviz.policies.sb3 import trust
 from madviz.policies.seeds import FIRST_TRY
 from madviz.recording.facts import Facts
 from madviz.session.commands import Play, SetSchedule
@@ -54,7 +54,7 @@ from madviz.session.session_reader import read_session
 from madviz.system.files import replacing, written_to
 from madviz.system.numbers import Count, Range, Seed, Share, check_numbers
 from madviz.types import Environment, Policy
-from madviz.wire.reference import plain, with_wire
+from madviz.wire.reference import with_wire
 
 
 @dataclass(frozen=True)
@@ -309,7 +309,7 @@ def command_of(config: RecordConfig) -> str:
     if config.replay is not None:
         words += ["--replay", config.replay.name]
     if policy is not None:
-        words += ["--policy", shown_sb3(policy) if is_sb3(policy) else plain(policy)]
+        words += ["--policy", checkpoint.shown(policy)]
     if config.replay is None:
         words += ["--seed", str(config.seed)]
     words += ["--wire", config.wire.name] if config.wire else []

@@ -16,8 +16,11 @@ from collections.abc import Callable
 
 from madviz.measure.statistics import Paired, pair
 from madviz.observation.ablation import Ablation
-from madviz.session.frame import Outcome, Pair, Side
-from madviz.session.simulation import open_simulation
+from madviz.observation.displacement import MoveCamera
+from madviz.session.commands import SetCamera
+from madviz.session.frame import Outcome, Pair, Side, untouched
+from madviz.session.simulation import Simulation, open_simulation
+from madviz.session.waiting import PolicyWait
 from madviz.types import CameraSpec, Environment, Policy
 
 MOST_PAIRS = 1000
@@ -42,11 +45,13 @@ class SecondSimulation:
         policy: Policy,
         ablation: Ablation,
         seed: int,
+        wait: PolicyWait,
     ) -> None:
-        """At the first step of ``seed``. Raises as ``open_simulation`` does."""
+        """At the first step of ``seed``; ``wait`` as in ``Simulation``. Raises as
+        ``open_simulation`` does."""
         spec = policy.spec
         env = make_env(spec.task, spec.render_profile, spec.cameras)
-        self.simulation = open_simulation(env, policy, ablation, seed)
+        self.simulation = open_simulation(env, policy, ablation, seed, wait=wait)
         self._whole = True
 
     def begin(self, seed: int, between: Callable[[], None]) -> None:
@@ -58,6 +63,18 @@ class SecondSimulation:
         """One decision, if there is one left."""
         if self._whole and not self.simulation.ended:
             self.simulation.step(lambda: None)
+
+    def follow(self, first: Simulation) -> None:
+        """Gives each camera the state and the place that it has in ``first``."""
+        ours = self.simulation
+        normal = untouched(ours.policy.spec)
+        for name in (camera.name for camera in ours.env.spec.cameras):
+            state = first.ablation.cameras.get(name, normal)
+            if state != ours.ablation.cameras.get(name, normal):
+                ours.set_camera(SetCamera(name, state))
+            move = first.ablation.moves.get(name)
+            if move != ours.ablation.moves.get(name):
+                ours.move_camera(MoveCamera(name, move))
 
     def part(self) -> None:
         """A has gone back to an earlier step: this episode makes no pair."""

@@ -120,6 +120,8 @@ class NoFrame:
 
     error: str
     title: str = "The simulator could not start."
+    passing: bool = False
+    """Whether the next frame ends it."""
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,9 @@ class SessionPace:
     auto_next: bool
     reads_all: bool = False
     """Whether every subset is read where each costs a pass."""
+    waited: float = 0.0
+    """Seconds for which the policy has been asked for its decision, where that is felt; switches
+    are shown as they will be then."""
     error: str = ""
     """Traceback or one line; the session has paused because of it."""
 

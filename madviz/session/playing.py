@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from madviz.policies.players import player_of
+from madviz.session.waiting import PolicyWait
 from madviz.types import Array, Encoded, Player, Policy, PolicyWithMemory
 
 Look = tuple[Encoded, Array]
@@ -21,7 +22,9 @@ Look = tuple[Encoded, Array]
 class Playing:
     """The player of the present episode; nobody before ``begin``."""
 
-    def __init__(self) -> None:
+    def __init__(self, wait: PolicyWait) -> None:
+        """``wait`` knows when the player is asked."""
+        self._wait = wait
         self._player: Player | None = None
         self.looks: list[Look] = []
         """The inputs of all decisions of a policy with a memory, since it began to act."""
@@ -35,13 +38,15 @@ class Playing:
         """From now on ``policy`` acts, and remembers nothing."""
         self.close()
         if isinstance(policy, PolicyWithMemory):
-            self._player = player_of(policy, seed)
+            with self._wait:
+                self._player = player_of(policy, seed)
 
     def decide(self, encoded: Encoded, mask: Array, shown: Array) -> Array:
         """The action (A,) that is taken; without a memory it is ``shown``, the one on the page."""
         if self._player is None:
             return shown
-        action = self._player.act(encoded, mask)
+        with self._wait:
+            action = self._player.act(encoded, mask)
         self.looks.append((encoded, mask))
         return action
 

@@ -18,6 +18,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Self
 
 from madviz.errors import UserError
@@ -43,12 +44,13 @@ from madviz.session.commands import (
     SetSpeed,
     StepOnce,
 )
-from madviz.session.frame import NoFrame, Phase, SessionPace
+from madviz.session.frame import Frame, NoFrame, Phase, SessionPace
 from madviz.session.inbox import Inbox
 from madviz.session.live_session import MOST_WAITING, TOO_MANY, LiveSession
 from madviz.session.pace import StepClock
 from madviz.session.session_file import SavedEpisode, SavedSession
 from madviz.session.stage import EnvFactory, Stage
+from madviz.session.waiting import ATTENDED_AFTER, LOOKS_EVERY, promised
 from madviz.system.priority import lower_thread_priority
 from madviz.types import Policy
 
@@ -57,6 +59,7 @@ FIRST_SEED = FIRST_LIVE
 NICENESS = 10
 """The niceness of the simulating thread, on a scale where 19 yields to all others; workers are at
 15."""
+FIRST_ANSWER = "Waiting for the policy's first answer: {} s."
 
 
 class Session(LiveSession):
@@ -79,6 +82,12 @@ class Session(LiveSession):
         self.inbox = Inbox()
         """Another one must be put here before the session runs."""
         self._backlog: deque[Command] = deque()
+        self._current: Command | None = None
+        """The one that is being carried out."""
+        self._attended = False
+        """Whether commands of the backlog were shown already, as they will be."""
+        self._told = 0
+        """Whole seconds of waiting for the policy that were shown last."""
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         self._pace = StepClock(speed)
@@ -118,6 +127,8 @@ class Session(LiveSession):
     def run(self) -> None:
         """Ticks when a step is due or a command arrives, until ``close``. At full speed it would
         take a core for itself, so those who carry its frames to the visitor go first."""
+        attendant = threading.Thread(target=self._attend, name="madviz-attends", daemon=True)
+        attendant.start()
         lower_thread_priority(NICENESS)
         try:
             while not self._closing.is_set():
@@ -128,6 +139,8 @@ class Session(LiveSession):
                 if (command := self.inbox.take(wait)) is not None:
                     self._backlog.append(command)
         finally:
+            self._closing.set()
+            attendant.join()
             self._stage.shut()
 
     def tick(self, now: float) -> float | None:
@@ -137,14 +150,43 @@ class Session(LiveSession):
             self._guarded(lambda: self._begin(self._stage.seed, now))
         self._collect()
         while self._backlog and not self._closing.is_set():
-            command = self._backlog.popleft()
+            self._current = command = self._backlog.popleft()
             self._guarded(lambda command=command: self._carry_out(command, now))
+            self._current = None
+        self._attended = False
         if self._moving() and now >= self._pace.due and not self._closing.is_set():
             self._guarded(lambda: self._advance(now))
         self._guarded(lambda: self._explain(now))
         if self._read_all and self._read_more(now):
             return now  # More may be waiting.
         return self._pace.due if self._moving() else None
+
+    def _attend(self) -> None:
+        """The thread that answers a visitor while the policy decides."""
+        while not self._closing.wait(LOOKS_EVERY):
+            self.attend()
+
+    def attend(self) -> None:
+        """If the policy has been asked for a while: takes what has come, and shows what it will do.
+        From any thread."""
+        with self._stage.wait.lasting() as waited:
+            if waited < ATTENDED_AFTER:
+                self._told = 0
+                return
+            before = len(self._backlog)
+            self._collect()
+            if len(self._backlog) == before and int(waited) == self._told:
+                return
+            self._told = int(waited)
+            self._number += 1
+            if isinstance(self.latest, Frame):
+                self._attended = True
+                waiting = [self._current, *self._backlog] if self._current else self._backlog
+                frame = promised(self.latest, waiting)
+                pace = replace(frame.pace, number=self._number, waited=waited)
+                self._publish(replace(frame, pace=pace))
+            else:
+                self._publish(NoFrame("", FIRST_ANSWER.format(self._told), passing=True))
 
     def _read_more(self, now: float) -> bool:
         """One subset more, if the next step leaves time for it; whether one was read."""
@@ -227,16 +269,21 @@ class Session(LiveSession):
             self._backlog.remove(command)
             self._guarded(lambda command=command: self._set_camera(command, preview=True))
 
+    def _is_last(self, command: SetCamera | MoveCamera) -> bool:
+        """Whether no command of its kind waits for the same camera."""
+        later = (one for one in self._backlog if isinstance(one, type(command)))
+        return all(one.camera != command.camera for one in later)
+
     def _set_camera(self, command: SetCamera, preview: bool = False) -> None:
-        if self._stage.is_open:
+        """Only the last of several states of one camera: each may be a question to the policy."""
+        if self._stage.is_open and self._is_last(command):
             self._stage.set_camera(command, preview)
             self._emit(keep=not preview)
 
     def _move_camera(self, command: MoveCamera) -> None:
         """Only the last of several moves of one camera: each is a picture to draw, and a slider
         that is dragged sends more of them than some simulators can draw."""
-        later = (one for one in self._backlog if isinstance(one, MoveCamera))
-        if self._stage.is_open and all(one.camera != command.camera for one in later):
+        if self._stage.is_open and self._is_last(command):
             self._stage.move_camera(command)
             self._emit()
 
@@ -343,4 +390,6 @@ class Session(LiveSession):
             error=self._error,
         )
         frame = self._stage.frame(keep, pace)
+        if frame is not None and self._attended:
+            frame = promised(frame, self._backlog)
         self._publish(frame or NoFrame(self._error))

@@ -36,6 +36,7 @@ from madviz.session.frame import Change, Outcome, World, untouched
 from madviz.session.journal import Journal
 from madviz.session.playing import Playing
 from madviz.session.snapshot import Snapshot, StepData
+from madviz.session.waiting import PolicyWait
 from madviz.subsets import every_mask, row_of
 from madviz.types import Array, Encoded, Environment, Policy, ResetsInPieces, TimeStep, View
 
@@ -52,7 +53,9 @@ class Simulation:
         policy: Policy,
         ablation: Ablation,
         journal: Journal | None = None,
+        wait: PolicyWait | None = None,
     ) -> None:
+        """``wait`` knows when ``policy`` is asked."""
         self.env = env
         self.policy = policy
         self.ablation = ablation
@@ -66,7 +69,8 @@ class Simulation:
         """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
         self.record = EpisodeRecord()
         self._actions: list[Array] = []
-        self._playing = Playing()
+        self._wait = wait or PolicyWait()
+        self._playing = Playing(self._wait)
         self._stack: StreamStack
         self._encoded: Encoded
         self.probe: Probe
@@ -125,7 +129,8 @@ class Simulation:
         mask = self.ablation.mask(self.policy.spec.streams)
         if not live.due(self.probe, mask, now, moving, full_speed):
             return False
-        live.update(self.policy, self._stack.views, self.now.time.state, mask, self.probe, now)
+        with self._wait:
+            live.update(self.policy, self._stack.views, self.now.time.state, mask, self.probe, now)
         return True
 
     def foresee(self) -> Foresight:
@@ -186,7 +191,7 @@ class Simulation:
         was one."""
         waiting = np.flatnonzero(self.probe.waiting)
         if len(waiting):
-            self.probe = read_row(self.probe, self.policy, self._encoded, int(waiting[0]))
+            self._read_row(int(waiting[0]))
         return bool(len(waiting))
 
     def set_camera(self, command: SetCamera, preview: bool = False) -> None:
@@ -251,16 +256,6 @@ class Simulation:
 
     def _state_in(self, ablation: Ablation, camera: str) -> CameraState:
         return ablation.cameras.get(camera, untouched(self.policy.spec))
-
-    def follow(self, other: Simulation) -> None:
-        """Gives each camera the state and the place that it has in ``other``."""
-        for name in (camera.name for camera in self.env.spec.cameras):
-            state = self._state_in(other.ablation, name)
-            if state != self._state_in(self.ablation, name):
-                self.set_camera(SetCamera(name, state))
-            move = other.ablation.moves.get(name)
-            if move != self.ablation.moves.get(name):
-                self.move_camera(MoveCamera(name, move))
 
     def swap(self, policy: Policy) -> None:
         """Another policy in the same episode; it gets the newest frames as its past."""
@@ -362,9 +357,14 @@ class Simulation:
 
     def _read(self) -> None:
         views = self._stack.views  # (V, C, H, W)
-        self._encoded = self.policy.encode(views, self.now.time.state)  # features (V, Z)
         only = None if self.policy.spec.reads_together else self._row
-        self.probe = probe(self.policy, self._encoded, self._masks, only)  # actions (N, A), Q (N,)
+        with self._wait:
+            self._encoded = self.policy.encode(views, self.now.time.state)  # features (V, Z)
+            self.probe = probe(self.policy, self._encoded, self._masks, only)  # actions (N, A)
+
+    def _read_row(self, row: int) -> None:
+        with self._wait:
+            self.probe = read_row(self.probe, self.policy, self._encoded, row)
 
     @property
     def _row(self) -> int:
@@ -374,7 +374,7 @@ class Simulation:
     def _reading(self) -> Reading:
         """The present condition, and the action and Q under it."""
         row = self._row
-        self.probe = read_row(self.probe, self.policy, self._encoded, row)
+        self._read_row(row)
         return self.condition, self.probe.readout.action[row], float(self.probe.readout.q[row])
 
 
@@ -384,13 +384,14 @@ def open_simulation(
     ablation: Ablation,
     seed: int,
     journal: Journal | None = None,
+    wait: PolicyWait | None = None,
 ) -> Simulation:
     """The simulation of ``policy`` in an ``env`` made for it, at the first step of ``seed``. Where
     they do not fit or it cannot begin, the error is raised and all is closed."""
     opened: Simulation | Environment = env
     try:
         check_environment(policy.spec, env.spec)
-        opened = simulation = Simulation(env, policy, ablation, journal)
+        opened = simulation = Simulation(env, policy, ablation, journal, wait)
         simulation.begin(seed)
         return simulation
     except BaseException:

@@ -32,6 +32,7 @@ from madviz.session.scheduled import SessionPlan
 from madviz.session.session_file import SavedEpisode
 from madviz.session.simulation import Simulation, open_simulation
 from madviz.session.timeline import Timeline
+from madviz.session.waiting import PolicyWait
 from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec
 
 EnvFactory = Callable[[str, str, tuple[CameraSpec, ...]], Environment]
@@ -56,6 +57,8 @@ class Stage:
         self.seed = seed
         """Who acts in which episode; before ``open``, who shall."""
         self.journal = Journal()
+        self.wait = PolicyWait()
+        """When a policy of either side is asked."""
         self._timeline = Timeline()
         self._plan = SessionPlan(script)
         self.simulation: Simulation | None = None
@@ -98,7 +101,7 @@ class Stage:
         begins = script.ablation if script else ablation or Ablation()
         begins = begins.of([camera.name for camera in env.spec.cameras])
         seed = script.seed if script else self.seed
-        self.simulation = open_simulation(env, self.policy, begins, seed, self.journal)
+        self.simulation = open_simulation(env, self.policy, begins, seed, self.journal, self.wait)
         self._begun(seed)
 
     def shut(self) -> None:
@@ -250,7 +253,7 @@ class Stage:
                 f"expected a policy for {live.env.spec.task} on B's side, found {name!r} for "
                 f"{policy.spec.task}; choose one of the same task"
             )
-        return SecondSimulation(self._make_env, policy, ablation, self.seed)
+        return SecondSimulation(self._make_env, policy, ablation, self.seed, self.wait)
 
     def link(self, on: bool) -> None:
         """Whether what is done to A's cameras is done to B's, too."""
@@ -260,7 +263,7 @@ class Stage:
     def _sync_b(self) -> None:
         """Does to B's cameras what was done to A's, if they are linked."""
         if self._second is not None and self._linked:
-            self._second.simulation.follow(self._live)
+            self._second.follow(self._live)
 
     def reschedule(self, events: Schedule) -> None:
         """Another schedule of failures; an empty one ends them."""

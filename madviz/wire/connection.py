@@ -3,16 +3,20 @@ which address did not do what was expected of it."""
 
 from __future__ import annotations
 
+import logging
 from types import TracebackType
 from typing import Any
-from urllib.parse import urlsplit, urlunsplit
 
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage, InvalidURI
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
 from madviz.errors import UserError
+from madviz.system.address import ServerAddress
 from madviz.wire.codec import MOST_BYTES, BadMessage, Protocol, pack, unpack
+
+_log = logging.getLogger(__name__)
+_log.setLevel(logging.INFO)  # Below that, websockets writes down the address with its secrets.
 
 OURS = Subprotocol("madviz.vla-eval")
 """The subprotocol that two programs of madviz agree on before the first message."""
@@ -22,17 +26,11 @@ FIRST = 60.0
 """Seconds that the very first answer may take: many servers compile then."""
 
 
-def shown(address: str) -> str:
-    """``address`` without a token or a wiring: fit for a page or a log."""
-    parts = urlsplit(address)
-    return urlunsplit((parts.scheme, parts.netloc.rpartition("@")[2], parts.path, "", ""))
-
-
 class PolicyConnection:
     """A connection that opens itself when it is used, and is closed by anything unexpected: what
     comes after a late or broken answer would be taken for the answer to another question."""
 
-    def __init__(self, address: str, timeout: float) -> None:
+    def __init__(self, address: ServerAddress, timeout: float) -> None:
         self.address = address
         self._timeout = timeout
         self._socket: ClientConnection | None = None
@@ -59,7 +57,7 @@ class PolicyConnection:
         self.close()
         try:
             self._socket = connect(
-                self.address,
+                self.address.whole,
                 subprotocols=[OURS],
                 compression=None,
                 max_size=MOST_BYTES,
@@ -67,12 +65,13 @@ class PolicyConnection:
                 close_timeout=1.0,
                 ping_interval=None,  # A server that computes does not answer pings.
                 proxy=None,
+                logger=_log,
             )
         except (OSError, TimeoutError, InvalidHandshake, InvalidMessage, EOFError) as error:
             why = getattr(error, "strerror", None) or str(error) or type(error).__name__
             raise self.wrong("a policy that is served", f"no connection ({why:.100})") from error
-        except (InvalidURI, ValueError) as error:
-            raise self.wrong("ws://HOST:PORT", "something else") from error
+        except (InvalidURI, ValueError):
+            raise self.wrong("ws://HOST:PORT", "something else") from None
         return self._socket.subprotocol == OURS
 
     def close(self) -> None:
@@ -88,7 +87,7 @@ class PolicyConnection:
         try:
             self._socket.send(pack(message, protocol))
         except ConnectionClosed as gone:
-            raise self._gone("an open connection", gone) from gone
+            raise self._gone("an open connection", gone) from None
 
     def hear(self, expected: str, within: float | None = None) -> Any:
         """The next message. Raises UserError, and hangs up, where none comes in time, or one that
@@ -103,9 +102,9 @@ class PolicyConnection:
                 f"{expected} within {patience:g} s", "nothing", "see `timeout` of --wire"
             ) from late
         except ConnectionClosed as gone:
-            raise self._gone(expected, gone) from gone
+            raise self._gone(expected, gone) from None
         except BadMessage as bad:
-            raise self.wrong(expected, str(bad)) from bad
+            raise self.wrong(expected, str(bad)) from None
         self.answered = self.answered or within is None
         return found
 
@@ -117,14 +116,16 @@ class PolicyConnection:
         except TimeoutError:
             return None
         except ConnectionClosed as gone:
-            raise self._gone("a policy that is served", gone) from gone
+            raise self._gone("a policy that is served", gone) from None
         except BadMessage as bad:
-            raise self.wrong("a greeting", str(bad)) from bad
+            raise self.wrong("a greeting", str(bad)) from None
 
     def wrong(self, expected: str, found: str, move: str = "look at the server") -> UserError:
-        """The error to raise; the connection is closed."""
+        """The error to raise, from None: what a server says may hold the secret that it was sent.
+        The connection is closed."""
         self.close()
-        return UserError(f"{shown(self.address)}: expected {expected}, found {found}; {move}")
+        said = self.address.hide(found)
+        return UserError(f"{self.address}: expected {expected}, found {said}; {move}")
 
     def _gone(self, expected: str, gone: ConnectionClosed) -> UserError:
         if gone.sent is not None and gone.sent.code == 1009:

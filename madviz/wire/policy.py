@@ -20,8 +20,9 @@ import numpy as np
 
 from madviz.errors import UserError
 from madviz.subsets import name_of
+from madviz.system.address import ServerAddress
 from madviz.types import Array, Encoded, PolicySpec, Readout
-from madviz.wire.connection import PolicyConnection, shown
+from madviz.wire.connection import PolicyConnection
 from madviz.wire.protocols import Speaker, greeted, identity_in, look
 from madviz.wire.wiring import Wiring
 
@@ -41,7 +42,7 @@ class ServedPolicy:
 
     def __init__(
         self,
-        address: str,
+        address: ServerAddress,
         wiring: Wiring,
         spec: PolicySpec,
         supported: frozenset[str] | None,
@@ -214,7 +215,7 @@ class ServedPlayer:
         if self._speaker is None or not self._connection.is_open:
             if self._step and policy.wiring.history:
                 raise UserError(
-                    f"{shown(policy.address)}: expected the connection of this episode, found it "
+                    f"{policy.address}: expected the connection of this episode, found it "
                     "closed, and what the policy remembered is lost; start the episode again"
                 )
             self._speaker = policy.begun(self._connection, self._seed)

@@ -13,8 +13,9 @@ from pathlib import Path
 import msgspec
 
 from madviz.errors import UserError
+from madviz.system.address import ServerAddress, without_secrets
 from madviz.system.typed import typed
-from madviz.wire.connection import PolicyConnection, shown
+from madviz.wire.connection import PolicyConnection
 from madviz.wire.policy import ServedPolicy
 from madviz.wire.protocols import OURS, greeted, identity_in
 from madviz.wire.wiring import PolicyFacts, checked, policy_spec, read_wiring, served_spec
@@ -28,7 +29,9 @@ def is_served(policy: str) -> bool:
 
 
 def with_wire(policy: str, wire: Path | None) -> str:
-    """``policy`` with the file of ``--wire``. Raises UserError for a file beside no address."""
+    """``policy`` without secrets, with the file of ``--wire``. Raises UserError for a file beside
+    no address."""
+    policy = without_secrets(policy)
     if wire is None:
         return policy
     if not is_served(policy):
@@ -43,17 +46,18 @@ def plain(policy: str) -> str:
     address, _, file = policy.partition(MARK)
     if not is_served(policy):
         return Path(policy).name
-    return shown(address) + (f"{MARK}{Path(file).name}" if file else "")
+    return ServerAddress.of(address).text + (f"{MARK}{Path(file).name}" if file else "")
 
 
 def connect(reference: str) -> ServedPolicy:
     """The policy behind ``reference``, greeted once: what it says of itself is checked, and the
     file, before anything is drawn. Raises UserError."""
-    address, _, file = reference.partition(MARK)
+    written, _, file = reference.partition(MARK)
+    address = ServerAddress.of(written)
     wiring = read_wiring(file) if file else None
     with PolicyConnection(address, wiring.timeout if wiring else 4.0) as connection:
         speaker, greeting = greeted(connection, wiring.protocol if wiring else None)
-    where = shown(address)
+    where = address.text
     identity = identity_in(greeting)
     if wiring is not None:
         wiring = msgspec.structs.replace(wiring, protocol=speaker.name)

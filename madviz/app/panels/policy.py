@@ -16,6 +16,7 @@ from madviz.app.panels.subsets import action_bars
 from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import Cell, Choice, HtmlPanel, SyncedInput, on_press, on_value, place
 from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
+from madviz.policies.checkpoint import shown
 from madviz.session.commands import (
     Command,
     Pause,
@@ -84,7 +85,7 @@ class PolicyPicker:
     def show(self, frame: Frame, force: bool = False) -> list[Assign]:
         """The change by which it names the policy of ``frame``; ``force`` as in ``SyncedInput``."""
         name = self._named(frame.world.policy)
-        return self._shown.show(self._labels.get(name, name), force)
+        return self._shown.show(self._labels.get(name) or shown(name), force)
 
 
 class PolicyPanel(HtmlPanel):
@@ -102,7 +103,7 @@ class PolicyPanel(HtmlPanel):
         names = offered(choices, task)
         current = named(frame.world.policy)
         if current not in names.values():
-            names = {current: current, **names}
+            names = {shown(current): current, **names}
         self._tasks: dict[str, str] = {}
         """Each with the first policy for it."""
         for one in choices:
@@ -279,6 +280,8 @@ def _goal(frame: Frame) -> str:
 def _action(frame: Frame) -> str:
     if np.isfinite(frame.action).all():
         return action_bars(frame.action)
+    if frame.world.probe.waiting[frame.row]:
+        return '<span class="dim">the policy has not answered yet</span>'
     return f'<span style="color:{NOTE}">not a number, or this policy cannot act on that</span>'
 
 

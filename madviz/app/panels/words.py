@@ -13,6 +13,8 @@ from madviz.session.ending import Ending, ending_of, guess_words
 from madviz.session.frame import Change, Frame, deed, words
 from madviz.types import PolicySpec
 
+WAITS = "Waiting for the policy: {:.0f} s. What you change now counts from its next decision on."
+
 
 class WordsPanel(HtmlPanel):
     """See the module."""
@@ -41,6 +43,8 @@ class WordsPanel(HtmlPanel):
         if ending is not None:
             self._guessed_in = frame.world.episode if self.guess else None
             said = ending_html(ending, frame, self.guess)
+        elif frame.pace.waited >= 1:
+            said = escape(WAITS.format(frame.pace.waited))
         elif self._last is None or self._last[1] != frame.world.policy:
             said = f'<span class="dim">{self.HINT}</span>'
         else:

@@ -30,6 +30,7 @@ from madviz.measure.store import MEMORY, Store
 from madviz.measure.table import Table, seeds_of_run
 from madviz.policies import checkpoint
 from madviz.policies.sb3 import trust
+from madviz.system.address import without_secrets
 from madviz.system.files import read_json, write_bytes, write_json, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
 from madviz.types import Policy
@@ -134,7 +135,7 @@ def run_audit(config: AuditConfig) -> AuditFile:
                 progress=True,
             )
         except KeyboardInterrupt as stopped:
-            raise Interrupted(command(config), signal.SIGINT) from stopped
+            raise Interrupted(command(config, given_away=False), signal.SIGINT) from stopped
     with saving(document, f"--out {config.out}"):
         write_json(config.out / "audit.json", document)
         write_bytes(config.out / "audit.md", markdown(document, command(config)).encode())
@@ -161,16 +162,20 @@ def _check_folder(out: Path, policy: Policy) -> None:
             )
 
 
-def command(config: AuditConfig) -> str:
-    """The command line that makes the audit again."""
-    words = ["madviz", "audit", "--policy", config.policy]
-    words += ["--wire", str(config.wire)] if config.wire else []
+def command(config: AuditConfig, given_away: bool = True) -> str:
+    """The command line that makes the audit again, without secrets; if it is ``given_away``, with
+    the last part alone of every path."""
+    policy = checkpoint.shown(config.policy) if given_away else without_secrets(config.policy)
+    out = config.out.name if given_away else str(config.out)
+    words = ["madviz", "audit", "--policy", policy]
+    if config.wire:
+        words += ["--wire", config.wire.name if given_away else str(config.wire)]
     if config.task is not None:
         words += ["--task", config.task]
     words += ["--episodes", str(config.episodes), "--seed", str(config.seed)]
     if config.how != HOWS:
         words += ["--how", *config.how]
-    return shlex.join([*words, "--out", str(config.out)])
+    return shlex.join([*words, "--out", out])
 
 
 def audit_words(found: AuditFile) -> str:
