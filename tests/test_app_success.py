@@ -107,7 +107,7 @@ def test_words_join_effect_and_success():
     assert frame.world.change is not None
     line = sentence(frame.world.change, frame, rates)
     assert line.startswith("Third A dropped: action changed by ")
-    assert line.endswith("; success so far 0.94 → not measured yet")
+    assert line.endswith("; success measured 0.94 → not measured yet")
     outcomes = {seed: seed % 16 > 2 for seed in range(16)}
     rates.add(frame.world.policy, frame.condition, outcomes)
     assert sentence(frame.world.change, frame, rates).endswith("0.94 → 0.81 (n=16)")

@@ -111,8 +111,12 @@ def run_site(config: SiteConfig) -> dict[str, Any]:
 
 def site_words(result: dict[str, Any]) -> str:
     """A summary of what was written, and how to look at it."""
+    films = [one["policy"] for one in result["recordings"]]
+    names = {policy["name"] for policy in result["policies"]}
+    recorded = len(set(films) - names)
+    more = f" and {recorded} that are recorded" if recorded else ""
     return (
-        f"{result['out']}: {len(result['tasks'])} tasks, {len(result['policies'])} policies, "
+        f"{result['out']}: {len(result['tasks'])} tasks, {len(names)} policies that act{more}, "
         f"{result['bytes'] / 1e6:.1f} MB\n"
         f"python -m http.server --bind 127.0.0.1 --directory {result['out']} 8000   serves it"
     )

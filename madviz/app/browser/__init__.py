@@ -9,7 +9,7 @@ from importlib.resources import files
 import viser
 from viser._messages import RunJavascriptMessage
 
-SCRIPTS = ("grid", "phone", "screen", "patch", "help_key", "gpu_note")
+SCRIPTS = ("title", "grid", "phone", "screen", "patch", "help_key", "gpu_note")
 """The script that every page runs."""
 
 _ADD_STYLE = """

@@ -26,6 +26,7 @@ ONE_BY_ONE = (
     "This policy looks at all its cameras in one pass, so every set costs a pass. On: between two "
     "decisions as many sets are read as there is time for; while paused, all."
 )
+UNTRAINED_Q = "Q was not learned on this set of cameras, so it says little about what follows."
 FEW = 16
 """Rows up to which all are shown; six streams have 64, four pages of them."""
 
@@ -117,15 +118,15 @@ def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
             for d in distances(frame, row)
         )
         q = f"{readout.q[row]:.1f}" if np.isfinite(readout.q[row]) else "–"
-        cells = f'<td>{action_bars(readout.action[row])}</td>{apart}<td class="num">{q}</td>'
+        kind = 'class="num"' if trained else f'class="num dim" title="{UNTRAINED_Q}"'
+        cells = f"<td>{action_bars(readout.action[row])}</td>{apart}<td {kind}>{q}</td>"
     else:
         why = "cannot act on this" if not frame.world.probe.waiting[row] else "not read"
         cells = f'<td class="dim" colspan="4">{why}</td>'
     style = ' style="background:rgba(255,209,102,0.12)"' if here else ""
     return (
         f"<tr{style}><td>{presence(frame, mask)}</td>"
-        f'<td style="max-width:190px;overflow:hidden;text-overflow:ellipsis" title="{label}">'
-        f"{now}{dagger}{label}</td>{cells}</tr>"
+        f'<td style="max-width:190px;overflow-wrap:anywhere">{now}{dagger}{label}</td>{cells}</tr>'
     )
 
 

@@ -76,13 +76,13 @@ def both_sides(change: Change, frame: Frame, rates: SuccessRates) -> str:
     parts = []
     for name, side, done in (("A", frame, change), ("B", second, other)):
         rate = rates.best(side.world.policy, done.condition_after)
-        known = f", success so far {rate.value:.2f} (n={rate.n})" if rate.n else ""
+        known = f", success measured {rate.value:.2f} (n={rate.n})" if rate.n else ""
         parts.append(f"{name}'s action changed by {done.action_change:.2f}{known}")
     return f"{deed(change, frame.world.env)}: {'; '.join(parts)}"
 
 
 def sentence(change: Change, frame: Frame, rates: SuccessRates) -> str:
-    """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8; success so far 0.94 → 0.81
+    """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8; success measured 0.94 → 0.81
     (n=16)``."""
     line = words(change, frame.world.env)
     if change.condition_before == change.condition_after:
@@ -90,8 +90,8 @@ def sentence(change: Change, frame: Frame, rates: SuccessRates) -> str:
     before = rates.best(frame.world.policy, change.condition_before)
     after = rates.best(frame.world.policy, change.condition_after)
     if not after.n:
-        tail = f"success so far {before.value:.2f} → not measured yet" if before.n else ""
+        tail = f"success measured {before.value:.2f} → not measured yet" if before.n else ""
     else:
         start = f"{before.value:.2f} → " if before.n else ""
-        tail = f"success so far {start}{after.value:.2f} (n={after.n})"
+        tail = f"success measured {start}{after.value:.2f} (n={after.n})"
     return f"{line}; {tail}" if tail else line

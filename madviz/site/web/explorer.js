@@ -260,7 +260,8 @@ export class Explorer {
         changeWords(world.change, this.entries[index].cameras)}` : '').filter(Boolean);
     const hint = this.entries[0].recorded
       ? 'Recorded episodes: a switch goes over to the episode without that camera.'
-      : 'Switch a camera off, break its picture, or drag a box over it. Keys 1 to 9 do the same.';
+      : `Switch a camera off, break its picture, or drag a box over it.${
+        matchMedia('(pointer: fine)').matches ? ' Keys 1 to 9 do the same.' : ''}`;
     return tell(line, [document.createTextNode(changes.join('. ') || hint)]);
   }
 
