@@ -29,6 +29,7 @@ from madviz.measure.episodes import FIRST_SEED
 from madviz.measure.store import MEMORY, Store
 from madviz.measure.table import Table, seeds_of_run
 from madviz.policies import checkpoint
+from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
 from madviz.system.files import read_json, write_bytes, write_json, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
@@ -63,6 +64,9 @@ class AuditConfig:
     wire: Path | None = None
     """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
     itself."""
+    guard: bool = False
+    """A camera that the guard finds failing is left out until it works again; `madviz
+    guard` fits it."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
 
@@ -113,7 +117,7 @@ def run_audit(config: AuditConfig) -> AuditFile:
     UserError for a policy of another task, and for a folder whose audit began with another policy
     or seed."""
     trust(config.policy, config.trust)
-    reference = with_wire(config.policy, config.wire)
+    reference = with_guard(with_wire(config.policy, config.wire), config.guard)
     policy = checkpoint.load_policy(reference)
     if config.task not in (None, policy.spec.task):
         raise UserError(
@@ -165,6 +169,7 @@ def command(config: AuditConfig) -> str:
     """The command line that makes the audit again."""
     words = ["madviz", "audit", "--policy", config.policy]
     words += ["--wire", str(config.wire)] if config.wire else []
+    words += ["--guard"] if config.guard else []
     if config.task is not None:
         words += ["--task", config.task]
     words += ["--episodes", str(config.episodes), "--seed", str(config.seed)]
