@@ -81,7 +81,8 @@ def _stream(sums: list[tuple[PictureSums, ...]], positions: list[Array]) -> Stre
     every = [picture for episode in sums for picture in episode]
     cells = [np.array([picture.cells for picture in episode], np.float64) for episode in sums]
     numbers = _readable(cells, positions)
-    scales, weights = (), ""
+    scales: tuple[float, ...] = ()
+    weights = ""
     if numbers:
         scales, weights = encoded_weights(_ridge(cells, positions)[:, list(numbers)])
     return StreamValues(
