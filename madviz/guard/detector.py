@@ -119,8 +119,8 @@ class _Stream:
     def _forget(self) -> None:
         """Forgets the pictures: the next one is not compared with any."""
         self._lag.restart()
-        self._cells: deque[Array] = deque(maxlen=LAGS)
-        """The cells of the pictures that came, the newest first."""
+        self._past: deque[PictureSums] = deque(maxlen=LAGS)
+        """The pictures that came, the newest first."""
         self._anchor = np.zeros(0)
         """Where the robot was when the picture last changed."""
         self._repeats = 0
@@ -167,7 +167,7 @@ class _Stream:
         sums = sums_of(picture)
         kind, why = self._by_itself(sums)
         if kind == "fine":
-            return self._in_time(sums.cells, states, now)
+            return self._in_time(sums, states, now)
         self._forget()
         return kind, why
 
@@ -184,15 +184,15 @@ class _Stream:
             return "blurred", f"{sums.edges} edges; {usual.edges} or more are usual"
         return "fine", ""
 
-    def _in_time(self, cells: Array, states: Array, now: int) -> tuple[Kind, str]:
+    def _in_time(self, sums: PictureSums, states: Array, now: int) -> tuple[Kind, str]:
         """The kinds that only a comparison with the past shows."""
-        before = self._cells[0] if self._cells else None
-        replayed = self._replayed(cells, states)
-        self._cells.appendleft(cells)
+        before = self._past[0] if self._past else None
+        replayed = self._replayed(sums, states)
+        self._past.appendleft(sums)
         if before is None:
             self._anchor = states[0]
             return "fine", ""
-        change = cells - before  # (441,)
+        change = sums.cells - before.cells  # (441,)
         if not change.any():
             return self._repeated(states, now)
         stood = self._repeats
@@ -243,12 +243,11 @@ class _Stream:
         why = f"the robot moved, and the picture is the same for {self._repeats} steps"
         return ("lossy" if lossy else "frozen"), why
 
-    def _replayed(self, cells: Array, states: Array) -> int:
+    def _replayed(self, sums: PictureSums, states: Array) -> int:
         """How many steps ago this picture came before, where the robot was elsewhere then; 0 if it
         is new or the last one again."""
-        if not self._cells or np.array_equal(cells, self._cells[0]):
-            return 0
-        for ago, past in enumerate(self._cells, 1):
-            if past[0] == cells[0] and np.array_equal(past, cells):
-                return ago if np.abs(states[0] - states[ago]).max() > self._reach else 0
+        for ago, past in enumerate(self._past, 1):
+            if past.spread == sums.spread and np.array_equal(past.cells, sums.cells):
+                moved = np.abs(states[0] - states[ago]).max() > self._reach
+                return ago if moved and ago > 1 else 0
         return 0
