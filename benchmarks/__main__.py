@@ -69,6 +69,13 @@ BENCHMARKS: dict[str, Command] = {
         work="benchmarks.evaluate:bench_evaluate",
         words=PRETTY,
     ),
+    "guard": Command(
+        "What a guard costs in one step of three cameras.",
+        "guard --size 84",
+        config="benchmarks.guard:BenchGuardConfig",
+        work="benchmarks.guard:bench_guard",
+        words=PRETTY,
+    ),
     "site": Command(
         "A site in a real browser: megabytes, decisions a second, success by subset.",
         "site --site build/site --episodes 20",

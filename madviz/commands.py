@@ -63,6 +63,13 @@ COMMANDS: dict[str, Command] = {
         work="madviz.measure.audit.audit:run_audit",
         words="madviz.measure.audit.audit:audit_words",
     ),
+    "guard": Command(
+        "Fits a policy's guard, which notices a camera that fails: for --guard of other commands.",
+        "guard --policy metaworld-hammer-mad-light",
+        config="madviz.measure.guard_fit:GuardConfig",
+        work="madviz.measure.guard_fit:run_guard",
+        words="madviz.measure.guard_fit:guard_words",
+    ),
     "list": Command(
         "Lists tasks, settings, methods and policies.",
         "list --json list.json",

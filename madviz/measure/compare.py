@@ -35,6 +35,7 @@ from madviz.measure.statistics import (
 from madviz.measure.store import EpisodeResult, ResultKey, Store
 from madviz.plots import figures
 from madviz.policies import checkpoint
+from madviz.policies.guarded import with_guard
 from madviz.policies.listing import BrokenRow
 from madviz.subsets import mask_of, name_of
 from madviz.system.files import write_bytes, written_to
@@ -61,6 +62,8 @@ class CompareConfig:
     conditions: tuple[str, ...] = ()
     """Compare conditions of one policy, for example ``all third_a=black first=delay``: subsets
     of cameras, and failures of whole episodes. They are played now, with the options below."""
+    guard: bool = False
+    """With ``--conditions``: a camera that the guard finds failing is left out."""
     episodes: Count = 50
     """Episodes of each condition."""
     seed: Seed = FIRST_SEED
@@ -118,6 +121,8 @@ def run_compare(config: CompareConfig) -> CompareFile | ConditionsFile:
 def compare_policies(config: CompareConfig) -> CompareFile:
     """Compares policies by their measured episodes. One whose files are broken is named and left
     out, unless it is the first. Raises UserError for policies that cannot be compared."""
+    if config.guard:
+        raise UserError("expected --conditions beside --guard, found none; add them")
     if len(config.policies) < 2:
         raise UserError(f"expected two or more policies, found {len(config.policies)}")
     for option, file in (("--figure", config.figure), ("--curves", config.curves)):
@@ -177,7 +182,7 @@ def _conditions(config: CompareConfig) -> ConditionsFile:
         if getattr(config, name):
             raise UserError(f"--{name} is about policies; leave it out, or --conditions")
     return compare_conditions(
-        with_wire(config.policies[0], config.wire),
+        with_guard(with_wire(config.policies[0], config.wire), config.guard),
         config.conditions,
         episodes=config.episodes,
         seed=config.seed,

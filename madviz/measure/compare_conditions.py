@@ -11,6 +11,7 @@ from dataclasses import asdict
 from typing import Any, TypedDict
 
 from madviz.errors import UserError
+from madviz.guard.policy import guard_note
 from madviz.measure.episodes import clipped_words, unsupported
 from madviz.measure.statistics import PairedRow, SuccessRate, pair
 from madviz.measure.table import Table, seeds_of_run
@@ -45,6 +46,8 @@ class ConditionsFile(TypedDict):
     definition: str
     seed: int
     conditions: dict[str, PlayedCondition]
+    guard: str
+    """A sentence on the guard; '' without one."""
     comparisons: list[ConditionPairRow]
     broken: list[Any]
     """Empty: a single policy that is broken is an error."""
@@ -84,6 +87,7 @@ def compare_conditions(
         "definition": table.definition,
         "seed": seed,
         "conditions": rows,
+        "guard": guard_note(loaded),
         "comparisons": [
             {"first": first, "second": word, **pair(outcomes[first], outcomes[word]).row()}
             for word in words[1:]
@@ -109,5 +113,5 @@ def conditions_table(result: ConditionsFile) -> str:
             f"exact p = {pair_row['p']:.2g}"
         )
     shares = [row["outside"] for row in result["conditions"].values()]
-    lines += filter(None, [clipped_words(sum(shares) / len(shares))])
+    lines += filter(None, [clipped_words(sum(shares) / len(shares)), result["guard"]])
     return "\n".join(lines)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from madviz.errors import Unfinished, UserError, saving, unknown
+from madviz.guard.policy import guard_note
 from madviz.measure.episodes import FIRST_SEED, clipped_words, unsupported
 from madviz.measure.readings import note_reading
 from madviz.measure.statistics import SuccessRate
@@ -25,6 +26,7 @@ from madviz.observation.condition import Condition
 from madviz.observation.grammar import parse_occlusions
 from madviz.policies import checkpoint
 from madviz.policies.card import write_card
+from madviz.policies.guarded import with_guard
 from madviz.policies.measured import EpisodeRow, EvaluationFile, SubsetRow, seeds_of
 from madviz.policies.sb3 import trust
 from madviz.policies.seeds import DEVELOPMENT, READ, REPORTING
@@ -45,6 +47,8 @@ class Evaluation:
     occlusions: str
     """As in the store's key; '' where no camera is occluded."""
     episodes: tuple[EpisodeResult, ...]
+    guard: str = ""
+    """A sentence on the guard; '' without one."""
 
     @property
     def rows(self) -> dict[str, SubsetRow]:
@@ -79,7 +83,7 @@ class Evaluation:
             }
             for e in self.episodes
         ]
-        return {
+        document: EvaluationFile = {
             "schema": 1,
             "policy": self.spec.name,
             "digest": self.spec.digest,
@@ -91,6 +95,7 @@ class Evaluation:
             "subsets": self.rows,
             "episodes": episodes,
         }
+        return {**document, "guard": self.guard} if self.guard else document
 
 
 def trained_names(spec: PolicySpec) -> tuple[str, ...]:
@@ -151,6 +156,7 @@ def evaluate(
             seed=seed,
             occlusions=Condition("all", occluded).noticed(streams).key(),
             episodes=tuple(results[s] for results in known for s in seeds if s in results),
+            guard=guard_note(loaded),
         )
 
     try:
@@ -208,15 +214,19 @@ class EvalConfig:
     wire: Path | None = None
     """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
     itself."""
+    guard: bool = False
+    """A camera that the guard finds failing is left out until it works again; `madviz
+    guard` fits it."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
 
 
 def run_eval(config: EvalConfig) -> EvaluationFile:
     """``madviz eval``: always computes; progress goes to standard error."""
-    if config.card and (config.occlude or not checkpoint.is_folder(config.policy)):
+    other = config.occlude or config.guard
+    if config.card and (other or not checkpoint.is_folder(config.policy)):
         raise UserError(
-            "a card is about a policy folder's intact cameras: drop --occlude or --card"
+            "a card is about a policy folder's intact cameras: drop --occlude, --guard or --card"
         )
     trust(config.policy, config.trust)
     folder = checkpoint.find_policy(config.policy) if config.card else None
@@ -227,7 +237,7 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
         written_to(folder / checkpoint.CARD, "--card")
     try:
         evaluation = evaluate(
-            with_wire(config.policy, config.wire),
+            with_guard(with_wire(config.policy, config.wire), config.guard),
             config.subsets or None,
             episodes=config.episodes,
             seed=config.seed,
@@ -288,5 +298,5 @@ def success_table(result: EvaluationFile) -> str:
         )
     episodes = sum(row["n"] for row in result["subsets"].values())
     outside = sum(row["n"] * row.get("outside", 0.0) for row in result["subsets"].values())
-    lines += filter(None, [clipped_words(outside / episodes)])
+    lines += filter(None, [clipped_words(outside / episodes), result.get("guard")])
     return "\n".join(lines)

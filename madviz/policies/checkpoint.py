@@ -28,6 +28,8 @@ from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.sizes import NetworkConfig
 from madviz.envs.custom import allow_task
 from madviz.errors import UserError, perhaps
+from madviz.guard.policy import GuardedPolicy
+from madviz.guard.values import FILE, read_values
 from madviz.policies.config import (
     PolicyConfig,
     check_config,
@@ -35,6 +37,7 @@ from madviz.policies.config import (
     networks_of,
     read_config,
 )
+from madviz.policies.guarded import fit_command, is_guarded, unguarded
 from madviz.policies.measured import EvaluationFile, as_evaluation
 from madviz.policies.sb3 import is_sb3, load_sb3, shown_sb3
 from madviz.system.files import read_json, write_bytes, write_json
@@ -175,10 +178,13 @@ def shown(policy: str) -> str:
 def load_policy(policy: str | Path) -> Policy:
     """A policy that can act: from a folder, a name (see ``policy_roots``), ``module:factory``, or
     ``ws://host:port`` of one that is served (``madviz.wire.reference``), or ``sb3:FILE@TASK`` of
-    Stable-Baselines3, if that was trusted (``sb3.py``).
+    Stable-Baselines3, if that was trusted (``sb3.py``). ``guard:`` before a folder or a name adds a
+    guard (``guarded.py``).
 
     Raises UserError for anything but a complete, finite policy of a known format.
     """
+    if is_guarded(str(policy)):
+        return _guarded(unguarded(str(policy)))
     if is_served(str(policy)):
         return connect(str(policy))
     if is_sb3(str(policy)):
@@ -197,6 +203,16 @@ def load_policy(policy: str | Path) -> Policy:
     agent = _agent(path, config, networks, weights)
     spec = config.spec(digest(hashlib.sha256(weights).hexdigest(), text))
     return TorchPolicy(spec, agent, config.reward_scale)
+
+
+def _guarded(policy: str) -> GuardedPolicy:
+    if not is_folder(policy):
+        raise UserError(
+            f"expected a policy folder with {FILE} beside a guard, found {policy!r:.100}; in "
+            "Python, wrap it: madviz.guard.policy.GuardedPolicy(policy, values)"
+        )
+    values = read_values(find_policy(policy) / FILE, fit_command(policy))
+    return GuardedPolicy(load_policy(policy), values)
 
 
 def _agent(path: Path, config: PolicyConfig, networks: NetworkConfig, weights: bytes) -> Agent:

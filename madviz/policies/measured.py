@@ -68,6 +68,8 @@ class EvaluationFile(TypedDict):
     render_profile: str
     occlusions: str
     """'' where no camera was occluded."""
+    guard: NotRequired[str]
+    """A sentence on the guard; no such word without one."""
     seed: Seed
     """The first episode's; what seeds serve is in seeds.py."""
     subsets: Annotated[dict[str, SubsetRow], Meta(min_length=1)]

@@ -36,6 +36,7 @@ from madviz.observation.schedule import (
     schedule_words,
 )
 from madviz.policies import checkpoint
+from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
 from madviz.policies.seeds import FIRST_TRY
 from madviz.recording.facts import Facts
@@ -91,6 +92,9 @@ class RecordConfig:
     wire: Path | None = None
     """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
     itself."""
+    guard: bool = False
+    """A camera that the guard finds failing is left out until it works again; `madviz
+    guard` fits it."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
     format: Literal["lerobot"] | None = None
@@ -314,6 +318,7 @@ def command_of(config: RecordConfig) -> str:
         words += ["--seed", str(config.seed)]
     words += ["--wire", config.wire.name] if config.wire else []
     words += ["--trust"] if config.trust else []
+    words += ["--guard"] if config.guard else []
     words += ["--drop", *config.drop] if config.drop else []
     for name in ("scenario", "episode", "steps", "tile", "fps"):
         value = getattr(config, name)
@@ -324,7 +329,11 @@ def command_of(config: RecordConfig) -> str:
 def _reference(config: RecordConfig) -> str:
     """The reference that ``load_policy`` gets, and the trust that it needs; '' without a policy."""
     trust(config.policy, config.trust)
-    return with_wire(config.policy or "", config.wire)
+    if config.guard and (config.policy is None or config.replay is not None):
+        raise UserError(
+            "expected --policy beside --guard, and no --replay or --expert; leave --guard out"
+        )
+    return with_guard(with_wire(config.policy or "", config.wire), config.guard)
 
 
 def _schedule(config: RecordConfig, env: Environment) -> Schedule:

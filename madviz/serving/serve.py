@@ -31,6 +31,7 @@ from madviz.envs.registry import env_spec
 from madviz.errors import UserError
 from madviz.measure.episodes import one_thread
 from madviz.policies import checkpoint
+from madviz.policies.guarded import with_guard
 from madviz.serving.episodes import BadLook, ServedEpisodes
 from madviz.system.hosts import new_token, port_error, same_token, stays_here, with_token
 from madviz.system.numbers import Port, check_numbers
@@ -58,6 +59,9 @@ class ServeConfig:
     """Where to serve; 0 takes a free one."""
     host: str = "127.0.0.1"
     """Which address to serve on; 0.0.0.0 lets other machines in, and then a token is needed."""
+    guard: bool = False
+    """A camera that the guard finds failing is left out until it works again; `madviz
+    guard` fits it."""
     token: bool = True
     """Whether clients beyond this machine need the token that is printed."""
 
@@ -221,7 +225,7 @@ def run_serve(config: ServeConfig) -> None:
     """``madviz serve``: until Ctrl-C. Raises UserError for a policy or a place that won't do."""
     check_numbers(config)
     token = new_token() if config.token and not stays_here(config.host) else None
-    policy = checkpoint.load_policy(config.policy)
+    policy = checkpoint.load_policy(with_guard(config.policy, config.guard))
     server = PolicyServer(policy, config.host, config.port, token)
     print(f"{policy.spec.name} is at {with_token(server.address, token)}")
     print("(Ctrl-C ends it)", flush=True)

@@ -29,6 +29,7 @@ from madviz.measure.episodes import FIRST_SEED
 from madviz.measure.store import MEMORY, Store
 from madviz.measure.table import Table, seeds_of_run
 from madviz.policies import checkpoint
+from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
 from madviz.system.address import without_secrets
 from madviz.system.files import read_json, write_bytes, write_json, written_to
@@ -64,6 +65,9 @@ class AuditConfig:
     wire: Path | None = None
     """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
     itself."""
+    guard: bool = False
+    """A camera that the guard finds failing is left out until it works again; `madviz
+    guard` fits it."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
 
@@ -114,7 +118,7 @@ def run_audit(config: AuditConfig) -> AuditFile:
     UserError for a policy of another task, and for a folder whose audit began with another policy
     or seed."""
     trust(config.policy, config.trust)
-    reference = with_wire(config.policy, config.wire)
+    reference = with_guard(with_wire(config.policy, config.wire), config.guard)
     policy = checkpoint.load_policy(reference)
     if config.task not in (None, policy.spec.task):
         raise UserError(
@@ -170,6 +174,7 @@ def command(config: AuditConfig, given_away: bool = True) -> str:
     words = ["madviz", "audit", "--policy", policy]
     if config.wire:
         words += ["--wire", config.wire.name if given_away else str(config.wire)]
+    words += ["--guard"] if config.guard else []
     if config.task is not None:
         words += ["--task", config.task]
     words += ["--episodes", str(config.episodes), "--seed", str(config.seed)]

@@ -1,0 +1,142 @@
+"""Fits the values of a guard on intact episodes: pictures and states, whoever acted in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from madviz.errors import UserError
+from madviz.guard.pictures import PictureSums, sums_of
+from madviz.guard.values import GuardValues, StreamValues, encoded_weights
+from madviz.types import Array
+
+SPANS = (1, 3, 6)
+"""Steps between two pictures whose change is fitted."""
+RIDGE = 0.01
+"""The penalty on weights, as a share of the mean square of a change."""
+READABLE = 0.5
+"""The correlation, on episodes that were not fitted, from which a number counts as readable."""
+NUMBERS = 4
+"""The most numbers that are read from one stream."""
+FEWEST = 4
+"""Episodes."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenEpisode:
+    """One intact episode of T steps."""
+
+    sums: Mapping[str, tuple[PictureSums, ...]]
+    """By stream, one for each step."""
+    states: Array
+    """(T, S)."""
+
+
+def seen_episode(pictures: Iterable[Mapping[str, Array]], states: Array) -> SeenEpisode:
+    """One episode of its ``pictures`` by stream, one table for each step, and ``states`` (T, S)."""
+    steps = [{name: sums_of(picture) for name, picture in step.items()} for step in pictures]
+    sums = {name: tuple(step[name] for step in steps) for name in steps[0]}
+    return SeenEpisode(sums, np.asarray(states, np.float64))
+
+
+def fit_values(
+    episodes: list[SeenEpisode],
+    size: tuple[int, int],
+    state: tuple[int, ...] = (),
+    seeds: tuple[int, ...] = (),
+) -> GuardValues:
+    """The values of a guard for pictures of ``size`` (rows, columns).
+
+    ``state``: the places in the state that say where the robot is, by default all. Raises UserError
+    for fewer than four episodes, and for a robot that never moved.
+    """
+    if len(episodes) < FEWEST:
+        raise UserError(f"expected {FEWEST} episodes or more to fit on, found {len(episodes)}")
+    places = state or tuple(range(episodes[0].states.shape[1]))
+    together = np.concatenate([episode.states[:, list(places)] for episode in episodes])
+    deviation = together.std(0)
+    moving = deviation > 1e-6
+    if not moving.any():
+        raise UserError("expected episodes in which the robot moves, found none; record others")
+    places = tuple(place for place, moves in zip(places, moving, strict=True) if moves)
+    unit = tuple(float(f"{value:.6g}") for value in deviation[moving])
+    positions = [episode.states[:, list(places)] / np.array(unit) for episode in episodes]
+    return GuardValues(
+        schema=1,
+        size=size,
+        state=places,
+        unit=unit,
+        streams={
+            name: _stream([episode.sums[name] for episode in episodes], positions)
+            for name in episodes[0].sums
+        },
+        seeds=seeds,
+    )
+
+
+def _stream(sums: list[tuple[PictureSums, ...]], positions: list[Array]) -> StreamValues:
+    """The values of one stream: ``sums`` and ``positions`` (T, numbers) of every episode."""
+    every = [picture for episode in sums for picture in episode]
+    cells = [np.array([picture.cells for picture in episode], np.float64) for episode in sums]
+    numbers = _readable(cells, positions)
+    scales: tuple[float, ...] = ()
+    weights = ""
+    if numbers:
+        scales, weights = encoded_weights(_ridge(cells, positions)[:, list(numbers)])
+    return StreamValues(
+        spread=round(min(picture.spread for picture in every), 3),
+        dark=max(picture.dark for picture in every),
+        rough=max(picture.rough for picture in every),
+        edges=min(picture.edges for picture in every),
+        reach=max(map(_reach, cells, positions)),
+        numbers=numbers,
+        scales=scales,
+        weights=weights,
+    )
+
+
+def _reach(cells: Array, positions: Array) -> float:
+    """The largest movement while the picture stayed the same, in one episode."""
+    anchor = 0
+    largest = 0.0
+    for step in range(1, len(cells)):
+        if (cells[step] != cells[step - 1]).any():
+            anchor = step
+        else:
+            largest = max(largest, float(np.abs(positions[step] - positions[anchor]).max()))
+    return round(largest, 6)
+
+
+def _readable(cells: list[Array], positions: list[Array]) -> tuple[int, ...]:
+    """The numbers of the state whose changes can be read on episodes that were not fitted: every
+    fourth one."""
+    fitted = [index for index in range(len(cells)) if index % 4]
+    judged = [index for index in range(len(cells)) if not index % 4]
+    matrix = _ridge([cells[i] for i in fitted], [positions[i] for i in fitted])
+    change, movement = _changes([cells[i] for i in judged], [positions[i] for i in judged], (1,))
+    read = change @ matrix  # (steps, numbers)
+    sizes = np.sqrt((read**2).sum(0) * (movement**2).sum(0)) + 1e-9
+    agreement = (read * movement).sum(0) / sizes  # (numbers,)
+    best = np.argsort(-agreement, kind="stable")[:NUMBERS]
+    return tuple(sorted(int(number) for number in best if agreement[number] >= READABLE))
+
+
+def _ridge(cells: list[Array], positions: list[Array]) -> Array:
+    """(441, numbers): from a change of the cells to a change of the position, by ridge."""
+    change, movement = _changes(cells, positions, SPANS)
+    size = np.sqrt((change**2).mean()) + 1e-9
+    change = change / size
+    products = change.T @ change  # (441, 441)
+    penalty = RIDGE * np.trace(products) / len(products)
+    return np.linalg.solve(products + penalty * np.eye(len(products)), change.T @ movement) / size
+
+
+def _changes(
+    cells: list[Array], positions: list[Array], spans: tuple[int, ...]
+) -> tuple[Array, Array]:
+    """Changes of the cells (n, 441), and of the position (n, numbers), over ``spans`` steps."""
+    change = [c[span:] - c[:-span] for span in spans for c in cells]
+    movement = [p[span:] - p[:-span] for span in spans for p in positions]
+    return np.concatenate(change), np.concatenate(movement)

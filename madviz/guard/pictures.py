@@ -1,0 +1,91 @@
+"""A picture as a few whole numbers, which every language computes alike.
+
+The picture is cut into 21 x 21 cells of about equal size. A cell holds the sum of all its pixels
+and colours. Every fourth row of the middle colour channel gives the differences of neighbours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from madviz.errors import UserError
+from madviz.types import Array
+
+CELLS = 21
+"""Cells in a row and in a column."""
+ROWS = 4
+"""Differences of neighbours are taken in every fourth row."""
+LARGEST = 2048
+"""Rows and columns of a picture, at most: the sums of larger ones are not exact."""
+DARK = 8
+"""A cell is dark where its pixels are at most this on average, of 255."""
+EDGE = 16
+"""Two neighbours that differ by this or more are an edge."""
+
+
+@dataclass(frozen=True, eq=False)
+class PictureSums:
+    """The numbers of one picture."""
+
+    cells: Array
+    """(441,) int64: the sums of the cells, row by row."""
+    spread: float
+    """The standard deviation of ``cells``: 0 for an even picture."""
+    dark: int
+    """How many cells are dark."""
+    rough: int
+    """The sum of the differences of neighbours: large for noise."""
+    edges: int
+    """How many neighbours are edges: few in a blurred picture."""
+
+
+def sums_of(picture: Array) -> PictureSums:
+    """The numbers of ``picture``, (H, W, 3) or (H, W, 1) uint8. One channel counts three times.
+    Raises UserError for another shape or type, and for a size that is not from 21 to 2048."""
+    shape = np.shape(picture)
+    good = isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and len(shape) == 3
+    fits = good and shape[2] in (1, 3) and CELLS <= min(shape[:2]) <= max(shape[:2]) <= LARGEST
+    if not fits:
+        kind = getattr(picture, "dtype", type(picture).__name__)
+        raise UserError(
+            f"expected a picture (H, W, 3) uint8 of {CELLS} to {LARGEST} rows and columns, "
+            f"found {shape} {kind!s:.40}"
+        )
+    if shape[2] == 1:
+        picture = np.broadcast_to(picture, (*shape[:2], 3))  # (H, W, 3)
+    grey = picture[..., 0].astype(np.float32)
+    grey += picture[..., 1]
+    grey += picture[..., 2]  # (H, W)
+    by_row = _membership(shape[0])  # (21, H)
+    by_column = _membership(shape[1])  # (21, W)
+    # Whole numbers below 2^24 are exact in float32, and its products are the fastest.
+    cells = (by_row @ grey @ by_column.T).astype(np.int64).ravel()  # (441,)
+    total = int(cells.sum())
+    square = int(cells @ cells)
+    lines = picture[::ROWS, :, 1].astype(np.int16)
+    steps = lines[:, 1:] - lines[:, :-1]  # (H / 4, W - 1)
+    np.abs(steps, out=steps)
+    return PictureSums(
+        cells=cells,
+        spread=max(len(cells) * square - total * total, 0) ** 0.5 / len(cells),
+        dark=int(np.count_nonzero(cells <= _darkest(shape[0], shape[1]))),
+        rough=int(steps.sum(dtype=np.int64)),
+        edges=int(np.count_nonzero(steps >= EDGE)),
+    )
+
+
+@lru_cache(maxsize=16)
+def _membership(count: int) -> Array:
+    """(21, count) float32: 1 where a row, or column, belongs to a cell."""
+    cell = np.searchsorted(np.arange(CELLS) * count // CELLS, np.arange(count), side="right") - 1
+    return (np.arange(CELLS)[:, None] == cell).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _darkest(rows: int, columns: int) -> Array:
+    """(441,): the largest sum of each dark cell."""
+    sizes = np.multiply.outer(_membership(rows).sum(1), _membership(columns).sum(1))
+    return 3 * DARK * sizes.ravel()

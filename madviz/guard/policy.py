@@ -1,0 +1,183 @@
+"""Wraps a policy: a camera that fails is left out, and used again when it works.
+
+    policy = GuardedPolicy(madviz.load_policy(name), read_values(file, "madviz guard --policy P"))
+    player = policy.reset(seed)
+    action = player.act(policy.encode(views, state), mask)      one call for each step
+    player.verdicts                                             what was found, by stream
+
+Where the policy cannot act without the camera, the last good picture stands in, or the episode
+stops; ``instead`` chooses. ``player.note`` says what happens to the cameras that fail.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from madviz.errors import UserError
+from madviz.guard.detector import CameraVerdict, Guard
+from madviz.guard.values import GuardValues
+from madviz.subsets import camera_of
+from madviz.types import Array, Encoded, Player, Policy, PolicyWithMemory, Readout
+
+Instead = Literal["last", "stop"]
+"""For a camera that fails and cannot be left out: its last good picture, or an error."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """The part of ``Encoded`` that the guard reads."""
+
+    views: Array
+    """(V, C, H, W)."""
+    private: Any
+    """The private part of the guarded policy."""
+
+
+class GuardedPolicy:
+    """A policy with a guard; see the module. Each episode has a guard of its own."""
+
+    def __init__(self, policy: Policy, values: GuardValues, instead: Instead = "last") -> None:
+        """Raises UserError where ``values`` lack a stream of ``policy``."""
+        if missing := [name for name in policy.spec.streams if name not in values.streams]:
+            raise UserError(
+                f"expected values of the guard for {', '.join(policy.spec.streams)}, found none "
+                f"for {missing[0]}; run `madviz guard --policy {policy.spec.name}`"
+            )
+        self.inner = policy
+        self.values = values
+        self.instead: Instead = instead
+        words = f"guard {policy.spec.digest} {values.digest} {instead}"
+        digest = hashlib.sha256(words.encode()).hexdigest() if policy.spec.digest else ""
+        self.spec = replace(policy.spec, name=f"{policy.spec.name} (guarded)", digest=digest)
+
+    def encode(self, views: Array, state: Array) -> Encoded:
+        """As the policy does; the pictures are kept for the guard."""
+        encoded = self.inner.encode(views, state)
+        return replace(encoded, private=_Seen(views, encoded.private))
+
+    def read(self, encoded: Encoded, masks: Array) -> Readout:
+        """As the policy does, on the subsets that are asked for: the guard changes nothing here."""
+        return self.inner.read(_without(encoded), masks)
+
+    def supports(self, mask: Array) -> bool:
+        return self.inner.supports(mask)
+
+    def reset(self, seed: int) -> GuardedPlayer:
+        """An episode begins."""
+        player = self.inner.reset(seed) if isinstance(self.inner, PolicyWithMemory) else None
+        return GuardedPlayer(self, player)
+
+
+class GuardedPlayer:
+    """Acts in one episode on the cameras that work."""
+
+    def __init__(self, policy: GuardedPolicy, player: Player | None) -> None:
+        self._policy = policy
+        self._player = player
+        self._guard = Guard(policy.values)
+        self._last_good: dict[str, Array] = {}
+        """(C, H, W) by stream, as it came when its camera last worked."""
+        self.verdicts: dict[str, CameraVerdict] = {}
+        """The newest verdicts on the streams that are present."""
+        self.mask = np.zeros(len(policy.spec.streams), bool)
+        """(V,) bool: the streams that the newest decision rests on."""
+        self.note = ""
+        """A sentence on the cameras that fail; '' where none does."""
+
+    @property
+    def planned(self) -> int:
+        """Decisions that are settled already."""
+        return self._player.planned if self._player else 0
+
+    @property
+    def outside(self) -> int:
+        """Action numbers that the policy itself clipped to [-1, 1]."""
+        return getattr(self._player, "outside", 0)
+
+    def act(self, encoded: Encoded, mask: Array) -> Array:
+        """(A,): the next decision, on those streams of ``mask`` (V,) whose cameras work. Raises
+        UserError where one cannot be left out and ``instead`` is ``stop``."""
+        streams = self._policy.spec.streams
+        seen = encoded.private
+        present = [stream for stream, on in zip(streams, mask, strict=True) if on]
+        pictures = {
+            stream: seen.views[streams.index(stream), -3:].transpose(1, 2, 0)  # (H, W, 3)
+            for stream in present
+        }
+        self.verdicts = self._guard.step(pictures, encoded.state)
+        # A camera fails with all its streams.
+        failed = {camera_of(name) for name, verdict in self.verdicts.items() if not verdict.fine}
+        for stream in present:
+            if camera_of(stream) not in failed:
+                self._last_good[stream] = seen.views[streams.index(stream)]
+        works = np.array([camera_of(stream) not in failed for stream in streams])
+        self.mask = mask & works
+        self.note = ""
+        encoded = _without(encoded)
+        if failed and self._policy.supports(self.mask):
+            rest = "" if self.mask.any() else "; no camera is left: the policy acts on the state"
+            self.note = f"{_list(failed)} left out{rest}"
+        elif failed:
+            encoded = self._stood_in(seen.views, encoded.state, failed)
+            self.mask = mask
+        if self._player is not None:
+            return self._player.act(encoded, self.mask)
+        return self._policy.inner.read(encoded, self.mask[None]).action[0]
+
+    def close(self) -> None:
+        """The episode is over, or was left."""
+        if self._player is not None:
+            self._player.close()
+
+    def _stood_in(self, views: Array, state: Array, failed: set[str]) -> Encoded:
+        """The features with the last good pictures of the cameras that failed."""
+        streams = self._policy.spec.streams
+        name = self._policy.inner.spec.name
+        if self._policy.instead == "stop":
+            raise UserError(
+                f"expected cameras that {name} can act on, found {_list(failed)} failing, without "
+                "which it cannot act; repair the camera, or choose the last good picture"
+            )
+        views = views.copy()
+        missing = set()
+        for index, stream in enumerate(streams):
+            if camera_of(stream) in failed:
+                missing |= set() if stream in self._last_good else {camera_of(stream)}
+                views[index] = self._last_good.get(stream, views[index])
+        self.note = f"{name} cannot leave out {_list(failed)}: the last good picture stands in"
+        if missing:
+            self.note += f"; {_list(missing)} has none and is used as it comes"
+        return self._policy.inner.encode(views, state)
+
+
+def guard_note(policy: Policy) -> str:
+    """One sentence on what a guard does for ``policy`` when one camera fails; '' without one."""
+    if not isinstance(policy, GuardedPolicy):
+        return ""
+    streams = policy.spec.streams
+    stuck = []
+    for camera in dict.fromkeys(map(camera_of, streams)):
+        rest = np.array([camera_of(stream) != camera for stream in streams])
+        with suppress(UserError):
+            if policy.supports(rest):
+                continue
+        stuck.append(camera)
+    words = "With the guard: a camera that fails is left out until it works again"
+    if not stuck:
+        return f"{words}."
+    last = "its last good picture stands in" if policy.instead == "last" else "the episode stops"
+    return f"{words}; where that is not possible ({', '.join(stuck)}), {last}."
+
+
+def _without(encoded: Encoded) -> Encoded:
+    """``encoded`` as the guarded policy made it."""
+    return replace(encoded, private=encoded.private.private)
+
+
+def _list(cameras: set[str]) -> str:
+    return ", ".join(sorted(cameras))

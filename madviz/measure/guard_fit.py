@@ -1,0 +1,133 @@
+"""``madviz guard --policy P``: fits the values of a policy's guard, guard.json beside it.
+
+The policy plays intact episodes of training seeds (``policies/seeds.py``) with all cameras. In
+every second one, a fifth of its decisions are random, so that the robot is also seen elsewhere.
+"""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypedDict
+
+import numpy as np
+
+from madviz.envs.registry import make_env
+from madviz.errors import UserError
+from madviz.guard.fit import FEWEST, SeenEpisode, fit_values, seen_episode
+from madviz.guard.policy import GuardedPolicy
+from madviz.guard.values import FILE, write_values
+from madviz.measure.episodes import one_thread
+from madviz.measure.mean_picture import stack_of
+from madviz.observation.ablation import Ablation
+from madviz.policies import checkpoint
+from madviz.policies.config import check_environment
+from madviz.policies.guarded import unguarded
+from madviz.policies.players import player_of
+from madviz.policies.seeds import FIRST_TRAINING, seeds_from
+from madviz.subsets import cameras_of
+from madviz.system.files import written_to
+from madviz.system.numbers import Count
+from madviz.types import Array, Environment, Policy
+
+FIRST_SEED = FIRST_TRAINING + 900
+"""The last hundred training seeds."""
+RANDOM = 0.2
+"""The share of random decisions in every second episode."""
+
+
+@dataclass(frozen=True)
+class GuardConfig:
+    """Fits the values of a policy's guard on intact episodes."""
+
+    policy: checkpoint.PolicyName
+    """A name of a policy, its folder, or module:factory."""
+    episodes: Count = 12
+    """Intact episodes to fit on, of training seeds."""
+    out: Path | None = None
+    """Where to write the values; by default guard.json in the policy's folder."""
+    json: str | None = None
+    """Where to write what was fitted; - is standard output."""
+
+
+class FittedFile(TypedDict):
+    """The document that ``madviz guard --json`` writes."""
+
+    schema: int
+    policy: str
+    file: str
+    bytes: int
+    seeds: list[int]
+    late: dict[str, bool]
+    """By stream: whether a late picture can be told from the robot's movements alone."""
+
+
+def run_guard(config: GuardConfig) -> FittedFile:
+    """``madviz guard``. Raises UserError for too few episodes or too many, and for a place that
+    cannot be written to."""
+    reference = unguarded(config.policy)
+    if config.episodes < FEWEST:
+        raise UserError(f"expected {FEWEST} episodes or more to fit on, found {config.episodes}")
+    seeds = seeds_from(FIRST_SEED, config.episodes)
+    if config.out is None and not checkpoint.is_folder(reference):
+        raise UserError(f"expected --out FILE for {reference!r:.100}, which has no folder; add it")
+    out = config.out or checkpoint.find_policy(reference) / FILE
+    written_to(out, "--out")
+    policy = checkpoint.load_policy(reference)
+    spec = policy.spec
+    with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env, one_thread():
+        check_environment(spec, env.spec)
+        episodes = [
+            play_intact(policy, env, seed, RANDOM if number % 2 else 0.0)
+            for number, seed in enumerate(seeds)
+        ]
+        places = env.spec.paper_state
+    size = (spec.image_size, spec.image_size)
+    values = fit_values(episodes, size, places, tuple(seeds))
+    write_values(out, values)
+    return {
+        "schema": 1,
+        "policy": spec.name,
+        "file": str(out),
+        "bytes": out.stat().st_size,
+        "seeds": list(seeds),
+        "late": {name: bool(stream.numbers) for name, stream in values.streams.items()},
+    }
+
+
+def play_intact(policy: Policy, env: Environment, seed: int, random: float) -> SeenEpisode:
+    """The episode ``seed`` with all cameras, whose decisions are uniform in the share ``random``.
+    A policy with a guard acts without it."""
+    policy = policy.inner if isinstance(policy, GuardedPolicy) else policy
+    streams = policy.spec.streams
+    stack = stack_of(policy.spec, env.spec)
+    rng = np.random.default_rng(seed)
+    pictures: list[dict[str, Array]] = []
+    states: list[Array] = []
+    now = env.reset(seed)
+    with closing(player_of(policy, seed)) as player:
+        while not now.last:
+            views = {camera: env.view(camera) for camera in cameras_of(streams)}
+            stack.push(views, Ablation(), seed, len(states))
+            pictures.append(stack.newest)
+            states.append(now.state)
+            action = player.act(policy.encode(stack.views, now.state), np.ones(len(streams), bool))
+            if rng.random() < random:
+                action = rng.uniform(-1, 1, action.shape).astype(action.dtype)
+            now = env.step(action)
+    return seen_episode(pictures, np.array(states))
+
+
+def guard_words(fitted: FittedFile) -> str:
+    """The text that the command prints."""
+    without = [name for name, readable in fitted["late"].items() if not readable]
+    late = (
+        f"In {', '.join(without)}, lateness is noticed only where a picture repeats."
+        if without
+        else "Late pictures can be told in every stream."
+    )
+    return (
+        f"{fitted['file']}: {fitted['bytes']} bytes, fitted on {len(fitted['seeds'])} intact "
+        f"episodes of training seeds, {fitted['seeds'][0]} to {fitted['seeds'][-1]}. {late}"
+    )
