@@ -53,6 +53,18 @@ from websockets.http11 import Request, Response
 
 from madviz.app.browser import read
 from madviz.app.connection import LARGEST, PageConnection, quiet
+from madviz.app.proxies import (
+    ENTERED,
+    NO_COOKIE,
+    arrival,
+    comes_from_elsewhere,
+    cookie_rules,
+    has_entered,
+    host_of,
+    names_of,
+    text,
+    with_script,
+)
 from madviz.errors import UserError
 from madviz.system.hosts import same_token
 
@@ -134,6 +146,8 @@ class Gate:
             return _refusal(HTTPStatus.FORBIDDEN, RENAMED.format(port))
         if _is_websocket(request) and _is_foreign(request):
             return _refusal(HTTPStatus.FORBIDDEN, FOREIGN)
+        if (told := arrival(request, self._crowded)) is not None:
+            return told
         if self.visit is None and self.present is None:
             return self._place(connection, request)
         address = str((connection.remote_address or ("?",))[0])
@@ -151,17 +165,24 @@ class Gate:
         if asked is not None and not _is_websocket(request):
             return _admission(request, port, asked)
         role: Role | None = known or (None if self.visit else "visitor")
+        if role is None and has_entered(request) and carried is None:
+            return text(HTTPStatus.UNAUTHORIZED, f"<!doctype html><title>madviz</title>{NO_COOKIE}")
         if role is None:
             return _refusal(HTTPStatus.UNAUTHORIZED, ASKED)
         self._roles[connection] = role
         return self._place(connection, request)
 
+    @property
+    def _crowded(self) -> str:
+        """Why no more websockets are opened; empty if they are."""
+        return CROWDED if len(self._open) >= self.most else ""
+
     def _place(self, connection: ServerConnection, request: Request) -> Response | None:
         """Each open page takes memory, also one that only waits: so there is a most of them."""
         if not _is_websocket(request):
             return None
-        if len(self._open) >= self.most:
-            return _refusal(HTTPStatus.SERVICE_UNAVAILABLE, CROWDED)
+        if self._crowded:
+            return _refusal(HTTPStatus.SERVICE_UNAVAILABLE, self._crowded)
         self._open.add(connection)
         return None
 
@@ -198,7 +219,7 @@ class Gate:
                 refusal = self.answer(connection, request)
                 if refusal is not None or process_request is None:
                     return refusal
-                return process_request(connection, request)
+                return with_script(process_request(connection, request))
 
             options |= {"max_size": LARGEST, "create_connection": PageConnection}
             return real(self._counted(quiet(handler)), *words, process_request=gated, **options)
@@ -245,12 +266,7 @@ def _is_foreign(request: Request) -> bool:
     origin = request.headers.get("Origin")
     if origin is None:
         return False
-    names = [*request.headers.get_all("Host"), *request.headers.get_all("X-Forwarded-Host")]
-    try:
-        whose = urlsplit(origin).netloc.lower()
-    except ValueError:
-        return True
-    return whose not in {name.strip().lower() for name in names}
+    return host_of(origin) not in names_of(request)
 
 
 def _is_renamed(request: Request, port: int) -> bool:
@@ -285,10 +301,12 @@ def _admission(request: Request, port: int, token: str) -> Response:
         for key, value in parse_qsl(urlsplit(request.path).query, keep_blank_values=True)
         if key != "token"
     ]
+    if comes_from_elsewhere(request) and not has_entered(request):
+        rest.append((ENTERED, ""))
     headers = Headers(
         {
             "Location": "./" + ("?" + urlencode(rest) if rest else ""),
-            "Set-Cookie": f"{cookie_name(port)}={token}; Path=/; HttpOnly; SameSite=Lax",
+            "Set-Cookie": f"{cookie_name(port)}={token}; {cookie_rules(request)}",
             "Referrer-Policy": "no-referrer",
             "Content-Length": "0",
         }
@@ -297,12 +315,4 @@ def _admission(request: Request, port: int, token: str) -> Response:
 
 
 def _refusal(status: HTTPStatus, why: str) -> Response:
-    body = read("token.html").format(escape(why)).encode()
-    headers = Headers(
-        {
-            "Content-Type": "text/html; charset=utf-8",
-            "Content-Length": str(len(body)),
-            "Cache-Control": "no-store",
-        }
-    )
-    return Response(status, status.phrase, headers, body)
+    return text(status, read("token.html").format(escape(why)))
