@@ -79,6 +79,10 @@ class EnvSpec:
     state_changes: tuple[tuple[int, int], ...] = ()
     """Pairs of state numbers, the same quantity now and a decision ago, whose difference is a speed
     that the state does not hold by itself."""
+    state_angles: tuple[int, ...] = ()
+    """The state numbers that are angles or their speeds, in radians."""
+    gripper: Literal["", "closes at 1", "closes at -1"] = ""
+    """What the last number of an action does to the gripper; '' where it has none."""
     success: str = "at the last step"
     """The task's own success condition, in words."""
     instruction: str = ""

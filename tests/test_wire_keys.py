@@ -22,6 +22,7 @@ from madviz.wire.wiring import read_wiring
 from tests.wires import foreign_server, wiring_file
 
 NAMES = ("first", "third_a", "third_b", "first.rgb", "first.depth", "third_a.depth")
+ANSWER = np.array([0.25, 0.75])
 WORDS = ("cam", "inner", "state", "noise", "prompt", "images", "task_description", "__ndarray__")
 
 
@@ -75,6 +76,19 @@ files = st.fixed_dictionaries(
         "state": keys,
         "noise": st.sampled_from(("", *WORDS)),
         "protocol": st.sampled_from((None, "openpi", "vla-eval")),
+        "words": st.fixed_dictionaries(
+            {},
+            optional={
+                "flip": st.sampled_from(("none", "upside-down", "mirrored", "turned")),
+                "channels": st.sampled_from(("rgb", "bgr")),
+                "values": st.sampled_from(("0-255", "0-1")),
+                "state_order": st.lists(st.integers(0, 6), max_size=6),
+                "state_scale": st.sampled_from((0.0, 1.0, 1000.0)),
+                "action_order": st.sampled_from(([], [1, 0], [0, 1], [0])),
+                "action_sign": st.sampled_from(([], [-1, 1])),
+                "gripper_inverted": st.booleans(),
+            },
+        ),
     }
 )
 
@@ -89,7 +103,7 @@ def servers() -> Iterator[dict[Protocol, tuple[str, list[dict[str, Any]]]]]:
 
             def answer(look: dict[str, Any], _: object, kept: list = looks) -> dict[str, Any]:
                 kept.append(look)
-                return {"actions": np.zeros(2)}
+                return {"actions": ANSWER}
 
             address = stack.enter_context(foreign_server(answer, cast(Protocol, protocol)))
             found[cast(Protocol, protocol)] = address, looks
@@ -113,7 +127,8 @@ def test_any_wire_file_is_refused_in_one_line_or_arrives_as_it_says(
     file: dict[str, Any], servers: dict[Protocol, tuple[str, list]], tmp_path: Path
 ) -> None:
     cameras = ", ".join(f"{json.dumps(n)} = {json.dumps(k)}" for n, k in file["cameras"].items())
-    written = {name: json.dumps(file[name], ensure_ascii=False) for name in ("state", "noise")}
+    entries = {"state": file["state"], "noise": file["noise"], **file["words"]}
+    written = {name: json.dumps(entry, ensure_ascii=False) for name, entry in entries.items()}
     protocol = file["protocol"] or "openpi"
     said = f'"{protocol}"' if file["protocol"] else None
     path = wiring_file(tmp_path, cameras=f"{{ {cameras} }}", protocol=said, **written)
@@ -124,18 +139,30 @@ def test_any_wire_file_is_refused_in_one_line_or_arrives_as_it_says(
         assert "\n" not in str(refused) and "wire.toml" in str(refused)
         return
     looks.clear()
-    views = np.zeros((len(file["cameras"]), 3, 84, 84), np.uint8)
-    views += np.arange(len(views), dtype=np.uint8)[:, None, None, None] + 1
+    views = np.random.default_rng(0).integers(0, 256, (len(file["cameras"]), 3, 84, 84), np.uint8)
     state = np.arange(6, dtype=np.float32)
-    policy.read(policy.encode(views, state), np.ones(len(views), bool))
+    action = policy.read(policy.encode(views, state), np.ones(len(views), bool)).action[0]
     policy.close()
     (look,) = looks
     pictures = look["images"] if protocol == "vla-eval" else look
-    for number, key in enumerate(file["cameras"].values()):
-        assert at(pictures, key).shape == (84, 84, 3) and (at(pictures, key) == number + 1).all()
+    words = file["words"]
+    for view, (name, key) in zip(views, file["cameras"].items(), strict=True):
+        found = at(pictures, key)
+        if words.get("values") == "0-1":
+            found = np.rint(found * 255).astype(np.uint8)
+        if words.get("channels") == "bgr" and not name.endswith("depth"):
+            found = found[..., ::-1]
+        if words.get("flip") in ("upside-down", "turned"):
+            found = found[::-1]
+        if words.get("flip") in ("mirrored", "turned"):
+            found = found[:, ::-1]
+        np.testing.assert_array_equal(found, view.transpose(1, 2, 0))
     if file["state"] != "":
-        np.testing.assert_array_equal(at(look, file["state"]), state)
+        sent = state[words.get("state_order") or slice(None)] * words.get("state_scale", 1.0)
+        np.testing.assert_array_equal(at(look, file["state"]), sent)
+    expected = ANSWER[words.get("action_order") or [0, 1]] * (words.get("action_sign") or 1)
+    np.testing.assert_allclose(action, expected)
     if file["noise"]:
         assert look[file["noise"]] == 0
-    words = look["prompt" if protocol == "openpi" else "task_description"]
-    assert words == policy.spec.instruction
+    instruction = look["prompt" if protocol == "openpi" else "task_description"]
+    assert instruction == policy.spec.instruction

@@ -19,12 +19,12 @@ import cv2
 import numpy as np
 
 from madviz.errors import UserError
-from madviz.subsets import name_of
+from madviz.subsets import camera_of, modality_of, name_of
 from madviz.system.address import ServerAddress
 from madviz.types import Array, Encoded, PolicySpec, Readout
 from madviz.wire.connection import PolicyConnection
 from madviz.wire.protocols import Speaker, greeted, identity_in, look
-from madviz.wire.wiring import Wiring
+from madviz.wire.wiring import Wiring, env_of
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class ServedLook:
     """The input of a server at one step."""
 
     pictures: dict[str, Array]
-    """(H, W, C) uint8 by stream."""
+    """(H, W, C) by stream, as it is sent."""
     answers: dict[bytes, Array] = field(default_factory=dict)
     """By subset what was answered, (n, A)."""
 
@@ -56,6 +56,7 @@ class ServedPolicy:
         self.wiring = wiring
         self.identity = identity
         self._supported = supported
+        self._env = env_of(wiring)
         self._connection = PolicyConnection(address, wiring.timeout)
         self._speaker: Speaker | None = None
         self._lock = threading.Lock()
@@ -76,7 +77,9 @@ class ServedPolicy:
         """(V, C, H, W) to pictures, each in its own size. There are no features."""
         pictures = {}
         for stream, view in zip(self.spec.streams, views, strict=True):
-            pictures[stream] = _sized(view, self.wiring.shape_of(stream))
+            picture = _sized(view, self.wiring.shape_of(stream), self.wiring.stretch)
+            colour = modality_of(stream) != "depth"
+            pictures[stream] = self.wiring.sent_picture(picture, camera_of(stream), colour)
         state = np.asarray(state, np.float32)
         return Encoded(np.zeros((len(views), 1), np.float32), state, ServedLook(pictures))
 
@@ -85,7 +88,8 @@ class ServedPolicy:
         ``masks``."""
         masks = np.atleast_2d(masks)
         with self._lock:
-            actions = np.stack([self._asked(encoded, mask)[0] for mask in masks])  # (N, A)
+            answers = [self._asked(encoded, mask)[0] for mask in masks]
+        actions = np.stack([self.own_action(answer, encoded.state) for answer in answers])  # (N, A)
         unknown = np.full(len(masks), np.nan, np.float32)
         return Readout(np.zeros((len(masks), 1), np.float32), np.clip(actions, -1, 1), unknown)
 
@@ -104,6 +108,11 @@ class ServedPolicy:
         """Hangs up, until it is asked again."""
         with self._lock:
             self._connection.close()
+
+    def own_action(self, answer: Array, state: Array) -> Array:
+        """A row (A,) of an answer as the task's action (A,), before it is clipped; ``state`` (S,)
+        is the one it acts in."""
+        return self.wiring.own_action(answer, state, self._env)
 
     def begun(self, connection: PolicyConnection, seed: int) -> Speaker:
         """Connects ``connection`` and begins an episode on it. Raises UserError where another
@@ -127,15 +136,16 @@ class ServedPolicy:
         mask: Array,
         noise: int,
     ) -> Array:
-        """(n, A) float32, n >= 1, what is answered on ``connection``, before it is clipped. Raises
-        UserError for an answer that is none."""
+        """(n, A) float32, n >= 1, what is answered on ``connection``, as it comes. Raises UserError
+        for an answer that is none."""
         shown_now = {
             stream: picture
             for (stream, picture), on in zip(encoded.private.pictures.items(), mask, strict=True)
             if on
         }
         words = self.spec.instruction
-        message = look(self.wiring, speaker.name, shown_now, encoded.state, words, noise)
+        state = self.wiring.sent_state(encoded.state, self._env)
+        message = look(self.wiring, speaker.name, shown_now, state, words, noise)
         connection.answered |= self._warm
         found = speaker.ask(connection, message)
         self._warm = True
@@ -200,7 +210,7 @@ class ServedPlayer:
             answer = self._answer(encoded, mask)
             self._plan = list(answer[: self._policy.wiring.chunk])
         self._step += 1
-        action = self._plan.pop(0)
+        action = self._policy.own_action(self._plan.pop(0), encoded.state)
         self.outside += numbers_outside(action)
         return np.clip(action, -1, 1)
 
@@ -234,16 +244,17 @@ def noise_at(seed: int, step: int) -> int:
     return int(np.random.SeedSequence([seed, step]).generate_state(1)[0] >> 1)
 
 
-def _sized(view: Array, shape: tuple[int, int]) -> Array:
+def _sized(view: Array, shape: tuple[int, int], stretch: bool) -> Array:
     """A square (C, S, S) -> (H, W, C), ``shape`` being H and W: the largest square that fits, and
-    equal black bars beside it."""
+    equal black bars beside it; or, with ``stretch``, all of ``shape``."""
     picture = np.ascontiguousarray(view.transpose(1, 2, 0))  # (S, S, C)
     side = min(shape)
-    if picture.shape[0] != side:
+    target = shape if stretch else (side, side)
+    if picture.shape[:2] != target:
         frames = [picture[..., i : i + 3] for i in range(0, picture.shape[-1], 3)]
-        sized = [cv2.resize(frame, (side, side), interpolation=cv2.INTER_AREA) for frame in frames]
+        sized = [cv2.resize(frame, target[::-1], interpolation=cv2.INTER_AREA) for frame in frames]
         picture = np.concatenate(sized, axis=-1)
-    if shape == (side, side):
+    if shape == target:
         return picture
     boxed = np.zeros((*shape, picture.shape[-1]), np.uint8)  # (H, W, C)
     top = (shape[0] - side) // 2

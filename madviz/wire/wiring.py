@@ -4,6 +4,7 @@
     protocol = "openpi"             # found out at the handshake where it is left out
     size = 224                      # of pictures; or one for each camera: size.first = [128, 160]
     letterbox = true                # a picture that is no square has black bars
+    flip = "upside-down"            # and the other words of ``conventions.py``
     state = "observation/state"     # "" sends none
     action = "actions"
     masks = false                   # a camera that is left out must have a picture in its place
@@ -35,6 +36,7 @@ from madviz.subsets import camera_of, every_mask, name_of
 from madviz.system.typed import typed
 from madviz.types import CameraSpec, EnvSpec, Modality, Policy, PolicySpec, PolicyWithMemory
 from madviz.wire.codec import Protocol
+from madviz.wire.conventions import Conventions, check_conventions
 from madviz.wire.keys import PLACES, Key, KeyPath, check_paths, outgoing
 
 Side = Annotated[int, Meta(ge=8, le=MAX_SIZE)]
@@ -44,7 +46,7 @@ Seconds = Annotated[float, Meta(gt=0, le=3600)]
 Text = Annotated[str, Meta(max_length=500)]
 
 
-class Wiring(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=True):
+class Wiring(Conventions, kw_only=True, frozen=True, forbid_unknown_fields=True):
     """The file, and what a server of madviz's own says in its handshake."""
 
     task: str
@@ -71,6 +73,8 @@ class Wiring(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=Tr
     """Frames of a camera in its picture, on the last axis, the oldest first."""
     letterbox: bool = False
     """Whether a picture that is no square has black bars: cameras draw squares."""
+    stretch: bool = False
+    """Whether the square of a camera is stretched to a picture that is no square."""
     noise: str = ""
     """Their key of a number that fixes the policy's noise at a step; '' sends none."""
     name: Annotated[str, Meta(max_length=100)] = ""
@@ -136,7 +140,7 @@ def checked(wiring: Wiring, where: str | Path) -> Wiring:
     """``wiring``, if its task is known and has its cameras. Raises UserError."""
     known = [camera.name for camera in _cameras(wiring.task)]
     tables: list[tuple[str, Any]] = [("cameras", wiring.cameras)]
-    tables += [("size", wiring.size), ("modality", wiring.modality)]
+    tables += [("size", wiring.size), ("modality", wiring.modality), ("flip", wiring.flip)]
     for table, names in tables:
         for name in names if isinstance(names, dict) else ():
             if (camera_of(name) if table == "cameras" else name) not in known:
@@ -145,17 +149,30 @@ def checked(wiring: Wiring, where: str | Path) -> Wiring:
         if isinstance(wiring.size, dict) and camera not in wiring.size:
             raise UserError(f"{where}: expected 'size.{camera}', found none; say its pixels")
         height, width = wiring.shape_of(camera)
-        if height != width and not wiring.letterbox:
+        if height != width and not wiring.letterbox and not wiring.stretch:
             side = min(height, width)
             raise UserError(
                 f"{where}: expected the size of {camera!r} to be a square, as {side} by {side}, "
                 f"found {height} by {width}; say letterbox = true, and black bars fill the rest"
             )
+    if wiring.letterbox and wiring.stretch:
+        raise UserError(f"{where}: expected 'letterbox' or 'stretch', found both; drop one")
     for stream in wiring.streams:
         if "." in stream and stream.partition(".")[2] not in ("rgb", "depth"):
             raise UserError(
                 f"{where}: expected a camera, or one with .rgb or .depth, found {stream!r:.60}"
             )
+    if wiring.channels == "bgr" and all(s.endswith(".depth") for s in wiring.streams):
+        raise UserError(
+            f"{where}: expected 'channels' for a camera in colour, found depth alone; drop it"
+        )
+    if wiring.state == "":
+        for name in ("state_order", "state_scale", "state_degrees"):
+            if getattr(wiring, name) not in ([], 1.0, False):
+                raise UserError(
+                    f"{where}: expected {name!r} beside a state, found that none is sent; drop one"
+                )
+    check_conventions(wiring, env_of(wiring), where)
     _check_keys(wiring, where)
     return wiring
 
@@ -265,8 +282,10 @@ def as_written(wiring: Wiring) -> dict[str, Any]:
     """``wiring`` as a table. A word that older versions do not know is there only where it says
     something, so that they can read it, and digests stay."""
     table = msgspec.to_builtins(wiring)
-    if not wiring.letterbox:
-        del table["letterbox"]
+    for field in msgspec.structs.fields(Wiring):
+        new = field.name in ("letterbox", "stretch", *Conventions.__struct_fields__)
+        if new and getattr(wiring, field.name) in (field.default, []):
+            del table[field.name]
     return table
 
 

@@ -85,6 +85,8 @@ class ManiSkill(PlacedCameras):
             drawn_cameras(cameras_of(task), cameras),
             state_dim=STATE_DIM.get(task, 28),
             action_dim=4,
+            state_angles=(*range(7), *range(9, 16)),  # Joints, and their speeds; no fingers.
+            gripper="closes at -1",
             horizon=HORIZON,
             render_profile=render_profile,
             success=MANISKILL_SUCCESS[task],

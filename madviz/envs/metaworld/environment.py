@@ -102,6 +102,7 @@ class MetaWorld(MuJoCoWorld):
             paper_state=(16, 17, 18, 19),
             state_changes=((16, 8), (17, 9), (18, 10), (19, 11)),
             action_dim=4,
+            gripper="closes at 1",
             horizon=HORIZON,
             action_repeat=ACTION_REPEAT,
             render_profile=render_profile,
