@@ -18,6 +18,7 @@ import pytest
 from madviz.envs.registry import make_env
 from madviz.examples import own_policy
 from madviz.serving.serve import PolicyServer
+from madviz.wire.wiring import env_of, read_wiring
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "integrations"
@@ -150,6 +151,14 @@ def test_pictures_and_states_are_those_of_lerobots_own_meta_world(tmp_path: Path
             np.testing.assert_allclose(here, states, atol=1e-6)
             apart = np.abs(np.array(seen, int) - pictures)
             assert apart.mean() < 0.01 and (apart > 0).mean() < 1e-3, "some pixels at edges"
+
+
+def test_the_wire_file_of_lerobots_meta_world_is_complete() -> None:
+    wiring = read_wiring(FOLDER / "lerobot" / "metaworld.toml")
+    assert (wiring.streams, wiring.shape_of("third_a")) == (("third_a",), (480, 480))
+    env = env_of(wiring)
+    assert (env.task, env.render_profile, env.state_dim) == ("lerobot/hammer", "full", 4)
+    assert env.action_repeat == 1
 
 
 def test_lerobot_finds_the_plug_in_by_its_name() -> None:
