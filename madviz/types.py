@@ -70,7 +70,7 @@ class EnvSpec:
     state_dim: int
     action_dim: int
     horizon: int
-    """Decisions in one episode; episodes never end earlier."""
+    """Decisions in one episode; only tasks of LeRobot end earlier, with a success."""
     action_repeat: int = 1
     """Simulator steps for one decision."""
     render_profile: str = "fast"
@@ -299,6 +299,20 @@ class Policy(Protocol):
 
     def supports(self, mask: Array) -> bool:
         """Whether this policy can act at all on the subset ``mask`` (V,)."""
+        ...
+
+
+@runtime_checkable
+class TakesPictures(Policy, Protocol):
+    """A policy whose streams have pictures of their own heights and widths. It is served with
+    them; its ``views`` cannot hold them."""
+
+    shapes: dict[str, tuple[int, int]]
+    """Rows and columns by stream."""
+
+    def encode_pictures(self, pictures: dict[str, Array], state: Array) -> Encoded:
+        """``encode`` of pictures (H, W, 3) uint8 by stream, each in its own shape; a stream that is
+        not there was not sent."""
         ...
 
 

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import subprocess
 import tomllib
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from madviz.envs.registry import make_env
 from madviz.examples import own_policy
 from madviz.serving.serve import PolicyServer
+from madviz.wire.wiring import env_of, read_wiring
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "integrations"
@@ -82,6 +89,76 @@ def test_lerobot_makes_environments_of_madvizs_tasks() -> None:
     said = ran([python_of("lerobot"), "-c", program], FOLDER / "lerobot")
     assert "'observation.images.third_b': (2, 3, 84, 84)" in said
     assert "'action', 'observation.images.first'" in said and "Go to the orange target." in said
+
+
+@pytest.mark.slow
+@needs("lerobot")
+@pytest.mark.parametrize(
+    ("case", "said"),
+    [
+        ("plain", ""),
+        ("ensembling", ""),
+        ("no preprocessor", "expected the processors that LeRobot saves.*policy_preprocessor.json"),
+        ("renamed action", "statistics action.mean, action.std, found actions.mean, actions.std"),
+        ("renamed state", "statistics observation.state.mean, observation.state.std, found"),
+        ("no normaliser", "a step that normalises observation.images.first by MEAN_STD"),
+        ("shapes", "images.first as a square.*found 48 by 64; say --letterbox"),
+    ],
+)
+def test_a_policy_of_lerobot_acts_as_there_or_is_refused(
+    case: str, said: str, tmp_path: Path
+) -> None:
+    found = acted(tmp_path, case)
+    if said:
+        assert re.search(said, found["refused"]) and "\n" not in found["refused"]
+    else:
+        assert found["difference"] <= 1e-5 < found["spread"]
+        assert found["outside"] == found["outside there"] > 0
+        assert found["chunk"] == (1 if case == "ensembling" else 5)
+
+
+@pytest.mark.slow
+@needs("lerobot")
+def test_each_camera_of_lerobot_has_its_own_height_and_width(tmp_path: Path) -> None:
+    found = acted(tmp_path, "shapes boxed")
+    assert found["size"] == {"first": [48, 64], "third_a": [40, 40], "third_b": [56, 56]}
+    assert found["boxed"] and found["action"] == 2
+    assert "'first' as 48 by 64 pixels" in found["refused"] and "64 by 64" in found["refused"]
+
+
+def acted(folder: Path, case: str) -> dict[str, Any]:
+    words = [python_of("lerobot"), "check_acts.py", folder / "act", case]
+    said = ran(words, FOLDER / "lerobot").splitlines()
+    return json.loads(next(line for line in said if line.startswith("{")))
+
+
+@pytest.mark.slow
+@needs("lerobot")
+def test_pictures_and_states_are_those_of_lerobots_own_meta_world(tmp_path: Path) -> None:
+    seeds = range(5000, 5005)
+    words = [python_of("lerobot"), "check_metaworld.py", tmp_path / "there.npz"]
+    ran([*words, "hammer", *map(str, seeds)], FOLDER / "lerobot")
+    there = np.load(tmp_path / "there.npz")
+    with closing(make_env("lerobot/hammer", "full")) as env:
+        columns = (there[name] for name in ("actions", "states", "pictures"))
+        for seed, actions, states, pictures in zip(seeds, *columns, strict=True):
+            here = [env.reset(seed).state]
+            seen = [env.view("third_a", 480).rgb]
+            for step, action in enumerate(actions, 1):
+                here.append(env.step(action).state)
+                if step in there["drawn"]:
+                    seen.append(env.view("third_a", 480).rgb)
+            np.testing.assert_allclose(here, states, atol=1e-6)
+            apart = np.abs(np.array(seen, int) - pictures)
+            assert apart.mean() < 0.01 and (apart > 0).mean() < 1e-3, "some pixels at edges"
+
+
+def test_the_wire_file_of_lerobots_meta_world_is_complete() -> None:
+    wiring = read_wiring(FOLDER / "lerobot" / "metaworld.toml")
+    assert (wiring.streams, wiring.shape_of("third_a")) == (("third_a",), (480, 480))
+    env = env_of(wiring)
+    assert (env.task, env.render_profile, env.state_dim) == ("lerobot/hammer", "full", 4)
+    assert env.action_repeat == 1
 
 
 def test_lerobot_finds_the_plug_in_by_its_name() -> None:

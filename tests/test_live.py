@@ -139,8 +139,19 @@ def test_several_workers_get_different_episodes():
     assert workers.jobs == [("all", 60000), ("all", 60001), ("all", 60002)]
     workers.waiting.append(workers.waiting.pop(0))  # The first one takes longest.
     workers.finish()
-    assert [r.seed for r in evaluator.tally(POLICY, ALL).results] == [60001]
     assert workers.jobs == [("all", 60002), ("all", 60000), ("all", 60003)]
+
+
+def test_an_episode_counts_when_all_before_it_are_done():
+    evaluator, workers = fake(3)
+    evaluator.request("ann", POLICY, ALL)
+    workers.waiting.append(workers.waiting.pop(0))  # The first one takes longest.
+    workers.finish()
+    workers.finish()
+    assert workers.jobs == [("all", 60000), ("all", 60003)] and evaluator.tally(POLICY, ALL).n == 0
+    workers.finish()
+    counted = [result.seed for result in evaluator.tally(POLICY, ALL).results]
+    assert counted == [60000, 60001, 60002]
 
 
 def test_a_visitor_who_left_is_not_served(live):

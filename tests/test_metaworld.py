@@ -9,7 +9,8 @@ from benchmarks.places import in_picture
 from madviz.envs import shapes
 from madviz.envs.metaworld.environment import MetaWorld
 from madviz.envs.metaworld.scripts import RUN_ON, SCRIPTS, Scene, pick
-from madviz.envs.registry import METAWORLD_TASKS, make_env
+from madviz.envs.registry import METAWORLD_TASKS, TASKS, make_env
+from madviz.errors import UserError
 
 
 @pytest.mark.parametrize("task", METAWORLD_TASKS)
@@ -41,6 +42,34 @@ def test_pictures_are_upright_and_not_mirrored() -> None:
     rows, columns = np.nonzero(robot)
     env.close()
     assert columns.mean() < 42 and rows.mean() < 50
+
+
+def test_lerobots_meta_world_has_its_step_state_and_end() -> None:
+    env = make_env("lerobot/hammer")
+    now = env.reset(5000)
+    assert now.state.shape == (env.spec.state_dim,) == (4,)
+    assert env.spec.action_repeat == 1 and env.spec.instruction == "Hammer a screw on the wall"
+    decisions = 0
+    while not now.last:
+        now = env.step(env.expert())
+        decisions += 1
+    env.close()
+    assert now.success and 50 < decisions < 100, "LeRobot's expert needs 77 steps"
+    assert "lerobot/hammer" not in TASKS
+    with pytest.raises(UserError, match="unknown task 'lerobot/hamer'"):
+        make_env("lerobot/hamer")
+
+
+def test_lerobots_camera_sees_what_ours_sees() -> None:
+    pictures = []
+    for suite in ("lerobot", "metaworld"):
+        env = make_env(f"{suite}/push")
+        env.reset(3)
+        pictures.append(env.view("third_a").rgb.astype(int))
+        env.close()
+    theirs, ours = pictures
+    apart = [np.abs(each - ours).mean() for each in (theirs, theirs[:, ::-1], theirs[::-1])]
+    assert 5 * apart[0] < min(apart[1:]), "neither mirrored nor upside down"
 
 
 def test_depth_is_metres_and_agrees_with_the_table() -> None:

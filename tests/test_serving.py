@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,8 +21,9 @@ from madviz.observation.ablation import Occlusion
 from madviz.policies.checkpoint import load_policy
 from madviz.serving.serve import MOST_CLIENTS, PolicyServer, ServeConfig, run_serve
 from madviz.session.commands import Fork, Scrub, SetCamera
-from madviz.types import Policy
+from madviz.types import Encoded, Policy, TakesPictures
 from madviz.wire.codec import pack, unpack
+from madviz.wire.policy import ServedPolicy
 from tests.fakes import AllOrNothing, Chunked, FakePolicy, random_policy
 from tests.sessions import BLACK, OFF, Recorder
 
@@ -157,6 +159,43 @@ def test_a_look_that_will_not_do_is_answered_in_words_and_the_next_one_works(kin
         assert answer["type"] == "error"
         pytest.raises(UserError, _raise, answer["payload"]["error"]).match(said)
         assert told(socket, "observation", look())["type"] == "action"
+
+
+class OwnShapes(FakePolicy):
+    """Has pictures of another shape from each camera, and keeps what arrived."""
+
+    shapes = {"first": (48, 64), "third_a": (40, 40), "third_b": (84, 84)}
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.spec = replace(self.spec, image_size=84, frame_stack=1)
+        self.seen: dict[str, np.ndarray] = {}
+
+    def encode_pictures(self, pictures, state):
+        self.seen = pictures
+        return Encoded(np.zeros((3, 64), np.float32), np.asarray(state, np.float32))
+
+
+def test_each_camera_arrives_in_its_own_height_and_width():
+    policy = OwnShapes()
+    assert isinstance(policy, TakesPictures)
+    with serving(policy) as server:
+        there = load_policy(server.address)
+        assert isinstance(there, ServedPolicy) and there.wiring.letterbox
+        assert {s: there.wiring.shape_of(s) for s in there.spec.streams} == policy.shapes
+        views = np.full((3, 3, 84, 84), 200, np.uint8)
+        there.read(there.encode(views, np.zeros(6)), np.ones((1, 3), bool))
+        assert {name: seen.shape[:2] for name, seen in policy.seen.items()} == policy.shapes
+        first = policy.seen["first"][..., 0]
+        assert (first[:, 8:-8] == 200).all() and not first[:, :8].any() and not first[:, -8:].any()
+        with connect(server.address) as socket:
+            pictures = {n: np.zeros((*s, 3), np.uint8) for n, s in policy.shapes.items()}
+            twice = {**pictures, "first": np.zeros((96, 128, 3), np.uint8)}
+            assert told(socket, "observation", look(images=twice))["type"] == "action"
+            assert policy.seen["first"].shape == (48, 64, 3)
+            square = {**pictures, "first": np.zeros((64, 64, 3), np.uint8)}
+            said = told(socket, "observation", look(images=square))["payload"]["error"]
+    assert "'first' as 48 by 64 pixels, or another size of that aspect, found 64 by 64" in said
 
 
 def _raise(said: str) -> None:

@@ -182,6 +182,7 @@ def ids() -> dict[str, str]:
     return {
         f"{NAMESPACE}/{task}-v0": f"{suite}/{task}"
         for suite, s in SUITES.items()
+        if s.listed
         for task in s.tasks
     }
 

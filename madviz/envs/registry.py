@@ -60,6 +60,8 @@ class Suite:
     shared: tuple[str, ...] = ()
     """Modules that take seconds to import and open no device, so that a process can be forked after
     it; simulations then share them."""
+    listed: bool = True
+    """Whether lists name its tasks; those that are there for policies of others are left out."""
 
 
 SUITES = {
@@ -70,9 +72,14 @@ SUITES = {
         shared=("mani_skill.envs.tasks.tabletop",),
     ),
     "toy": Suite(("reach",), "madviz.envs.toy:ToyReach"),
+    "lerobot": Suite(
+        METAWORLD_TASKS, "madviz.envs.metaworld.lerobot:LeRobotMetaWorld", listed=False
+    ),
 }
 
-TASKS = tuple(f"{name}/{task}" for name, suite in SUITES.items() for task in suite.tasks)
+TASKS = tuple(
+    f"{name}/{task}" for name, suite in SUITES.items() if suite.listed for task in suite.tasks
+)
 
 
 def known_tasks() -> tuple[str, ...]:
@@ -88,7 +95,9 @@ def check_task(task: str) -> None:
     """Raises UserError, listing the known ones, for a task that cannot be made here."""
     if custom.is_own(task):
         custom.check_allowed(task)
-    elif task not in TASKS:
+        return
+    suite, _, name = task.partition("/")
+    if suite not in SUITES or name not in SUITES[suite].tasks:
         raise unknown("task", task, list(known_tasks()))
 
 

@@ -3,8 +3,9 @@
 The page asks again and again; the answer is always what is known now. Three rules make the numbers
 comparable and quick to come. At most one episode per worker is running, so a changed request starts
 within one episode's time and does not wait behind the old one. Visitors take turns. And every
-request gets the same seeds in the same order (5000, 5001, ...), so two rates can be compared;
-episodes in the store count at once.
+request gets the same seeds in the same order (60000, 60001, ...), so two rates can be compared;
+episodes in the store count at once. An episode counts when all before it are done, so that several
+workers count no quick episodes in place of slow ones.
 
     request(visitor, ...) ─► wanted ─► next free worker ─► result ─► table, store, listeners
                                ▲                             │
@@ -16,6 +17,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,7 +51,7 @@ class Tally:
 
     request: Request
     results: tuple[EpisodeResult, ...] = ()
-    """By seed, without gaps from the first on where nothing failed."""
+    """By seed, without gaps from the first on."""
     error: str = ""
     """Why no more episodes will come; empty while they do."""
 
@@ -174,7 +176,8 @@ class Evaluator:
 
     def _tally(self, request: Request) -> Tally:
         known = self._tables[request].results(request.condition)
-        results = tuple(known[seed] for seed in self._seeds if seed in known)
+        done = takewhile(known.__contains__, self._seeds)
+        results = tuple(known[seed] for seed in done)
         return Tally(request, results, self._errors.get(request, ""))
 
     def _next_job(self) -> Job | None:

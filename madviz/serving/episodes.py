@@ -20,7 +20,7 @@ import numpy as np
 
 from madviz.policies.players import player_of
 from madviz.subsets import name_of
-from madviz.types import Array, Player, Policy, PolicyWithMemory
+from madviz.types import Array, Player, Policy, PolicyWithMemory, TakesPictures
 
 
 class BadLook(Exception):
@@ -86,8 +86,13 @@ class ServedEpisodes:
             raise BadLook(
                 f"{self._spec.name} cannot act on {name_of(mask, self._spec.streams)!r}; send more"
             )
-        views = np.stack([self._stack(stream, images.get(stream)) for stream in self._spec.streams])
-        encoded = self._policy.encode(views, self._state(state))
+        if isinstance(self._policy, TakesPictures):
+            shapes = self._policy.shapes
+            pictures = {s: self._picture(s, images[s], shapes[s]) for s in images}  # (H, W, 3)
+            encoded = self._policy.encode_pictures(pictures, self._state(state))
+        else:
+            stacks = [self._stack(stream, images.get(stream)) for stream in self._spec.streams]
+            encoded = self._policy.encode(np.stack(stacks), self._state(state))
         return np.asarray(self._player.act(encoded, mask), np.float32)
 
     def close(self) -> None:
@@ -104,7 +109,7 @@ class ServedEpisodes:
         if picture is None:
             newest = np.zeros((3, size, size), np.uint8)
         else:
-            newest = self._picture(stream, picture)
+            newest = self._picture(stream, picture, (size, size)).transpose(2, 0, 1)
         if len(newest) == 3 * frames:
             past = [newest]
         else:
@@ -112,8 +117,9 @@ class ServedEpisodes:
             self._frames[stream] = past
         return np.concatenate(past)
 
-    def _picture(self, stream: str, picture: Any) -> Array:
-        size = self._spec.image_size
+    def _picture(self, stream: str, picture: Any, wanted: tuple[int, int]) -> Array:
+        """(H, W, C) uint8 in the shape ``wanted``. Raises BadLook where the aspect differs."""
+        height, width = wanted
         deepest = 3 * self._spec.frame_stack
         shape = np.shape(picture)
         good = isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and len(shape) == 3
@@ -121,20 +127,22 @@ class ServedEpisodes:
             what = f"{shape} {getattr(picture, 'dtype', type(picture).__name__)}"
             depths = "3" if deepest == 3 else f"3 or {deepest}"
             raise BadLook(
-                f"expected {stream!r} as (H, W, {depths}) uint8, {size} by {size}, found {what:.60}"
+                f"expected {stream!r} as (H, W, {depths}) uint8, {height} by {width}, "
+                f"found {what:.60}"
             )
-        if shape[0] != shape[1]:
+        if shape[0] * width != shape[1] * height:
+            other = "square" if height == width else "size of that aspect"
             raise BadLook(
-                f"expected {stream!r} as {size} by {size} pixels, or another square, found "
+                f"expected {stream!r} as {height} by {width} pixels, or another {other}, found "
                 f"{shape[0]} by {shape[1]}; crop it, or give it black bars as in training"
             )
-        if shape[0] != size:
+        if shape[:2] != wanted:
             frames = [
-                cv2.resize(picture[..., i : i + 3], (size, size), interpolation=cv2.INTER_AREA)
+                cv2.resize(picture[..., i : i + 3], (width, height), interpolation=cv2.INTER_AREA)
                 for i in range(0, shape[2], 3)
             ]
             picture = np.concatenate(frames, axis=-1)
-        return np.ascontiguousarray(picture.transpose(2, 0, 1))
+        return picture
 
     def _state(self, state: Any) -> Array:
         """(S,) float32."""

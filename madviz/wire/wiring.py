@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -34,7 +35,15 @@ from madviz.envs.registry import choose, env_spec
 from madviz.errors import UserError, unknown
 from madviz.subsets import camera_of, every_mask, name_of
 from madviz.system.typed import typed
-from madviz.types import CameraSpec, EnvSpec, Modality, Policy, PolicySpec, PolicyWithMemory
+from madviz.types import (
+    CameraSpec,
+    EnvSpec,
+    Modality,
+    Policy,
+    PolicySpec,
+    PolicyWithMemory,
+    TakesPictures,
+)
 from madviz.wire.codec import Protocol
 from madviz.wire.conventions import Conventions, check_conventions
 from madviz.wire.keys import PLACES, Key, KeyPath, check_paths, outgoing
@@ -244,12 +253,17 @@ def served_spec(facts: PolicyFacts, wiring: Wiring, address: str) -> PolicySpec:
     )
 
 
-def wiring_of(spec: PolicySpec, history: bool) -> Wiring:
-    """How a policy of madviz's is served."""
+def wiring_of(
+    spec: PolicySpec, history: bool, shapes: Mapping[str, tuple[int, int]] | None = None
+) -> Wiring:
+    """How a policy of madviz's is served. ``shapes``: rows and columns by stream, where a picture
+    may be no square of the policy's size; black bars fill it."""
+    sizes: dict[str, Size] = {camera_of(s): [*shape] for s, shape in (shapes or {}).items()}
     return Wiring(
         task=spec.task,
         cameras={stream: stream for stream in spec.streams},
-        size=spec.image_size,
+        size=sizes or spec.image_size,
+        letterbox=any(height != width for height, width in (shapes or {}).values()),
         state="state",
         masks=spec.can_drop,
         history=history,
@@ -265,8 +279,9 @@ def served(policy: Policy) -> dict[str, Any]:
     """The facts of ``policy`` in the handshake of ``madviz serve``."""
     spec = policy.spec
     known = [name_of(m, spec.streams) for m in every_mask(len(spec.streams)) if policy.supports(m)]
+    shapes = policy.shapes if isinstance(policy, TakesPictures) else None
     return {
-        "wiring": as_written(wiring_of(spec, isinstance(policy, PolicyWithMemory))),
+        "wiring": as_written(wiring_of(spec, isinstance(policy, PolicyWithMemory), shapes)),
         "name": spec.name,
         "method": spec.method,
         "setting": spec.setting,

@@ -148,14 +148,17 @@ class MetaWorld(MuJoCoWorld):
         clipped = np.clip(np.asarray(action, np.float32), -1, 1)
         reward = 0.0
         info = {}
-        for _ in range(ACTION_REPEAT):
+        for _ in range(self.spec.action_repeat):
             self.observation, gained, _, _, info = self.simulation.step(clipped)
             reward += float(gained)
         self._step = self._step + 1
         self._success = bool(info["success"])
         self._states = [*self._states[1:], self._frame_state()]
         self.moved()
-        return TimeStep(self._state(), reward, self._success, self._step >= HORIZON)
+        return TimeStep(self._state(), reward, self._success, self._ended())
+
+    def _ended(self) -> bool:
+        return self._step >= self.spec.horizon
 
     def hand(self) -> Array:
         return np.asarray(self.simulation.tcp_center, np.float32)

@@ -38,7 +38,10 @@ class MuJoCoWorld(PlacedCameras):
             self._cameras.scene_changed()
 
     def view(self, camera: str, size: int | None = None) -> View:
-        spec = self.placed(camera)
+        return self.view_from(self.placed(camera), size)
+
+    def view_from(self, spec: CameraSpec, size: int | None = None) -> View:
+        """Draws what a camera at the place of ``spec`` sees now."""
         if self._cameras is None:
             # MuJoCo loads an OpenGL library while it is imported: not before ``check_gl``.
             from madviz.envs.mujoco.render import SceneCameras
