@@ -76,6 +76,20 @@ BENCHMARKS: dict[str, Command] = {
         work="benchmarks.guard:bench_guard",
         words=PRETTY,
     ),
+    "guard-trial": Command(
+        "Success with a guard and without, for every failure of every camera; resumes.",
+        "guard-trial --policies metaworld-hammer-mad-light --out build/guard",
+        config="benchmarks.guard_trial:GuardTrialConfig",
+        work="benchmarks.guard_trial:guard_trial",
+        words="benchmarks.guard_trial:trial_words",
+    ),
+    "guard-alarms": Command(
+        "How soon a guard notices each failure, and its false alarms; resumes.",
+        "guard-alarms --policies metaworld-hammer-mad-light --out build/guard",
+        config="benchmarks.guard_alarms:GuardAlarmsConfig",
+        work="benchmarks.guard_alarms:guard_alarms",
+        words="benchmarks.guard_alarms:alarms_words",
+    ),
     "site": Command(
         "A site in a real browser: megabytes, decisions a second, success by subset.",
         "site --site build/site --episodes 20",

@@ -17,12 +17,14 @@ LAGS = 11
 FADE = 0.95
 FIRST = 10
 """Changes of the picture before lags are compared."""
-MARGIN = 0.3
+MARGIN = 0.2
 """The agreement of a late picture exceeds that of a picture on time by this at least."""
 CLEAR = 0.2
 """Movements that differ by less, in units of the state, are not told apart."""
-AGREEMENT = 0.5
+AGREEMENT = 0.7
 """The agreement, at most 1, of a late picture at its lag."""
+ON_TIME = 0.5
+"""The agreement, at most 1, that shows that a picture is late no more."""
 
 
 class LagTest:
@@ -78,7 +80,7 @@ class LagTest:
         if not self.possible or self.count < FIRST:
             return False
         found = self.agreements()
-        return bool(max(found[0], found[1]) >= max(AGREEMENT, found[2:].max() + 0.05))
+        return bool(max(found[0], found[1]) >= max(ON_TIME, found[2:].max() + 0.05))
 
     def caught_up(
         self, change: Array, states: Array, behind: int, clearly: bool = False

@@ -123,6 +123,10 @@ class Writer(Protocol):
 def check(config: RecordConfig) -> None:
     """Raises UserError for numbers out of range and words that exclude each other."""
     check_numbers(config)
+    if config.guard and (config.policy is None or config.replay is not None):
+        raise UserError(
+            "expected --policy beside --guard, and no --replay or --expert; leave --guard out"
+        )
     if config.format is not None:
         return check_dataset(config)
     if config.expert is not None or config.episodes > 1 or config.noise:
@@ -329,10 +333,6 @@ def command_of(config: RecordConfig) -> str:
 def _reference(config: RecordConfig) -> str:
     """The reference that ``load_policy`` gets, and the trust that it needs; '' without a policy."""
     trust(config.policy, config.trust)
-    if config.guard and (config.policy is None or config.replay is not None):
-        raise UserError(
-            "expected --policy beside --guard, and no --replay or --expert; leave --guard out"
-        )
     return with_guard(with_wire(config.policy or "", config.wire), config.guard)
 
 

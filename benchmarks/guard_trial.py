@@ -1,15 +1,15 @@
-"""``python -m madviz.measure.guard_trial OUT``: what guards are worth, over policies and failures.
+"""``benchmarks guard-trial``: success with a guard and without, over policies and failures.
 
 Every camera of every policy fails in every way of ``WAYS``, and the same seeds are played with the
 camera broken, broken with a guard, and dropped; and intact, with the guard and without. Episodes
-are kept in OUT/episodes.sqlite as they finish, so that a run that was stopped goes on. The result,
-OUT/guard.json and lines on standard output, has for each policy, camera and way the three rates.
+are kept in episodes.sqlite of --out as they finish, so that a run that was stopped goes on.
+trial.json of --out has for each policy, camera and way the three rates.
 """
 
 from __future__ import annotations
 
-import argparse
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypedDict
 
@@ -18,10 +18,12 @@ from madviz.measure.store import Store
 from madviz.measure.table import Table
 from madviz.observation.condition import Condition
 from madviz.observation.grammar import parse_condition
+from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.seeds import FIRST_DEVELOPMENT, seeds_from
 from madviz.subsets import cameras_of
 from madviz.system.files import write_json
+from madviz.system.numbers import Count, Seed, ThreadsOrNone
 
 WAYS = ("black", "freeze", "dropout:0.5", "noise", "delay:0.5", "blur", "patch")
 
@@ -38,15 +40,52 @@ class TrialRow(TypedDict):
     n: int
 
 
-def trial(policies: list[str], seeds: range, out: Path, workers: int | None) -> list[TrialRow]:
+@dataclass(frozen=True)
+class GuardTrialConfig:
+    """The policies, which have fitted guards, and the episodes of each condition."""
+
+    policies: tuple[checkpoint.PolicyName, ...]
+    """Names of policies, or their folders."""
+    out: Path
+    """The folder for trial.json and the episodes."""
+    episodes: Count = 20
+    """Episodes of each condition."""
+    seed: Seed = FIRST_DEVELOPMENT
+    """The first episode's seed."""
+    workers: ThreadsOrNone | None = None
+    """Processes; by default one per core. 0 runs everything in this one."""
+    json: str | None = None
+    """Where to write the result, too; - is standard output."""
+
+
+class GuardTrialFile(TypedDict):
+    """The whole result."""
+
+    schema: int
+    seeds: list[int]
+    rows: list[TrialRow]
+
+
+def guard_trial(config: GuardTrialConfig) -> GuardTrialFile:
     """Plays what is missing. Raises UserError for a policy without fitted values."""
-    out.mkdir(parents=True, exist_ok=True)
-    rows: list[TrialRow] = []
-    with closing(Store(out / "episodes.sqlite")) as store:
-        for name in policies:
-            rows += _of_policy(name, seeds, store, workers)
-            write_json(out / "guard.json", {"schema": 1, "seeds": list(seeds), "rows": rows})
-    return rows
+    seeds = seeds_from(config.seed, config.episodes)
+    config.out.mkdir(parents=True, exist_ok=True)
+    result: GuardTrialFile = {"schema": 1, "seeds": list(seeds), "rows": []}
+    with closing(Store(config.out / "episodes.sqlite")) as store:
+        for name in config.policies:
+            result["rows"] += _of_policy(name, seeds, store, config.workers)
+            write_json(config.out / "trial.json", result)
+    return result
+
+
+def trial_words(result: GuardTrialFile) -> str:
+    """The result as lines."""
+    lines = []
+    for row in result["rows"]:
+        place = f"{row['camera']} {row['way']}" if row["camera"] else "intact"
+        rates = [f"{word} {row[word]:.2f}" for word in ("broken", "guarded", "dropped")]
+        lines.append(f"{row['policy']:40} {place:24} {' '.join(rates)} n={row['n']}")
+    return "\n".join(lines)
 
 
 def _of_policy(name: str, seeds: range, store: Store, workers: int | None) -> list[TrialRow]:
@@ -80,7 +119,7 @@ def _row(
         table.play([(condition, seed) for seed in seeds], workers, progress=True)
         known = table.outcomes(condition)
         rates.append(SuccessRate.counted(known[seed] for seed in seeds))
-    row: TrialRow = {
+    return {
         "policy": name,
         "camera": what[0],
         "way": what[1],
@@ -89,26 +128,3 @@ def _row(
         "dropped": rates[2].value,
         "n": len(seeds),
     }
-    place = f"{what[0]} {what[1]}" if what[0] else "intact"
-    print(f"{name:40} {place:24}", *[f"{word} {row[word]:.2f}" for word in RATES], flush=True)
-    return row
-
-
-RATES = ("broken", "guarded", "dropped")
-
-
-def main() -> None:
-    """The command line."""
-    parser = argparse.ArgumentParser(description="Success broken, guarded and dropped.")
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--policies", nargs="+", required=True)
-    parser.add_argument("--episodes", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=FIRST_DEVELOPMENT)
-    parser.add_argument("--workers", type=int, default=None)
-    words = parser.parse_args()
-    seeds = seeds_from(words.seed, words.episodes)
-    trial(words.policies, seeds, words.out, words.workers)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,115 @@
+"""``madviz guard`` and ``--guard``: fitted beside a policy, and one line where it is not."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+
+import pytest
+
+from benchmarks.guard_alarms import WAYS, GuardAlarmsConfig, alarms_words, guard_alarms
+from benchmarks.guard_trial import GuardTrialConfig, guard_trial, trial_words
+from madviz.errors import UserError
+from madviz.guard.policy import GuardedPolicy
+from madviz.measure.audit.audit import AuditConfig, command, run_audit
+from madviz.measure.compare import CompareConfig, comparison_table, run_compare
+from madviz.measure.evaluate import EvalConfig, evaluate, run_eval, success_table
+from madviz.measure.guard_fit import GuardConfig, guard_words, run_guard
+from madviz.policies.checkpoint import describe, load_policy
+from madviz.recording.record import RecordConfig, run_record
+from madviz.serving.episodes import BadLook, ServedEpisodes
+from tests.checkpoints import saved
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory):
+    """A policy folder with a fitted guard."""
+    folder = saved(tmp_path_factory.mktemp("guard"))
+    digest = describe(folder).spec.digest
+    fitted = run_guard(GuardConfig(str(folder), episodes=4))
+    assert fitted["seeds"] == [900, 901, 902, 903] and "4 intact episodes" in guard_words(fitted)
+    assert describe(folder).spec.digest == digest
+    return folder
+
+
+def test_without_values_one_line_names_the_command(tmp_path) -> None:
+    folder = saved(tmp_path)
+    with pytest.raises(UserError, match="found none; run `madviz guard --policy "):
+        run_eval(EvalConfig(str(folder), guard=True, episodes=1))
+    with pytest.raises(UserError, match="GuardedPolicy"):
+        load_policy("guard:madviz.examples.own_policy:make")
+    with pytest.raises(UserError, match="expected --out FILE"):
+        run_guard(GuardConfig("madviz.examples.own_policy:make"))
+    with pytest.raises(UserError, match="4 episodes or more"):
+        run_guard(GuardConfig(str(folder), episodes=1))
+
+
+def test_black_from_the_first_step_is_as_good_as_dropped(guarded) -> None:
+    black = EvalConfig(
+        str(guarded), ("all",), episodes=2, workers=0, occlude=("first=black",), guard=True
+    )
+    result = run_eval(black)
+    dropped = evaluate(guarded, ["third_a+third_b"], episodes=2, workers=0)
+    returns = [episode["return"] for episode in result["episodes"]]
+    assert returns == [episode.total_reward for episode in dropped.episodes]
+    assert "left out until it works again" in success_table(result)
+    assert result["policy"].endswith("(guarded)")
+
+
+def test_intact_episodes_are_the_same_with_the_guard(guarded) -> None:
+    with_guard = evaluate(f"guard:{guarded}", ["all", "first"], episodes=2, workers=0)
+    without = evaluate(guarded, ["all", "first"], episodes=2, workers=0)
+    assert with_guard.episodes == without.episodes
+    assert with_guard.spec.digest != without.spec.digest
+    assert (bool(with_guard.guard), without.guard) == (True, "")
+
+
+def test_compare_and_record_and_audit_take_it(guarded, tmp_path) -> None:
+    words = ("all", "first=black")
+    compared = CompareConfig((str(guarded),), conditions=words, guard=True, episodes=2, workers=0)
+    assert "left out until it works" in comparison_table(run_compare(compared))
+    with pytest.raises(UserError, match="expected --conditions beside --guard"):
+        run_compare(CompareConfig((str(guarded),), guard=True))
+    out = tmp_path / "film.html"
+    recorded = run_record(
+        RecordConfig(out, str(guarded), steps=3, drop=("first=black@0",), guard=True)
+    )
+    assert recorded["policy"].endswith("(guarded)") and out.is_file()
+    with pytest.raises(UserError, match="expected --policy beside --guard"):
+        run_record(RecordConfig(out, replay=tmp_path, guard=True))
+    audit = AuditConfig(
+        str(guarded), tmp_path / "audit", episodes=1, how=("black",), workers=0, guard=True
+    )
+    assert run_audit(audit)["policy"].endswith("(guarded)") and "--guard" in command(audit)
+
+
+def test_served_looks_need_an_episode(guarded) -> None:
+    policy = load_policy(f"guard:{guarded}")
+    assert isinstance(policy, GuardedPolicy)
+    with closing(ServedEpisodes(policy, 6)) as episodes, pytest.raises(BadLook, match="'episode'"):
+        episodes.enter({})
+
+
+def test_a_card_is_of_the_policy_without_a_guard(guarded) -> None:
+    with pytest.raises(UserError, match="drop --occlude, --guard or --card"):
+        run_eval(EvalConfig(str(guarded), guard=True, card=True))
+
+
+def test_alarms_of_a_policy_are_counted_and_kept(guarded, tmp_path) -> None:
+    config = GuardAlarmsConfig((str(guarded),), tmp_path, episodes=1)
+    (found,) = guard_alarms(config)
+    assert len(found["noticed"]) == 3 * len(WAYS)
+    black = next(row for row in found["noticed"] if row["way"] == "black")
+    assert black["steps"] == [0]
+    assert "first black: 1 of 1" in alarms_words([found])
+    file = tmp_path / f"{guarded.name}.json"
+    file.write_text(json.dumps({**found, "policy": "kept"}))
+    assert guard_alarms(config)[0]["policy"] == "kept"
+
+
+@pytest.mark.slow
+def test_a_trial_plays_what_is_missing(guarded, tmp_path) -> None:
+    config = GuardTrialConfig((str(guarded),), tmp_path, episodes=1, workers=0)
+    result = guard_trial(config)
+    assert "first black" in trial_words(result)
+    assert guard_trial(config) == result
