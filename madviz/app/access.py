@@ -127,6 +127,8 @@ class Gate:
         self.local = local
         self.most = MOST
         """Websockets that may be open at once."""
+        self.serves: Callable[[Request], Response | None] = lambda request: None
+        """What is served beside viser's own files, to whoever was let in."""
         self._open: WeakSet[ServerConnection] = WeakSet()
         self.tries = Tries()
         self._roles: WeakKeyDictionary[ServerConnection, Role] = WeakKeyDictionary()
@@ -180,7 +182,7 @@ class Gate:
     def _place(self, connection: ServerConnection, request: Request) -> Response | None:
         """Each open page takes memory, also one that only waits: so there is a most of them."""
         if not _is_websocket(request):
-            return None
+            return self.serves(request)
         if self._crowded:
             return _refusal(HTTPStatus.SERVICE_UNAVAILABLE, self._crowded)
         self._open.add(connection)

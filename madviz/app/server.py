@@ -135,6 +135,7 @@ class App:
         theme(self.server.gui, light)
         presents = self._presents if self.gate.present else None
         self.users = Users(self.server, new_session, shared, limits, presents)
+        self.gate.serves = self.users.kept.answer
 
     def _presents(self, client: viser.ClientHandle) -> bool:
         return self.gate.presents(self.server, client.client_id)

@@ -18,15 +18,17 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import viser
 
-from madviz.app.browser import equip
+from madviz.app.browser import equip, note_visit
+from madviz.app.kept import KeptSessions
 from madviz.app.layout import Shared
 from madviz.app.page import Page, waiting_html
 from madviz.app.viser_patches import patch_rendering
 from madviz.session.live_session import LiveSession
+from madviz.system.hosts import new_token
 from madviz.system.processes import release_memory
 
 log = logging.getLogger(__name__)
@@ -61,6 +63,7 @@ class Visit:
     page: Page
     session: LiveSession
     owner: bool
+    name: str = field(default_factory=new_token)
 
 
 class Users:
@@ -80,6 +83,7 @@ class Users:
         self._shared = shared
         self._limits = limits
         self._presents = presents
+        self.kept = KeptSessions()
         self._visits: dict[int, Visit] = {}
         self._queue: dict[int, tuple[viser.ClientHandle, viser.GuiHtmlHandle]] = {}
         """Who found no place, and the line that says so."""
@@ -132,12 +136,14 @@ class Users:
                     notice="" if owner else self._watching_words(),
                     readonly=not owner,
                 )
-                self._visits[client.client_id] = Visit(client, page, session, owner)
+                visit = Visit(client, page, session, owner)
+                self._visits[client.client_id] = visit
         if place is None:
             line = client.gui.add_html(waiting_html(FULL.format(self._limits.watchers)))
             with self._lock:
                 self._queue[client.client_id] = (client, line)
         else:
+            note_visit(client, visit.name if owner and self._presents is None else "")
             try:
                 page.start()
             except Exception:
@@ -182,6 +188,7 @@ class Users:
             self._queue = {}
         visit.page.close()
         if theirs:
+            self.kept.keep(visit.name, visit.session)
             visit.session.close()
         for other in stranded:
             other.page.close()

@@ -22,6 +22,9 @@ FILES = {
     "ort_glue.js": f"{_ORT}/ort-wasm-simd-threaded.mjs",
     "ort.wasm": f"{_ORT}/ort-wasm-simd-threaded.wasm",
 }
+ASKED_MEMORY = b"WebAssembly.Memory({initial:256,maximum:65536,shared:!0})"
+GIVEN_MEMORY = b"WebAssembly.Memory({initial:256,maximum:4096,shared:!0})"
+"""In pages of 64 KiB: 256 MiB at most. A program takes a memory that may grow less than it says."""
 _OF_PYTHON = {"mujoco": ("LICENSE", "LICENSES_THIRD_PARTY.md"), "metaworld": ("LICENSE",)}
 """Licence files that Python packages bring: MuJoCo's npm package has none of its own."""
 _OF_NPM = {"flatbuffers": "LICENSE", "protobufjs": "LICENSE", "long": "LICENSE"}
@@ -51,11 +54,23 @@ def find_packages(folder: Path) -> Path:
 
 
 def write_runtime(out: Path, packages: Path) -> dict[str, SiteFile]:
-    """Copies the programs; their lines of the manifest."""
+    """Copies the programs; their lines of the manifest. Raises UserError where ONNX Runtime asks
+    for its memory in other words than are known here."""
     return {
-        name: write_packed(out, f"runtime/{name}.gz", (packages / path).read_bytes())
+        name: write_packed(out, f"runtime/{name}.gz", _program(name, packages / path))
         for name, path in FILES.items()
     }
+
+
+def _program(name: str, path: Path) -> bytes:
+    """A program as it runs here. ONNX Runtime reserves 4 GiB of memory to share between threads,
+    which small devices refuse. One thread with a policy of 5 MB needs a fraction."""
+    source = path.read_bytes()
+    if name != "ort_glue.js":
+        return source
+    if source.count(ASKED_MEMORY) != 1:
+        raise UserError(f"{path}: expected {ASKED_MEMORY.decode()!r} once; take another version")
+    return source.replace(ASKED_MEMORY, GIVEN_MEMORY)
 
 
 def write_licences(out: Path, packages: Path) -> None:

@@ -6,11 +6,17 @@ import json
 import shutil
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
+
+from madviz.envs.registry import make_env
+from madviz.site.files import write_packed
+from madviz.site.recordings import record_episode
+from madviz.subsets import every_mask, name_of
+from tests.fakes import FakePolicy
 
 ROOT = Path(__file__).resolve().parents[2]
 WEB = ROOT / "madviz" / "site" / "web"
@@ -27,7 +33,7 @@ OffscreenCanvas.prototype.getContext = function (kind, ...rest) {
 MAD, MERGED_ONLY = "metaworld-hammer-mad-light", "metaworld-hammer-merged-only-light"
 
 
-class _Quiet(SimpleHTTPRequestHandler):
+class QuietHandler(SimpleHTTPRequestHandler):
     extensions_map = {**SimpleHTTPRequestHandler.extensions_map, ".js": "text/javascript"}
 
     def log_message(self, format: str, *args: Any) -> None:
@@ -35,9 +41,9 @@ class _Quiet(SimpleHTTPRequestHandler):
 
 
 @contextmanager
-def served(folder: Path) -> Iterator[str]:
+def served(folder: Path, handler: type[SimpleHTTPRequestHandler] = QuietHandler) -> Iterator[str]:
     """The address at which ``folder`` is, below a path, as on many hosts."""
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(folder)))
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=str(folder)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
         yield f"http://127.0.0.1:{server.server_port}/"
@@ -88,6 +94,34 @@ def manifest() -> dict[str, Any]:
             "seed": 5000,
         },
         "runtime": {},
+    }
+
+
+def toy_recording(folder: Path) -> dict[str, Any]:
+    """Writes recordings of toy/reach into a site; their line of the manifest."""
+    policy = FakePolicy()
+    streams, files = policy.spec.streams, {}
+    with closing(make_env("toy/reach")) as env:
+        for mask in every_mask(len(streams)):
+            subset = name_of(mask, streams)
+            content = record_episode(env, policy, mask, 5000)
+            files[f"5000/{subset}"] = write_packed(folder, f"recordings/{subset}.gz", content)
+        horizon = env.spec.horizon
+    return {
+        "policy": policy.spec.name,
+        "label": "MAD",
+        "method": "mad",
+        "task": "maniskill/reach",
+        "task_label": "Reach",
+        "success": "the hand is near the goal",
+        "horizon": horizon,
+        "streams": list(streams),
+        "trained_subsets": ["all"],
+        "cameras": [camera(name, name.title()) for name in streams],
+        "measured": {"all": rate(0.9)},
+        "seeds_words": "development seeds",
+        "seeds": [5000],
+        "files": files,
     }
 
 

@@ -3,52 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from madviz.envs.registry import make_env
-from madviz.site.files import write_packed
-from madviz.site.recordings import record_episode
-from madviz.subsets import every_mask, name_of
-from tests.e2e.static_site import NO_WEBGL, camera, fake_site, rate, served, until
-from tests.fakes import FakePolicy
-
-SEED = 5000
+from tests.e2e.static_site import NO_WEBGL, fake_site, served, toy_recording, until
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """A site with recordings of toy/reach alone; one of its files is cut off."""
     folder = fake_site(tmp_path_factory.mktemp("site") / "below")
-    policy = FakePolicy()
-    streams, files = policy.spec.streams, {}
-    with closing(make_env("toy/reach")) as env:
-        for mask in every_mask(len(streams)):
-            subset = name_of(mask, streams)
-            content = record_episode(env, policy, mask, SEED)
-            files[f"{SEED}/{subset}"] = write_packed(folder, f"recordings/{subset}.gz", content)
-        horizon = env.spec.horizon
+    line = toy_recording(folder)
     cut = folder / "recordings" / "none.gz"
     cut.write_bytes(cut.read_bytes()[:2000])
-    line: dict[str, Any] = {
-        "policy": policy.spec.name,
-        "label": "MAD",
-        "method": "mad",
-        "task": "maniskill/reach",
-        "task_label": "Reach",
-        "success": "the hand is near the goal",
-        "horizon": horizon,
-        "streams": list(streams),
-        "trained_subsets": ["all"],
-        "cameras": [camera(name, name.title()) for name in streams],
-        "measured": {"all": rate(0.9)},
-        "seeds_words": "development seeds",
-        "seeds": [SEED],
-        "files": files,
-    }
     return fake_site(folder, recordings=[line])
 
 

@@ -32,6 +32,14 @@ def equip(client: viser.ClientHandle) -> None:
         run_once(client, name, read(f"{name}.js"))
 
 
+def note_visit(client: viser.ClientHandle, visit: str) -> None:
+    """Tells a page the name of its visit, '' where it has no simulation of its own. One whose
+    connection was cut says that it began anew."""
+    source = read("returned.js").replace("VISIT;", f"{json.dumps(visit)};")
+    source = source.replace("=== VISIT)", f"=== {json.dumps(visit)})")
+    client._websock_connection.queue_message(RunJavascriptMessage(source=source))
+
+
 def run_once(client: viser.ClientHandle, name: str, source: str) -> None:
     """Runs JavaScript in a visitor's page, unless it has run a script of this ``name`` since it was
     loaded: a page whose connection was lost for a moment comes again as another client."""

@@ -3,6 +3,7 @@
  */
 import {Drawing} from './drawing.js';
 import {buffersOf, Pace} from './pace.js';
+import {refusal} from './refusals.js';
 import {savedEpisode} from './saved.js';
 
 /** @typedef {import('./messages.js').Answer} Answer */
@@ -144,7 +145,9 @@ export class Episodes {
    * @param {boolean} [fatal]
    */
   problem(error, fatal = false) {
-    this.say({kind: 'Problem', message: String(error?.message ?? error), fatal});
+    const refused = fatal ? refusal(error) : '';
+    const message = refused || String(error?.message ?? error);
+    this.say({kind: 'Problem', message, fatal, refused: refused !== ''});
   }
 
   show() {

@@ -1,6 +1,7 @@
 /**
  * Fetches the site's files. They are gzipped on the disk and unpacked here, so that any static host
- * serves this weight, whatever it does with encodings.
+ * serves this weight. One that calls them encoded (`Content-Encoding: gzip`) has the browser unpack
+ * them: then they come as they are, which their first two bytes tell.
  */
 
 /** @typedef {import('./messages.js').SiteFile} SiteFile */
@@ -40,13 +41,25 @@ export async function fetchGzip(base, file, onBytes = () => {}) {
     }),
   );
   try {
-    const stream = counted.pipeThrough(new DecompressionStream('gzip'));
-    const buffer = await new Response(stream).arrayBuffer();
+    const come = await new Response(counted).arrayBuffer();
+    const buffer = isGzip(come, file) ? await unpacked(come) : come;
     if (buffer.byteLength !== file.unpacked) throw new Error('another size');
     return buffer;
   } catch (error) {
     throw new Error(`${file.path}: the file is cut off or damaged; load the page again`);
   }
+}
+
+/** @param {ArrayBuffer} come @param {SiteFile} file */
+function isGzip(come, file) {
+  const [first, second] = new Uint8Array(come);
+  return first === 0x1f && second === 0x8b && come.byteLength !== file.unpacked;
+}
+
+/** @param {ArrayBuffer} packed */
+function unpacked(packed) {
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream('gzip'));
+  return new Response(stream).arrayBuffer();
 }
 
 /** @param {string} address */

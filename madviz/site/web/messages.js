@@ -149,8 +149,8 @@
  */
 /**
  * Something went wrong, in one sentence. `fatal`: nothing will move any more ('WebGL2 is missing');
- * otherwise what played before goes on.
- * @typedef {{kind: 'Problem', message: string, fatal: boolean}} Problem
+ * otherwise what played before goes on. `refused`: the browser or the host does not let it run.
+ * @typedef {{kind: 'Problem', message: string, fatal: boolean, refused?: boolean}} Problem
  */
 /** @typedef {{kind: 'Saved', text: string}} Saved */
 /**

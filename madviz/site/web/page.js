@@ -8,6 +8,7 @@ import {fetchManifest} from './files.js';
 import {formatLink, parseLink} from './link.js';
 import {notice} from './notices.js';
 import {SPEED, openingEvents} from './opening.js';
+import {Standstill} from './standstill.js';
 import {megabytes} from './words.js';
 
 /** @typedef {import('./messages.js').Answer} Answer */
@@ -26,6 +27,8 @@ class Page {
     this.engine = null;
     this.recorded = false;
     this.ready = false;
+    /** @type {Standstill | null} */
+    this.standstill = null;
     this.explorer = new Explorer(this.catalogue, command => this.engine?.post(command),
       change => this.choose(change));
     this.ownHash = '';
@@ -59,6 +62,8 @@ class Page {
       this.recorded = recorded;
       this.ready = false;
       this.explorer.setMode('loading');
+      this.standstill?.end();
+      this.standstill = new Standstill(words => say(byId('loading-words'), words));
       this.engine = startEngine(recorded, this.manifest, answer => this.answer(answer));
     }
     this.mode = mode;
@@ -87,9 +92,12 @@ class Page {
   answer(answer) {
     const {explorer} = this;
     switch (answer.kind) {
-      case 'Progress': return progress(answer);
+      case 'Progress':
+        this.standstill?.note(answer.done < answer.of);
+        return progress(answer);
       case 'Ready':
         this.ready = true;
+        this.standstill?.end();
         explorer.setMode(this.mode ?? 'explore');
         document.body.dataset.ready = 'true';
         return undefined;
@@ -109,9 +117,15 @@ class Page {
   /** @param {import('./messages.js').Problem} problem */
   problem(problem) {
     const films = this.manifest.recordings.length > 0;
+    this.standstill?.end();
+    if (problem.refused && films && this.alive) {
+      notice(`${problem.message} What follows are recorded episodes.`);
+      return showRecordings(this.manifest, this);
+    }
     notice(problem.message, problem.fatal && films && this.alive
       ? {words: 'Show recorded episodes', act: () => showRecordings(this.manifest, this)} : undefined);
     if (!this.ready) say(byId('loading-words'), problem.message);
+    return undefined;
   }
 
   /** Writes the present state into the address, so that it can be copied at any time. */
@@ -242,7 +256,8 @@ export async function main() {
 async function begin() {
   if (new URLSearchParams(location.search).has('embed')) document.body.classList.add('embed');
   say(byId('loading-words'), 'Asking what this site offers …');
-  const manifest = await fetchManifest(BASE);
+  const standstill = new Standstill(words => say(byId('loading-words'), words));
+  const manifest = await fetchManifest(BASE).finally(() => standstill.end());
   say(byId('made'), `Made with madviz ${manifest.version}.`);
   const lack = missing();
   if (lack && manifest.recordings.length === 0) throw new Error(lack);
