@@ -63,6 +63,13 @@ COMMANDS: dict[str, Command] = {
         work="madviz.measure.audit.audit:run_audit",
         words="madviz.measure.audit.audit:audit_words",
     ),
+    "wiring": Command(
+        "Is a served policy wired right? Tries what people get wrong, and says what helps.",
+        "wiring --policy ws://127.0.0.1:8000 --wire wire.toml",
+        config="madviz.measure.wiring.wiring:WiringConfig",
+        work="madviz.measure.wiring.wiring:run_wiring",
+        words="madviz.measure.wiring.wiring:wiring_words",
+    ),
     "list": Command(
         "Lists tasks, settings, methods and policies.",
         "list --json list.json",
