@@ -70,6 +70,13 @@ COMMANDS: dict[str, Command] = {
         work="madviz.measure.guard_fit:run_guard",
         words="madviz.measure.guard_fit:guard_words",
     ),
+    "wiring": Command(
+        "Is a served policy wired right? Tries what people get wrong, and says what helps.",
+        "wiring --policy ws://127.0.0.1:8000 --wire wire.toml",
+        config="madviz.measure.wiring.check:WiringConfig",
+        work="madviz.measure.wiring.check:run_wiring",
+        words="madviz.measure.wiring.check:wiring_words",
+    ),
     "list": Command(
         "Lists tasks, settings, methods and policies.",
         "list --json list.json",

@@ -196,13 +196,18 @@ class PolicyServer:
             connection.send(pack({"actions": action[None]}, "openpi"))
 
     def _greeting(self) -> dict[str, Any]:
-        action = {"name": "actions", "dims": self._env.action_dim, "format": "raw"}
+        numbers = {"name": "actions", "dims": self._env.action_dim, "format": "raw"}
+        state = {"name": "state", "dims": self._env.state_dim, "format": "raw"}
         return {
             "harness_version": "madviz",
             "protocol_version": VERSION,
             "model_server": self._policy.spec.name,
             "capabilities": {},
-            "action_spec": {"actions": action},
+            "action_spec": {"actions": {**numbers, "range": [-1.0, 1.0]}},
+            "observation_spec": {
+                "images": {"name": "images", "dims": 0, "format": "rgb"},
+                "state": state,
+            },
             FACTS: self._facts,
         }
 

@@ -87,11 +87,15 @@ class ServedPolicy:
         """The actions of a policy whose episode begins with this look; a pass for each of
         ``masks``."""
         masks = np.atleast_2d(masks)
-        with self._lock:
-            answers = [self._asked(encoded, mask)[0] for mask in masks]
+        answers = [self.first_answer(encoded, mask) for mask in masks]
         actions = np.stack([self.own_action(answer, encoded.state) for answer in answers])  # (N, A)
         unknown = np.full(len(masks), np.nan, np.float32)
         return Readout(np.zeros((len(masks), 1), np.float32), np.clip(actions, -1, 1), unknown)
+
+    def first_answer(self, encoded: Encoded, mask: Array) -> Array:
+        """(A,) float32 as it comes, of a policy whose episode begins with this look."""
+        with self._lock:
+            return self._asked(encoded, mask)[0]
 
     def supports(self, mask: Array) -> bool:
         if len(mask) != len(self.spec.streams):

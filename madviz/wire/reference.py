@@ -8,6 +8,7 @@ A reference goes to worker processes as text, so it carries all that they need t
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -18,7 +19,16 @@ from madviz.system.typed import typed
 from madviz.wire.connection import PolicyConnection
 from madviz.wire.policy import ServedPolicy
 from madviz.wire.protocols import OURS, greeted, identity_in
-from madviz.wire.wiring import PolicyFacts, checked, policy_spec, read_wiring, served_spec
+from madviz.wire.specification import check_specification
+from madviz.wire.wiring import (
+    PolicyFacts,
+    Wiring,
+    checked,
+    env_of,
+    policy_spec,
+    read_wiring,
+    served_spec,
+)
 
 MARK = "#wire="
 
@@ -51,7 +61,7 @@ def plain(policy: str) -> str:
 
 def connect(reference: str) -> ServedPolicy:
     """The policy behind ``reference``, greeted once: what it says of itself is checked, and the
-    file, before anything is drawn. Raises UserError."""
+    file, and one against the other, before anything is drawn. Raises UserError."""
     written, _, file = reference.partition(MARK)
     address = ServerAddress.of(written)
     wiring = read_wiring(file) if file else None
@@ -61,6 +71,7 @@ def connect(reference: str) -> ServedPolicy:
     identity = identity_in(greeting)
     if wiring is not None:
         wiring = msgspec.structs.replace(wiring, protocol=speaker.name)
+        check_specification(greeting, wiring, env_of(wiring), where)
         spec = policy_spec(wiring, where, identity)
         return ServedPolicy(address, wiring, spec, None, identity)
     if OURS not in greeting:
@@ -70,5 +81,14 @@ def connect(reference: str) -> ServedPolicy:
         )
     facts = typed(greeting[OURS], PolicyFacts, where, "it runs another version of madviz")
     wiring = checked(msgspec.structs.replace(facts.wiring, protocol=speaker.name), where)
+    check_specification(greeting, wiring, env_of(wiring), where)
     spec = served_spec(facts, wiring, where)
     return ServedPolicy(address, wiring, spec, frozenset(facts.supported), identity)
+
+
+def rewired(policy: ServedPolicy, wiring: Wiring) -> ServedPolicy:
+    """The policy of the same server, reached by another file; nothing is connected yet."""
+    spec = policy_spec(wiring, policy.address.text, policy.identity)
+    cameras = tuple(replace(camera, size=wiring.largest) for camera in policy.spec.cameras)
+    spec = replace(spec, cameras=cameras)
+    return ServedPolicy(policy.address, wiring, spec, None, policy.identity)
