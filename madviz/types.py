@@ -82,7 +82,7 @@ class EnvSpec:
     state_angles: tuple[int, ...] = ()
     """The state numbers that are angles or their speeds, in radians."""
     gripper: Literal["", "closes at 1", "closes at -1"] = ""
-    """What the last number of an action does to the gripper; '' where it has none."""
+    """The effect of the last number of an action on the gripper; '' where it has none."""
     success: str = "at the last step"
     """The task's own success condition, in words."""
     instruction: str = ""

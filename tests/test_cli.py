@@ -187,10 +187,11 @@ def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]
     assert cli.main(["wurst"]) == 2
     assert capsys.readouterr().err == (
         "madviz: unknown command 'wurst'; known: audit, compare, displace, doctor, eval, "
-        "explore, grade, list, record, replay, report, serve, site, soak, sweep, train\n"
+        "explore, grade, guard, list, record, replay, report, serve, site, soak, sweep, train, "
+        "wiring\n"
     )
     assert benchmark(["wurst"]) == 2
-    known = "known: buffer, crowd, evaluate, imagine, live, places, render, site, update"
+    known = "known: buffer, crowd, evaluate, guard, guard-alarms, guard-trial, imagine"
     assert known in capsys.readouterr().err
 
 

@@ -329,7 +329,7 @@ def test_a_card_is_not_written_about_occluded_cameras_or_somebodys_own_code(fold
         EvalConfig(str(folder), occlude=("first=black",), card=True),
         EvalConfig("tests.fakes:FakePolicy", card=True),
     ):
-        with pytest.raises(UserError, match="drop --occlude or --card"):
+        with pytest.raises(UserError, match="drop --occlude, --guard or --card"):
             run_eval(config)
 
 

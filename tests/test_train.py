@@ -261,6 +261,8 @@ def test_the_learner_takes_the_cores_that_are_left(monkeypatch: pytest.MonkeyPat
     assert config.paper.threads() == 8
     assert replace(config.vectorised, workers=3).threads() == 5
     assert replace(config.mv_mwm, workers=9).threads() == 1
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    assert config.vectorised.processes() == 1 and config.vectorised.threads() == 2
 
 
 @pytest.mark.slow

@@ -37,6 +37,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--decisions", type=int, default=DECISIONS)
+    parser.add_argument("--environments", type=int, default=ENVIRONMENTS)
     parser.add_argument("--device", default="cuda", choices=("cuda", "cpu"))
     asked = parser.parse_args()
     end = time.monotonic() + 60 * asked.minutes
@@ -49,7 +50,7 @@ def main() -> None:
         if (folder / "resume" / "finished").exists() or time.monotonic() + expected > end:
             return
         began = time.monotonic()
-        subprocess.run(_words(folder, seed, method, asked.decisions, asked.device), check=True)
+        subprocess.run(_words(folder, seed, method, asked), check=True)
         slowest.append(time.monotonic() - began)
 
     # In order of need: three methods by seed, then the fourth.
@@ -61,20 +62,25 @@ def main() -> None:
 
 
 def _words(
-    folder: Path, seed: int, method: tuple[str, ...], decisions: int, device: str
+    folder: Path, seed: int, method: tuple[str, ...], asked: argparse.Namespace
 ) -> list[str]:
     workers = max(1, (os.cpu_count() or 1) // AT_ONCE - 1)
     resume = ["--resume"] if (folder / "resume" / "run.json").exists() else []
-    return [
-        *(sys.executable, "-m", "madviz", "train", "--task", "maniskill/push-cube"),
-        *("--recipe", "paper-vectorised", "--method", *method, "--seed", str(seed)),
-        *("--threads", "1", "--out", str(folder), "--vectorised.device", device),
-        *("--vectorised.steps", str(decisions), "--vectorised.workers", str(workers)),
-        *("--vectorised.environments", str(min(ENVIRONMENTS, decisions))),
-        *("--vectorised.buffer-capacity", str(max(decisions, 1000))),
-        *("--vectorised.eval-episodes", "0", "--vectorised.save-every", str(decisions)),
-        *resume,
-    ]
+    words = [sys.executable, "-m", "madviz", "train", "--task", "maniskill/push-cube"]
+    words += ["--recipe", "paper-vectorised", "--seed", str(seed), "--method", *method]
+    words += ["--threads", "1", "--out", str(folder), *resume]
+    options = {
+        "device": asked.device,
+        "steps": asked.decisions,
+        "workers": workers,
+        "environments": asked.environments,
+        "buffer-capacity": max(asked.decisions, 1000),
+        "eval-episodes": 0,
+        "save-every": asked.decisions,
+    }
+    for name, value in options.items():
+        words += [f"--vectorised.{name}", str(value)]
+    return words
 
 
 if __name__ == "__main__":

@@ -128,7 +128,7 @@ class Gate:
         self.most = MOST
         """Websockets that may be open at once."""
         self.serves: Callable[[Request], Response | None] = lambda request: None
-        """What is served beside viser's own files, to whoever was let in."""
+        """The files that are served beside viser's own, to visitors who were let in."""
         self._open: WeakSet[ServerConnection] = WeakSet()
         self.tries = Tries()
         self._roles: WeakKeyDictionary[ServerConnection, Role] = WeakKeyDictionary()

@@ -124,7 +124,7 @@ def has_entered(request: Request) -> bool:
 
 
 def cookie_rules(request: Request) -> str:
-    """What a browser shall do with the cookie of this page."""
+    """The rules of this page's cookie for a browser."""
     https = "https" in request.headers.get("X-Forwarded-Proto", "").split(",")[0]
     own = urlsplit(f"//{request.headers.get('Host', '')}").hostname or ""
     if is_framed(request) and (https or stays_here(own)):

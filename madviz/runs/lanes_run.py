@@ -36,7 +36,7 @@ class LanesConfig(RunConfig):
     workers: ThreadsOrNone | None = None
     """Processes that step them; 0: none but this one. By default one for every second core. With
     ``--threads`` given their number changes nothing but the time; else the learner takes the cores
-    that they leave, and its number of threads makes another run."""
+    that they leave, on two cores both, and its number of threads makes another run."""
     update_ratio: Weight = 0.5
     """Updates per decision; the paper makes one for every second decision."""
 
@@ -49,8 +49,10 @@ class LanesConfig(RunConfig):
         return min(self.environments, max(1, (os.cpu_count() or 1) // 2))
 
     def threads(self) -> int:
-        """One for each core that no worker has."""
-        return max(1, (os.cpu_count() or 1) - self.processes())
+        """One for each core that no worker has. On two cores both: updates take far longer than
+        steps there, so the one worker waits most of the time."""
+        cores = os.cpu_count() or 1
+        return cores if cores <= 2 else max(1, cores - self.processes())
 
 
 @contextmanager

@@ -57,14 +57,14 @@ class Conventions(msgspec.Struct, kw_only=True, frozen=True):
     state_order: list[Index] = []
     """For each number that is sent, which of the task's; empty: all, as they are."""
     state_scale: Factor | list[Factor] = 1.0
-    """What each number that is sent is multiplied with."""
+    """The factor of each number that is sent."""
     state_degrees: bool = False
     """Whether the task's angles are sent in degrees; they are in radians."""
     action_order: list[Index] = []
     """For each number of the task's action, which of the answer's."""
     action_sign: list[Sign] = []
     action_scale: Factor | list[Factor] = 1.0
-    """What each number of an action is multiplied with."""
+    """The factor of each number of an action."""
     gripper_inverted: bool = False
     """Whether the policy opens the gripper with numbers that close it here."""
     absolute: Absolute | None = None

@@ -19,7 +19,7 @@ from madviz.types import EnvSpec
 from madviz.wire.wiring import Wiring
 
 
-class Part(msgspec.Struct, frozen=True):
+class SpecificationPart(msgspec.Struct, frozen=True):
     """A part of an action or of a look, as vla-eval describes it."""
 
     dims: int = 0
@@ -30,8 +30,8 @@ class Part(msgspec.Struct, frozen=True):
 class Specification(msgspec.Struct, frozen=True):
     """The two descriptions of a greeting; empty where it has none."""
 
-    action_spec: dict[str, Part] = {}
-    observation_spec: dict[str, Part] = {}
+    action_spec: dict[str, SpecificationPart] = {}
+    observation_spec: dict[str, SpecificationPart] = {}
 
 
 def check_specification(greeting: dict[str, Any], wiring: Wiring, env: EnvSpec, where: str) -> None:
@@ -47,7 +47,7 @@ def check_specification(greeting: dict[str, Any], wiring: Wiring, env: EnvSpec, 
         raise UserError(f"{where}: expected {problem}")
 
 
-def _action(parts: dict[str, Part], wiring: Wiring, env: EnvSpec) -> list[str]:
+def _action(parts: dict[str, SpecificationPart], wiring: Wiring, env: EnvSpec) -> list[str]:
     problems = []
     dims = [part.dims for part in parts.values()]
     if dims and all(dims) and sum(dims) != env.action_dim:

@@ -45,7 +45,7 @@ class Candidate:
     label: str
     """The change, after the word ``with``."""
     lines: str
-    """What to write into the file."""
+    """The line to write into the file."""
     wiring: Wiring
 
 

@@ -24,8 +24,8 @@ from madviz.measure.wiring.confirm import ENOUGH, Played, compared
 from madviz.measure.wiring.screen import (
     LOOKS,
     SCENES,
-    Screen,
     Screened,
+    Screening,
     expert_looks,
     going_on,
     screened,
@@ -62,9 +62,9 @@ class ChangeRow(TypedDict):
     """From the expert's actions; None where the server refused."""
     refused: str
     successes: int
-    """Of ``n`` episodes; fewer or none where they were not needed."""
+    """Successes of ``n`` episodes; fewer or none where they were not needed."""
     before: int
-    """Of the file as it is, on the same scenes."""
+    """Successes of the file as it is, on the same scenes."""
     n: int
     verdict: str
 
@@ -96,7 +96,7 @@ def wiring(policy: ServedPolicy, seed: int = FIRST_SEED, progress: bool = False)
         env, _ = runner.opened(_job(runner, as_wired, seed))
         tried = candidates(policy.wiring, env.spec)
         sizes = {policy.wiring.largest, *(c.wiring.largest for c in tried)}
-        screen = Screen(as_wired, expert_looks(env, as_wired.spec, sizes, seed))
+        screen = Screening(as_wired, expert_looks(env, as_wired.spec, sizes, seed))
         distance = screen.distance(policy.wiring, SCENES * len(LOOKS))
         results = screened(screen, tried)
         chosen = going_on(results, distance)

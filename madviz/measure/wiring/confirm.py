@@ -26,9 +26,9 @@ class Comparison:
     """The scenes of one change beside those of the file as it is."""
 
     successes: int
-    """Of the change."""
+    """The outcomes of the change."""
     before: int
-    """Of the file as it is, on the same scenes."""
+    """The outcomes of the file as it is, on the same scenes."""
     n: int
     wins: int
     losses: int

@@ -97,7 +97,7 @@ def expert_looks(
     return found
 
 
-class Screen:
+class Screening:
     """Asks the server about the looks; every question once."""
 
     def __init__(self, policy: ServedPolicy, looks: list[ExpertLook]) -> None:
@@ -117,7 +117,7 @@ class Screen:
         return float(np.mean(found))
 
     def _asked(self, wiring: Wiring, looks: int) -> list[Array]:
-        """What the server answers, (A,) each, before the words for actions."""
+        """The server's answers, (A,) each, before the words for actions."""
         plain = {f.name: f.default for f in msgspec.structs.fields(Conventions)}
         plain |= {"action_order": [], "action_sign": []}
         question = msgspec.structs.replace(wiring, **{name: plain[name] for name in ACTION_WORDS})
@@ -133,7 +133,7 @@ class Screen:
         return answers
 
 
-def screened(screen: Screen, tried: list[Candidate]) -> list[Screened]:
+def screened(screen: Screening, tried: list[Candidate]) -> list[Screened]:
     """Every change with its distance; the ``BEST`` of each kind over all looks, the others over the
     first ones."""
     by_kind: dict[str, list[Screened]] = {}
@@ -149,7 +149,7 @@ def screened(screen: Screen, tried: list[Candidate]) -> list[Screened]:
     return found
 
 
-def _measured(screen: Screen, candidate: Candidate, looks: int) -> Screened:
+def _measured(screen: Screening, candidate: Candidate, looks: int) -> Screened:
     try:
         return Screened(candidate, screen.distance(candidate.wiring, looks), looks)
     except UserError as error:
