@@ -166,7 +166,7 @@ def test_policies_swap_in_mid_episode_and_camera_settings_stay(visitor: Visitor)
     visitor.until("status.setting === 'third_a+third_b' && status.phase === 'paused'")
     before = visitor.status("episode"), visitor.status("step")
     visitor.pick("toy-other")
-    visitor.until_text(".mv-status", "all cameras together only")
+    visitor.until_text(".mv-status", "works with all of them together")
     assert visitor.status("setting") == "third_a+third_b"
     visitor.pick("toy-rgbd")
     visitor.until("document.body.innerText.includes('Third B depth')")
