@@ -2,8 +2,8 @@
 
     .venv/bin/python check_acts.py FOLDER CASE    a line of JSON on what came of it
 
-An untrained ACT with statistics of its own is saved, spoilt as CASE says, loaded as serve_policy.py
-does, and asked for 100 decisions beside LeRobot's ``select_action``.
+An untrained ACT with statistics of its own is saved, changed as CASE says, loaded as
+serve_policy.py does, and asked for 100 decisions beside LeRobot's ``select_action``.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def differences(folder: Path) -> dict[str, float | int]:
 
 
 def own_shapes(folder: Path) -> dict[str, object]:
-    """What a policy of three picture shapes says and answers."""
+    """Prints the greeting and the answers of a policy of three picture shapes."""
     policy = LeRobotPolicy(folder, env_spec("toy/reach"), letterbox=True)
     episodes = ServedEpisodes(policy, STATE)
     pictures = {n: np.zeros((*s, 3), np.uint8) for n, s in SHAPES.items()}

@@ -1,4 +1,4 @@
-"""Whether the saved processors of a LeRobot policy normalise what its configuration says.
+"""Checks that the saved processors of a LeRobot policy normalise as its configuration says.
 
 LeRobot's normaliser leaves a feature as it is where it has no statistics of it, without a word. So
 a file in which they are called otherwise gives a policy that acts on raw numbers.
@@ -58,6 +58,6 @@ def check_normalisers(
 
 
 def _normalises(step: Any, key: str, feature: PolicyFeature, mode: NormalizationMode) -> bool:
-    """Whether ``step`` of a pipeline is a normaliser that is meant for ``key``."""
+    """True where ``step`` of a pipeline is a normaliser that is meant for ``key``."""
     modes = getattr(step, "norm_map", {})
     return key in getattr(step, "features", {}) and modes.get(feature.type) is mode

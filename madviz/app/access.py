@@ -148,8 +148,8 @@ class Gate:
             return _refusal(HTTPStatus.FORBIDDEN, RENAMED.format(port))
         if _is_websocket(request) and _is_foreign(request):
             return _refusal(HTTPStatus.FORBIDDEN, FOREIGN)
-        if (told := arrival(request, self._crowded)) is not None:
-            return told
+        if (answer := arrival(request, self._crowded)) is not None:
+            return answer
         if self.visit is None and self.present is None:
             return self._place(connection, request)
         address = str((connection.remote_address or ("?",))[0])

@@ -108,18 +108,18 @@ def _page(body: bytes, zipped: bool) -> bytes:
 
 
 def is_framed(request: Request) -> bool:
-    """Whether the browser says that it asks for the content of a frame."""
+    """True where the browser says that it asks for the content of a frame."""
     return request.headers.get("Sec-Fetch-Dest") == "iframe"
 
 
 def comes_from_elsewhere(request: Request) -> bool:
-    """Whether a page of another site led here."""
+    """True where a page of another site led here."""
     referer = request.headers.get("Referer")
     return referer is not None and host_of(referer) not in names_of(request)
 
 
 def has_entered(request: Request) -> bool:
-    """Whether this browser was given a cookie a moment ago."""
+    """True where this browser was given a cookie a moment ago."""
     return ENTERED in dict(parse_qsl(urlsplit(request.path).query, keep_blank_values=True))
 
 

@@ -1,4 +1,4 @@
-"""Fits the values of a guard on intact episodes: pictures and states, whoever acted in them."""
+"""Fits the values of a guard on intact episodes: pictures and states, of any policy or expert."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ FIRST = 10
 MARGIN = 0.2
 """The agreement of a late picture exceeds that of a picture on time by this at least."""
 CLEAR = 0.2
-"""Movements that differ by less, in units of the state, are not told apart."""
+"""Movements that differ by less, in units of the state, count as equal."""
 AGREEMENT = 0.7
 """The agreement, at most 1, of a late picture at its lag."""
 ON_TIME = 0.5
@@ -87,7 +87,7 @@ class LagTest:
     ) -> bool | None:
         """True where the ``change`` of the cells shows all that the robot did in the last
         ``behind`` + 1 steps, False where it shows the first of these steps alone, None where that
-        cannot be told. ``clearly`` asks for half the distance. ``states`` as in ``add``."""
+        cannot be decided. ``clearly`` asks for half the distance. ``states`` as in ``add``."""
         if not self.possible or behind + 1 >= len(states):
             return None
         all_of_it = self.moved(states[0], states[behind + 1])

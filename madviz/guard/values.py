@@ -39,7 +39,7 @@ class StreamValues(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The largest movement of the robot during which the picture stayed the same."""
     numbers: tuple[int, ...] = ()
     """Those of the robot's numbers (places in ``GuardValues.state``) whose change can be read from
-    a change of the cells; none: a late picture cannot be told."""
+    a change of the cells; none: lateness cannot be detected."""
     scales: tuple[float, ...] = ()
     """The size of a weight of 1, by number."""
     weights: str = ""

@@ -60,7 +60,7 @@ class FittedFile(TypedDict):
     bytes: int
     seeds: list[int]
     late: dict[str, bool]
-    """By stream: whether a late picture can be told from the robot's movements alone."""
+    """By stream: True where the robot's movements alone show that a picture is late."""
 
 
 def run_guard(config: GuardConfig) -> FittedFile:
