@@ -95,11 +95,19 @@ def test_the_page_of_a_slow_policy_answers(
     visitor.until(f"Number(status.step) > {before + 1}")
     assert visitor.status("setting") == "third_a+third_b"
     assert [False, True, True] in slow.read_masks[asked : asked + 3]
+    assert min(help_opens(visitor)) < REACTS + min(help_opens(other)), "as on the other page"
+
+
+def help_opens(visitor: Visitor) -> list[int]:
+    """Milliseconds until the help is there; one of them may fall together with other work."""
     shown = "document.querySelector('[role=dialog]')"
-    times = [
-        takes(one, lambda one=one: one.page.keyboard.press("?"), shown) for one in (visitor, other)
-    ]
-    assert times[0] < REACTS + times[1], "the help is as quick as on the other page"
+    found: list[int] = []
+    for _ in range(3):
+        found.append(takes(visitor, lambda: visitor.page.keyboard.press("?"), shown))
+        dialog = visitor.page.get_by_role("dialog")
+        dialog.get_by_role("button", name="close", exact=True).click()
+        dialog.wait_for(state="hidden")
+    return found
 
 
 def presses(visitor: Visitor) -> tuple[list[int], list[int]]:
