@@ -46,7 +46,7 @@ test: setup-dev .venv/node.stamp
 	$(BIN)/python -m pytest -m "not slow and not e2e" -n 2 --dist worksteal --durations=20
 	$(BIN)/python -m pytest -m "e2e and not slow" --durations=20
 
-test-slow: setup-dev
+test-slow: setup-dev .venv/nginx.stamp
 	$(BIN)/python -m pytest -m slow
 
 check: style
@@ -119,6 +119,12 @@ clean:
 	@mkdir -p .venv/node && cp madviz/site/package.json .venv/node/
 	cd .venv/node && npm install --ignore-scripts --no-package-lock --no-audit --no-fund
 	@touch $@
+
+# Debian's nginx for the tests of proxies, unpacked only: installed, it would serve port 80.
+.venv/nginx.stamp: | .venv/system.stamp
+	@if command -v apt-get dpkg >/dev/null; then \
+	  mkdir -p .venv/nginx && cd .venv/nginx && apt-get download nginx && dpkg -x nginx_*.deb . && touch ../nginx.stamp; \
+	else echo "note: no apt here; the tests of proxies need nginx"; fi
 
 .venv/dev.stamp: pyproject.toml constraints.txt | .venv/packages.stamp
 	PYTHON="$(PYTHON)" tools/packages.sh '.[test,dev]'

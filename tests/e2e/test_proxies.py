@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import socket
@@ -19,7 +20,9 @@ from madviz.app.access import Gate
 from madviz.app.server import App
 from tests.e2e.conftest import PATIENCE, toy_app
 
-DOCS = Path(__file__).parents[2] / "docs" / "install.md"
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs" / "install.md"
+UNPACKED = ROOT / ".venv" / "nginx" / "usr" / "sbin"
 WEBSOCKET = """proxy_http_version 1.1; proxy_set_header Upgrade $http_upgrade;
 proxy_set_header Connection "upgrade";"""
 
@@ -46,9 +49,9 @@ def app() -> Iterator[App]:
 @pytest.fixture(scope="module")
 def proxied(app: App, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
     """nginx before the page: by scheme, the address of the proxy."""
-    nginx = shutil.which("nginx")
+    nginx = shutil.which("nginx", path=f"{UNPACKED}:{os.environ['PATH']}")
     if nginx is None:
-        pytest.skip("nginx is not installed: apt-get install nginx-light")
+        pytest.skip("nginx is not here: make .venv/nginx.stamp")
     folder = tmp_path_factory.mktemp("nginx")
     key = ["-newkey", "rsa:2048", "-nodes", "-keyout", "key.pem", "-out", "cert.pem"]
     named = ["-days", "2", "-subj", "/CN=localhost"]
