@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
+import zipfile
 from pathlib import Path
 
 import mujoco
@@ -17,7 +19,7 @@ from madviz.errors import UserError
 from madviz.policies.checkpoint import describe
 from madviz.site import runtime, site
 from madviz.site.drawn_scene import drawn_scene, scene_file
-from madviz.site.files import write_packed, write_shared
+from madviz.site.files import write_packed, write_shared, write_zip
 from madviz.site.mjcf import model_text
 from madviz.site.starts import start_states
 from madviz.site.tessellation import box, cylinder, sphere
@@ -134,6 +136,19 @@ def test_files_are_packed_and_say_their_sizes(tmp_path: Path) -> None:
     content = (tmp_path / "a/b.gz").read_bytes()
     assert gzip.decompress(content) == b"x" * 1000
     assert said == {"path": "a/b.gz", "bytes": len(content), "unpacked": 1000}
+
+
+def test_a_zip_holds_the_folder_and_has_no_times(tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    write_packed(site, "a/b.gz", b"x" * 1000)
+    (site / "index.html").write_text("<p>x</p>" * 100)
+    first = write_zip(site).read_bytes()
+    os.utime(site / "index.html", (0, 0))
+    assert write_zip(site) == tmp_path / "site.zip"
+    assert (tmp_path / "site.zip").read_bytes() == first
+    with zipfile.ZipFile(tmp_path / "site.zip") as archive:
+        assert archive.namelist() == ["a/b.gz", "index.html"]
+        assert archive.read("index.html") == b"<p>x</p>" * 100
 
 
 def test_equal_arrays_share_a_file(tmp_path: Path) -> None:

@@ -97,20 +97,27 @@ def first_view(frame: Frame) -> tuple[Array, Array]:
         seen = _to_world(np.vstack([np.zeros(3), corners]), np.r_[pose.position, pose.wxyz])
         pictures.append(seen[1:].mean(0))
         points.append(seen)
-    points.append(
+    points += things(frame)
+    seen = np.concatenate(points)
+    places = np.array(pictures)
+    facing = places - np.array([frame.world.poses[name].position for name in frame.world.poses])
+    facing /= np.linalg.norm(facing, axis=1, keepdims=True)
+    return seen, best_direction(seen, places, facing, frame.world.hand)
+
+
+def things(frame: Frame) -> list[Array]:
+    """(n, 3) each: the robot's hand, and whatever is no table and not under it."""
+    size = extent(frame)
+    points = [
         frame.world.hand + 0.2 * size * np.array([[1, 1, 0], [-1, 1, 0], [1, -1, 0], [-1, -1, 0]])
-    )
+    ]
     for body, pose in zip(frame.world.bodies, frame.world.body_poses, strict=True):
         here = _to_world(np.concatenate([part.vertices for part in body.parts]), pose)
         ends = np.c_[here.min(0), here.max(0)]
         if np.ptp(ends[:2], axis=1).max() < size and ends[2, 1] >= 0:  # No table, nothing under it.
             ends[2, 0] = max(ends[2, 0], 0.0)
             points.append(np.array(np.meshgrid(*ends)).reshape(3, -1).T)
-    seen = np.concatenate(points)
-    places = np.array(pictures)
-    facing = places - np.array([frame.world.poses[name].position for name in frame.world.poses])
-    facing /= np.linalg.norm(facing, axis=1, keepdims=True)
-    return seen, best_direction(seen, places, facing, frame.world.hand)
+    return points
 
 
 def _to_world(points: Array, pose: Array) -> Array:

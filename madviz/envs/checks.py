@@ -10,7 +10,9 @@ from madviz.errors import UserError
 from madviz.types import Array, CameraSpec
 
 MAX_SIZE = 512
-"""The largest view in pixels; the page needs no more."""
+"""The largest view in pixels; policies and the page need no more."""
+MAX_FULL = 1024
+"""That of the ``full`` render profile, for films; larger buffers cost memory."""
 
 
 def check_action(action: Array, action_dim: int) -> None:
@@ -23,10 +25,15 @@ def check_action(action: Array, action_dim: int) -> None:
         )
 
 
-def check_size(size: int) -> None:
-    """Raises UserError for a view that cannot be drawn; ``size`` in pixels."""
-    if not 1 <= size <= MAX_SIZE:
-        raise UserError(f"a view must have 1 to {MAX_SIZE} pixels a side, found {size}")
+def largest_view(render_profile: str) -> int:
+    """The most pixels that a side of a view may have."""
+    return MAX_FULL if render_profile == "full" else MAX_SIZE
+
+
+def check_size(size: int, most: int = MAX_SIZE) -> None:
+    """Raises UserError for a view that cannot be drawn; ``size`` and ``most`` in pixels."""
+    if not 1 <= size <= most:
+        raise UserError(f"a view must have 1 to {most} pixels a side, found {size}")
 
 
 def resized_cameras(

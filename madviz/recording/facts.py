@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from madviz.session.frame import Frame
 
@@ -19,6 +20,18 @@ class Facts:
     """Decisions in a second of film."""
     tile: int = 252
     """Pixels that a camera's picture is wide in a film."""
+
+
+class Writer(Protocol):
+    """Takes the frames of one episode, one for every step, in order."""
+
+    def add(self, frame: Frame) -> None:
+        """Takes the frame of the next step."""
+        ...
+
+    def close(self) -> None:
+        """Completes the file."""
+        ...
 
 
 def headline(frame: Frame, facts: Facts) -> str:

@@ -7,6 +7,9 @@ to one writer. The name of the file chooses it:
     .mp4   what the policy sees, with the state of every camera drawn in, and Q under it
     .html  one page that needs nothing else: pictures, curves, the outcome, how to make it again
 
+``--vs POLICY`` makes a film of two policies on the same episodes, .mp4 for a talk or .webp for a
+README (``madviz.recording.film``).
+
 ``--format lerobot`` writes many episodes to a folder instead, of a policy or of a task's expert:
 demonstrations for whoever trains elsewhere (``madviz.recording.lerobot``).
 
@@ -17,12 +20,11 @@ cameras fail when ``--drop`` or ``--scenario`` says (``madviz.observation.schedu
 from __future__ import annotations
 
 import shlex
-from collections import deque
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 from madviz.envs.registry import env_spec, make_env
 from madviz.errors import UserError
@@ -39,9 +41,10 @@ from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
 from madviz.policies.seeds import FIRST_TRY
-from madviz.recording.facts import Facts
+from madviz.recording.facts import Facts, Writer
+from madviz.recording.frames import frames
 from madviz.session.commands import Play, SetSchedule
-from madviz.session.frame import Frame, NoFrame
+from madviz.session.frame import Frame
 from madviz.session.replay import (
     Finder,
     check_episode,
@@ -54,7 +57,7 @@ from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
 from madviz.system.files import replacing, written_to
 from madviz.system.numbers import Count, Range, Seed, Share, check_numbers
-from madviz.types import Environment, Policy
+from madviz.types import Environment, EnvSpec, Policy
 from madviz.wire.reference import with_wire
 
 
@@ -63,13 +66,17 @@ class RecordConfig:
     """Records episodes without a page: a rerun file, a film or a report; many as a dataset."""
 
     out: Path
-    """Where to: X.rrd for rerun's viewer, X.mp4 a film, X.html a report in one file; with --format
-    a new folder."""
+    """Where to: X.rrd for rerun's viewer, X.mp4 a film, X.html a report in one file, X.webp with
+    --vs; with --format a new folder."""
     policy: checkpoint.PolicyName | None = None
     """A name of a policy, its folder, module:factory, or ws://HOST:PORT of one that is served;
     beside --replay, where to find it."""
     seed: Seed = FIRST_TRY
     """Which episode."""
+    vs: checkpoint.PolicyName | None = None
+    """A second policy on the same episodes, for a film of both."""
+    acts: bool = False
+    """With --vs: every seed thrice: all cameras, with the failures, and with the guard as well."""
     drop: tuple[str, ...] = ()
     """Cameras that fail: third_a@20 (dropped), third_a@20-40 (comes back), third_b=noise:0.5@10."""
     scenario: ScenarioName | None = None
@@ -102,22 +109,10 @@ class RecordConfig:
     expert: str | None = None
     """With --format: the task whose scripted expert acts, in place of a policy."""
     episodes: Count = 1
-    """With --format: how many."""
+    """With --format or --vs: how many, from --seed on."""
     noise: Share = 0.0
     """With --expert: the largest standard deviation of a noise that is added to what the expert
     does, not to what is kept as its action. Each episode draws its own."""
-
-
-class Writer(Protocol):
-    """Takes the frames of one episode, one for every step, in order."""
-
-    def add(self, frame: Frame) -> None:
-        """Takes the frame of the next step."""
-        ...
-
-    def close(self) -> None:
-        """Completes the file."""
-        ...
 
 
 def check(config: RecordConfig) -> None:
@@ -129,9 +124,12 @@ def check(config: RecordConfig) -> None:
         )
     if config.format is not None:
         return check_dataset(config)
-    if config.expert is not None or config.episodes > 1 or config.noise:
+    if config.vs is not None:
+        return check_film(config)
+    if config.expert is not None or config.episodes > 1 or config.noise or config.acts:
         raise UserError(
-            "expected --format lerobot beside --expert, --episodes or --noise, found none; add it"
+            "expected --format lerobot beside --expert or --noise, --vs beside --acts, one of both "
+            "beside --episodes, found none; add it"
         )
     if config.replay is None and config.policy is None:
         raise UserError("expected --policy NAME or --replay FILE, found neither; give one")
@@ -143,6 +141,18 @@ def check(config: RecordConfig) -> None:
             "expected a saved session to have seed, failures and length of its own, found --seed, "
             "--drop, --scenario or --steps beside --replay; leave them out"
         )
+
+
+def check_film(config: RecordConfig) -> None:
+    """``check`` for ``--vs``."""
+    if config.policy is None:
+        raise UserError("expected --policy NAME beside --vs, found none; give one")
+    if config.replay or config.keep or config.steps or config.episode or config.expert:
+        raise UserError(
+            "expected whole episodes with --vs, found --replay, --keep, --steps, --episode or "
+            "--expert; leave them out"
+        )
+    check_out(config.out, (".mp4", ".webp"))
 
 
 def check_dataset(config: RecordConfig) -> None:
@@ -181,12 +191,12 @@ def writer_for(path: Path, facts: Facts) -> Writer:
     return HtmlWriter(path, facts)
 
 
-def check_out(path: Path) -> None:
+def check_out(path: Path, endings: tuple[str, ...] = (".rrd", ".mp4", ".html")) -> None:
     """Raises UserError for an ending that is no format, and for what cannot be written to."""
-    if path.suffix not in (".rrd", ".mp4", ".html"):
+    if path.suffix not in endings:
         raise UserError(
-            f"--out {path}: expected a name that ends in .rrd, .mp4 or .html, "
-            f"found {path.suffix or 'no ending'}; choose one of them"
+            f"--out {path}: expected a name that ends in {', '.join(endings[:-1])} or "
+            f"{endings[-1]}, found {path.suffix or 'no ending'}; choose one of them"
         )
     written_to(path, "--out")
 
@@ -197,6 +207,8 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     check(config)
     if config.format is not None:
         return run_dataset(config)
+    if config.vs is not None:
+        return run_film(config)
     check_out(config.out)
     if config.keep is not None:
         written_to(config.keep, "--keep")
@@ -208,7 +220,7 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     world = script or policy.spec
     with closing(make_env(world.task, world.render_profile, world.cameras)) as env, one_thread():
         session = _session(env, policy, config.seed, script, find)
-        schedule = _schedule(config, env)
+        schedule = _schedule(config, env.spec)
         session.send(SetSchedule(schedule))
         failures = failure_words(script) if script else schedule_words(schedule)
         facts = Facts(command_of(config), tuple(failures), config.fps, config.tile)
@@ -235,6 +247,24 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     }
 
 
+def run_film(config: RecordConfig) -> dict[str, Any]:
+    """``run_record`` for ``--vs``."""
+    from madviz.recording import film
+
+    for policy in (config.policy, config.vs):
+        trust(policy, config.trust)
+    named = (with_wire(config.policy or "", config.wire), str(config.vs))
+    spec = checkpoint.load_policy(named[0]).spec
+    env = env_spec(spec.task, cameras=spec.cameras)
+    schedule = _schedule(config, env)
+    seeds = range(config.seed, config.seed + config.episodes)
+    parts = film.chapters(env, seeds, schedule, config.acts, config.guard)
+    with one_thread(), replacing(config.out) as part:
+        rows = film.write_film(part, config.fps, parts, named)
+        size = part.stat().st_size
+    return {"schema": 1, "out": str(config.out), "bytes": size, "chapters": rows}
+
+
 def run_dataset(config: RecordConfig) -> dict[str, Any]:
     """``run_record`` for ``--format``."""
     from madviz.recording import lerobot
@@ -246,7 +276,7 @@ def run_dataset(config: RecordConfig) -> dict[str, Any]:
     world = env_spec(str(config.expert)) if spec is None else spec
     seeds = range(config.seed, config.seed + config.episodes)
     with closing(make_env(world.task, world.render_profile, world.cameras)) as env, one_thread():
-        schedule = _schedule(config, env)
+        schedule = _schedule(config, env.spec)
         streams = tuple(one.name for one in env.spec.cameras)
         played = (
             lerobot.policy_decisions(policy, env, schedule, seed)
@@ -294,6 +324,10 @@ def write_all(out: Path, facts: Facts, episode: Iterator[Frame]) -> tuple[Frame,
 
 def record_words(result: dict[str, Any]) -> str:
     """The result as two lines."""
+    if "chapters" in result:
+        lines = [f"{result['out']}: {result['bytes'] / 1e6:.1f} MB"]
+        lines += [f"{c['title']}, seed {c['seed']}: {c['words']}" for c in result["chapters"]]
+        return "\n".join(lines)
     if "episodes" in result:
         return (
             f"{result['out']}: {result['episodes']} episodes of {result['policy']} from seed "
@@ -336,10 +370,10 @@ def _reference(config: RecordConfig) -> str:
     return with_guard(with_wire(config.policy or "", config.wire), config.guard)
 
 
-def _schedule(config: RecordConfig, env: Environment) -> Schedule:
+def _schedule(config: RecordConfig, env: EnvSpec) -> Schedule:
     """The schedule of the scenario and of ``--drop`` together."""
-    named = scenario(config.scenario).schedule(env.spec) if config.scenario else ()
-    cameras = [camera.name for camera in env.spec.cameras]
+    named = scenario(config.scenario).schedule(env) if config.scenario else ()
+    cameras = [camera.name for camera in env.cameras]
     return in_order([*named, *parse_schedule(config.drop, cameras)])
 
 
@@ -358,24 +392,3 @@ def _session(
     if script is not None:
         session.send(Play())  # A session with a script starts paused.
     return session
-
-
-def frames(session: Session, steps: int | None) -> Iterator[Frame]:
-    """The frames of one episode, from step 0 to its end or to step ``steps``: of every step the
-    last one, after whatever came by itself. Raises UserError where the session stops."""
-    arrived: deque[Frame | NoFrame] = deque()
-    session.subscribe(arrived.append)
-    newest: Frame | None = None
-    while newest is None or not (newest.ended or newest.world.step == steps):
-        session.tick(0.0)
-        while arrived:
-            frame = arrived.popleft()
-            error = frame.error if isinstance(frame, NoFrame) else frame.pace.error
-            if error or isinstance(frame, NoFrame):
-                raise UserError(f"the episode stopped: {error.strip().splitlines()[0]}")
-            if newest is not None and frame.world.step > newest.world.step:
-                yield newest
-                if newest.world.step == steps:
-                    return
-            newest = frame
-    yield newest

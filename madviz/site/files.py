@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import zipfile
 from pathlib import Path
 from typing import TypedDict
 
 from safetensors.numpy import save
 
-from madviz.system.files import write_bytes
+from madviz.system.files import replacing, write_bytes
 from madviz.types import Array
 
 
@@ -40,3 +41,16 @@ def write_shared(out: Path, folder: str, arrays: dict[str, Array]) -> SiteFile:
     content = save(arrays)
     name = hashlib.sha256(content).hexdigest()[:16]
     return write_packed(out, f"{folder}/{name}.gz", content)
+
+
+def write_zip(folder: Path) -> Path:
+    """Everything in ``folder``, as FOLDER.zip beside it. The same files give the same bytes: no
+    times are in it."""
+    archive = folder.with_name(f"{folder.resolve().name}.zip")
+    with replacing(archive) as part, zipfile.ZipFile(part, "w") as written:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                name = path.relative_to(folder).as_posix()
+                entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+                written.writestr(entry, path.read_bytes(), zipfile.ZIP_DEFLATED)
+    return archive

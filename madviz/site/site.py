@@ -26,6 +26,7 @@ from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyFolder, describe, policy_folders
 from madviz.session.session_file import versions_here
 from madviz.site.exports import description_of, export_policy, export_task
+from madviz.site.files import write_zip
 from madviz.site.recordings import record_policy
 from madviz.site.runtime import find_packages, versions, write_licences, write_runtime
 from madviz.system.files import write_json
@@ -61,6 +62,8 @@ class SiteConfig:
     policies that are shown first; 0 for none. A minute or two for each policy, once."""
     recordings: str = "build/recordings"
     """Where recordings are kept for the next site."""
+    zip: bool = False
+    """Also write OUT.zip, which hosts of static files take."""
     packages: str = ".venv/node/node_modules"
     """The folder with the npm packages; ``make site`` fills it."""
     json: str | None = None
@@ -106,7 +109,8 @@ def run_site(config: SiteConfig) -> dict[str, Any]:
     write_licences(out, packages)
     write_json(out / MANIFEST, manifest)
     size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
-    return {"out": str(out), "bytes": size, **manifest}
+    archive = write_zip(out) if config.zip else None
+    return {"out": str(out), "bytes": size, "zip": str(archive or ""), **manifest}
 
 
 def site_words(result: dict[str, Any]) -> str:
@@ -115,9 +119,10 @@ def site_words(result: dict[str, Any]) -> str:
     names = {policy["name"] for policy in result["policies"]}
     recorded = len(set(films) - names)
     more = f" and {recorded} that are recorded" if recorded else ""
+    zipped = f"{result['zip']}: the same, for a host of static files\n" if result["zip"] else ""
     return (
         f"{result['out']}: {len(result['tasks'])} tasks, {len(names)} policies that act{more}, "
-        f"{result['bytes'] / 1e6:.1f} MB\n"
+        f"{result['bytes'] / 1e6:.1f} MB\n{zipped}"
         f"python -m http.server --bind 127.0.0.1 --directory {result['out']} 8000   serves it"
     )
 

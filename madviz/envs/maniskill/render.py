@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.envs.checks import check_size
+from madviz.envs.checks import check_size, largest_view
 from madviz.envs.maniskill.meshes import lighten
 from madviz.envs.maniskill.sapien_bodies import ManiSkillBodies
 from madviz.envs.maniskill.shaders import STOCK, shader_pack
@@ -38,6 +38,7 @@ class DrawnCopy:
     """The copy of one task that is drawn. Belongs to the thread that makes it."""
 
     def __init__(self, task: str, render_profile: str) -> None:
+        self._largest = largest_view(render_profile)
         self._copy: Any = build(task, render_backend="cpu")
         self._scene: Any = self._copy.scene.sub_scenes[0]
         for hidden in self._copy._hidden_objects:  # PickCube's goal is not for policies to see.
@@ -67,7 +68,7 @@ class DrawnCopy:
         are made once. Raises UserError for a size that cannot be drawn."""
         import sapien
 
-        check_size(size)
+        check_size(size, self._largest)
         if (name, size) not in self._cameras:
             self._cameras[name, size] = self._camera(size)
         entity, camera = self._cameras[name, size]

@@ -19,7 +19,7 @@ from contextlib import nullcontext
 import mujoco
 import numpy as np
 
-from madviz.envs.checks import MAX_SIZE, check_size
+from madviz.envs.checks import MAX_SIZE, check_size, largest_view
 from madviz.envs.mujoco.meshes import lighter_meshes
 from madviz.errors import UserError
 from madviz.types import Array, View
@@ -34,7 +34,8 @@ class SceneCameras:
         """Raises UserError where no OpenGL can be had."""
         self._model = model
         self._data = data
-        model.vis.global_.offwidth = model.vis.global_.offheight = MAX_SIZE
+        self._largest = largest_view(render_profile)
+        model.vis.global_.offwidth = model.vis.global_.offheight = self._largest
         if render_profile == "fast":
             model.vis.quality.offsamples = 0
             model.vis.quality.shadowsize = 0  # Else 64 MB for a shadow map that nothing reads.
@@ -60,7 +61,7 @@ class SceneCameras:
     def draw(self, position: Array, rotation: Array, fovy: float, size: int) -> View:
         """The view from ``position`` (3,) metres; ``rotation`` (3, 3) has the OpenGL camera's axes
         (right, up, back) as columns; ``fovy`` in degrees; square of ``size`` pixels."""
-        check_size(size)
+        check_size(size, self._largest)
         if self._gl is None:
             raise RuntimeError("these cameras are closed")
         self._gl.make_current()

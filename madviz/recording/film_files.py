@@ -1,0 +1,113 @@
+"""The files of a film: X.mp4 with chapters, and X.webp, which is small."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import Protocol
+
+import imageio.v2 as imageio
+import imageio_ffmpeg
+from PIL import Image
+
+from madviz.types import Array
+
+SMALL_WIDTH = 880
+SMALL_EVERY = 3
+"""A small film's columns, and of how many decisions it shows one."""
+
+
+class Film(Protocol):
+    """Takes the pictures of a film in order."""
+
+    seconds: float
+    """How long it is so far."""
+
+    def add(self, picture: Array, seconds: float) -> None:
+        """A picture (H, W, 3) that stays for ``seconds``."""
+        ...
+
+    def close(self, titles: list[tuple[float, str]]) -> None:
+        """Completes the file; ``titles``: when each chapter begins, in seconds."""
+        ...
+
+
+class LargeFilm:
+    """X.mp4, with chapters."""
+
+    def __init__(self, path: Path, fps: float) -> None:
+        self._path = path
+        self._fps = fps
+        self.seconds = 0.0
+        self._film = imageio.get_writer(
+            path, fps=fps, codec="libx264", quality=7, macro_block_size=2, ffmpeg_log_level="error"
+        )
+
+    def add(self, picture: Array, seconds: float) -> None:
+        """As ``Film.add``."""
+        for _ in range(max(1, round(seconds * self._fps))):
+            self._film.append_data(picture)
+        self.seconds += seconds
+
+    def close(self, titles: list[tuple[float, str]]) -> None:
+        """As ``Film.close``. Chapters are written once the times of all are known."""
+        self._film.close()
+        ends = [*(start for start, _ in titles[1:]), self.seconds]
+        described = [";FFMETADATA1"]
+        for (start, title), end in zip(titles, ends, strict=True):
+            times = f"START={round(1000 * start)}\nEND={round(1000 * end)}"
+            described.append(f"[CHAPTER]\nTIMEBASE=1/1000\n{times}\ntitle={_escaped(title)}")
+        without = self._path.with_name(f"plain-{self._path.name}")
+        self._path.rename(without)
+        try:
+            subprocess.run(
+                [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", "-i", without]
+                + ["-f", "ffmetadata", "-i", "-", "-map_metadata", "1", "-codec", "copy"]
+                + ["-movflags", "+faststart", "-f", "mp4", self._path],
+                input="\n".join(described),
+                text=True,
+                check=True,
+            )
+        finally:
+            without.unlink()
+
+
+def _escaped(title: str) -> str:
+    """``title`` for ffmpeg's file of metadata."""
+    return "".join(f"\\{letter}" if letter in "=;#\\" else letter for letter in title)
+
+
+class SmallFilm:
+    """X.webp: fewer and smaller pictures, which start again at the end."""
+
+    def __init__(self, path: Path) -> None:
+        self.seconds = 0.0
+        self._path = path
+        self._shown: list[tuple[Image.Image, float]] = []
+        self._passed = 0
+
+    def add(self, picture: Array, seconds: float) -> None:
+        """As ``Film.add``; a picture that is left out gives its time to the one before it."""
+        self.seconds += seconds
+        self._passed += 1
+        if self._shown and seconds < 1 and self._passed % SMALL_EVERY:
+            last, lasts = self._shown[-1]
+            self._shown[-1] = (last, lasts + seconds)
+            return
+        size = (SMALL_WIDTH, round(SMALL_WIDTH * picture.shape[0] / picture.shape[1]))
+        small = Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS)
+        self._shown.append((small, seconds))
+
+    def close(self, titles: list[tuple[float, str]]) -> None:
+        """As ``Film.close``; this format has no chapters."""
+        pictures = [picture for picture, _ in self._shown]
+        pictures[0].save(
+            self._path,
+            format="webp",
+            save_all=True,
+            append_images=pictures[1:],
+            duration=[round(1000 * seconds) for _, seconds in self._shown],
+            loop=0,
+            quality=50,
+            method=4,
+        )

@@ -1,0 +1,31 @@
+"""The frames of an episode that nobody watches: of every step the last one."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+
+from madviz.errors import UserError
+from madviz.session.frame import Frame, NoFrame
+from madviz.session.session import Session
+
+
+def frames(session: Session, steps: int | None) -> Iterator[Frame]:
+    """The frames of one episode, from step 0 to its end or to step ``steps``: of every step the
+    last one, after whatever came by itself. Raises UserError where the session stops."""
+    arrived: deque[Frame | NoFrame] = deque()
+    session.subscribe(arrived.append)
+    newest: Frame | None = None
+    while newest is None or not (newest.ended or newest.world.step == steps):
+        session.tick(0.0)
+        while arrived:
+            frame = arrived.popleft()
+            error = frame.error if isinstance(frame, NoFrame) else frame.pace.error
+            if error or isinstance(frame, NoFrame):
+                raise UserError(f"the episode stopped: {error.strip().splitlines()[0]}")
+            if newest is not None and frame.world.step > newest.world.step:
+                yield newest
+                if newest.world.step == steps:
+                    return
+            newest = frame
+    yield newest
