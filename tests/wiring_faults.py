@@ -35,7 +35,7 @@ POLICY = "metaworld-hammer-merged-only-light"
 TOY = "madviz.examples.own_policy:make"
 """A policy that minds which camera is which; the other one sums their features, whoever sent
 them."""
-MIDDLING = 1.8
+MIDDLING = 1.4
 """Standard deviation of noise on the actions, with which ``TOY`` succeeds about half the time."""
 RUNS = 20
 Pictures = dict[str, Array]

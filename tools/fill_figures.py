@@ -90,6 +90,7 @@ def included(method: str) -> str:
 
 
 BLOCKS: dict[str, Callable[[], str]] = {
+    "wiring": measurements.wiring,
     "findings": findings,
     "mv-mae": partial(included, "mv-mae"),
     "mv-mwm": partial(included, "mv-mwm"),

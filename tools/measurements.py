@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -343,3 +344,32 @@ def site_success() -> str:
             rows.append((name, label, *success, only, f"{paired.mcnemar():.2g}"))
     header = ("policy", "cameras", "in the browser", "in Python", "only browser, only Python", "p")
     return table(header, rows)
+
+
+def wiring() -> str:
+    """The faults of ``tests/wiring_faults.py``, with what the command said of each, and how often
+    it advised a change where nothing was wrong."""
+    rows: list[dict[str, Any]] = json.loads((ROOT / "results" / "wiring.json").read_text())
+    faults = [row for row in rows if row["fault"] != "none"]
+    clean = [row for row in rows if row["fault"] == "none"]
+    count = Counter(row["judged"] for row in faults)
+    wins, n = (sum(row["as_wired"][i] for row in clean) for i in (0, 1))
+    advised = sum(row["verdict"] == "helps" for row in clean)
+    header = ("fault", "result", "as wired", "best change")
+    lines = [
+        (row["fault"], row["judged"], " of ".join(map(str, row["as_wired"])), _with_change(row))
+        for row in faults
+    ]
+    return (
+        f"{table(header, lines)}\n{count['right']} of {len(faults)} faults were named, "
+        f"{count['wrong']} wrongly; {count['cannot tell']} could not be told. In {len(clean)} runs "
+        f"without a fault, on a policy that succeeded in {wins} of {n} episodes, {advised} changes "
+        "were advised.\n"
+    )
+
+
+def _with_change(row: dict[str, Any]) -> str:
+    """``pictures mirrored: 6 of 6``."""
+    said = row["sentence"].partition(" With ")[2].partition(".")[0]
+    label, _, rate = said.rpartition(": ")
+    return f"{label[:60]}{'…' if len(label) > 60 else ''}: {rate}"
