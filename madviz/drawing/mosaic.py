@@ -125,6 +125,8 @@ def badge(frame: Frame, camera: str) -> str:
         return "OFF"
     if state.occlusion.kind != "none":
         return state.occlusion.badge
+    if camera in frame.world.ablation.moves:
+        return "MOVED"
     words = []
     for modality in ("rgb", "depth"):
         if state.input in (modality, "both"):
