@@ -60,7 +60,7 @@ def test_one_camera_at_a_time_is_open_to_be_broken(server):
     frame = frame_with(SetCamera("third_a", CameraState("off", Occlusion("noise", 0.3))))
     panel = CamerasPanel(gui, sent.append, frame, 622)
     panel.breaks = breaks = BreakPanel(gui, sent.append, frame)
-    (folder,) = gui.of("GuiFolderHandle")
+    folder = gui.of("GuiFolderHandle")[0]
     assert not folder.visible
     use(gui.find("Third A"), "break …")
     strength = gui.find("strength")

@@ -58,12 +58,6 @@ def window_is_wide(client: viser.ClientHandle) -> bool:
     return client.camera.image_width >= WIDE
 
 
-def window_is_upright(client: viser.ClientHandle) -> bool:
-    """Whether it is a phone's: there, what floats over the scene hides everything else. A phone's
-    pixels are small, so their number says nothing."""
-    return client.camera.image_width < client.camera.image_height
-
-
 def notify(client: viser.ClientHandle, title: str, body: str, seconds: float = 8.0) -> None:
     """A note in the corner of the scene that goes away by itself."""
     client.add_notification(title, body, auto_close_seconds=seconds, color="orange")

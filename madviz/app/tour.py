@@ -130,6 +130,7 @@ class Tour:
         gui = self._client.gui
         self._panel = gui.add_panel()
         self._panel.float(x=10, y=10, width=WIDTH)
+        self._panel.expand()  # On a phone it would begin closed.
         self._tab = self._panel.add_tab("Tour", viser.Icon.ROUTE)
         with self._tab:
             # Above the words, whose length differs: a button stays where it was pressed last.

@@ -63,7 +63,8 @@ class BreakPanel(WidgetPanel):
             cells = [Cell(self._sends.handle, 1, 4, "above"), Cell(self._gives.handle, 1, 3)]
             cells += [Cell(close, 4), *(Cell(one, 1 + 2 * (i % 2), 2) for i, one in sliders)]
             place(gui, "breaks", 4, cells)
-            self.move = MovePanel(gui, send, frame, scene, named)
+            with gui.add_folder("Where it stands"):  # A container has one grid.
+                self.move = MovePanel(gui, send, frame, scene, named)
         self.handles = [self._folder]
 
     def _add_slider(self, gui: viser.GuiApi, field: str) -> tuple[int, viser.GuiSliderHandle]:

@@ -83,7 +83,7 @@ class MovePanel(HtmlPanel):
             on_value(slider, lambda _, value, field=field: self._drag(field, value))
             self._sliders[field], self._shown[field] = slider, SyncedInput(slider)
         cells += [
-            Cell(slider, 1 + 4 * (index % 3), 4)
+            Cell(slider, 1 + 6 * (index % 2), 6)
             for index, slider in enumerate(self._sliders.values())
         ]
         if self._gizmo is not None:
