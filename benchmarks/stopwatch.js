@@ -37,7 +37,7 @@
     watch.pending = null;
   }, true);
   watch.toggle = (camera, off) => {
-    const label = off ? 'off' : 'RGB';
+    const label = off ? 'off' : 'on';
     const buttons = [...document.querySelectorAll('button')].filter(b => b.innerText === label);
     watch.pending = {camera, cameras: buttons.length, off, setting: status().setting,
                      action: action(), start: performance.now()};

@@ -13,7 +13,8 @@ import pytest
 
 from madviz.app.connection import _forgive, is_too_late
 from madviz.app.panel import CROSSED, Assign, apply
-from madviz.app.panels.cameras import CamerasPanel
+from madviz.app.panels.breaks import BreakPanel
+from madviz.app.panels.cameras import CamerasPanel, switched
 from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel, status_html
 from madviz.app.panels.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
@@ -26,6 +27,7 @@ from madviz.drawing.viewpoint import focus
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.condition import Condition
+from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import Compare, Link, Pause, Scrub, SetCamera, SetPolicy, StepOnce
 from madviz.session.frame import Frame
 from madviz.session.session import Session
@@ -39,14 +41,40 @@ def test_camera_switches_send_commands_and_never_echo(server):
     gui = recorded(server.gui)
     panel = CamerasPanel(gui, sent.append, frame_with(), 622)
     noisy = CameraState("rgb", Occlusion("noise", 0.3))
-    apply(panel.update(frame_with(SetCamera("third_a", noisy))))
+    frame = frame_with(SetCamera("third_a", noisy))
+    apply(panel.update(frame))
     assert sent == [], "showing a state must not set one"
-    strength = gui.find("strength", 1)
-    assert strength.visible and strength.value == 0.3
-    assert not gui.find("x", 1).visible
-    use(gui.find("Input", 1), "off")
+    assert [switched(frame, name) for name in ("first", "third_a")] == ["on", "break"]
+    use(gui.find("Third A"), "off")
     assert sent == [SetCamera("third_a", CameraState("off", Occlusion("noise", 0.3)))]
+    aside = MoveCamera("third_a", Displacement(right=0.1))
+    apply(panel.update(frame_with(sent.pop(), aside)))
+    use(gui.find("Third A"), "on")
+    assert sent == [SetCamera("third_a", CameraState("rgb")), MoveCamera("third_a", None)]
     panel.remove()
+
+
+def test_one_camera_at_a_time_is_open_to_be_broken(server):
+    sent: list = []
+    gui = recorded(server.gui)
+    frame = frame_with(SetCamera("third_a", CameraState("off", Occlusion("noise", 0.3))))
+    panel = CamerasPanel(gui, sent.append, frame, 622)
+    panel.breaks = breaks = BreakPanel(gui, sent.append, frame)
+    folder = gui.of("GuiFolderHandle")[0]
+    assert not folder.visible
+    use(gui.find("Third A"), "break …")
+    strength = gui.find("strength")
+    assert (folder.visible, folder.label) == (True, "Break or move Third A")
+    assert strength.visible and strength.value == 0.3 and not gui.find("x").visible
+    use(gui.find("Sends"), "blur")
+    assert sent == [SetCamera("third_a", CameraState("rgb", Occlusion("blur", 0.3)))]
+    use(gui.find("First person"), "break …")
+    assert folder.label == "Break or move First person" and not strength.visible
+    use(gui.find("close"))
+    assert not folder.visible and len(sent) == 1
+    breaks.remove()
+    panel.remove()
+    assert not gui.present
 
 
 def test_an_old_frame_does_not_take_back_a_choice(server):
@@ -67,9 +95,9 @@ def test_an_old_frame_does_not_take_back_a_choice(server):
 def test_a_slider_being_dragged_is_not_pulled_back(server):
     sent: list = []
     gui = recorded(server.gui)
-    panel = CamerasPanel(gui, sent.append, frame_with(), 622)
     old = frame_with(SetCamera("first", CameraState("rgb", Occlusion("blur", 0.5))))
-    apply(panel.update(old))
+    panel = BreakPanel(gui, sent.append, old)
+    apply(panel.turn("first"))
     slider = gui.find("strength")
     use(slider, 0.8)
     apply(panel.update(old))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from madviz.app.panel import apply
+from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.cameras import CamerasPanel
 from madviz.app.panels.patch import Box, parse_box, patched
 from madviz.drawing.mosaic import GAP, HEADER, mosaic
@@ -110,12 +111,13 @@ def test_a_patch_has_a_slider_for_each_side_and_only_a_patch_has(server):
         Pause(), SetCamera("first", CameraState("rgb", Occlusion("patch", width=0.8)))
     )
     gui, names = recorded(server.gui), ("x", "y", "width", "height")
-    panel = CamerasPanel(gui, sent.append, frame, 620)
-    apply(panel.update(frame))
+    panel = BreakPanel(gui, sent.append, frame)
+    apply(panel.turn("first"))
     assert [gui.find(side).value for side in ("width", "height")] == [0.8, 0.4]
     assert all(gui.find(name).visible and gui.find(name).hint for name in names)
-    assert not any(gui.find(name, 1).visible for name in names)
     use(gui.find("height"), 0.1)
     patch = Occlusion("patch", width=0.8, height=0.1)
     assert sent == [SetCamera("first", CameraState("rgb", patch))]
+    apply(panel.turn("third_a"))
+    assert not any(gui.find(name).visible for name in names)
     panel.remove()

@@ -253,8 +253,8 @@ def test_the_panel_drags_is_not_pulled_back_and_puts_back():
     frame = live.ask(Pause())
     gui = recorded(server.gui)
     panel = MovePanel(gui, sent.append, frame)
-    camera, right, pan = (gui.find(name) for name in ("Camera", "right", "pan"))
-    use(camera, "Third A")
+    right, pan = (gui.find(name) for name in ("right", "pan"))
+    panel.choose("third_a")
     use(right, 0.1)
     use(pan, 5)
     assert sent[-1] == MoveCamera("third_a", Displacement(right=0.1, pan=5))
@@ -262,10 +262,10 @@ def test_the_panel_drags_is_not_pulled_back_and_puts_back():
     assert right.value == 0.1 and pan.value == 5
     apply(panel.update(live.ask(sent[1])))
     assert right.value == 0.1 and pan.value == 5
-    use(camera, "Third B")
+    panel.choose("third_b")
     assert right.value == 0
     apply(panel.update(live.ask(MoveCamera("third_a", None))))
-    use(camera, "Third A")
+    panel.choose("third_a")
     assert pan.value == 0
     panel.remove()
     server.stop()

@@ -19,12 +19,12 @@ from madviz.app.keys import Keys
 from madviz.app.live_audit import LiveAudit
 from madviz.app.panel import Panel
 from madviz.app.panels.audit import AuditPanel
+from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.cameras import CamerasPanel
 from madviz.app.panels.comparison import ComparisonPanel
 from madviz.app.panels.failures import FailuresPanel
 from madviz.app.panels.features import FeaturesPanel
 from madviz.app.panels.foresight import ForesightPanel
-from madviz.app.panels.move import MovePanel
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel
 from madviz.app.panels.projection import ProjectionPanel
 from madviz.app.panels.saliency import SaliencyPanel
@@ -49,8 +49,8 @@ from madviz.training.job import TrainingJob
 
 PAIRED = 156
 PAIRED_WIDE = 216
-"""Pixels of a camera's picture where there are two rows of them: then nothing has to be scrolled in
-a window of 1280 x 800, or 1920 x 1080."""
+"""Pixels of a camera's picture at most where there are two rows of them: then nothing has to be
+scrolled in a window of 1280 x 800, or 1920 x 1080."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,10 @@ class Panels:
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
             cameras = CamerasPanel(gui, self._send, frame, width, PAIRED_WIDE if wide else PAIRED)
             self._words = WordsPanel(gui, frame, rates)
+            if self._send is not None:
+                cameras.breaks = BreakPanel(gui, self._send, frame, client.scene, named)
             tabs = gui.add_tab_group()
+        breaks = [TimedPanel(cameras.breaks, 0.1)] if cameras.breaks else []
         tabbed = self._build_tabs(tabs, frame)
         self._extras = [dockable, tour, *commands(client, keys.table)]
         scene = ScenePanel(client, frame, None if readonly else keys.toggle)
@@ -121,6 +124,7 @@ class Panels:
             TimedPanel(cameras, FASTEST),
             TimedPanel(policy, FASTEST),
             TimedPanel(self._words, FASTEST),
+            *breaks,
             *tabbed,
             TimedPanel(self.success, 0.5),
             TimedPanel(scene, 0.05),
@@ -138,8 +142,8 @@ class Panels:
             handle.remove()
 
     def _build_tabs(self, tabs: viser.GuiTabGroupHandle, frame: Frame) -> list[TimedPanel]:
-        """Builds the panels under the cameras, a tab each; names are short: eleven fit into one
-        row."""
+        """Builds the panels under the cameras, a tab for each question a visitor has; the last one
+        holds what is wanted now and then."""
         gui = self._client.gui
         send = self._send
         wide = self._wide
@@ -147,30 +151,35 @@ class Panels:
         explain, audited = (self._explain, self._newest) if send else (None, None)
         choices = shared.choices
         named = shared.references.name_of
-        table: list[tuple[str, list[tuple[Callable[[], Panel], float]]]] = [
-            ("Features", [(lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25)]),
-            ("Subsets", [(lambda: SubsetsPanel(gui, send, frame), 0.5)]),
-            ("Shapley", [(lambda: ShapleyPanel(gui, frame, shared.rates), 0.5)]),
-            (
-                "Inside",
-                [
-                    (lambda: SaliencyPanel(gui, explain, frame), 0.25),
-                    (lambda: ForesightPanel(gui, send, frame), 0.5),
-                    (lambda: ProjectionPanel(gui, frame, 330 if wide else 170), 0.4),
-                ],
-            ),
-            ("Audit", [(lambda: AuditPanel(gui, audited, frame, shared.audit), 1.0)]),
-            ("Move", [(lambda: MovePanel(gui, send, frame, self._client.scene, named), 0.25)]),
-            ("Timeline", [(lambda: TimelinePanel(gui, send, frame), 0.5)]),
-            ("A/B", [(lambda: ComparisonPanel(gui, send, frame, choices, named), 0.5)]),
-            ("Failures", [(lambda: FailuresPanel(gui, send, frame), 0.5)]),
-            ("Train", [(lambda: TrainingPanel(gui, send, frame, shared.training), 1.0)]),
-            ("Save", [(lambda: SavePanel(gui, self._session.save, frame), 1.0)]),
-        ]
-        built = []
-        for name, panels in table:
-            with tabs.add_tab(name):
-                built += [TimedPanel(build(), period) for build, period in panels]
+        built: list[TimedPanel] = []
+
+        def add(tab: viser.GuiTabHandle, *panels: tuple[Callable[[], Panel], float]) -> None:
+            with tab:
+                built.extend(TimedPanel(build(), period) for build, period in panels)
+
+        add(
+            tabs.add_tab("What counts?"),
+            (lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25),
+            (lambda: ShapleyPanel(gui, frame, shared.rates), 0.5),
+        )
+        add(tabs.add_tab("What if?"), (lambda: SubsetsPanel(gui, send, frame), 0.5))
+        add(
+            tabs.add_tab("Sees what?"),
+            (lambda: SaliencyPanel(gui, explain, frame), 0.25),
+            (lambda: ForesightPanel(gui, send, frame), 0.5),
+            (lambda: ProjectionPanel(gui, frame, 330 if wide else 170), 0.4),
+        )
+        add(tabs.add_tab("Go back"), (lambda: TimelinePanel(gui, send, frame), 0.5))
+        add(
+            tabs.add_tab("Who wins?"),
+            (lambda: ComparisonPanel(gui, send, frame, choices, named), 0.5),
+        )
+        with tabs.add_tab("More"):
+            more = gui.add_tab_group()
+        add(more.add_tab("Audit"), (lambda: AuditPanel(gui, audited, frame, shared.audit), 1.0))
+        add(more.add_tab("Failures"), (lambda: FailuresPanel(gui, send, frame), 0.5))
+        add(more.add_tab("Train"), (lambda: TrainingPanel(gui, send, frame, shared.training), 1.0))
+        add(more.add_tab("Save"), (lambda: SavePanel(gui, self._session.save, frame), 1.0))
         return built
 
     def _guessed(self, guess: str) -> None:

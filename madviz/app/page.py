@@ -21,7 +21,7 @@ import viser
 from madviz.app.layout import Panels, Shared
 from madviz.app.markup import error_html
 from madviz.app.panel import apply
-from madviz.app.toolkit import window_is_upright, window_is_wide
+from madviz.app.toolkit import window_is_wide
 from madviz.session.frame import Change, Frame, NoFrame
 from madviz.session.live_session import LiveSession
 
@@ -48,7 +48,7 @@ class Page:
         self._notice = notice
         self._readonly = readonly
         self._wide = window_is_wide(client)
-        self._greets = shared.greets and not window_is_upright(client)
+        self._greets = shared.greets
         """Until it has: whoever comes is offered a comparison once."""
         self._measures = True
         """Whether success is measured for this page, as its visitor left the switch."""

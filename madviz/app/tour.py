@@ -37,8 +37,8 @@ HELP = """
 **What this is.** A robot works at a task. Several cameras watch it; a *policy*, a trained network,
 gets their pictures and says how the hand moves next. You may take cameras away while it works.
 
-**off** takes a camera away: nothing of it is added. **black**, **noise**, **freeze**, **blur**,
-**patch**, **lossy** and **late** break it instead: it still sends pictures, but bad ones.
+**off** takes a camera away: nothing of it is added. **break …** breaks it instead: it still sends
+pictures, but bad ones (black, noise, frozen, blurred, covered, lost or late), or from elsewhere.
 
 **merged** is what the policy acts on: what it makes of each camera's picture, added up.
 
@@ -46,7 +46,7 @@ gets their pictures and says how the hand moves next. You may take cameras away 
 
 **compare** puts two policies side by side, on the same episode and with the same cameras.
 
-**Subsets** shows what it would do, at this time step, with every other choice of cameras.
+**What if?** shows what it would do, at this time step, with every other choice of cameras.
 
 Rest the pointer on a control's name, and it says what it does. Ctrl + K (or ⌘ + K) finds every
 command by name.
@@ -130,6 +130,7 @@ class Tour:
         gui = self._client.gui
         self._panel = gui.add_panel()
         self._panel.float(x=10, y=10, width=WIDTH)
+        self._panel.expand()  # On a phone it would begin closed.
         self._tab = self._panel.add_tab("Tour", viser.Icon.ROUTE)
         with self._tab:
             # Above the words, whose length differs: a button stays where it was pressed last.

@@ -97,8 +97,8 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice], unbroken: Commands) ->
     if len(cameras) > 1:
         yield Step(
             f"Only {label[0]}",
-            "Now one camera is left, the others are dropped. The tab Subsets shows what it would "
-            "do, at this very time step, with every other choice of cameras.",
+            "Now one camera is left, the others are dropped. 'What if?' shows what it would do, at "
+            "this very time step, with every other choice of cameras.",
             (
                 _camera(frame, 0),
                 *(_camera(frame, index, "off") for index in range(1, len(cameras))),
@@ -115,7 +115,7 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice], unbroken: Commands) ->
     yield Step(
         "Back in time",
         "It has stopped, and the page shows what was a few steps ago, as it was then. The tab "
-        "Timeline has a slider for that: go back, drop a camera there, and see another run.",
+        "'Go back' has a slider for that: go back, drop a camera there, and see another run.",
         back=BACK,
     )
     yield Step(
@@ -165,7 +165,7 @@ def comparison_steps(frame: Frame, other: str, named: Reference = own_name) -> l
         ),
         Step(
             "Your turn",
-            "Nothing fails by itself now. Press off or black under any picture: the switches act "
+            "Nothing fails by itself now. Press off or break under any picture: they act "
             "on both sides, and 'A only' unlinks them. Which cameras does each policy need?",
             (SetSchedule(()), *unbroken, Reset(), Play()),
             go="keep comparing",

@@ -125,6 +125,8 @@ def badge(frame: Frame, camera: str) -> str:
         return "OFF"
     if state.occlusion.kind != "none":
         return state.occlusion.badge
+    if camera in frame.world.ablation.moves:
+        return "MOVED"
     words = []
     for modality in ("rgb", "depth"):
         if state.input in (modality, "both"):
@@ -197,6 +199,8 @@ def _depth_scale(depth_range: tuple[float, float], width: int) -> Array:
 def _header(block: Array, label: str, state: str, colour: str) -> None:
     block[:, :5] = rgb(colour)
     plain = state in ("RGB", "DEPTH", "RGB + DEPTH")
+    if 24 + _glyphs(label, 14).shape[1] + _glyphs(state, 12).shape[1] > block.shape[1]:
+        state = state.split()[0].strip(",")  # Its number does not fit beside the label.
     _write(block, label, 12, INK, 14)
     _write(block, state, -4, MUTED if plain else NOTE, 12)
 

@@ -116,6 +116,13 @@ class Visitor:
         pattern = re.compile(f"^{re.escape(label)}$")
         self.page.get_by_role("button", name=pattern).nth(camera).click()
 
+    def breaks(self, how: str, camera: int) -> None:
+        """Opens what breaks a camera, unless it is open, and presses a button there."""
+        opened = self.page.locator("[data-mv-grid=breaks]")
+        if not opened.count():
+            self.press("break …", camera)
+        self.press(how)
+
     def pick(self, policy: str) -> None:
         """Chooses a policy from the list."""
         name = self.page.locator("label", has_text="Policy").get_attribute("for")

@@ -31,13 +31,14 @@ def test_an_audit_is_started_on_the_page_and_comes_to_verdicts(
     app = App(new_session, shared, Address(), Limits(1))
     try:
         visitor = visit(app.url)
+        visitor.page.get_by_role("tab", name="More").click()
+        tabs = [tab.bounding_box() for tab in visitor.page.get_by_role("tab").all()]
         visitor.page.get_by_role("tab", name="Audit").click()
         visitor.until_text(".mv-audit", "Does this policy use its cameras")
         visitor.press("start audit")
         visitor.until_text(".mv-audit", "First person is needed: without it success changes by -")
         assert visitor.page.locator(".mv-audit").get_attribute("data-state") == "done"
-        tabs = [tab.bounding_box() for tab in visitor.page.get_by_role("tab").all()]
         rows = {round(box["y"]) for box in tabs[1:] if box}
-        assert len(rows) == 1, "the tabs under the cameras stand in one row"
+        assert len(rows) == 2, "questions stand in one row, and what More has in another"
     finally:
         app.stop()

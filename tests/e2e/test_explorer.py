@@ -8,8 +8,9 @@ from madviz.session.session_reader import read_session
 from tests.e2e.conftest import PATIENCE, Visitor
 
 
-def open_tab(visitor: Visitor, name: str) -> None:
-    visitor.page.get_by_role("tab", name=name).click()
+def open_tab(visitor: Visitor, *names: str) -> None:
+    for name in names:
+        visitor.page.get_by_role("tab", name=name, exact=True).click()
 
 
 def paused_at(visitor: Visitor, app: App, step: int) -> None:
@@ -35,7 +36,7 @@ def drag_back(visitor: Visitor, steps: int) -> None:
 
 
 def test_looking_back_shows_an_earlier_step_and_newest_returns(visitor: Visitor, app: App):
-    open_tab(visitor, "Timeline")
+    open_tab(visitor, "Go back")
     paused_at(visitor, app, 6)
     visitor.until_text(".mv-timeline", "Drag the step back")
     drag_back(visitor, 3)
@@ -47,7 +48,7 @@ def test_looking_back_shows_an_earlier_step_and_newest_returns(visitor: Visitor,
 
 
 def test_a_camera_switched_off_in_the_past_begins_another_future(visitor: Visitor, app: App):
-    open_tab(visitor, "Timeline")
+    open_tab(visitor, "Go back")
     paused_at(visitor, app, 5)
     drag_back(visitor, 3)
     visitor.until("status.step === '2'")
@@ -60,7 +61,7 @@ def test_a_camera_switched_off_in_the_past_begins_another_future(visitor: Visito
 
 
 def test_a_against_b_counts_pairs(visitor: Visitor):
-    open_tab(visitor, "A/B")
+    open_tab(visitor, "Who wins?")
     visitor.until_text(".mv-comparison", "A is the page")
     visitor.press("start B")
     visitor.until_text(".mv-comparison", "None yet")
@@ -72,7 +73,7 @@ def test_a_against_b_counts_pairs(visitor: Visitor):
 
 
 def test_a_training_starts_shows_itself_and_stops(visitor: Visitor):
-    open_tab(visitor, "Train")
+    open_tab(visitor, "More", "Train")
     visitor.until_text(".mv-training", "Nothing is being trained")
     visitor.press("watch")
     visitor.page.get_by_text("expected a policy to watch").wait_for(timeout=PATIENCE)
@@ -86,7 +87,7 @@ def test_a_training_starts_shows_itself_and_stops(visitor: Visitor):
 
 
 def test_shapley_values_of_all_cameras_stand_in_a_table(visitor: Visitor):
-    open_tab(visitor, "Shapley")
+    open_tab(visitor, "What counts?")
     text = visitor.until_text(".mv-shapley", "none → all present")
     assert all(word in text for word in ("Q now", "First person", "Third A", "Third B"))
     assert "dropped" not in text
@@ -96,7 +97,7 @@ def test_shapley_values_of_all_cameras_stand_in_a_table(visitor: Visitor):
 
 
 def test_saliency_is_asked_for_and_answered(visitor: Visitor, app: App):
-    open_tab(visitor, "Inside")
+    open_tab(visitor, "Sees what?")
     visitor.until_text(".mv-saliency", "Shows on every picture")
     paused_at(visitor, app, 3)
     visitor.press("for its action")
@@ -106,7 +107,7 @@ def test_saliency_is_asked_for_and_answered(visitor: Visitor, app: App):
 
 
 def test_a_scenario_runs_as_planned_and_ends(visitor: Visitor):
-    open_tab(visitor, "Failures")
+    open_tab(visitor, "More", "Failures")
     visitor.page.get_by_text("No failures are planned").wait_for(timeout=PATIENCE)
     visitor.press("run scenario")
     visitor.page.get_by_text("One camera after another is lost").wait_for(timeout=PATIENCE)
@@ -117,7 +118,7 @@ def test_a_scenario_runs_as_planned_and_ends(visitor: Visitor):
 
 
 def test_a_session_is_saved_as_a_file_that_replays(visitor: Visitor, app: App, tmp_path):
-    open_tab(visitor, "Save")
+    open_tab(visitor, "More", "Save")
     paused_at(visitor, app, 4)
     with visitor.page.expect_download(timeout=PATIENCE) as download:
         visitor.page.get_by_role("button", name="save this episode").click()

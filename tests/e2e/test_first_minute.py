@@ -70,7 +70,7 @@ def test_a_comparison_is_offered_first_and_drops_a_camera_on_both_sides(newcomer
     newcomer.press("off")
     newcomer.until_text(".mv-words", "A's action changed .* B's action changed")
     newcomer.press("A only")
-    newcomer.press("RGB")
+    newcomer.press("on")
     newcomer.until("status.setting === 'all'")
     wait_until(lambda: dropped(newcomer) == [False, True])
     newcomer.press("A and B")
@@ -83,7 +83,7 @@ def test_at_1280_by_800_the_comparison_needs_no_scrolling(newcomer: Visitor):
     page = newcomer.page
     newcomer.press("just show me")
     page.wait_for_selector(".mv-side", timeout=PATIENCE)
-    page.get_by_role("tab", name="A/B").click()
+    page.get_by_role("tab", name="Who wins?").click()
     page.wait_for_function(
         """() => ['.mv-side', '.mv-words', '.mv-comparison', '.mv .rate', '.mv .mv-outcomes']
           .every(selector => {

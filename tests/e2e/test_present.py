@@ -48,7 +48,7 @@ def test_the_presenter_has_the_controls_also_after_a_reload(browser, presentatio
     presenter.page.reload()
     presenter.page.wait_for_selector(".mv-status", timeout=PATIENCE)
     presenter.until("status.setting === 'first+third_b'")
-    presenter.press("RGB", camera=1)
+    presenter.press("on", camera=1)
     watcher.until("status.setting === 'all'")
     watcher.page.mouse.click(800, 700)
     watcher.page.keyboard.press("2")

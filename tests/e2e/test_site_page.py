@@ -189,15 +189,39 @@ def test_success_is_counted_beside_what_was_measured(visit, address):
 @pytest.mark.parametrize("query", ["", "?embed"])
 def test_nothing_sticks_out_at_any_width(visit, address, width, query):
     page = visit(address + query + LINK, viewport={"width": width, "height": 800})
-    page.locator("details").first.evaluate("element => element.open = true")
+    page.get_by_role("button", name="Break or move").first.click()
     wide = page.evaluate("() => document.documentElement.scrollWidth")
     assert wide <= width
     assert page.locator(".tag").is_visible() == (query == "" and width > 640)
 
 
+BOXES = """() => Object.fromEntries(['#stage', '#controls', '.drawer', '#timeline'].map(name => {
+  const box = document.querySelector(name).getBoundingClientRect();
+  return [name, [box.top, box.bottom]];
+}))"""
+
+
+@pytest.mark.parametrize(
+    "query, width, height",
+    [("", 1280, 800), ("", 390, 844), ("?embed", 800, 600), ("?embed", 1000, 700)],
+)
+def test_switches_never_cover_what_they_control(visit, address, query, width, height):
+    page = visit(address + query + LINK, viewport={"width": width, "height": height})
+    page.get_by_role("button", name="Break or move").nth(1).click()
+    page.locator(".drawer h3", has_text="Break or move Third A").wait_for()
+    boxes = page.evaluate(BOXES)
+    assert boxes["#stage"][1] <= boxes["#controls"][0] + 1
+    assert boxes["#controls"][1] <= boxes["#timeline"][0] + 1
+    assert boxes[".drawer"][1] <= height, "what was opened is in sight"
+    if width > 390:
+        assert boxes["#stage"][0] >= 0, "and so are the pictures that it changes"
+    page.get_by_role("button", name="Break or move").nth(1).click()
+    assert page.locator(".drawer").is_hidden()
+
+
 def test_all_that_can_be_pressed_has_a_name(visit, address):
     page = visit(address + LINK)
-    page.locator("details").evaluate_all("all => all.forEach(one => { one.open = true; })")
+    page.get_by_role("button", name="Break or move").first.click()
     nameless = page.locator("button, select, input, canvas, a").evaluate_all(
         "all => all.filter(one => !(one.ariaLabel || one.innerText?.trim() || one.labels?.length"
         " || one.title)).map(one => one.outerHTML.slice(0, 120))"

@@ -10,15 +10,14 @@ const layOut = marker => {
   const container = marker.parentElement.parentElement;
   label(container, 'mvGrid', marker.dataset.name);
   container.style.setProperty('--mv-columns', marker.dataset.columns);
-  for (const {id, column, span, label: width, button} of JSON.parse(marker.dataset.cells)) {
+  for (const {id, column, span, label: width} of JSON.parse(marker.dataset.cells)) {
     let box = document.getElementById(id) ?? document.querySelector(`label[for="${id}"]`);
     while (box && box.parentElement !== container) box = box.parentElement;
     if (!box) continue;
     label(box, 'mvId', id);
-    label(box, 'mvLabel', width === 'above' ? 'above' : 'beside');
+    label(box, 'mvLabel', ['above', 'none'].includes(width) ? width : 'beside');
     box.style.setProperty('--mv-column', `${column} / span ${span}`);
     box.style.setProperty('--mv-label', width);
-    box.style.setProperty('--mv-button', button);
   }
 };
 const all = () => document.querySelectorAll('.mv-grid').forEach(layOut);

@@ -1,22 +1,34 @@
-// On a phone, puts the status and the pictures first. viser shows all panels there in one sheet,
-// two thirds as wide as the screen, the main one first and the others closed under it.
+// On a phone, puts the scene above everything, then the opening or the tour where there is one, the
+// status and the pictures. viser shows all panels there in one sheet over the scene, two thirds as
+// wide as the screen, the main one first and the others closed under it.
 
 const narrow = matchMedia('(max-width: 36em)');
+const below = (root, piece) => {
+  while (piece.parentElement !== root) piece = piece.parentElement;
+  return piece;
+};
 const arrange = () => {
   const image = document.querySelector('.mv-mosaic'), status = document.querySelector('.mv-status');
   if (!narrow.matches || !image || !status) return;
   const sheet = image.closest('.mantine-Paper-root');
-  if (!sheet || !sheet.contains(status) || sheet.dataset.mvPhone) return;
+  if (!sheet || !sheet.contains(status)) return;
+  const tour = sheet.querySelector('.mv-tour'), arranged = sheet.querySelector('[data-mv-root]');
+  if (tour && arranged) below(arranged, tour).style.order = -3;
+  if (sheet.dataset.mvPhone) return;
   let section = image, piece = status;
   while (!section.parentElement.contains(status)) section = section.parentElement;
   const root = section.parentElement;
   for (piece = piece.parentElement; piece !== root; piece = piece.parentElement)
     piece.style.display = 'contents';
+  root.dataset.mvRoot = '';
   root.style.display = 'flex';
   root.style.flexDirection = 'column';
   section.style.order = -1;
   sheet.style.width = '100%';
-  sheet.style.maxHeight = '75%';
+  sheet.style.maxHeight = '70%';
+  let scene = document.querySelector('canvas');
+  while (!scene.parentElement.contains(sheet)) scene = scene.parentElement;
+  Object.assign(scene.style, {height: '30vh', flex: 'none', width: '100%', alignSelf: 'flex-start'});
   for (const box of sheet.querySelectorAll('div'))
     if (box.style.width === '20em') box.style.width = '100vw';
   sheet.dataset.mvPhone = 'done';

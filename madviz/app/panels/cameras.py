@@ -4,118 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from html import escape
 
 import viser
 
 from madviz.app.panel import Assign, apply
-from madviz.app.panels.patch import HINT, Box, attributes, field_style, parse_box, patched
+from madviz.app.panels.breaks import BreakPanel
+from madviz.app.panels.patch import HINT, attributes, field_style, parse_box, patched
 from madviz.app.panels.policy import policy_words, verdict
 from madviz.app.panels.subsets import MODALITY_WORDS
 from madviz.app.screen import Screen
-from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
+from madviz.app.toolkit import Cell, Choice, WidgetPanel, on_press, on_value, place
 from madviz.drawing.mosaic import GAP, Dropped, mosaic
-from madviz.observation.ablation import KINDS, PLACE, CameraState, Occlusion
+from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import Compare, Link, SetCamera
 from madviz.session.frame import Frame, untouched
 from madviz.subsets import modality_of
-from madviz.types import CameraSpec
 
-INPUTS = {"rgb": "RGB", "depth": "depth", "both": "both", "off": "off"}
+SWITCH = {"on": "on", "off": "off", "break": "break …"}
 DROPPED = {"imagined": "what is imagined", "both": "truth beside it", "truth": "the truth"}
 """The choices for a dropped camera's tile, where the policy draws it."""
-SLIDERS = ("strength", *PLACE)
-"""The fractions of an occlusion; each has a slider, which shows where its kind uses it."""
 HINTS = {
-    "input": "What the policy gets of this camera. Off drops it: the policy acts without it.",
-    "occlusion": "A failing camera: it stays in the sum, but sends a broken picture.",
-    "strength": "How strongly the picture is occluded.",
-    "x": "Centre of the patch, from the left; 0.5 is the middle.",
-    "y": "Centre of the patch, from the top; 0.5 is the middle.",
-    "width": "Width of the patch, as a share of the picture's; 1 is all of it.",
+    "switch": "Off drops it: the policy acts without it. Break: it stays in the sum, but sends a "
+    "bad picture or stands elsewhere. On: all of it as in training.",
     "link": "Both sides lose the same cameras, or only A does.",
     "dropped": "It draws what a dropped camera would see, from the others. dB: how near that "
     "is to the truth, over the pixels that move; 20 dB is an error of a tenth.",
     "end": "Back to one policy. Its cameras stay as they are.",
-    "height": "Height of the patch, as a share of the picture's; 1 is all of it.",
 }
-
-
-class CameraControls:
-    """The switches of one camera. ``send`` gets what a visitor asks for."""
-
-    def __init__(self, gui: viser.GuiApi, send: Callable[[SetCamera], None], name: str) -> None:
-        self.name = name
-        self._send = send
-        self._state = CameraState()
-        self.input: Choice
-        self.occlusion: Choice
-        self.sliders: dict[str, SyncedInput] = {}
-        self._gui = gui
-
-    def add_input(self) -> None:
-        """Buttons: what the policy gets of this camera."""
-        self.input = Choice(self._gui, "Input", INPUTS, self._on_input, HINTS["input"])
-
-    def add_occlusion(self) -> None:
-        """Buttons: how the camera fails."""
-        buttons = {kind: row.button for kind, row in KINDS.items()}
-        self.occlusion = Choice(
-            self._gui, "Occlude", buttons, self._on_occlusion, HINTS["occlusion"]
-        )
-
-    def add_slider(self, field: str) -> None:
-        """One fraction of an occlusion; see ``SLIDERS``."""
-        handle = self._gui.add_slider(
-            field,
-            0.0,
-            1.0,
-            0.01,
-            getattr(Occlusion(), field),
-            marks=(),
-            visible=False,
-            hint=HINTS[field],
-        )
-        on_value(handle, lambda _, value: self._on_fraction(field, value))
-        self.sliders[field] = SyncedInput(handle)
-
-    def style(self) -> str:
-        """CSS that marks the active buttons."""
-        return self.input.style(self._state.input) + self.occlusion.style(
-            self._state.occlusion.kind
-        )
-
-    def show(self, state: CameraState) -> list[Assign]:
-        """The changes that show ``state``; a slider that is being dragged stays."""
-        self._state = state
-        changes = []
-        for field, slider in self.sliders.items():
-            used = field in KINDS[state.occlusion.kind].uses
-            changes.append(Assign(slider.handle, "visible", used))
-            changes += slider.show(getattr(state.occlusion, field))
-        return changes
-
-    def cover(self, box: Box, tile: int) -> None:
-        """A patch where a visitor has drawn a box on a tile of ``tile`` pixels."""
-        for slider in self.sliders.values():
-            slider.release()
-        self._ask(patched(self._state, box, tile))
-
-    def _ask(self, state: CameraState) -> None:
-        self._state = state
-        self._send(SetCamera(self.name, state))
-
-    def _on_input(self, _: viser.ClientHandle, value: str) -> None:
-        self._ask(replace(self._state, input=value))  # type: ignore[arg-type]
-
-    def _on_occlusion(self, _: viser.ClientHandle, value: str) -> None:
-        occlusion = replace(self._state.occlusion, kind=value)  # type: ignore[arg-type]
-        self._ask(replace(self._state, occlusion=occlusion))
-
-    def _on_fraction(self, field: str, value: float) -> None:
-        occlusion = replace(self._state.occlusion, **{field: value})
-        self.sliders[field].hold(value)
-        self._ask(replace(self._state, occlusion=occlusion))
 
 
 class Mosaic:
@@ -160,23 +77,26 @@ class Mosaic:
 
 
 class CamerasPanel(WidgetPanel):
-    """The mosaic with a column of controls under every tile; B's mosaic below A's where there is a
-    B, and what the controls act on. ``send`` None: read-only."""
+    """The mosaic with a switch under every tile; B's mosaic below A's where there is a B, and what
+    the switches act on. ``send`` None: read-only."""
 
     def __init__(
         self,
         gui: viser.GuiApi,
-        send: Callable[[SetCamera | Link | Compare], None] | None,
+        send: Callable[[SetCamera | MoveCamera | Link | Compare], None] | None,
         frame: Frame,
         width: int,
         paired: int = 150,
     ) -> None:
         """``width`` in pixels of the picture; tiles share it. ``paired``: pixels of a tile where
         there are two mosaics."""
-        count = len(frame.world.env.cameras)
+        self._names = [camera.name for camera in frame.world.env.cameras]
         self._style = gui.add_html("")
         self._frame = frame
-        self._controls: list[CameraControls] = []
+        self._send = send
+        self.breaks: BreakPanel | None = None
+        """The panel that *break* opens for a camera."""
+        self._switches: list[Choice] = []
         self._field = gui.add_text("box", "") if send is not None else None
         self._titles = []
         self._mosaics = []
@@ -193,29 +113,27 @@ class CamerasPanel(WidgetPanel):
         self._drop.handle.visible = False
         self._link = LinkControls(gui, send) if send is not None else None
         if send is not None:
-            self._build(gui, send, frame.world.env.cameras)
+            for camera in frame.world.env.cameras:
+                press = partial(self._switch, camera.name)
+                self._switches.append(Choice(gui, camera.label, SWITCH, press, HINTS["switch"]))
         if self._field is not None:
             on_value(self._field, lambda _, text: self._draw(text))
         screens = [one.screen for one in self._mosaics]
         self._note = gui.add_html("")
-        grid = place(gui, "cameras", count, self._cells())
+        grid = place(gui, "cameras", len(self._names), self._cells())
         self.handles = [self._style, *self._titles, *screens, *grid, self._note]
 
-    def _build(
-        self,
-        gui: viser.GuiApi,
-        send: Callable[[SetCamera], None],
-        cameras: tuple[CameraSpec, ...],
-    ) -> None:
-        """Row by row, so that the grid fills in this order."""
-        self._controls = [CameraControls(gui, send, camera.name) for camera in cameras]
-        for control in self._controls:
-            control.add_input()
-        for control in self._controls:
-            control.add_occlusion()
-        for field in SLIDERS:
-            for control in self._controls:
-                control.add_slider(field)
+    def _switch(self, name: str, _: viser.ClientHandle, value: str) -> None:
+        assert self._send is not None
+        state = self._frame.camera(name)
+        if value == "off":
+            self._send(SetCamera(name, replace(state, input="off")))
+        elif value == "on":
+            self._send(SetCamera(name, untouched(self._frame.world.policy)))
+            if name in self._frame.world.ablation.moves:
+                self._send(MoveCamera(name, None))
+        elif self.breaks is not None:
+            apply([*self.breaks.turn(name), self._marks(self._frame)])
 
     def _pictures(self, frame: Frame) -> list[Assign]:
         changes = []
@@ -233,7 +151,11 @@ class CamerasPanel(WidgetPanel):
 
     def _marks(self, frame: Frame) -> Assign:
         """CSS that marks the active buttons and hides the field."""
-        marks = "".join(control.style() for control in self._controls)
+        opened = self.breaks.camera if self.breaks else ""
+        marks = "".join(
+            switch.style(switched(frame, name), "break" if name == opened else "")
+            for name, switch in zip(self._names, self._switches, strict=False)
+        )
         marks += self._drop.style(self._dropped)
         marks += field_style(self._field) if self._field else ""
         if self._link is not None:
@@ -241,20 +163,23 @@ class CamerasPanel(WidgetPanel):
         return Assign(self._style, "content", f"<style>{marks}</style>")
 
     def _draw(self, text: str) -> None:
-        box = parse_box(text, len(self._controls))
-        self._controls[box.tile].cover(box, self._mosaics[0].tile)
+        assert self._send is not None
+        box = parse_box(text, len(self._names))
+        name = self._names[box.tile]
+        state = patched(self._frame.camera(name), box, self._mosaics[0].tile)
+        if self.breaks is not None:
+            self.breaks.release()
+        self._send(SetCamera(name, state))
 
     def _cells(self) -> list[Cell]:
         cells = [Cell(self._field, 1)] if self._field else []
-        count = len(self._controls)
+        count = len(self._names)
         if self._link is not None:
-            cells.append(Cell(self._link.choice.handle, 1, max(count - 1, 1), "11em"))
+            cells.append(Cell(self._link.choice.handle, 1, max(count - 1, 1), "8em"))
             cells.append(Cell(self._link.end, count))
         cells.append(Cell(self._drop.handle, 1, max(count, 1), "11em"))
-        for index, control in enumerate(self._controls):
-            cells.append(Cell(control.input.handle, index + 1, label="above"))
-            cells.append(Cell(control.occlusion.handle, index + 1, label="above", button="15%"))
-            cells += [Cell(slider.handle, index + 1) for slider in control.sliders.values()]
+        for index, switch in enumerate(self._switches):
+            cells.append(Cell(switch.handle, index + 1, label="none"))
         return cells
 
     def update(self, frame: Frame) -> list[Assign]:
@@ -265,8 +190,6 @@ class CamerasPanel(WidgetPanel):
         # The choice is there where a policy draws what a dropped camera would see.
         drawn = bool(frame.world.imagined or (frame.second and frame.second.world.imagined))
         changes += [*self._pictures(frame), Assign(self._drop.handle, "visible", drawn)]
-        for control in self._controls:
-            changes += control.show(frame.camera(control.name))
         if self._link is not None:
             changes += self._link.show(paired)
         changes.append(self._marks(frame))
@@ -295,6 +218,15 @@ class LinkControls:
     def show(self, on: bool) -> list[Assign]:
         """Whether they are to be seen."""
         return [Assign(handle, "visible", on) for handle in (self.choice.handle, self.end)]
+
+
+def switched(frame: Frame, name: str) -> str:
+    """The button of ``SWITCH`` that says how a camera is."""
+    state = frame.camera(name)
+    if state.input == "off":
+        return "off"
+    whole = state == untouched(frame.world.policy) and name not in frame.world.ablation.moves
+    return "on" if whole else "break"
 
 
 def side_html(name: str, frame: Frame) -> str:

@@ -176,7 +176,7 @@ def features_html(frame: Frame) -> str:
 
 
 _HEAD = (
-    '<tr class="dim"><td>stream</td><td style="width:48%">where its feature is active</td>'
+    '<tr class="dim"><td>stream</td><td style="width:42%">where its feature is active</td>'
     '<td class="num">norm</td>'
     '<td class="num" title="of the angle to the merged feature: 1 is the same direction">cosine'
     '</td><td class="num" title="V·M / |M|²: how much of the merged feature M this stream\'s '

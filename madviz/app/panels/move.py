@@ -1,8 +1,8 @@
 """Move a camera: sliders along its own axes, and back to where the policy was trained.
 
-One camera at a time has the sliders; the others stay where they are put. The picture above changes
-with the slider, and so does what the policy makes of it. Beside the sliders stands how far every
-camera is from its place, and what that means for the success rates on this page.
+One camera at a time has the sliders (``breaks.py``); the others stay where they are put. The
+picture changes with the slider, and so does what the policy makes of it. Under the sliders stands
+how far every camera is from its place, and what that means for the success rates on this page.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from madviz.app.markup import dot
 from madviz.app.panel import Assign, apply
 from madviz.app.scene.gizmo import Gizmo
 from madviz.app.session_maker import Reference, own_name
-from madviz.app.toolkit import Cell, Choice, HtmlPanel, SyncedInput, on_press, on_value, place
+from madviz.app.toolkit import Cell, HtmlPanel, SyncedInput, on_press, on_value, place
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.drawing.viewpoint import extent
 from madviz.observation.displacement import LARGEST, MOST_ZOOM, Displacement, MoveCamera
@@ -26,7 +26,6 @@ from madviz.session.commands import Command
 from madviz.session.frame import Frame
 
 HINTS = {
-    "camera": "Which camera the sliders move.",
     "forward": "Metres into the picture.",
     "right": "Metres to the picture's right.",
     "up": "Metres to the picture's top.",
@@ -47,12 +46,12 @@ every move."""
 
 
 class MovePanel(HtmlPanel):
-    """See the module. ``send`` None: read-only."""
+    """See the module."""
 
     def __init__(
         self,
         gui: viser.GuiApi,
-        send: Callable[[Command], None] | None,
+        send: Callable[[Command], None],
         frame: Frame,
         scene: viser.SceneApi | None = None,
         named: Reference = own_name,
@@ -62,55 +61,50 @@ class MovePanel(HtmlPanel):
         self._frame = frame
         self._named = named
         self._gizmo: Gizmo | None = None
-        if scene is not None and send is not None:
+        if scene is not None:
             self._gizmo = Gizmo(scene, frame, extent(frame), self._ask)
         self._names = [camera.name for camera in frame.world.env.cameras]
         self._camera = self._names[0]
         self._moves = dict(frame.world.ablation.moves)
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
         self._shown: dict[str, SyncedInput] = {}
-        self._choice: Choice | None = None
-        self._style = gui.add_html("")
-        self.handles = [self._style]
-        if send is not None:
-            self._add_controls(gui, frame)
+        self._add_controls(gui)
         super().__init__(gui, frame, partial(move_html, named=named))
 
-    def _add_controls(self, gui: viser.GuiApi, frame: Frame) -> None:
-        labels = {camera.name: camera.label for camera in frame.world.env.cameras}
-        self._choice = Choice(gui, "Camera", labels, lambda _, c: self._choose(c), HINTS["camera"])
+    def _add_controls(self, gui: viser.GuiApi) -> None:
         back = gui.add_button("back", hint=HINTS["back"])
         home = gui.add_button("all back", hint=HINTS["all"])
         on_press(back, lambda: self._reset([self._camera]))
         on_press(home, lambda: self._reset(self._names))
-        cells = [Cell(self._choice.handle, 1, 7), Cell(back, 8, 2), Cell(home, 10, 3)]
+        cells = []
         for field, (low, high, step) in RANGES.items():
             value = getattr(self._move, field)
             slider = gui.add_slider(field, low, high, step, value, marks=(), hint=HINTS[field])
             on_value(slider, lambda _, value, field=field: self._drag(field, value))
             self._sliders[field], self._shown[field] = slider, SyncedInput(slider)
         cells += [
-            Cell(slider, 1 + 4 * (index % 3), 4)
+            Cell(slider, 1 + 6 * (index % 2), 6)
             for index, slider in enumerate(self._sliders.values())
         ]
         if self._gizmo is not None:
             arrows = gui.add_checkbox("arrows", False, hint=HINTS["arrows"])
             on_value(arrows, lambda _, on: self._show_arrows(bool(on)))
             cells.append(Cell(arrows, 1, 4))
-        self.handles = [self._style, *place(gui, "move", 12, cells)]
+        cells += [Cell(back, 5, 4), Cell(home, 9, 4)]
+        self.handles = place(gui, "move", 12, cells)
 
     @property
     def _move(self) -> Displacement:
         return self._moves.get(self._camera, Displacement())
 
-    def _choose(self, camera: str) -> None:
-        if camera in self._names:
-            self._camera = camera
-            self._release()
-            if self._gizmo is not None and self._gizmo.camera:
-                self._show_arrows(True)
-            # No frame may come while an episode is paused, so this does not wait for one.
-            apply([*self._show_sliders(), self._marks()])
+    def choose(self, camera: str) -> None:
+        """Gives the sliders to ``camera``."""
+        self._camera = camera
+        self._release()
+        if self._gizmo is not None and self._gizmo.camera:
+            self._show_arrows(True)
+        # No frame may come while an episode is paused, so this does not wait for one.
+        apply(self._show_sliders())
 
     def _drag(self, field: str, value: float) -> None:
         self._shown[field].hold(value)
@@ -134,20 +128,17 @@ class MovePanel(HtmlPanel):
             self._ask(camera, None)
 
     def _ask(self, camera: str, move: Displacement | None) -> None:
-        assert self._send is not None
         self._send(MoveCamera(camera, move))
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
         changes = super().update(frame)
         changes += self._gizmo.update(frame) if self._gizmo is not None else []
-        if self._choice is None:
-            return changes
         now = frame.world.ablation.moves.get(self._camera, Displacement())
         if all(shown.confirms(getattr(now, field)) for field, shown in self._shown.items()):
             self._moves = dict(frame.world.ablation.moves)
             changes += self._show_sliders()
-        return [*changes, self._marks()]
+        return changes
 
     def _show_sliders(self) -> list[Assign]:
         move = self._move
@@ -155,10 +146,6 @@ class MovePanel(HtmlPanel):
         for field, shown in self._shown.items():
             changes += shown.show(getattr(move, field), shown.handle.value != getattr(move, field))
         return changes
-
-    def _marks(self) -> Assign:
-        assert self._choice is not None
-        return Assign(self._style, "content", f"<style>{self._choice.style(self._camera)}</style>")
 
     def remove(self) -> None:
         super().remove()

@@ -126,7 +126,7 @@ def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
     style = ' style="background:rgba(255,209,102,0.12)"' if here else ""
     return (
         f"<tr{style}><td>{presence(frame, mask)}</td>"
-        f'<td style="max-width:190px;overflow-wrap:anywhere">{now}{dagger}{label}</td>{cells}</tr>'
+        f'<td style="max-width:190px;white-space:normal">{now}{dagger}{label}</td>{cells}</tr>'
     )
 
 

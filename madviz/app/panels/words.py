@@ -21,7 +21,7 @@ class WordsPanel(HtmlPanel):
 
     HINT = (
         "Take a camera away: press <b>off</b> under its picture, its number key, or click it in "
-        "the scene. <b>Off</b> leaves it out; <b>black</b> sends a black picture."
+        "the scene. <b>Off</b> leaves it out; <b>break …</b> lets it send a bad picture."
     )
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, rates: SuccessRates) -> None:

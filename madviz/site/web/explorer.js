@@ -261,7 +261,8 @@ export class Explorer {
     const hint = this.entries[0].recorded
       ? 'Recorded episodes: a switch goes over to the episode without that camera.'
       : `Switch a camera off, break its picture, or drag a box over it.${
-        matchMedia('(pointer: fine)').matches ? ' Keys 1 to 9 do the same.' : ''}`;
+        matchMedia('(pointer: fine)').matches
+          ? ` Keys 1 to ${this.entries[0].cameras.length} switch one off.` : ''}`;
     return tell(line, [document.createTextNode(changes.join('. ') || hint)]);
   }
 

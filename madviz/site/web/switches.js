@@ -2,7 +2,8 @@
  * The switches of every camera: on or off, colour or depth, how it fails, where it stands.
  *
  * A board belongs to one side or to both (linked). It shows what a frame says, so that a link, a
- * schedule and a click look the same; while a slider is held, the slider is right.
+ * schedule and a click look the same; while a slider is held, the slider is right. What breaks or
+ * moves a camera is under the cards, for one camera at a time.
  */
 
 import {intact} from './camera_state.js';
@@ -17,7 +18,7 @@ import {moveWords, stateWords} from './words.js';
 /** @typedef {import('./messages.js').Side} SideName */
 /** @typedef {import('./catalogue.js').Entry} Entry */
 /** @typedef {{state: CameraState, update: (world: import('./messages.js').World) => void,
- *   element: HTMLElement}} Card */
+ *   element: HTMLElement, more: HTMLButtonElement, inner: HTMLElement}} Card */
 
 /** @type {[Occlusion['kind'], string][]} */
 const FAILURES = [['none', 'its picture'], ['black', 'black'], ['noise', 'noise'],
@@ -40,9 +41,22 @@ export class SwitchBoard {
     this.side = side;
     this.send = send;
     this.cards = new Map(entry.cameras.map((camera, index) => [camera.name, this.card(index)]));
+    this.opened = '';
+    this.drawer = make('div', {class: 'drawer', hidden: true});
     this.element = make('div', {class: 'board', 'data-side': side},
-      ...[...this.cards.values()].map(card => card.element));
+      ...[...this.cards.values()].map(card => card.element), this.drawer);
     this.element.style.setProperty('--count', String(Math.min(entry.cameras.length, 5)));
+  }
+
+  /** Shows what breaks or moves a camera, or closes it. @param {string} camera */
+  turn(camera) {
+    this.opened = this.opened === camera ? '' : camera;
+    for (const [name, {more, inner}] of this.cards) {
+      more.setAttribute('aria-expanded', String(name === this.opened));
+      if (name === this.opened) this.drawer.replaceChildren(inner);
+    }
+    this.drawer.hidden = !this.opened;
+    this.drawer.scrollIntoView({block: 'nearest'});
   }
 
   /** @param {import('./messages.js').World} world */
@@ -82,23 +96,26 @@ export class SwitchBoard {
     const failure = this.failure(name, label);
     const move = moveBox(label, to =>
       this.send({kind: 'MoveCamera', side: this.side, camera: name, move: to}));
-    const live = this.entry.recorded ? [] : [failure.element, move.element];
     const state = make('span', {class: 'state'});
-    const more = make('details', {class: 'more'}, make('summary', {}, 'Break or move it ', state),
-      make('div', {class: 'inner'}, ...live));
+    const inner = make('div', {class: 'inner'}, make('h3', {}, `Break or move ${label} `, state),
+      failure.element, move.element);
+    const more = make('button', {type: 'button', class: 'more', 'aria-expanded': 'false',
+      'aria-label': `Break or move ${label}`, onclick: () => this.turn(name)}, 'break …');
     const element = make('fieldset', {class: 'card', 'data-camera': name},
       make('legend', {}, label, make('kbd', {title: `Key ${index + 1}`}, String(index + 1))),
-      switches.element, ...(live.length ? [more] : []));
+      switches.element, ...(this.entry.recorded ? [] : [more]));
     element.style.setProperty('--c', cameraColour(index));
-    const card = {state: intact(), element, update: (/** @type {any} */ world) => {
+    inner.style.setProperty('--c', cameraColour(index));
+    const card = {state: intact(), element, more, inner, update: (/** @type {any} */ world) => {
       card.state = world.cameras[name] ?? intact();
       element.classList.toggle('off', card.state.input === 'off');
       switches.update(card.state);
       failure.update(card.state);
       move.update(world.moves[name]);
-      say(state, [card.state.occlusion.kind === 'none' ? '' : stateWords({...card.state,
-        input: 'both'}), world.moves[name] ? moveWords(world.moves[name]) : ''].filter(Boolean)
-        .join(', '));
+      const how = [card.state.occlusion.kind === 'none' ? '' : stateWords({...card.state,
+        input: 'both'}), world.moves[name] ? moveWords(world.moves[name]) : ''].filter(Boolean);
+      more.setAttribute('aria-pressed', String(how.length > 0));
+      say(state, how.join(', '));
     }};
     return card;
   }
