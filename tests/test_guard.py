@@ -198,8 +198,8 @@ def play(
         encoded = policy.encode(np.stack(views), scene.state(places[step]))
         action = player.act(encoded, np.ones(len(streams), bool))
         mask = action[: len(streams)] > 0
-        assert mask.tolist() == player.mask.tolist()
-        found.append((mask.tolist(), action[len(streams) :].tolist(), player.note))
+        assert mask.tolist() == player.report.mask.tolist()
+        found.append((mask.tolist(), action[len(streams) :].tolist(), player.report.note))
     return found
 
 

@@ -24,6 +24,7 @@ from madviz.app.panels.comparison import ComparisonPanel
 from madviz.app.panels.failures import FailuresPanel
 from madviz.app.panels.features import FeaturesPanel
 from madviz.app.panels.foresight import ForesightPanel
+from madviz.app.panels.guard import GuardPanel
 from madviz.app.panels.move import MovePanel
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel
 from madviz.app.panels.projection import ProjectionPanel
@@ -110,6 +111,7 @@ class Panels:
         with dockable.add_tab("Cameras", viser.Icon.CAMERA):
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
             cameras = CamerasPanel(gui, self._send, frame, width, PAIRED_WIDE if wide else PAIRED)
+            guard = GuardPanel(gui, self._send, frame, named)
             self._words = WordsPanel(gui, frame, rates)
             tabs = gui.add_tab_group()
         tabbed = self._build_tabs(tabs, frame)
@@ -119,6 +121,7 @@ class Panels:
         # Every panel of the page, in the order in which they get a frame.
         self.panels = [
             TimedPanel(cameras, FASTEST),
+            TimedPanel(guard, 0.25),
             TimedPanel(policy, FASTEST),
             TimedPanel(self._words, FASTEST),
             *tabbed,

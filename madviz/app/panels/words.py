@@ -11,6 +11,7 @@ from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import NOTE
 from madviz.session.ending import Ending, ending_of, guess_words
 from madviz.session.frame import Change, Frame, deed, words
+from madviz.session.guard_words import guard_sentence
 from madviz.types import PolicySpec
 
 WAITS = "Waiting for the policy: {:.0f} s. What you change now counts from its next decision on."
@@ -49,6 +50,9 @@ class WordsPanel(HtmlPanel):
             said = f'<span class="dim">{self.HINT}</span>'
         else:
             said = escape(both_sides(self._last[0], frame, self._rates))
+        for side in (frame, frame.second):
+            if side is not None and (noticed := guard_sentence(side)):
+                said += f'<div class="mv-noticed" role="status">{escape(noticed)}</div>'
         return (
             f'<div class="mv mv-words" style="border-left:3px solid {NOTE};margin:0 10px 4px;'
             f'padding:2px 8px;min-height:36px">{said}</div>'
