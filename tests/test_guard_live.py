@@ -120,7 +120,7 @@ def test_the_page_says_it(session: Recorder, server) -> None:
     assert before.shape == mosaic(frame, 150).shape
     panel = WordsPanel(server.gui, frame, SuccessRates())
     assert "First person sends black since step 1" in panel._content(frame)
-    assert re.search("black[^<]* · with guard", bars_html(frame, SuccessRates()))
+    assert re.search("with guard · [^<]*black", bars_html(frame, SuccessRates()))
     without = session.ask(SetPolicy(NAME))
     assert "with guard" not in bars_html(without, SuccessRates())
 

@@ -177,7 +177,7 @@ class Panels:
         return built
 
     def _guessed(self, guess: str) -> None:
-        self._words.guess = guess
+        self._words.hear(guess)
 
     def _explain(self, target: Target | None) -> None:
         self._session.send(SetSaliency(target))

@@ -30,11 +30,20 @@ class WordsPanel(HtmlPanel):
         self._last: tuple[Change, PolicySpec] | None = None
         self.guess = ""
         """A visitor's guess who will succeed in the comparison; it counts for one episode."""
+        self._asked_in: int | None = None
+        """The episode that was shown when the guess was made; it is for a later one."""
+        self._shown_in: int | None = None
         self._guessed_in: int | None = None
         """The episode in which the guess was compared."""
         super().__init__(gui, frame, self._content)
 
+    def hear(self, guess: str) -> None:
+        """A visitor's guess on the next episode."""
+        self.guess = guess
+        self._asked_in = self._shown_in
+
     def _content(self, frame: Frame) -> str:
+        self._shown_in = frame.world.episode
         if frame.world.change is not None:
             self._last = (frame.world.change, frame.world.policy)
         ending = ending_of(frame, self._rates.best)
@@ -42,8 +51,9 @@ class WordsPanel(HtmlPanel):
             self.guess = ""
             self._guessed_in = None
         if ending is not None:
-            self._guessed_in = frame.world.episode if self.guess else None
-            said = ending_html(ending, frame, self.guess)
+            guess = "" if frame.world.episode == self._asked_in else self.guess
+            self._guessed_in = frame.world.episode if guess else None
+            said = ending_html(ending, frame, guess)
         elif frame.pace.waited >= 1:
             said = escape(WAITS.format(frame.pace.waited))
         elif self._last is None or self._last[1] != frame.world.policy:
