@@ -111,6 +111,8 @@ class GuardedPlayer:
         """(C, H, W) by stream, as it came when its camera last worked."""
         self.report = GuardReport({}, np.zeros(len(policy.spec.streams), bool))
         """On the newest decision."""
+        self.noticed: int | None = None
+        """The first decision at which a camera failed."""
 
     @property
     def planned(self) -> int:
@@ -126,6 +128,8 @@ class GuardedPlayer:
         """(A,): the next decision, on those streams of ``mask`` (V,) whose cameras work. Raises
         UserError where one cannot be left out and ``instead`` is ``stop``."""
         self.report, used = self._look(self._guard, encoded, mask)
+        if self.noticed is None and self.report.failed:
+            self.noticed = self.report.step
         for index, stream in enumerate(self._policy.spec.streams):
             if mask[index] and camera_of(stream) not in self.report.failed:
                 self._last_good[stream] = encoded.private.views[index]

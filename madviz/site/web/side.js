@@ -103,6 +103,7 @@ export class Side {
       });
       const state = world.cameras[camera];
       const noticed = world.guard?.find(one => one.camera === camera);
+      view.tag.classList.toggle('noticed', Boolean(noticed));
       say(view.tag, noticed ? badgeWords(noticed) : tagWords(state, world.moves[camera]));
       view.figure.classList.toggle('off', state?.input === 'off');
     }
