@@ -101,6 +101,14 @@ def verdicts(values: GuardValues, seed: int, shows: list[Show]) -> list[str]:
     ]
 
 
+def agreements(values: GuardValues, seed: int, steps: int) -> list[float]:
+    """By lag, how well the intact pictures of a walk agree with it."""
+    guard = Guard(values)
+    for place in walk(seed, steps):
+        guard.step({"camera": picture(place)}, state(place))
+    return guard._watched["camera"]._lag.agreements().tolist()
+
+
 def from_step(first: int, show: Show, last: int = STEPS) -> list[Show]:
     """A camera that shows ``show`` from step ``first`` to before ``last``, and works else."""
     return [show if first <= step < last else step for step in range(STEPS)]
@@ -141,6 +149,7 @@ def table() -> dict[str, object]:
             | {"dark": sums.dark, "rough": sums.rough, "edges": sums.edges}
             for sums in map(sums_of, filter(lambda one: one is not None, pictures))
         ],
+        "lags": {"walk": 100, "steps": 20, "agreements": agreements(values, 100, 20)},
         "cases": [
             {"name": name, "walk": 100, "shows": shows, "kinds": verdicts(values, 100, shows)}
             for name, shows in SHOWS.items()

@@ -177,7 +177,7 @@ def test_an_episode_ends_in_words_and_a_guess_counts_for_one(server):
     gui = recorded(server.gui)
     panel = WordsPanel(gui, session.frames[-1], SuccessRates())
     session.ask(Compare("toy-other"))
-    panel.guess = "both"
+    panel.hear("both")
     first = session.steps(25)
     apply(panel.update(first))
     assert first.ended and "You said both" in gui.html and "not measured yet" in gui.html

@@ -68,6 +68,13 @@ def test_the_numbers_of_pictures() -> None:
         ]
 
 
+def test_how_well_each_lag_agrees() -> None:
+    table = CASES["lags"]
+    found = scene.agreements(VALUES, table["walk"], table["steps"])
+    assert found == pytest.approx(table["agreements"], abs=1e-9)
+    assert int(np.argmax(found)) <= 1
+
+
 @pytest.mark.parametrize("seed", range(200, 220))
 def test_intact_cameras_raise_no_alarm(seed: int) -> None:
     steps: list[scene.Show] = list(range(scene.STEPS))
@@ -198,8 +205,8 @@ def play(
         encoded = policy.encode(np.stack(views), scene.state(places[step]))
         action = player.act(encoded, np.ones(len(streams), bool))
         mask = action[: len(streams)] > 0
-        assert mask.tolist() == player.mask.tolist()
-        found.append((mask.tolist(), action[len(streams) :].tolist(), player.note))
+        assert mask.tolist() == player.report.mask.tolist()
+        found.append((mask.tolist(), action[len(streams) :].tolist(), player.report.note))
     return found
 
 

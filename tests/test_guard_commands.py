@@ -11,7 +11,7 @@ from benchmarks.guard_alarms import WAYS, GuardAlarmsConfig, alarms_words, guard
 from benchmarks.guard_trial import GuardTrialConfig, guard_trial, trial_words
 from madviz.errors import UserError
 from madviz.guard.policy import GuardedPolicy
-from madviz.measure.audit.audit import AuditConfig, command, run_audit
+from madviz.measure.audit.audit import AuditConfig, audit_words, command, run_audit
 from madviz.measure.compare import CompareConfig, comparison_table, run_compare
 from madviz.measure.evaluate import EvalConfig, evaluate, run_eval, success_table
 from madviz.measure.guard_fit import GuardConfig, guard_words, run_guard
@@ -80,7 +80,17 @@ def test_compare_and_record_and_audit_take_it(guarded, tmp_path) -> None:
     audit = AuditConfig(
         str(guarded), tmp_path / "audit", episodes=1, how=("black",), workers=0, guard=True
     )
-    assert run_audit(audit)["policy"].endswith("(guarded)") and "--guard" in command(audit)
+    audited = run_audit(audit)
+    assert not audited["policy"].endswith("(guarded)") and "--guard" in command(audit)
+    rows = audited.get("guarded")
+    assert rows is not None and rows["intact"]["noticed"] == [None]
+    assert rows["broken"]["first"]["black"]["noticed"] == [0]
+    assert "no false alarm in 1 intact episode" in audit_words(audited)
+    page = (tmp_path / "audit" / "audit.md").read_text()
+    assert "| guarded | noticed |" in page and "after 1 step (median)" in page
+    assert run_audit(audit) == audited, "episodes that were kept answer the same"
+    without = run_audit(AuditConfig(str(guarded), tmp_path / "audit", episodes=1, how=("black",)))
+    assert "guarded" not in without
 
 
 def test_served_looks_need_an_episode(guarded) -> None:

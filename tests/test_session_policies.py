@@ -25,9 +25,10 @@ from madviz.session.commands import (
     StepOnce,
 )
 from madviz.session.frame import NoFrame
+from madviz.session.opening import open_simulation
 from madviz.session.replay import replay_episode
 from madviz.session.session import Session
-from madviz.session.simulation import Simulation, open_simulation
+from madviz.session.simulation import Simulation
 from tests.fakes import AllOrNothing, Chunked, FakePolicy, policies
 from tests.sessions import OFF, Recorder, any_task, elsewhere
 

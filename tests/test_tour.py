@@ -9,10 +9,22 @@ import viser
 
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.tour import HELP, Tour, keys_table
-from madviz.app.tour_steps import GOES_AT, comparison_steps, steps
+from madviz.app.tour_steps import GOES_AT, acts, comparison_steps, steps
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
-from madviz.session.commands import Pause, SetCamera, SetPolicy, SetSpeed, StepOnce
+from madviz.observation.schedule import Event
+from madviz.policies.seeds import FIRST_DEVELOPMENT
+from madviz.session.commands import (
+    Compare,
+    Pause,
+    Play,
+    SetCamera,
+    SetPolicy,
+    SetSchedule,
+    SetSeed,
+    SetSpeed,
+    StepOnce,
+)
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy
@@ -188,6 +200,37 @@ def test_a_guess_is_heard_and_leads_on(table: Table, server: viser.ViserServer):
     assert guesses == ["both"] and table.tick().second is not None
     labels = [getattr(handle, "label", "") for handle in client.gui.present]
     assert "Your guess" not in labels
+    tour.end()
+
+
+def test_where_guards_are_fitted_the_comparison_has_three_acts(
+    table: Table, server: viser.ViserServer, monkeypatch
+):
+    monkeypatch.setattr("madviz.app.tour.has_guard", lambda policy: True)
+    sent: list = []
+    still = table.frame
+    client = browser(server)
+    tour = Tour(client, sent.append, lambda: still, CHOICES, [])
+    tour.greet()
+    assert buttons(client)[0] == "show me" and not sent
+    use(client.gui.find("show me"))
+    assert Compare("toy-merged-only-light") in sent and SetSchedule(()) in sent
+    sent.clear()
+    use(client.gui.find("Your guess"), "MAD")
+    black = SetSchedule((Event(GOES_AT, "first", occlusion=Occlusion("black")),))
+    assert sent == [black, SetSeed(FIRST_DEVELOPMENT), Play()]
+    sent.clear()
+    tour.next()
+    assert sent[:3] == [
+        SetPolicy("guard:toy-mad-light"),
+        Compare("guard:toy-merged-only-light"),
+        black,
+    ]
+    sent.clear()
+    tour.next()
+    assert sent[:2] == [SetSchedule(()), SetPolicy("toy-mad-light")]
+    assert Compare("toy-merged-only-light") in sent
+    assert all(60 < len(step.words) < 320 for step in acts(still, "toy-merged-only-light"))
     tour.end()
 
 

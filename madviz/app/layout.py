@@ -25,6 +25,7 @@ from madviz.app.panels.comparison import ComparisonPanel
 from madviz.app.panels.failures import FailuresPanel
 from madviz.app.panels.features import FeaturesPanel
 from madviz.app.panels.foresight import ForesightPanel
+from madviz.app.panels.guard import GuardPanel
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel
 from madviz.app.panels.projection import ProjectionPanel
 from madviz.app.panels.saliency import SaliencyPanel
@@ -110,6 +111,7 @@ class Panels:
         with dockable.add_tab("Cameras", viser.Icon.CAMERA):
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
             cameras = CamerasPanel(gui, self._send, frame, width, PAIRED_WIDE if wide else PAIRED)
+            guard = GuardPanel(gui, self._send, frame, named)
             self._words = WordsPanel(gui, frame, rates)
             if self._send is not None:
                 cameras.breaks = BreakPanel(gui, self._send, frame, client.scene, named)
@@ -122,6 +124,7 @@ class Panels:
         # Every panel of the page, in the order in which they get a frame.
         self.panels = [
             TimedPanel(cameras, FASTEST),
+            TimedPanel(guard, 0.25),
             TimedPanel(policy, FASTEST),
             TimedPanel(self._words, FASTEST),
             *breaks,
@@ -183,7 +186,7 @@ class Panels:
         return built
 
     def _guessed(self, guess: str) -> None:
-        self._words.guess = guess
+        self._words.hear(guess)
 
     def _explain(self, target: Target | None) -> None:
         self._session.send(SetSaliency(target))

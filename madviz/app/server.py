@@ -27,6 +27,7 @@ from madviz.measure.live import Evaluator, Tally
 from madviz.measure.store import Store
 from madviz.policies import checkpoint
 from madviz.policies.checkpoint import PolicyName
+from madviz.policies.guarded import is_guarded, unguarded
 from madviz.policies.listing import list_policies
 from madviz.policies.sb3 import trust
 from madviz.session.live_session import LiveSession
@@ -266,8 +267,9 @@ def shipped_rates(reference: str, spec: PolicySpec) -> dict:
     """The subsets of the evaluation.json of the policy that ``load_policy`` knows by ``reference``;
     empty where it is no folder, has other weights than ``spec`` or none, or a broken one."""
     try:
-        folder = checkpoint.describe(reference)
-        same = folder.spec.digest == spec.digest
+        folder = checkpoint.describe(unguarded(reference))
+        # A guard changes nothing where no camera fails, as in what is shipped.
+        same = is_guarded(reference) or folder.spec.digest == spec.digest
         return dict(checkpoint.own_evaluation(folder)["subsets"]) if same else {}
     except UserError:
         return {}  # ``policy_choices`` says what is broken.

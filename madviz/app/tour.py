@@ -1,7 +1,8 @@
 """A greeting for newcomers, a tour of two minutes, and help for everybody.
 
 A visitor is first offered a comparison: MAD and Merged Only act side by side on the same episode,
-and after a few seconds a camera is dropped on both sides. One click leads to it, another past it.
+and after a few seconds a camera is dropped on both sides; or, where guards are fitted, goes black
+without and with a guard. One click leads to it, another past it.
 
 A tour is a list of steps (``tour_steps.py``). Each one says something in plain words and does it on
 the page at the same time, with the commands that a visitor's click would send, so that the page
@@ -21,7 +22,17 @@ import viser
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import Cell, guarded, heard, place, theme
-from madviz.app.tour_steps import Step, compares, comparison_steps, never_alone, restored, steps
+from madviz.app.tour_steps import (
+    Step,
+    acts,
+    compares,
+    comparison_steps,
+    never_alone,
+    restored,
+    steps,
+)
+from madviz.policies.checkpoint import has_guard
+from madviz.policies.guarded import unguarded
 from madviz.session.commands import Command, Play, Scrub, SetPolicy
 from madviz.session.frame import Frame, NoFrame
 from madviz.system.markdown import markdown_table
@@ -112,7 +123,10 @@ class Tour:
         frame = self._newest()
         other = self._other()
         if isinstance(frame, Frame) and other is not None:
-            self._open(frame, comparison_steps(frame, other, self._named))
+            first = unguarded(self._named(frame.world.policy))
+            fitted = has_guard(first) and has_guard(other)
+            steps = acts if fitted else comparison_steps
+            self._open(frame, steps(frame, other, self._named))
 
     def begin(self) -> None:
         """Opens the tour's window at its first step."""

@@ -7,7 +7,8 @@ The tour of two minutes:
 
 Steps that make no sense here (another policy where there is none, a single camera of one) are left
 out, and the count says so. The comparison has four steps: what it is, the same episode twice, what
-the bars say, your turn.
+the bars say, your turn. Where guards are fitted it has three acts on one seed instead: all cameras,
+one that goes black, and the same with the guard.
 """
 
 from __future__ import annotations
@@ -17,8 +18,11 @@ from typing import NamedTuple
 
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.session_maker import Reference, own_name
+from madviz.guard.policy import SUFFIX
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.observation.schedule import Event
+from madviz.policies.guarded import unguarded, with_guard
+from madviz.policies.seeds import FIRST_DEVELOPMENT
 from madviz.session.commands import (
     Command,
     Compare,
@@ -29,6 +33,7 @@ from madviz.session.commands import (
     SetCamera,
     SetPolicy,
     SetSchedule,
+    SetSeed,
     SetSpeed,
 )
 from madviz.session.ending import BOTH
@@ -175,6 +180,59 @@ def comparison_steps(frame: Frame, other: str, named: Reference = own_name) -> l
     ]
 
 
+def acts(frame: Frame, other: str, named: Reference = own_name) -> list[Step]:
+    """``comparison_steps`` in three acts, for two policies with fitted guards."""
+    camera = frame.world.env.cameras[0]
+    first = unguarded(named(frame.world.policy))
+    black = SetSchedule((Event(GOES_AT, camera.name, occlusion=Occlusion("black")),))
+    intact = (SetPolicy(first), *whole(frame, named)[1:])
+    again = (SetSeed(FIRST_DEVELOPMENT), Play())
+    return [
+        Step(
+            "Can a robot lose a camera?",
+            "Two policies for one task, three times from the same start: with all cameras, with "
+            "one that goes black, and the same with a guard, which leaves out a camera that fails. "
+            "MAD was trained on all cameras and on each one alone, Merged Only on all together.",
+            go="show me",
+            leave="explore one policy",
+        ),
+        Step(
+            "All cameras",
+            "A is MAD, B is Merged Only. It is done when: "
+            f"{frame.world.env.success}. Next, at step {GOES_AT}, {camera.label} goes black on "
+            "both sides, and stays in the sum. Which will still do it?",
+            (*intact, SetSpeed(10.0), Compare(other), Link(True), SetSchedule(()), *again),
+            go="just show me",
+            leave="explore one policy",
+            guesses=("MAD", "Merged Only", BOTH),
+        ),
+        Step(
+            f"{camera.label} goes black",
+            f"At step {GOES_AT} {camera.label} sends black on both sides. Both policies could act "
+            "without it, but nobody tells them that it is broken. The line under the pictures says "
+            "how it ended.",
+            (black, *again),
+            leave="explore one policy",
+        ),
+        Step(
+            "The same with the guard",
+            "The guard watches the pictures. It notices the black one and leaves the camera out, "
+            "so that it is as good as switched off. MAD was trained for that, Merged Only was not.",
+            (SetPolicy(with_guard(first, True)), Compare(with_guard(other, True)), black, *again),
+            leave="explore one policy",
+        ),
+        Step(
+            "Your turn",
+            "Nothing fails by itself now. Press off or black under any picture, with the switch "
+            "Guard or without it. One episode says little: the bars on the right count many.",
+            (SetSchedule(()), *intact, Compare(other), *again),
+            go="keep comparing",
+            leave="explore one policy",
+            keep=True,
+        ),
+    ]
+
+
 def whole(frame: Frame, named: Reference = own_name) -> Commands:
     """Commands for all cameras as nobody has touched them, and the policy of ``frame``."""
     cameras = (_camera(frame, index) for index in range(len(frame.world.env.cameras)))
@@ -183,9 +241,10 @@ def whole(frame: Frame, named: Reference = own_name) -> Commands:
 
 def never_alone(policy: PolicySpec, choices: Sequence[PolicyChoice]) -> str | None:
     """The name of the policy like this one that learned with all cameras only, if it is offered."""
-    wanted = policy.name.replace("-mad-", "-merged-only-")
+    name = policy.name.removesuffix(SUFFIX)
+    wanted = name.replace("-mad-", "-merged-only-")
     names = [choice.name for choice in choices]
-    return wanted if wanted != policy.name and wanted in names else None
+    return wanted if wanted != name and wanted in names else None
 
 
 def _camera(

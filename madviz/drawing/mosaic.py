@@ -24,6 +24,7 @@ from PIL import Image, ImageDraw, ImageFont
 from madviz.analysis.imagination import Imagined
 from madviz.drawing.colours import INK, MUTED, NOTE, camera_colours, heat, rgb
 from madviz.session.frame import Frame
+from madviz.session.guard_words import failing
 from madviz.system.depth import depth_code
 from madviz.types import Array, CameraSpec
 
@@ -52,6 +53,7 @@ def mosaic(
     width = len(cameras) * column + (len(cameras) - 1) * GAP
     canvas = np.empty((HEADER + tile, width, 3), np.uint8)
     canvas[:] = _GROUND
+    noticed = failing(frame)
     colours = camera_colours(cameras)
     for index, camera in enumerate(cameras):
         left = index * (column + GAP)
@@ -65,6 +67,8 @@ def mosaic(
         picture[:] = _tile(frame, camera, tile)
         if frame.camera(camera.name).input == "off":
             _stamp(picture, "DROPPED")
+        elif camera.name in noticed:
+            _label(picture[-20:], noticed[camera.name].badge)
     return canvas
 
 

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -68,6 +69,14 @@ class Guard:
             name: _Stream(values, self.values.size) for name, values in self.values.streams.items()
         }
 
+    def __copy__(self) -> Self:
+        """A guard that goes on from here by itself."""
+        other = type(self).__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        other._states = self._states.copy()
+        other._watched = {name: copy(stream) for name, stream in self._watched.items()}
+        return other
+
     def step(self, pictures: Mapping[str, Array | None], state: Array) -> dict[str, CameraVerdict]:
         """The verdict on each of ``pictures``, (H, W, 3) uint8, or (H, W, 1) of depth, by stream;
         None: no picture came. ``state`` (S,) is the robot's now. A stream that is not named is not
@@ -108,6 +117,14 @@ class _Stream:
         self._reach = max(2 * values.reach, SMALLEST)
         self._lag = LagTest(values)
         self.restart()
+
+    def __copy__(self) -> Self:
+        other = type(self).__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        other._past = self._past.copy()
+        other._stops = self._stops.copy()
+        other._lag = copy(self._lag)  # Its arrays are replaced, never changed.
+        return other
 
     def restart(self) -> None:
         self.verdict = CameraVerdict()

@@ -3,16 +3,17 @@
     policy = GuardedPolicy(madviz.load_policy(name), read_values(file, "madviz guard --policy P"))
     player = policy.reset(seed)
     action = player.act(policy.encode(views, state), mask)      one call for each step
-    player.verdicts                                             what was found, by stream
+    player.report.verdicts                                      what was found, by stream
 
 Where the policy cannot act without the camera, the last good picture stands in, or the episode
-stops; ``instead`` chooses. ``player.note`` says what happens to the cameras that fail.
+stops; ``instead`` chooses. ``player.report.note`` says what happens to the cameras that fail.
 """
 
 from __future__ import annotations
 
 import hashlib
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -24,6 +25,8 @@ from madviz.guard.values import GuardValues
 from madviz.subsets import camera_of
 from madviz.types import Array, Encoded, Player, Policy, PolicyWithMemory, Readout
 
+SUFFIX = " (guarded)"
+"""The name of a policy ends so where it has a guard."""
 Instead = Literal["last", "stop"]
 """For a camera that fails and cannot be left out: its last good picture, or an error."""
 
@@ -36,6 +39,30 @@ class _Seen:
     """(V, C, H, W)."""
     private: Any
     """The private part of the guarded policy."""
+
+
+@dataclass(frozen=True, eq=False)
+class GuardReport:
+    """The guard's report on one decision."""
+
+    verdicts: dict[str, CameraVerdict]
+    """By stream that is present."""
+    mask: Array
+    """(V,) bool: the streams that the decision rests on."""
+    step: int = 0
+    """The step of the guard, which counts from where it began to watch."""
+    note: str = ""
+    """A sentence on the cameras that fail; '' where none does."""
+
+    @property
+    def failed(self) -> frozenset[str]:
+        """The cameras that fail. A camera fails with all its streams."""
+        return frozenset(camera_of(name) for name, one in self.verdicts.items() if not one.fine)
+
+    def verdict(self, camera: str) -> CameraVerdict:
+        """The verdict on a camera: the first of its streams' that is not fine."""
+        ours = [one for name, one in self.verdicts.items() if camera_of(name) == camera]
+        return next((one for one in ours if not one.fine), CameraVerdict())
 
 
 class GuardedPolicy:
@@ -53,7 +80,7 @@ class GuardedPolicy:
         self.instead: Instead = instead
         words = f"guard {policy.spec.digest} {values.digest} {instead}"
         digest = hashlib.sha256(words.encode()).hexdigest() if policy.spec.digest else ""
-        self.spec = replace(policy.spec, name=f"{policy.spec.name} (guarded)", digest=digest)
+        self.spec = replace(policy.spec, name=policy.spec.name + SUFFIX, digest=digest)
 
     def encode(self, views: Array, state: Array) -> Encoded:
         """As the policy does; the pictures are kept for the guard."""
@@ -82,12 +109,10 @@ class GuardedPlayer:
         self._guard = Guard(policy.values)
         self._last_good: dict[str, Array] = {}
         """(C, H, W) by stream, as it came when its camera last worked."""
-        self.verdicts: dict[str, CameraVerdict] = {}
-        """The newest verdicts on the streams that are present."""
-        self.mask = np.zeros(len(policy.spec.streams), bool)
-        """(V,) bool: the streams that the newest decision rests on."""
-        self.note = ""
-        """A sentence on the cameras that fail; '' where none does."""
+        self.report = GuardReport({}, np.zeros(len(policy.spec.streams), bool))
+        """On the newest decision."""
+        self.noticed: int | None = None
+        """The first decision at which a camera failed."""
 
     @property
     def planned(self) -> int:
@@ -102,57 +127,63 @@ class GuardedPlayer:
     def act(self, encoded: Encoded, mask: Array) -> Array:
         """(A,): the next decision, on those streams of ``mask`` (V,) whose cameras work. Raises
         UserError where one cannot be left out and ``instead`` is ``stop``."""
-        streams = self._policy.spec.streams
-        seen = encoded.private
-        present = [stream for stream, on in zip(streams, mask, strict=True) if on]
-        pictures = {
-            stream: seen.views[streams.index(stream), -3:].transpose(1, 2, 0)  # (H, W, 3)
-            for stream in present
-        }
-        self.verdicts = self._guard.step(pictures, encoded.state)
-        # A camera fails with all its streams.
-        failed = {camera_of(name) for name, verdict in self.verdicts.items() if not verdict.fine}
-        for stream in present:
-            if camera_of(stream) not in failed:
-                self._last_good[stream] = seen.views[streams.index(stream)]
-        works = np.array([camera_of(stream) not in failed for stream in streams])
-        self.mask = mask & works
-        self.note = ""
-        encoded = _without(encoded)
-        if failed and self._policy.supports(self.mask):
-            rest = "" if self.mask.any() else "; no camera is left: the policy acts on the state"
-            self.note = f"{_list(failed)} left out{rest}"
-        elif failed:
-            encoded = self._stood_in(seen.views, encoded.state, failed)
-            self.mask = mask
+        self.report, used = self._look(self._guard, encoded, mask)
+        if self.noticed is None and self.report.failed:
+            self.noticed = self.report.step
+        for index, stream in enumerate(self._policy.spec.streams):
+            if mask[index] and camera_of(stream) not in self.report.failed:
+                self._last_good[stream] = encoded.private.views[index]
         if self._player is not None:
-            return self._player.act(encoded, self.mask)
-        return self._policy.inner.read(encoded, self.mask[None]).action[0]
+            return self._player.act(_without(used), self.report.mask)
+        return self._policy.read(used, self.report.mask[None]).action[0]
+
+    def look(self, encoded: Encoded, mask: Array) -> tuple[GuardReport, Encoded]:
+        """The report that ``act`` would give now, and the features that it would act on. Nothing is
+        remembered."""
+        return self._look(copy(self._guard), encoded, mask)
 
     def close(self) -> None:
         """The episode is over, or was left."""
         if self._player is not None:
             self._player.close()
 
-    def _stood_in(self, views: Array, state: Array, failed: set[str]) -> Encoded:
-        """The features with the last good pictures of the cameras that failed."""
+    def _look(self, guard: Guard, encoded: Encoded, mask: Array) -> tuple[GuardReport, Encoded]:
+        """``guard`` takes one step."""
         streams = self._policy.spec.streams
+        pictures = {
+            stream: encoded.private.views[index, -3:].transpose(1, 2, 0)  # (H, W, 3)
+            for index, stream in enumerate(streams)
+            if mask[index]
+        }
+        report = GuardReport(guard.step(pictures, encoded.state), mask, guard.now - 1)
+        failed = report.failed
+        if not failed:
+            return report, encoded
+        works = mask & np.array([camera_of(stream) not in failed for stream in streams])  # (V,)
+        if not self._policy.supports(works):
+            return self._stood_in(encoded, report)
+        rest = "" if works.any() else "; no camera is left: the policy acts on the state"
+        return replace(report, mask=works, note=f"{_list(failed)} left out{rest}"), encoded
+
+    def _stood_in(self, encoded: Encoded, report: GuardReport) -> tuple[GuardReport, Encoded]:
+        """The features with the last good pictures of the cameras that failed."""
+        failed = report.failed
         name = self._policy.inner.spec.name
         if self._policy.instead == "stop":
             raise UserError(
                 f"expected cameras that {name} can act on, found {_list(failed)} failing, without "
                 "which it cannot act; repair the camera, or choose the last good picture"
             )
-        views = views.copy()
+        views = encoded.private.views.copy()  # (V, C, H, W)
         missing = set()
-        for index, stream in enumerate(streams):
+        for index, stream in enumerate(self._policy.spec.streams):
             if camera_of(stream) in failed:
                 missing |= set() if stream in self._last_good else {camera_of(stream)}
                 views[index] = self._last_good.get(stream, views[index])
-        self.note = f"{name} cannot leave out {_list(failed)}: the last good picture stands in"
+        note = f"{name} cannot leave out {_list(failed)}: the last good picture stands in"
         if missing:
-            self.note += f"; {_list(missing)} has none and is used as it comes"
-        return self._policy.inner.encode(views, state)
+            note += f"; {_list(missing)} has none and is used as it comes"
+        return replace(report, note=note), self._policy.encode(views, encoded.state)
 
 
 def guard_note(policy: Policy) -> str:
@@ -179,5 +210,5 @@ def _without(encoded: Encoded) -> Encoded:
     return replace(encoded, private=encoded.private.private)
 
 
-def _list(cameras: set[str]) -> str:
+def _list(cameras: frozenset[str] | set[str]) -> str:
     return ", ".join(sorted(cameras))

@@ -103,7 +103,8 @@ def run_episode(
         outside += getattr(player, "outside", 0)  # A player that clips has counted before.
     share = outside / max(decision * env.spec.action_dim, 1)
     success = bool(now.success)
-    return EpisodeResult(name_of(mask, streams), seed, success, success_any, total, share)
+    noticed = getattr(player, "noticed", None)
+    return EpisodeResult(name_of(mask, streams), seed, success, success_any, total, share, noticed)
 
 
 def clipped_words(share: float) -> str:

@@ -48,9 +48,14 @@ CREATE TABLE IF NOT EXISTS outside_1 (
 ) WITHOUT ROWID
 """
 """A table beside the other, whose columns older versions write; only shares above 0 are in it."""
+_CREATE_NOTICED = _CREATE_OUTSIDE.replace("outside_1", "noticed_1").replace(
+    "outside REAL", "noticed INTEGER"
+)
+"""Likewise; only episodes in which a guard noticed something are in it."""
 _MATCH = " AND ".join(f"{column} = ?" for column in _COLUMNS[:-1])
 _INSERT = f"INSERT OR REPLACE INTO episodes_1 VALUES ({', '.join('?' * 10)})"
 _INSERT_OUTSIDE = f"INSERT OR REPLACE INTO outside_1 VALUES ({', '.join('?' * 8)})"
+_INSERT_NOTICED = _INSERT_OUTSIDE.replace("outside_1", "noticed_1")
 _CORRUPT = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 
 
@@ -68,6 +73,8 @@ class EpisodeResult:
     """The return: rewards summed over the episode, undiscounted."""
     outside: float = 0.0
     """The share of action numbers that lay outside [-1, 1] and were clipped."""
+    noticed: int | None = None
+    """The first step at which a guard found that a camera fails."""
 
 
 @dataclass(frozen=True)
@@ -101,25 +108,28 @@ class Store:
     def put(self, key: ResultKey, result: EpisodeResult) -> None:
         """Stores a result; the same episode again changes nothing."""
         if key.digest:
-            *row, outside = (*astuple(key), *astuple(result)[1:])
+            *row, outside, noticed = (*astuple(key), *astuple(result)[1:])
 
             def write(db: sqlite3.Connection) -> None:
                 db.execute(_INSERT, row)
                 if outside:
                     db.execute(_INSERT_OUTSIDE, (*row[: len(_COLUMNS)], outside))
+                if noticed is not None:
+                    db.execute(_INSERT_NOTICED, (*row[: len(_COLUMNS)], noticed))
 
             self._run(write)
 
     def results(self, key: ResultKey) -> dict[int, EpisodeResult]:
         """All known episodes under ``key``, by seed, in the order of seeds."""
         query = (
-            "SELECT seed, success, success_any, total_reward, COALESCE(outside, 0) FROM episodes_1 "
-            f"LEFT JOIN outside_1 USING ({', '.join(_COLUMNS)}) WHERE {_MATCH} ORDER BY seed"
+            "SELECT seed, success, success_any, total_reward, COALESCE(outside, 0), noticed FROM "
+            f"episodes_1 LEFT JOIN outside_1 USING ({', '.join(_COLUMNS)}) "
+            f"LEFT JOIN noticed_1 USING ({', '.join(_COLUMNS)}) WHERE {_MATCH} ORDER BY seed"
         )
         rows = self._run(lambda db: db.execute(query, astuple(key)).fetchall())
         return {
-            seed: EpisodeResult(key.subset, seed, bool(success), bool(anytime), total, outside)
-            for seed, success, anytime, total, outside in rows
+            seed: EpisodeResult(key.subset, seed, bool(success), bool(anytime), total, *more)
+            for seed, success, anytime, total, *more in rows
         }
 
     def close(self) -> None:
@@ -152,15 +162,18 @@ class Store:
         """A store in memory with what the file holds, as far as that can still be read."""
         rows: list[tuple[object, ...]] = []
         shares: list[tuple[object, ...]] = []
+        noticed: list[tuple[object, ...]] = []
         with suppress(sqlite3.Error):
             rows = self._db.execute("SELECT * FROM episodes_1").fetchall()
             shares = self._db.execute("SELECT * FROM outside_1").fetchall()
+            noticed = self._db.execute("SELECT * FROM noticed_1").fetchall()
         with suppress(sqlite3.Error):
             self._db.close()
         db = self._in_memory(error)
         with db:
             db.executemany(_INSERT, rows)
             db.executemany(_INSERT_OUTSIDE, shares)
+            db.executemany(_INSERT_NOTICED, noticed)
         return db
 
     def _in_memory(self, error: Exception) -> sqlite3.Connection:
@@ -198,6 +211,7 @@ class Store:
             with db:
                 db.execute(_CREATE)
                 db.execute(_CREATE_OUTSIDE)
+                db.execute(_CREATE_NOTICED)
         except sqlite3.Error:
             db.close()
             raise

@@ -19,6 +19,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -203,6 +204,13 @@ def load_policy(policy: str | Path) -> Policy:
     agent = _agent(path, config, networks, weights)
     spec = config.spec(digest(hashlib.sha256(weights).hexdigest(), text))
     return TorchPolicy(spec, agent, config.reward_scale)
+
+
+def has_guard(policy: str) -> bool:
+    """True where the policy is a folder with fitted values of a guard."""
+    with suppress(UserError):
+        return is_folder(policy) and (find_policy(policy) / FILE).is_file()
+    return False
 
 
 def _guarded(policy: str) -> GuardedPolicy:

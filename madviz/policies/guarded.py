@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from madviz.guard.policy import SUFFIX
+
 PREFIX = "guard:"
 
 
@@ -24,6 +26,11 @@ def with_guard(policy: str, on: bool) -> str:
 def unguarded(policy: str) -> str:
     """``policy`` without its guard."""
     return policy.removeprefix(PREFIX)
+
+
+def reference_to(name: str) -> str:
+    """The reference of the policy that a file calls ``name``."""
+    return with_guard(name.removesuffix(SUFFIX), name.endswith(SUFFIX))
 
 
 def fit_command(policy: str | Path) -> str:

@@ -19,7 +19,8 @@ from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import SetCamera
 from madviz.session.frame import Outcome, Pair, Side, untouched
-from madviz.session.simulation import Simulation, open_simulation
+from madviz.session.opening import open_simulation
+from madviz.session.simulation import Simulation
 from madviz.session.waiting import PolicyWait
 from madviz.types import CameraSpec, Environment, Policy
 

@@ -15,10 +15,11 @@ from madviz.analysis.foresight import Foresight
 from madviz.analysis.imagination import Imagined
 from madviz.analysis.probes import Probe
 from madviz.analysis.saliency import Target
+from madviz.guard.policy import GuardReport
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.observation.condition import Condition
 from madviz.observation.schedule import Schedule
-from madviz.subsets import mask_of, modality_of
+from madviz.subsets import camera_of, mask_of, modality_of
 from madviz.types import Array, Body, CameraPose, EnvSpec, PolicySpec, View
 
 Phase = Literal["playing", "paused", "ended"]
@@ -163,6 +164,8 @@ class World:
     """By stream that is not present: what the policy draws in its place, if it can."""
     foresees: bool = False
     """Whether the policy can imagine the decisions to come."""
+    guard: GuardReport | None = None
+    """The report of the policy's guard on this step; None where it has none."""
 
 
 @dataclass(frozen=True)
@@ -213,8 +216,9 @@ class Frame:
 
     @property
     def mask(self) -> Array:
-        """(V,) bool: the streams that are present."""
-        return self.world.ablation.mask(self.world.policy.streams)
+        """(V,) bool: the streams that are present, and that a guard does not leave out."""
+        mask = self.world.ablation.mask(self.world.policy.streams)
+        return mask if self.world.guard is None else mask & self.world.guard.mask
 
     @property
     def row(self) -> int:
@@ -264,7 +268,8 @@ class Frame:
 
     def uses(self, name: str) -> bool:
         """Whether anything of a camera reaches the policy."""
-        return name in self.world.ablation.present(self.world.policy.streams)
+        pairs = zip(self.world.policy.streams, self.mask, strict=True)
+        return any(on and camera_of(stream) == name for stream, on in pairs)
 
 
 def untouched(policy: PolicySpec) -> CameraState:

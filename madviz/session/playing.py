@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from madviz.guard.policy import GuardedPlayer, GuardReport
 from madviz.policies.players import player_of
 from madviz.session.waiting import PolicyWait
 from madviz.types import Array, Encoded, Player, Policy, PolicyWithMemory
@@ -49,6 +50,13 @@ class Playing:
             action = self._player.act(encoded, mask)
         self.looks.append((encoded, mask))
         return action
+
+    def look(self, encoded: Encoded, mask: Array) -> tuple[GuardReport | None, Encoded]:
+        """The report of a guard on this step, and the features that it would act on; without a
+        guard, None and ``encoded``."""
+        if isinstance(self._player, GuardedPlayer):
+            return self._player.look(encoded, mask)
+        return None, encoded
 
     def again(
         self, policy: Policy, seed: int, looks: Sequence[Look], actions: Sequence[Array]

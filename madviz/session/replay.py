@@ -24,6 +24,7 @@ from madviz.measure.episodes import one_thread
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event, in_order, schedule_words
 from madviz.policies import checkpoint
+from madviz.policies.guarded import reference_to
 from madviz.session.commands import SetCamera
 from madviz.session.session_file import (
     STREAMS,
@@ -115,7 +116,7 @@ def finder(references: tuple[str, ...] = ()) -> Finder:
             return fitting[0]
         if wanted not in loaded:
             try:
-                loaded[wanted] = checkpoint.load_policy(wanted.name)
+                loaded[wanted] = checkpoint.load_policy(reference_to(wanted.name))
             except UserError as error:
                 raise UserError(
                     f"expected the policy {wanted.name!r} that acts in this file, found none here; "

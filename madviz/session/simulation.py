@@ -24,12 +24,12 @@ from madviz.analysis.imagination import imagined
 from madviz.analysis.probes import Probe, probe, read_row
 from madviz.analysis.saliency import LiveSaliency
 from madviz.errors import UserError
+from madviz.guard.policy import GuardReport
 from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
-from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera
 from madviz.session.episode_record import EpisodeRecord
 from madviz.session.frame import Change, Outcome, World, untouched
@@ -73,6 +73,10 @@ class Simulation:
         self._playing = Playing(self._wait)
         self._stack: StreamStack
         self._encoded: Encoded
+        self._used: Encoded
+        """The features that the policy acts on: ``_encoded``, unless a guard puts in others."""
+        self._guard: GuardReport | None = None
+        """On this step, where the policy has a guard."""
         self.probe: Probe
         self._adopt(policy)
         for camera in env.spec.cameras:
@@ -122,11 +126,12 @@ class Simulation:
             outcomes=tuple(self.outcomes),
             imagined=imagined(self.policy, self._encoded, self.ablation, now.views, self.env.spec),
             foresees=can_foresee(self.policy),
+            guard=self._guard,
         )
 
     def explain(self, live: LiveSaliency, now: float, moving: bool, full_speed: bool) -> bool:
         """Finds the pixels that matter if a new map is due; whether it was."""
-        mask = self.ablation.mask(self.policy.spec.streams)
+        mask = self._present
         if not live.due(self.probe, mask, now, moving, full_speed):
             return False
         with self._wait:
@@ -135,7 +140,7 @@ class Simulation:
 
     def foresee(self) -> Foresight:
         """The policy's imagination of the next decisions. Raises UserError where it cannot."""
-        mask = self.ablation.mask(self.policy.spec.streams)
+        mask = self._present
         return foresee(self.policy, self._encoded, mask, self.now.step, str(self.condition))
 
     def begin(self, seed: int, between: Callable[[], None] = lambda: None) -> None:
@@ -162,7 +167,7 @@ class Simulation:
     def step(self, between: Callable[[], None]) -> None:
         """Takes one decision. ``between`` is called after every camera that is drawn, and may call
         ``set_camera``. Raises UserError if the policy cannot act on the present streams."""
-        mask = self.ablation.mask(self.policy.spec.streams)  # (V,)
+        mask = self._present  # (V,)
         row = self.probe.row(mask)
         if not self.probe.supported[row]:
             raise UserError(
@@ -205,6 +210,8 @@ class Simulation:
             self._read()
             if preview:
                 self._stack.replace_last(self._settled)
+        elif self._guard is not None:  # It judges the cameras that are present.
+            self._probe()
         self._note_change(command.camera, before, command.state, reading)
         if not preview:
             self._settled = self.ablation
@@ -308,7 +315,6 @@ class Simulation:
         self._recent.extend(saved.recent)
         self._stack.restore(saved.stack)
         self._actions = list(saved.actions)
-        self.probe = saved.probe
         self._encoded = saved.encoded
         if not self._playing.again(self.policy, self.seed, saved.looks, saved.actions):
             self.journal.spoil()
@@ -317,6 +323,8 @@ class Simulation:
                 "found another action: its noise is not fixed by a seed, so an earlier step of it "
                 "cannot be gone back to; start the seed again"
             )
+        self.probe = saved.probe
+        self._guard, self._used = self._playing.look(self._encoded, self._present)
         self.record = saved.record.copy()
         self._settled = saved.ablation
         self.change = None
@@ -357,43 +365,33 @@ class Simulation:
 
     def _read(self) -> None:
         views = self._stack.views  # (V, C, H, W)
-        only = None if self.policy.spec.reads_together else self._row
         with self._wait:
             self._encoded = self.policy.encode(views, self.now.time.state)  # features (V, Z)
-            self.probe = probe(self.policy, self._encoded, self._masks, only)  # actions (N, A)
+        self._probe()
+
+    def _probe(self) -> None:
+        """Reads the subsets of this step, in the features that the policy would act on."""
+        with self._wait:
+            self._guard, self._used = self._playing.look(self._encoded, self._present)
+            only = None if self.policy.spec.reads_together else self._row
+            self.probe = probe(self.policy, self._used, self._masks, only)  # actions (N, A)
 
     def _read_row(self, row: int) -> None:
         with self._wait:
-            self.probe = read_row(self.probe, self.policy, self._encoded, row)
+            self.probe = read_row(self.probe, self.policy, self._used, row)
+
+    @property
+    def _present(self) -> Array:
+        """(V,) bool: the streams that nobody has switched off."""
+        return self.ablation.mask(self.policy.spec.streams)
 
     @property
     def _row(self) -> int:
-        """Where the present subset stands among all."""
-        return row_of(self.ablation.mask(self.policy.spec.streams))
+        """Where the present subset stands among all; a guard may leave out more cameras."""
+        return row_of(self._present if self._guard is None else self._guard.mask)
 
     def _reading(self) -> Reading:
         """The present condition, and the action and Q under it."""
         row = self._row
         self._read_row(row)
         return self.condition, self.probe.readout.action[row], float(self.probe.readout.q[row])
-
-
-def open_simulation(
-    env: Environment,
-    policy: Policy,
-    ablation: Ablation,
-    seed: int,
-    journal: Journal | None = None,
-    wait: PolicyWait | None = None,
-) -> Simulation:
-    """The simulation of ``policy`` in an ``env`` made for it, at the first step of ``seed``. Where
-    they do not fit or it cannot begin, the error is raised and all is closed."""
-    opened: Simulation | Environment = env
-    try:
-        check_environment(policy.spec, env.spec)
-        opened = simulation = Simulation(env, policy, ablation, journal, wait)
-        simulation.begin(seed)
-        return simulation
-    except BaseException:
-        opened.close()
-        raise

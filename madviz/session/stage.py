@@ -28,9 +28,10 @@ from madviz.session.commands import SetCamera, SetPolicy
 from madviz.session.comparison import MOST_PAIRS, SecondSimulation
 from madviz.session.frame import Frame, Pair, SessionPace
 from madviz.session.journal import Journal
+from madviz.session.opening import open_simulation
 from madviz.session.scheduled import SessionPlan
 from madviz.session.session_file import SavedEpisode
-from madviz.session.simulation import Simulation, open_simulation
+from madviz.session.simulation import Simulation
 from madviz.session.timeline import Timeline
 from madviz.session.waiting import PolicyWait
 from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec

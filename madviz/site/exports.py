@@ -14,7 +14,9 @@ from madviz.envs.metaworld.environment import MetaWorld
 from madviz.envs.registry import make_env
 from madviz.envs.tasks import done_words
 from madviz.errors import UserError
+from madviz.guard.values import FILE
 from madviz.policies.checkpoint import PolicyFolder, load_policy, shipped_evaluation
+from madviz.policies.guarded import with_guard
 from madviz.policies.measured import seeds_of
 from madviz.site.drawn_scene import drawn_scene, scene_file
 from madviz.site.files import write_packed, write_shared
@@ -53,14 +55,20 @@ def export_task(out: Path, task: str, seeds: Sequence[int]) -> dict[str, Any]:
 
 
 def export_policy(out: Path, folder: PolicyFolder) -> dict[str, Any]:
-    """The graph of a policy; its line of the manifest."""
+    """The graph of a policy, and the values of its guard; its line of the manifest."""
     policy = load_policy(folder.path)
     spec = folder.spec
-    return {
+    line = {
         **description_of(folder),
         "state_dim": spec.state_dim,
         "graph": write_packed(out, f"policies/{spec.name}.gz", policy_graph(policy)),
     }
+    values = folder.path / FILE
+    if values.is_file():
+        guarded = load_policy(with_guard(str(folder.path), True))
+        line["guard"] = write_packed(out, f"policies/{spec.name}-guard.gz", values.read_bytes())
+        line["guarded_digest"] = guarded.spec.digest
+    return line
 
 
 def description_of(folder: PolicyFolder) -> dict[str, Any]:

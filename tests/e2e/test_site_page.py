@@ -9,7 +9,16 @@ from typing import Any
 
 import pytest
 
-from tests.e2e.static_site import MAD, MERGED_ONLY, NO_WEBGL, fake_site, served, until
+from tests.e2e.static_site import (
+    FILE,
+    MAD,
+    MERGED_ONLY,
+    NO_WEBGL,
+    fake_site,
+    manifest,
+    served,
+    until,
+)
 
 PATIENCE = 30_000
 LINK = f"#policy={MAD}&vs={MERGED_ONLY}&seed=5001&third_a=off@4"
@@ -73,6 +82,50 @@ def test_the_opening_tells_what_happens_and_hands_over_the_switches(visit, addre
     page.get_by_role("button", name="Your turn").click()
     until(page, "Cameras", "#controls")
     page.wait_for_function("() => !document.querySelector('.view.off')")
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory) -> Iterator[str]:
+    """A site whose policies have guards."""
+    policies = [one | {"guard": FILE, "guarded_digest": "1" * 64} for one in manifest()["policies"]]
+    with served(fake_site(tmp_path_factory.mktemp("fitted"), policies=policies)) as url:
+        yield url
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_the_opening_has_three_acts_where_a_guard_is_fitted(visit, fitted, width: int):
+    page = visit(fitted, viewport={"width": width, "height": 800})
+    until(page, "MAD and Merged Only both drove the nail in.", "#line")
+    page.get_by_role("button", name="Next: First person goes black").click()
+    until(page, "Which policy will still do it?", "#line")
+    page.get_by_role("button", name="MAD", exact=True).click()
+    words = until(page, "Neither MAD nor Merged Only drove the nail in.", "#line")
+    assert "You said MAD, and it was neither." in words
+    assert tags(page, "first") == ["black", "black"]
+    page.get_by_role("button", name="Next: the same with the guard").click()
+    until(
+        page, "Guard: First person sends black since step 15 (an even picture): left out.", "#line"
+    )
+    assert tags(page, "first") == ["BLACK · left out since step 15"] * 2
+    until(page, "MAD drove the nail in, Merged Only did not.", "#line")
+    assert page.locator(".view canvas.out").count() == 2
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    page.get_by_role("button", name="Your turn").click()
+    page.wait_for_function("() => !document.querySelector('.guard input').checked")
+
+
+def test_one_switch_is_the_guard(visit, fitted, address):
+    page = visit(fitted + LINK.replace("third_a=off@4", "third_a=black@2"))
+    page.get_by_label("Guard").click()
+    until(page, "Guard: Third A sends black since step 2", "#line")
+    until(page, "all cameras, with failures, with guard", "#inside")
+    page.wait_for_function("() => location.hash.includes('guard=on')")
+    link = page.evaluate("location.hash")
+    again = visit(fitted + link)
+    again.wait_for_function("() => document.querySelector('.guard input').checked")
+    without = visit(address + LINK)
+    assert without.get_by_label("Guard").is_disabled()
+    assert f"madviz guard --policy {MAD} does it." in without.locator(".guard").inner_text()
 
 
 def test_a_switch_acts_on_both_sides_until_they_are_unlinked(visit, address):

@@ -2,7 +2,8 @@
  * Stands in for the worker in tests of the page: the same commands and answers, made-up numbers.
  *
  * It has no simulator, no OpenGL and no network. A policy whose name has `merged-only` fails when a
- * camera is missing; every other one succeeds. Pictures are a ramp with a dot that moves.
+ * camera is missing; every other one succeeds. All fail where a black one stays in the sum; a guard
+ * leaves it out. Pictures are a ramp with a dot that moves.
  */
 
 const HORIZON = 30, SIZE = 84, ACTION = 4, Z = 448;
@@ -11,7 +12,7 @@ const intact = () => ({input: 'both', occlusion: noOcclusion()});
 
 let manifest, sides = [], seed = 0, step = 0, episode = 0, number = 0, speed = 10;
 let phase = 'playing', autoNext = false, schedule = [], outcomes = [], timer = 0, visible = true;
-let opened = false;
+let opened = false, guarded = false;
 
 const say = answer => postMessage(answer);
 const policyOf = name => manifest.policies.find(policy => policy.name === name);
@@ -34,6 +35,7 @@ async function obey(command) {
     SetSpeed: () => { speed = command.rate; }, SetAutoNext: () => { autoNext = command.on; },
     SetSeed: () => begin(command.seed),
     Reset: () => begin(command.next_seed ? seed + 1 : seed),
+    SetGuard: () => { guarded = command.on; },
     SetSchedule: () => { schedule = command.events; apply(); },
     SetCamera: () => set(command.side, command.camera, command.state),
     MoveCamera: () => move(command.side, command.camera, command.move),
@@ -61,6 +63,7 @@ async function open({base, policy, second, seed: wanted}) {
   }
   sides = [side(policy), ...(second ? [side(second)] : [])];
   schedule = [];
+  guarded = false;
   begin(wanted);
   opened = true;
   say({kind: 'Ready', seconds: 0.1, backend: 'fake'});
@@ -135,10 +138,18 @@ function condition(one) {
   const failing = Object.entries(one.cameras).filter(([, state]) =>
     state.input !== 'off' && state.occlusion.kind !== 'none');
   return {subset: subset(one),
-    occlusions: failing.map(([name, state]) => `${name}:${state.occlusion.kind}`).join(';')};
+    occlusions: failing.map(([name, state]) => `${name}:${state.occlusion.kind}`).join(';'), guarded};
 }
 
-const succeeds = one => one.policy.method === 'mad' || subset(one) === 'all';
+function black(one) {
+  return Object.entries(one.cameras).filter(([, state]) => state.input !== 'off'
+    && state.occlusion.kind === 'black').map(([camera]) => camera);
+}
+
+function succeeds(one) {
+  if (black(one).length && !guarded) return false;
+  return one.policy.method === 'mad' || (subset(one) === 'all' && !black(one).length);
+}
 
 function outcome(one, index) {
   return {side: index ? 'second' : 'first', policy: one.policy.name, seed, success: succeeds(one),
@@ -176,7 +187,10 @@ function world(one) {
     arrived: Object.fromEntries(policy.streams.map(stream => [stream, views[stream.split('.')[0]]])),
     poses: Object.fromEntries(policy.cameras.map(camera => [camera.name, pose])),
     geom_poses: new Float32Array(0), streams: policy.streams,
-    horizon: HORIZON, mask: policy.streams.map(stream => cameras[stream].input !== 'off'),
+    horizon: HORIZON, mask: policy.streams.map(stream => cameras[stream].input !== 'off'
+      && !(guarded && black(one).includes(stream))),
+    guard: guarded ? black(one).map(camera => ({camera, kind: 'black', since: one.change.step,
+      why: 'an even picture'})) : null,
     norms: Float32Array.from(policy.streams, (_, i) => 5 + i + Math.sin(step / 4 + i)),
     merged: Float32Array.from({length: Z}, (_, i) => Math.abs(Math.sin(i * 1.7 + step / 9))),
     action: Float32Array.from({length: ACTION}, (_, i) => Math.sin(step / 5 + i)), q: 12 - step / 9,

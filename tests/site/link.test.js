@@ -122,3 +122,10 @@ test('journals of both sides: what is the same is said once', () => {
   assert.deepEqual(merged, [{...both, side: 'both'}, {...alone, side: 'second'}]);
   assert.deepEqual(mergedEvents([both], null), [{...both, side: 'both'}]);
 });
+
+test('a guard travels in a link', () => {
+  const state = {policy: 'one', vs: null, seed: 5000, guard: true, events: []};
+  assert.equal(formatLink(state), '#policy=one&seed=5000&guard=on');
+  assert.equal(parseLink('#policy=one&guard=on').state.guard, true);
+  assert.equal(parseLink('#policy=one&guard=perhaps').problems.length, 1);
+});

@@ -7,8 +7,9 @@ import {Catalogue} from '../../madviz/site/web/catalogue.js';
 import {intact, noOcclusion} from '../../madviz/site/web/camera_state.js';
 import {frustum, lineOnCanvas, rotate, viewpoint} from '../../madviz/site/web/geometry.js';
 import {parseLink} from '../../madviz/site/web/link.js';
+import {acts, openingEvents} from '../../madviz/site/web/opening.js';
 import {nameOf} from '../../madviz/site/web/subsets.js';
-import {changeWords, moveWords, outcomeWords, stateWords, subsetWords}
+import {badgeWords, changeWords, conditionWords, guardWords, moveWords, outcomeWords, stateWords, subsetWords}
   from '../../madviz/site/web/words.js';
 
 const CAMERAS = [['first', 'First person'], ['third_a', 'Third A']].map(([name, label]) =>
@@ -60,7 +61,8 @@ test('a link is played as far as the site can, with a sentence for the rest', ()
   const catalogue = new Catalogue(manifest, true);
   const check = hash => catalogue.checked(parseLink(hash).state);
   assert.deepEqual(check('#policy=one&vs=two&seed=5001'),
-    {scene: {policy: 'one', vs: 'two', seed: 5001, events: []}, problems: []});
+    {scene: {policy: 'one', vs: 'two', seed: 5001, guard: undefined, events: []},
+      problems: []});
   assert.match(check('#policy=gone').problems[0], /“gone” is not on this site/);
   assert.match(check('#policy=one&seed=9').problems[0], /Seed 9 has no start state/);
   assert.match(check('#policy=one&top=off').problems[0], /has no camera “top”/);
@@ -92,4 +94,27 @@ test('a frustum is as wide as its field of view', () => {
   corners[2].forEach((value, i) => assert.ok(Math.abs(value - [0.5, 0.5, 1.5][i]) < 1e-12));
   const turned = rotate([Math.SQRT1_2, 0, 0, Math.SQRT1_2], [1, 0, 0]);
   turned.forEach((value, i) => assert.ok(Math.abs(value - [0, 1, 0][i]) < 1e-12));
+});
+
+test('what a guard has noticed is said, and stands on the picture', () => {
+  const noticed = {camera: 'third_a', kind: 'late', since: 23, why: 'five steps'};
+  assert.equal(badgeWords(noticed), 'LATE · left out since step 23');
+  assert.equal(guardWords({guard: [noticed], mask: [true, false]}, CAMERAS),
+    'Guard: Third A is late since step 23 (five steps): left out.');
+  assert.match(guardWords({guard: [noticed], mask: [false, false]}, CAMERAS), /No camera is left/);
+  assert.equal(guardWords({guard: [], mask: [true, true]}, CAMERAS), '');
+  assert.equal(conditionWords({subset: 'all', occlusions: 'first:black', guarded: true}, CAMERAS),
+    'all cameras, with failures, with guard');
+});
+
+test('the opening has three acts where a guard is fitted, else the one that drops a camera', () => {
+  const entry = {label: 'MAD', cameras: CAMERAS, guard: {path: 'g', bytes: 1, unpacked: 1}};
+  const opening = {entries: [entry, entry], camera: 'first', step: 15, seed: 5000};
+  const three = acts(opening);
+  assert.deepEqual(three.map(act => [act.how, act.guard]), [['', false], ['black', false], ['black', true]]);
+  assert.deepEqual(three.map(act => act.asks), [false, true, false]);
+  assert.equal(openingEvents(opening, three[0]).length, 0);
+  assert.equal(openingEvents(opening, three[2])[0].state.occlusion.kind, 'black');
+  const without = {...opening, entries: [entry, {...entry, guard: undefined}]};
+  assert.deepEqual(acts(without), [{how: 'off', asks: true, guard: false}]);
 });

@@ -17,6 +17,7 @@ from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import Cell, Choice, HtmlPanel, SyncedInput, on_press, on_value, place
 from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.policies.checkpoint import shown
+from madviz.policies.guarded import unguarded
 from madviz.session.commands import (
     Command,
     Pause,
@@ -78,13 +79,13 @@ class PolicyPicker:
         self.names = names
         self._named = named
         self._labels = {name: label for label, name in names.items()}
-        current = self._labels.get(named(frame.world.policy), next(iter(names)))
+        current = self._labels.get(unguarded(named(frame.world.policy)), next(iter(names)))
         self.handle = gui.add_dropdown(label, list(names), initial_value=current, hint=hint)
         self._shown = SyncedInput(self.handle)
 
     def show(self, frame: Frame, force: bool = False) -> list[Assign]:
         """The change by which it names the policy of ``frame``; ``force`` as in ``SyncedInput``."""
-        name = self._named(frame.world.policy)
+        name = unguarded(self._named(frame.world.policy))
         return self._shown.show(self._labels.get(name) or shown(name), force)
 
 
@@ -101,7 +102,7 @@ class PolicyPanel(HtmlPanel):
     ) -> None:
         task = frame.world.env.task
         names = offered(choices, task)
-        current = named(frame.world.policy)
+        current = unguarded(named(frame.world.policy))
         if current not in names.values():
             names = {shown(current): current, **names}
         self._tasks: dict[str, str] = {}

@@ -248,6 +248,9 @@ def _bar_row(
         words = " · " + ", ".join(p.split(",")[0] for p in condition.key().split(";"))
         label = label + words
         short = short + words
+    if frame.world.guard is not None and (live.n or condition == frame.condition):
+        label = f"with guard · {label}"
+        short = f"with guard · {short}"
     dagger = "" if frame.world.probe.row(mask) in frame.trained_rows else "† "
     joined = rates.best(spec, condition)
     number = f"<b>{joined.value:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"

@@ -11,6 +11,7 @@ from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import NOTE
 from madviz.session.ending import Ending, ending_of, guess_words
 from madviz.session.frame import Change, Frame, deed, words
+from madviz.session.guard_words import guard_sentence
 from madviz.types import PolicySpec
 
 WAITS = "Waiting for the policy: {:.0f} s. What you change now counts from its next decision on."
@@ -29,11 +30,20 @@ class WordsPanel(HtmlPanel):
         self._last: tuple[Change, PolicySpec] | None = None
         self.guess = ""
         """A visitor's guess who will succeed in the comparison; it counts for one episode."""
+        self._asked_in: int | None = None
+        """The episode that was shown when the guess was made; it is for a later one."""
+        self._shown_in: int | None = None
         self._guessed_in: int | None = None
         """The episode in which the guess was compared."""
         super().__init__(gui, frame, self._content)
 
+    def hear(self, guess: str) -> None:
+        """A visitor's guess on the next episode."""
+        self.guess = guess
+        self._asked_in = self._shown_in
+
     def _content(self, frame: Frame) -> str:
+        self._shown_in = frame.world.episode
         if frame.world.change is not None:
             self._last = (frame.world.change, frame.world.policy)
         ending = ending_of(frame, self._rates.best)
@@ -41,14 +51,18 @@ class WordsPanel(HtmlPanel):
             self.guess = ""
             self._guessed_in = None
         if ending is not None:
-            self._guessed_in = frame.world.episode if self.guess else None
-            said = ending_html(ending, frame, self.guess)
+            guess = "" if frame.world.episode == self._asked_in else self.guess
+            self._guessed_in = frame.world.episode if guess else None
+            said = ending_html(ending, frame, guess)
         elif frame.pace.waited >= 1:
             said = escape(WAITS.format(frame.pace.waited))
         elif self._last is None or self._last[1] != frame.world.policy:
             said = f'<span class="dim">{self.HINT}</span>'
         else:
             said = escape(both_sides(self._last[0], frame, self._rates))
+        for side in (frame, frame.second):
+            if side is not None and (noticed := guard_sentence(side)):
+                said += f'<div class="mv-noticed" role="status">{escape(noticed)}</div>'
         return (
             f'<div class="mv mv-words" style="border-left:3px solid {NOTE};margin:0 10px 4px;'
             f'padding:2px 8px;min-height:36px">{said}</div>'

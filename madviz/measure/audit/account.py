@@ -11,8 +11,17 @@ from dataclasses import dataclass
 from html import escape
 
 from madviz.measure.audit.document import AuditFile, ConditionRow
+from madviz.measure.audit.guarded import GuardedRow, noticed_words
 from madviz.measure.audit.lost_cameras import HOWS
-from madviz.measure.audit.sentences import HOW_WORDS, MEANING, change, deciding, in_words, planned
+from madviz.measure.audit.sentences import (
+    HOW_WORDS,
+    MEANING,
+    broken,
+    change,
+    deciding,
+    in_words,
+    planned,
+)
 from madviz.measure.episodes import clipped_words
 from madviz.measure.statistics import SuccessRate
 from madviz.plots import figures
@@ -74,7 +83,7 @@ def account(found: AuditFile, command: str) -> list[Block]:
         Block("svg", [rates_picture(found)]),
         *_shapley(found),
         Block("h2", ["Every condition"]),
-        Block("table", CONDITION_HEADS, [_condition_row(found, r) for r in found["conditions"]]),
+        Block("table", _heads(found), [_condition_row(found, r) for r in found["conditions"]]),
         Block("h2", ["How to read this"]),
         Block("list", HOW_TO_READ),
         Block("h2", ["What was measured"]),
@@ -86,6 +95,10 @@ def account(found: AuditFile, command: str) -> list[Block]:
 
 VERDICT_HEADS = ("camera", "verdict", "without it", "p", "alone", "alone against none", "p")
 CONDITION_HEADS = ("cameras", "how", "success", "against all cameras", "p")
+
+
+def _heads(found: AuditFile) -> tuple[str, ...]:
+    return (*CONDITION_HEADS, "guarded", "noticed") if "guarded" in found else CONDITION_HEADS
 
 
 def _verdict_rows(found: AuditFile) -> list[list[str]]:
@@ -111,7 +124,13 @@ def _verdict_rows(found: AuditFile) -> list[list[str]]:
 def _condition_row(found: AuditFile, row: ConditionRow) -> list[str]:
     label = condition_label(found, row)
     how = HOW_WORDS[row["how"]]
-    return [label, how, str(_rate(row)), change(row), f"{row['p_holm']:.2g}"]
+    cells = [label, how, str(_rate(row)), change(row), f"{row['p_holm']:.2g}"]
+    if "guarded" not in found:
+        return cells
+    guarded = found["guarded"]["broken"].get(str(row["camera"]), {}).get(row["how"])
+    if guarded is None or not broken(row):
+        return [*cells, "", ""]
+    return [*cells, str(_rate(guarded)), noticed_words(guarded).removeprefix("noticed ")]
 
 
 def condition_label(found: AuditFile, row: ConditionRow) -> str:
@@ -121,7 +140,7 @@ def condition_label(found: AuditFile, row: ConditionRow) -> str:
     return f"{found['labels'][row['camera']]} {row['what']}"
 
 
-def _rate(row: ConditionRow) -> SuccessRate:
+def _rate(row: ConditionRow | GuardedRow) -> SuccessRate:
     n = row["n"]
     return SuccessRate.of(round(row["success"] * n), n)
 

@@ -19,9 +19,11 @@ from pathlib import Path
 
 from madviz.envs.registry import TaskName
 from madviz.errors import Interrupted, UserError, saving
+from madviz.guard.policy import guard_note
 from madviz.measure.audit.account import html, markdown
 from madviz.measure.audit.audited_policy import FILE, check_same_policy
 from madviz.measure.audit.document import AuditFile, audit_document, facts_of
+from madviz.measure.audit.guarded import guarded_rows
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras, How
 from madviz.measure.audit.schedule import AuditPlan, Outcomes
 from madviz.measure.audit.sentences import in_words, plan_words, planned
@@ -66,8 +68,8 @@ class AuditConfig:
     """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
     itself."""
     guard: bool = False
-    """A camera that the guard finds failing is left out until it works again; `madviz
-    guard` fits it."""
+    """Plays every broken camera once more with the guard, which leaves it out until it works
+    again; `madviz guard` fits it."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
 
@@ -81,13 +83,15 @@ def audit(
     workers: int | None = None,
     store: Store | None = None,
     progress: bool = False,
+    guarded: str | Policy | None = None,
 ) -> AuditFile:
     """Audits ``policy`` on the seeds ``seed`` to ``seed + episodes - 1``, or fewer where all is
     decided before.
 
     ``policy`` and ``workers`` as in ``madviz.evaluate``; ``how`` are the ways in which cameras are
     away. ``store`` is this audit's own: it answers for episodes that it has seen, and keeps the new
-    ones. ``progress`` says on standard error what is planned and done.
+    ones. ``progress`` says on standard error what is planned and done. ``guarded`` is the policy
+    with its guard, with which every broken camera is played once more.
     """
     seeds_of_run(seed, episodes)
     table, loaded = Table.opened(policy, store or Store(MEMORY), own=True)
@@ -105,7 +109,15 @@ def audit(
         env, _ = table.runner.opened(table.job(INTACT, 0))
         facts = facts_of(loaded.spec, env.spec)
         facts["outside"] = table.outside(plan.every)
-        return audit_document(plan, outcomes(), facts)
+        document = audit_document(plan, outcomes(), facts)
+        if guarded is not None:
+            seeds = plan.seeds(document["intact"]["n"])
+            other, with_guard = Table.opened(guarded, store or Store(MEMORY), own=True)
+            note = guard_note(with_guard)
+            with closing(other.runner):
+                rows = guarded_rows(other, plan.cameras, seeds, workers, progress, note)
+            document["guarded"] = rows
+        return document
     finally:
         table.runner.close()
 
@@ -118,8 +130,11 @@ def run_audit(config: AuditConfig) -> AuditFile:
     UserError for a policy of another task, and for a folder whose audit began with another policy
     or seed."""
     trust(config.policy, config.trust)
-    reference = with_guard(with_wire(config.policy, config.wire), config.guard)
+    reference = with_wire(config.policy, config.wire)
     policy = checkpoint.load_policy(reference)
+    guarded = with_guard(reference, True) if config.guard else None
+    if guarded is not None:
+        checkpoint.load_policy(guarded)  # Before hours of episodes: its guard may not be fitted.
     if config.task not in (None, policy.spec.task):
         raise UserError(
             f"expected a policy for {config.task}, found {policy.spec.name!r} for "
@@ -137,6 +152,7 @@ def run_audit(config: AuditConfig) -> AuditFile:
                 workers=config.workers,
                 store=store,
                 progress=True,
+                guarded=guarded,
             )
         except KeyboardInterrupt as stopped:
             raise Interrupted(command(config, given_away=False), signal.SIGINT) from stopped

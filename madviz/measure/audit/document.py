@@ -15,6 +15,7 @@ import numpy as np
 
 from madviz.analysis.shapley import shares
 from madviz.errors import UserError
+from madviz.measure.audit.guarded import GuardedRows
 from madviz.measure.audit.lost_cameras import INTACT, AuditRow, How, What
 from madviz.measure.audit.schedule import AuditPlan, Outcomes, scale
 from madviz.measure.audit.verdict import VERDICTS, Judgement, Look, table
@@ -93,6 +94,8 @@ class AuditFile(TypedDict):
     shapley_how: str
     outside: NotRequired[float]
     """The share of action numbers outside [-1, 1] in all episodes; they were clipped."""
+    guarded: NotRequired[GuardedRows]
+    """Broken cameras with the guard, where that was asked for."""
     decided_by: dict[str, dict[str, str]]
     """By camera, how it was removed and how the others were, for the verdict."""
     verdict: dict[str, str]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from madviz.measure.audit.document import AuditFile, ConditionRow, DifferenceRow
+from madviz.measure.audit.guarded import alarms_words, noticed_words
 from madviz.measure.audit.verdict import LEVEL, MARGIN
 from madviz.measure.episodes import clipped_words
 from madviz.measure.statistics import SuccessRate
@@ -35,7 +36,7 @@ def in_words(found: AuditFile) -> list[str]:
     lines = [_intact(found)]
     lines += filter(None, [clipped_words(found.get("outside", 0.0))])
     lines += [_camera(found, name) for name in found["verdict"]]
-    lines += _occluded(found)
+    lines += [*_occluded(found), *_guarded(found)]
     if any("mean" in how.values() for how in found["decided_by"].values()):
         lines.append(
             "This policy cannot leave out every camera. Where it cannot, the verdict comes from "
@@ -138,6 +139,37 @@ def _occluded(found: AuditFile) -> list[str]:
                 f"{rates['dropped']:.2f}."
             )
     return lines
+
+
+def _guarded(found: AuditFile) -> list[str]:
+    """The way of breaking a camera in which the guard wins most, or loses, and its false alarms."""
+    guarded = found.get("guarded")
+    if guarded is None:
+        return []
+    without = {(row["camera"], row["how"]): row for row in found["conditions"] if broken(row)}
+    pairs = [
+        (without[camera, how], row)
+        for camera, rows in guarded["broken"].items()
+        for how, row in rows.items()
+    ]
+    if not pairs:
+        return [guarded["note"]]
+    row, with_guard = max(pairs, key=lambda pair: abs(pair[1]["success"] - pair[0]["success"]))
+    rates = [
+        SuccessRate.of(round(one["success"] * one["n"]), one["n"]).without_count
+        for one in (row, with_guard)
+    ]
+    subject = f"{HOW_WORDS[row['how']].capitalize()}, {found['labels'][str(row['camera'])]}"
+    return [
+        f"{subject}: {rates[0]} without, {rates[1]} with the guard; {noticed_words(with_guard)}, "
+        f"{alarms_words(guarded['intact'])}.",
+        guarded["note"],
+    ]
+
+
+def broken(row: ConditionRow) -> bool:
+    """True where one camera is broken and the others are intact."""
+    return row["what"] == "removed" and row["how"] != "dropped"
 
 
 def _predicate(how: str) -> str:

@@ -26,10 +26,11 @@
  * @property {string} seeds_words Which seeds `measured` was counted on: `development seeds`.
  * @property {number[]} seeds
  * @property {boolean} recorded
+ * @property {import('./messages.js').SiteFile} [guard] Fitted values; without them, none can watch.
  */
 /** @typedef {ReturnType<Catalogue['opening']>} Opening */
 /** @typedef {{policy: string, vs: string | null, seed: number,
- *   events: import('./link.js').LinkEvent[]}} Scene What is to be played. */
+ *   guard?: boolean, events: import('./link.js').LinkEvent[]}} Scene What is to be played. */
 
 const STEP = 15; // A camera goes off, where the manifest does not say when.
 
@@ -131,6 +132,7 @@ export class Catalogue {
       problems.push(`${entry.task_label} has no camera “${name}”; it has ${[...known].join(', ')}.`);
     }
     const events = link.events.filter(one => known.has(one.camera));
-    return {scene: {policy: entry.name, vs: vs?.name ?? null, seed, events}, problems};
+    return {scene: {policy: entry.name, vs: vs?.name ?? null, seed, guard: link.guard, events},
+      problems};
   }
 }

@@ -35,7 +35,7 @@ export class Episodes {
     this.drawing = new Drawing(() => this.problem(LOST));
     this.pace = new Pace();
     this.phase = 'paused';
-    this.autoNext = false;
+    this.autoNext = this.guarded = false;
     this.readEvery = 5;
     this.number = this.episode = 0;
     this.endedAt = NaN;

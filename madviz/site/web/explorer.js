@@ -10,7 +10,7 @@ import {byId, calm, make, say} from './dom.js';
 import {endingOf} from './ending.js';
 import {mergedEvents} from './link.js';
 import {notice} from './notices.js';
-import {SPEED, endingNodes, guesses, headline, openingEvents, story, tell} from './opening.js';
+import {SPEED, acts, endingNodes, guesses, headline, leadsOn, openingEvents, story, tell} from './opening.js';
 import {Features, Subsets} from './readout.js';
 import {SceneView} from './scene_view.js';
 import {Side} from './side.js';
@@ -19,7 +19,7 @@ import {RunMany, Success} from './success.js';
 import {SwitchBoard} from './switches.js';
 import {Timeline} from './timeline.js';
 import {Transport, rateNow} from './transport.js';
-import {changeWords} from './words.js';
+import {changeWords, guardWords} from './words.js';
 
 /** @typedef {import('./messages.js').Command} Command */
 /** @typedef {import('./messages.js').Frame} Frame */
@@ -60,7 +60,11 @@ export class Explorer {
     byId('choose').replaceChildren(this.transport.element);
     this.many = new RunMany(EPISODES, send);
     this.link = make('button', {type: 'button', onclick: () => this.setLinked(!this.linked)});
+    this.guard = make('input', {type: 'checkbox', onchange: () =>
+      this.send({kind: 'SetGuard', on: this.guard.checked})});
     this.drawn = 0;
+    /** Of the opening. */
+    this.act = 0;
     this.asked = false;
     /** Whether the opening waits for a guess. */
     this.asks = false;
@@ -86,12 +90,13 @@ export class Explorer {
     const button = (/** @type {string} */ words, /** @type {() => void} */ act, main = false) =>
       make('button', {type: 'button', class: main ? 'main' : '', onclick: act}, words);
     if (this.mode === 'opening') {
-      const opening = this.catalogue.opening();
-      say(title, headline(opening));
+      const opening = this.catalogue.opening(), all = acts(opening), next = all[this.act + 1];
+      say(title, headline(opening, all[this.act]));
       turn.replaceChildren(...this.asks ? guesses(opening).map(guess =>
         button(guess, () => this.begins(guess))) : [],
       ...this.asks ? [button('Just show me', () => this.begins(''), true)]
-        : [button('Your turn', () => this.yourTurn(), true),
+        : [...next ? [button(leadsOn(opening, next), () => this.again(this.act + 1), true)] : [],
+          button('Your turn', () => this.yourTurn(), !next),
           button('Again', () => this.again())]);
     } else {
       say(title, this.entries[1] ? `${this.entries[0].label} and ${this.entries[1].label}: `
@@ -106,15 +111,19 @@ export class Explorer {
     this.send({kind: 'SetPolicy', side: 'first', name: entries[0].name});
     this.send({kind: 'Compare', policy: entries[1]?.name ?? null});
     this.setMode('opening');
-    this.again();
+    this.again(0);
   }
 
-  again() {
+  /** An act of the opening from its beginning. @param {number} [number] */
+  again(number = this.act) {
+    this.act = number;
+    const opening = this.catalogue.opening(), act = acts(opening)[number];
     this.whole();
-    this.send({kind: 'SetSchedule', events: openingEvents(this.catalogue.opening())});
+    this.send({kind: 'SetGuard', on: act.guard});
+    this.send({kind: 'SetSchedule', events: openingEvents(opening, act)});
     this.send({kind: 'SetSpeed', rate: SPEED});
-    this.send({kind: 'Reset', next_seed: false});
-    this.ask(this.entries.length > 1);
+    this.send({kind: 'SetSeed', seed: opening.seed});
+    this.ask(act.asks);
     this.send({kind: calm() || this.asks ? 'Pause' : 'Play'});
   }
 
@@ -146,6 +155,7 @@ export class Explorer {
   /** The visitor has the switches. */
   yourTurn() {
     this.send({kind: 'SetSchedule', events: []});
+    this.send({kind: 'SetGuard', on: false});
     this.whole();
     this.send({kind: 'Reset', next_seed: false});
     this.send({kind: 'Play'});
@@ -180,7 +190,7 @@ export class Explorer {
     byId('controls').replaceChildren(make('div', {class: 'heading'}, make('h2', {}, 'Cameras'),
       ...(two ? [this.link] : []), make('span', {class: 'soft'},
         'Off: it leaves the sum. Anything else: it stays, and sends that.')),
-    make('div', {class: 'boards'}, ...titles.flat()));
+    make('div', {class: 'boards'}, ...titles.flat()), ...entry.recorded ? [] : [this.guardBox()]);
     this.panels = this.entries.map(one => ({features: new Features(one),
       subsets: new Subsets(one), success: new Success(one, this.tally)}));
     byId('inside').replaceChildren(...this.panels.map((panel, index) => make('div',
@@ -190,6 +200,17 @@ export class Explorer {
       panel.success.element, panel.subsets.element, panel.features.element)));
     this.transport.show(entry, rival ?? null);
     this.headline();
+  }
+
+  /** The switch of the guard, and what it does or why it cannot be had. */
+  guardBox() {
+    const fitted = this.entries.filter(one => one.guard).length;
+    const without = this.entries.find(one => !one.guard);
+    this.guard.disabled = !fitted;
+    return make('p', {class: 'guard'}, make('label', {}, this.guard, ' Guard'),
+      make('span', {class: 'soft'}, fitted === this.entries.length
+        ? 'A camera that fails is noticed and left out, until it works again.'
+        : `No guard is fitted for ${without?.name}; madviz guard --policy ${without?.name} does it.`));
   }
 
   /** @param {'first' | 'second'} name */
@@ -229,6 +250,7 @@ export class Explorer {
     for (const board of this.boards) {
       board.update(board.side === 'second' && frame.second ? frame.second : frame.first);
     }
+    this.guard.checked = worlds.some(world => world.guard);
     this.transport.update(frame);
     this.view.show(worlds.map((world, index) => ({world, side: this.sides[index]})));
     const now = performance.now();
@@ -251,10 +273,13 @@ export class Explorer {
     if (this.mode === 'opening') {
       const {words, episode} = this.guess;
       return tell(line, story(frame, this.catalogue.opening(), this.tally,
-        {asks: this.asks, guess: episode === frame.first.episode ? words : ''}));
+        {asks: this.asks, guess: episode === frame.first.episode ? words : ''},
+        acts(this.catalogue.opening())[this.act]));
     }
+    const noticed = worlds.map((world, index) => guardWords(world, this.entries[index].cameras));
+    const guard = [...new Set(noticed.filter(Boolean))].join(' ');
     const ending = endingNodes(endingOf(worlds, this.entries, this.tally));
-    if (ending.length) return tell(line, ending);
+    if (ending.length) return tell(line, [...ending, document.createTextNode(guard && ` ${guard}`)]);
     const changes = worlds.map((world, index) => world.change && world.step - world.change.step < 40
       ? `${worlds.length > 1 ? `${this.entries[index].label}: ` : ''}${
         changeWords(world.change, this.entries[index].cameras)}` : '').filter(Boolean);
@@ -263,7 +288,8 @@ export class Explorer {
       : `Switch a camera off, break its picture, or drag a box over it.${
         matchMedia('(pointer: fine)').matches
           ? ` Keys 1 to ${this.entries[0].cameras.length} switch one off.` : ''}`;
-    return tell(line, [document.createTextNode(changes.join('. ') || hint)]);
+    const said = [changes.join('. '), guard].filter(Boolean).join('. ');
+    return tell(line, [document.createTextNode(said || hint)]);
   }
 
   /** What is played now, for a link. @returns {import('./link.js').LinkState | null} */
@@ -271,6 +297,7 @@ export class Explorer {
     if (!this.frame || this.mode === 'loading') return null;
     const {first, second} = this.frame;
     return {policy: first.policy, vs: second?.policy ?? null, seed: first.seed,
+      guard: first.guard !== null,
       events: mergedEvents(first.events, second?.events ?? null)};
   }
 }

@@ -4,6 +4,7 @@
  *     #policy=metaworld-hammer-mad-light&vs=metaworld-hammer-merged-only-light&seed=5003
  *      &first=off@15&third_a=noise:0.5@10-18&b.third_b=patch:1:0.3:0.5:0.4:0.2@40
  *
+ *     guard=on                  a camera that fails is left out
  *     camera=what[@from[-to]]   as `madviz eval --occlude` and `madviz record --drop` have it
  *     a.camera=…, b.camera=…    one side of a comparison; without it, both
  *
@@ -33,6 +34,7 @@ import {intact} from './camera_state.js';
  * @property {string | null} policy
  * @property {string | null} vs The policy of side B.
  * @property {number | null} seed
+ * @property {boolean} [guard] Whether a guard watches.
  * @property {LinkEvent[]} events In the order of their steps.
  */
 
@@ -92,6 +94,10 @@ function readPart(part, state) {
       return `The link's “${shown}” names no policy, so it was left out.`;
     }
     state[key] = value;
+    return '';
+  }
+  if (key === 'guard' && value === 'on') {
+    state.guard = true;
     return '';
   }
   if (key === 'seed') {
@@ -192,6 +198,7 @@ export function formatLink(state) {
   if (state.policy) parts.push(`policy=${encodeURIComponent(state.policy)}`);
   if (state.vs) parts.push(`vs=${encodeURIComponent(state.vs)}`);
   if (state.seed !== null) parts.push(`seed=${state.seed}`);
+  if (state.guard) parts.push('guard=on');
   for (const event of state.events.slice(0, MOST_EVENTS)) {
     const prefix = {first: 'a.', second: 'b.', both: ''}[event.side];
     const what = event.state ? stateText(event.state) : moveText(event.move ?? null);

@@ -99,6 +99,11 @@
  * @typedef {{kind: 'Compare', policy: string | null}} Compare
  */
 /**
+ * Whether a camera that fails is noticed and left out, on all sides whose policy has a fitted guard;
+ * from the next decision on.
+ * @typedef {{kind: 'SetGuard', on: boolean}} SetGuard
+ */
+/**
  * Failures that come by themselves at a step, in this episode and all that follow; an empty list
  * ends them. They begin again with every episode, where all cameras that it names work at step 0.
  * @typedef {{kind: 'SetSchedule', events: ScheduledEvent[]}} SetSchedule
@@ -132,7 +137,7 @@
 
 /**
  * @typedef {Open | SetCamera | MoveCamera | SetPolicy | SetSeed | Play | Pause | StepOnce | Reset
- *   | SetSpeed | SetAutoNext | Compare | SetSchedule | SetReadout | RunMany | StopRun | Save
+ *   | SetSpeed | SetAutoNext | Compare | SetGuard | SetSchedule | SetReadout | RunMany | StopRun | Save
  *   | Replay | SetVisible} Command
  */
 
@@ -183,8 +188,8 @@
 
 /**
  * What the policy was given: present streams as `all`, `none` or `first+third_a`; and the
- * occlusions and moves in `Ablation.key()`'s words, '' for none.
- * @typedef {{subset: string, occlusions: string}} Condition
+ * occlusions and moves in `Ablation.key()`'s words, '' for none; and whether a guard watched.
+ * @typedef {{subset: string, occlusions: string, guarded?: boolean}} Condition
  */
 
 /**
@@ -229,7 +234,8 @@
  * @property {Picture} [scene] Of a recording: the scene as it was seen from outside.
  * @property {Float32Array} norms (V) of the features, in the order of `streams`.
  * @property {string[]} streams
- * @property {boolean[]} mask (V) The streams that are present.
+ * @property {boolean[]} mask (V) The streams that are present, and that the guard does not leave out.
+ * @property {Noticed[] | null} guard The cameras that it leaves out; null where no guard watches.
  * @property {Float32Array} merged (Z) under the present switches.
  * @property {Float32Array} action (A) what it does next, in [-1, 1].
  * @property {number} q
@@ -241,6 +247,9 @@
  * @property {CameraEvent[]} events What was done to cameras in this episode, in order; at step 0,
  *   how it began.
  */
+
+/** A camera that a guard has found to fail, and the step of the episode at which it was noticed.
+ * @typedef {{camera: string, kind: import('./guard.js').Kind, since: number, why: string}} Noticed */
 
 /**
  * @typedef {{step: number, camera: string, state?: CameraState, move?: Displacement | null}}
@@ -309,6 +318,8 @@
  * @property {Record<string, Rate>} measured By subset.
  * @property {string} seeds Which seeds `measured` was counted on, in words.
  * @property {SiteFile} graph
+ * @property {SiteFile} [guard] The fitted values of its guard, where it has one.
+ * @property {string} [guarded_digest] Of the policy with its guard.
  */
 
 /**

@@ -1,14 +1,16 @@
 /**
- * The first scene: two policies, the same start, and one camera that goes off in both.
+ * The first scene: two policies and the same start, in three acts: all cameras; one that goes black
+ * in both; the same with the guard. Where no guard is fitted or episodes are recorded, it has one
+ * act, in which the camera goes off.
  *
  * What is said is read from frames as they come: by how much the action changed, how it ended, and
  * what was measured over many episodes. Nothing here knows in advance who succeeds.
  */
 
-import {noOcclusion} from './camera_state.js';
+import {intact, noOcclusion} from './camera_state.js';
 import {make, say} from './dom.js';
 import {BOTH, endingOf, guessWords} from './ending.js';
-import {effectWords, labelOf} from './words.js';
+import {effectWords, guardWords, labelOf} from './words.js';
 
 /** @typedef {import('./messages.js').Frame} Frame */
 
@@ -17,17 +19,43 @@ import {effectWords, labelOf} from './words.js';
 export const SPEED = 10;
 
 /**
- * @param {Opening} opening
- * @returns {import('./messages.js').ScheduledEvent[]}
+ * An act: how the camera fails, whether the visitor guesses before it, whether a guard watches.
+ * @typedef {{how: '' | 'off' | 'black', asks: boolean, guard: boolean}} Act
  */
-export function openingEvents({camera, step}) {
-  return [{step, side: 'both', camera, state: {input: 'off', occlusion: noOcclusion()}}];
+
+/** @param {Opening} opening @returns {Act[]} */
+export function acts({entries}) {
+  const asks = entries.length > 1;
+  if (!entries.every(entry => entry.guard)) return [{how: 'off', asks, guard: false}];
+  return [{how: '', asks: false, guard: false}, {how: 'black', asks, guard: false},
+    {how: 'black', asks: false, guard: true}];
 }
 
-/** @param {Opening} opening */
-export function headline({entries}) {
-  return entries.length > 1 ? 'Two policies, the same start, and one camera goes off'
-    : 'One robot, several cameras, and one of them goes off';
+/**
+ * @param {Opening} opening
+ * @param {Act} act
+ * @returns {import('./messages.js').ScheduledEvent[]}
+ */
+export function openingEvents({camera, step}, {how}) {
+  if (!how) return [];
+  const state = how === 'off' ? {input: /** @type {const} */ ('off'), occlusion: noOcclusion()}
+    : {...intact(), occlusion: {...noOcclusion(), kind: how}};
+  return [{step, side: 'both', camera, state}];
+}
+
+/** @param {Opening} opening @param {Act} act */
+export function headline({entries, camera}, {how, guard}) {
+  const who = entries.length > 1 ? 'Two policies, the same start' : 'One robot, several cameras';
+  const label = labelOf(camera, entries[0].cameras);
+  if (guard) return `${who}: ${label} goes black, and a guard leaves it out`;
+  return {'': `${who}, and all cameras`, off: `${who}, and one camera goes off`,
+    black: `${who}: ${label} goes black`}[how];
+}
+
+/** What leads on to an act. @param {Opening} opening @param {Act} act */
+export function leadsOn({entries, camera}, {guard}) {
+  return guard ? 'Next: the same with the guard'
+    : `Next: ${labelOf(camera, entries[0].cameras)} goes black`;
 }
 
 /** The answers to the question who will succeed. @param {Opening} opening */
@@ -41,25 +69,31 @@ export function guesses({entries}) {
  * @param {Opening} opening
  * @param {import('./statistics.js').Tally} tally
  * @param {{asks: boolean, guess: string}} visitor
+ * @param {Act} act
  * @returns {Node[]}
  */
-export function story(frame, {entries, step, camera: name}, tally, {asks, guess}) {
+export function story(frame, {entries, step, camera: name}, tally, {asks, guess}, {how, guard}) {
   const worlds = [frame.first, ...(frame.second ? [frame.second] : [])];
-  const camera = labelOf(name, entries[0].cameras);
-  if (frame.first.ended) return endingNodes(endingOf(worlds, entries, tally), guess);
+  const camera = labelOf(name, entries[0].cameras), {cameras, task_label} = entries[0];
+  const noticed = guardWords(frame.first, cameras);
+  if (frame.first.ended) {
+    return [...endingNodes(endingOf(worlds, entries, tally), guess), text(noticed && ` ${noticed}`)];
+  }
+  const event = how === 'off' ? `${camera} goes off` : `${camera} goes black, and stays in the sum`;
   if (asks && frame.first.step === 0) {
-    return [strong(`${entries[0].task_label}. `), text(`At step ${step}, ${camera} goes off on both sides. `
+    return [strong(`${task_label}. `), text(`At step ${step}, ${event}, on both sides. `
       + 'Which policy will still do it?')];
   }
-  if (frame.first.step < step) {
-    return [strong(`${entries[0].task_label}. `),
+  if (!how || frame.first.step < step) {
+    const watched = guard ? 'A guard watches the pictures, and leaves out a camera that fails. ' : '';
+    return [strong(`${task_label}. `),
       text(`${entries.length > 1 ? 'Both policies see the same' : 'The policy sees'} `
-      + `${entries[0].cameras.length} cameras. At step ${step}, ${camera} goes off.`)];
+      + `${cameras.length} cameras. ${watched}${how ? `At step ${step}, ${event}.` : ''}`)];
   }
   const effects = worlds.map((world, i) => world.change
     ? `${entries[i].label}: ${effectWords(world.change)}` : '').filter(Boolean);
-  return [strong(`Step ${step}: ${camera} is off. `),
-    text(effects.length ? `${effects.join('. ')}.` : '')];
+  return [strong(`Step ${step}: ${camera} ${how === 'off' ? 'is off' : 'sends black'}. `),
+    text([effects.length ? `${effects.join('. ')}.` : '', noticed].filter(Boolean).join(' '))];
 }
 
 /** @param {ReturnType<typeof endingOf>} parts @param {string} [guess] @returns {Node[]} */

@@ -7,7 +7,7 @@ import {Explorer} from './explorer.js';
 import {fetchManifest} from './files.js';
 import {formatLink, parseLink} from './link.js';
 import {notice} from './notices.js';
-import {SPEED, openingEvents} from './opening.js';
+import {SPEED, acts, openingEvents} from './opening.js';
 import {Standstill} from './standstill.js';
 import {megabytes} from './words.js';
 
@@ -42,7 +42,7 @@ class Page {
     if (!asked) {
       const opening = this.catalogue.opening(), [entry, rival] = opening.entries;
       this.play({policy: entry.name, vs: rival?.name ?? null, seed: opening.seed,
-        events: openingEvents(opening)}, 'opening');
+        events: openingEvents(opening, acts(opening)[0])}, 'opening');
     } else {
       const checked = this.catalogue.checked(state);
       checked.problems.forEach(words => notice(words));
@@ -71,7 +71,9 @@ class Page {
       second: scene.vs});
     this.engine.post({kind: 'SetSchedule', events: scene.events});
     this.engine.post({kind: 'SetSpeed', rate: SPEED});
-    this.explorer.ask(mode === 'opening' && scene.vs !== null);
+    if (scene.guard) this.engine.post({kind: 'SetGuard', on: true});
+    this.explorer.act = 0;
+    this.explorer.ask(mode === 'opening' && acts(this.catalogue.opening())[0].asks);
     this.engine.post({kind: calm() || this.explorer.asks ? 'Pause' : 'Play'});
     if (this.ready) this.explorer.setMode(mode);
   }

@@ -82,7 +82,7 @@ export class Player {
       case 'StepOnce': this.phase = 'paused'; return this.advance();
       case 'SetSpeed': this.speed = command.rate; return undefined;
       case 'SetAutoNext': this.autoNext = command.on; return undefined;
-      case 'SetVisible': case 'SetReadout': case 'StopRun': return undefined;
+      case 'SetGuard': case 'SetVisible': case 'SetReadout': case 'StopRun': return undefined;
       default: throw new Error('it cannot do that; choose a policy that acts live');
     }
   }

@@ -36,22 +36,26 @@ export class Policy {
    * @param {Runtime} runtime
    * @param {SitePolicy} spec
    * @param {any} session
+   * @param {import('./guard.js').GuardValues | null} guard
    */
-  constructor(runtime, spec, session) {
+  constructor(runtime, spec, session, guard) {
     this.runtime = runtime;
     this.spec = spec;
     this.session = session;
+    this.guard = guard;
   }
 
   /**
    * @param {Runtime} runtime
    * @param {SitePolicy} spec
    * @param {ArrayBuffer} graph
+   * @param {ArrayBuffer} [guard]
    */
-  static async load(runtime, spec, graph) {
+  static async load(runtime, spec, graph, guard) {
     const options = {executionProviders: ['wasm'], graphOptimizationLevel: 'all'};
     const session = await runtime.InferenceSession.create(new Uint8Array(graph), options);
-    return new Policy(runtime, spec, session);
+    const values = guard ? JSON.parse(new TextDecoder().decode(guard)) : null;
+    return new Policy(runtime, spec, session, values);
   }
 
   /**

@@ -7,6 +7,7 @@
 
 import {cameraColour, cameraColourNow, colourNow, scaleColour} from './colours.js';
 import {make, say} from './dom.js';
+import {nameOf} from './subsets.js';
 import {subsetWords} from './words.js';
 
 /** @typedef {import('./messages.js').World} World */
@@ -128,7 +129,8 @@ export class Subsets {
     this.episode = world.episode;
     const readout = this.last;
     if (!readout) return say(this.age, 'No readout yet.');
-    const size = world.action.length, now = readout.subsets.indexOf(world.condition.subset);
+    const size = world.action.length;
+    const now = readout.subsets.indexOf(nameOf(world.mask, world.streams));
     const rows = readout.subsets.slice(0, MOST_ROWS).map((subset, i) => {
       const action = [...readout.action.slice(i * size, (i + 1) * size)];
       const base = now < 0 ? world.action : readout.action.slice(now * size, (now + 1) * size);

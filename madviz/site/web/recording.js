@@ -77,7 +77,7 @@ export function worldAt({tensors, sheet, scene, sceneEvery, subsets}, side, now)
   const success = tensors.success.data.subarray(0, step + 1);
   return {policy: side.policy, task: side.task, episode: now.episode, seed: now.seed, step,
     horizon: side.horizon, mask: side.streams.map(stream => now.cameras[stream].input !== 'off'),
-    cameras: {...now.cameras}, moves: {}, condition: {subset: now.subset, occlusions: ''},
+    cameras: {...now.cameras}, moves: {}, guard: null, condition: {subset: now.subset, occlusions: ''},
     events: settings(now), views: pictures, arrived: pictures, poses: {},
     geom_poses: new Float32Array(0), scene: tileOf(scene, Math.floor(step / sceneEvery)),
     norms: row('norms'), streams: side.streams, merged: row('merged'), action: row('action'),

@@ -12,10 +12,12 @@ import {noOcclusion} from './camera_state.js';
 /** @typedef {import('./simulation.js').Simulation} Simulation */
 /**
  * What it takes to play an episode again.
- * @typedef {{policy: string, seed: number, events: CameraEvent[]}} Recipe
+ * @typedef {{policy: string, guarded: boolean, seed: number, events: CameraEvent[]}} Recipe
  */
 
 const SCHEMA = 1;
+/** The name of a policy ends so where a guard watches. */
+const GUARDED = ' (guarded)';
 /** Characters in a file, at most. */
 const LONGEST = 4e6;
 const MOST_EVENTS = 10_000;
@@ -30,15 +32,20 @@ const INPUTS = ['rgb', 'depth', 'both', 'off'];
  */
 export async function savedEpisode(simulation) {
   const {policy, task, events, started, actions, flags, seed} = simulation;
-  const {name, digest, cameras} = policy.spec;
+  const {cameras} = policy.spec;
+  const switched = simulation.guardEvents.map(([step, on]) => {
+    const {name, digest} = savedPolicy(policy.spec, on);
+    return {step, policy: name, digest};
+  });
   return {
-    policy: {name, digest},
+    policy: savedPolicy(policy.spec, simulation.beganGuarded),
     task: task.said.name,
     render_profile: 'fast',
     seed,
     cameras,
     start: events.slice(0, started).map(event => command(event, false)),
-    commands: events.slice(started).map(event => command(event, true)),
+    commands: [...switched, ...events.slice(started).map(event => command(event, true))]
+      .sort((one, other) => (one.step ?? 0) - (other.step ?? 0)),
     steps: actions.length,
     ended: simulation.ended,
     success: simulation.physics.success,
@@ -51,6 +58,11 @@ export async function savedEpisode(simulation) {
     },
     trace: '0'.repeat(4 * actions.length),
   };
+}
+
+/** The policy under the name that a file has. @param {SitePolicy} spec @param {boolean} guarded */
+function savedPolicy({name, digest, guarded_digest}, guarded) {
+  return guarded ? {name: name + GUARDED, digest: guarded_digest} : {name, digest};
 }
 
 /**
@@ -81,9 +93,10 @@ export function readEpisode(text, number, policies) {
   const index = number === undefined ? file.episodes.length - 1 : number - 1;
   const episode = file.episodes[index];
   check(isObject(episode), `an episode from 1 to ${file.episodes.length}`);
-  const policy = policies.find(one => one.name === episode.policy?.name);
-  const asked = String(episode.policy?.name).slice(0, 60);
-  check(policy !== undefined, `a policy of this site, found ${asked}`);
+  const asked = String(episode.policy?.name).slice(0, 140), guarded = asked.endsWith(GUARDED);
+  const policy = policies.find(one => guarded && one.guard ? one.name + GUARDED === asked
+    : one.name === asked);
+  check(policy !== undefined, `a policy of this site, found ${asked.slice(0, 60)}`);
   const names = /** @type {SitePolicy} */ (policy).cameras.map(camera => camera.name);
   const {start, commands, seed} = episode;
   check(Number.isSafeInteger(seed) && seed >= 0, 'a seed');
@@ -93,7 +106,7 @@ export function readEpisode(text, number, policies) {
     ...start.map((/** @type {any} */ one) => readCommand({...one, step: 0}, names)),
     ...commands.map((/** @type {any} */ one) => readCommand(one, names)),
   ];
-  return {policy: /** @type {SitePolicy} */ (policy).name, seed, events};
+  return {policy: /** @type {SitePolicy} */ (policy).name, guarded, seed, events};
 }
 
 /**

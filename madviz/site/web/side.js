@@ -8,7 +8,7 @@
 import {cameraColour} from './colours.js';
 import {make, say} from './dom.js';
 import {dragBoxes} from './patch_box.js';
-import {labelOf, outcomeWords, subsetWords, tagWords} from './words.js';
+import {badgeWords, labelOf, outcomeWords, subsetWords, tagWords} from './words.js';
 
 /** @typedef {import('./messages.js').World} World */
 /** @typedef {import('./catalogue.js').Entry} Entry */
@@ -102,7 +102,9 @@ export class Side {
         view.canvases[i]?.classList.toggle('out', !world.mask[world.streams.indexOf(stream)]);
       });
       const state = world.cameras[camera];
-      say(view.tag, tagWords(state, world.moves[camera]));
+      const noticed = world.guard?.find(one => one.camera === camera);
+      view.tag.classList.toggle('noticed', Boolean(noticed));
+      say(view.tag, noticed ? badgeWords(noticed) : tagWords(state, world.moves[camera]));
       view.figure.classList.toggle('off', state?.input === 'off');
     }
   }

@@ -6,8 +6,9 @@
  */
 import {intact} from './camera_state.js';
 import {cameraPose, eyes} from './cameras.js';
+import {Guard} from './guard.js';
 import {shapePoses} from './scene.js';
-import {StreamStack} from './streams.js';
+import {StreamStack, cameraOf} from './streams.js';
 import {conditionOf, present, readSubsets} from './subsets.js';
 
 /** @typedef {import('./messages.js').CameraState} CameraState */
@@ -62,7 +63,16 @@ export class Simulation {
     this.change = null;
     /** @type {Readout | null} */
     this.readout = null;
-    this.episode = this.seed = 0;
+    /** @type {import('./messages.js').Noticed[]} */
+    this.noticed = [];
+    /** Before it has seen the newest pictures, and after. @type {Guard | null} */
+    this.guardBefore = null;
+    /** @type {Guard | null} */
+    this.guard = null;
+    /** When it was switched, and to what, after the first step. @type {[number, boolean][]} */
+    this.guardEvents = [];
+    this.guardBegan = this.episode = this.seed = 0;
+    this.beganGuarded = false;
     this.successAny = false;
     this.timings = {physics: 0, pictures: 0, policy: 0, readout: 0};
   }
@@ -99,6 +109,10 @@ export class Simulation {
     this.actions = [];
     this.flags = [];
     this.conditions.clear();
+    this.watch(this.guard !== null);
+    this.guardEvents = [];
+    this.beganGuarded = this.guard !== null;
+    this.guardBegan = 0;
     for (const event of first) this.apply(event);
     this.events = Object.entries(this.cameras)
       .filter(([, state]) => JSON.stringify(state) !== JSON.stringify(intact()))
@@ -108,6 +122,14 @@ export class Simulation {
     }
     this.started = this.events.length;
     await this.arrive();
+  }
+
+  /** A guard begins to watch, or ends, where the policy has one. @param {boolean} on */
+  watch(on) {
+    const {guard} = this.policy;
+    this.guardBefore = this.guard = on && guard ? new Guard(guard) : null;
+    this.guardBegan = this.step;
+    this.guardEvents.push([this.step, this.guard !== null]);
   }
 
   /**
@@ -135,8 +157,8 @@ export class Simulation {
 
   /** One decision. */
   async advance() {
-    const {subset, occlusions} = this.condition();
-    this.conditions.add(JSON.stringify([this.policy.spec.name, subset, occlusions]));
+    const {subset, occlusions, guarded} = this.condition();
+    this.conditions.add(JSON.stringify([this.policy.spec.name, subset, occlusions, guarded]));
     this.actions.push(this.action);
     const start = performance.now();
     this.physics.act(this.action);
@@ -149,6 +171,7 @@ export class Simulation {
   /** Draws every camera, and reads the policy on what comes of it. */
   async arrive() {
     this.stack.push(await this.draw(), this.occlusions(), {seed: this.seed, step: this.step});
+    this.guardBefore = this.guard;
     await this.read();
   }
 
@@ -163,10 +186,24 @@ export class Simulation {
     return this.views;
   }
 
+  /** What the policy makes of the newest pictures; the guard has looked at them, once. */
   async read() {
     const start = performance.now();
+    this.noticed = this.guardBefore ? this.look(this.guardBefore.copy()) : [];
     this.reading = await this.policy.read(this.stack.views(), this.physics.state, [this.mask()]);
     this.timings.policy = performance.now() - start;
+  }
+
+  /** The cameras that fail: each with all its streams. @param {Guard} guard */
+  look(guard) {
+    const {streams} = this.policy.spec, here = present(streams, this.cameras);
+    const pictures = Object.fromEntries(Object.entries(this.stack.newest())
+      .filter(([stream]) => here[streams.indexOf(stream)]));
+    this.guard = guard;
+    const failing = Object.entries(guard.step(pictures, this.physics.state))
+      .flatMap(([stream, {kind, since, why}]) => since === null ? []
+        : [{camera: cameraOf(stream), kind, since: since + this.guardBegan, why}]);
+    return failing.filter((one, i) => i === failing.findIndex(({camera}) => camera === one.camera));
   }
 
   /** Action and Q of all subsets, at this step. */
@@ -224,11 +261,13 @@ export class Simulation {
   }
 
   mask() {
-    return present(this.policy.spec.streams, this.cameras);
+    const {streams} = this.policy.spec, failing = this.noticed.map(one => one.camera);
+    return present(streams, this.cameras).map((on, i) => on && !failing.includes(cameraOf(streams[i])));
   }
 
   condition() {
-    return conditionOf(this.policy.spec.streams, this.cameras, this.moves);
+    const condition = conditionOf(this.policy.spec.streams, this.cameras, this.moves);
+    return {...condition, guarded: this.guard !== null};
   }
 
   occlusions() {
@@ -239,8 +278,8 @@ export class Simulation {
   /** @param {'first' | 'second'} side @returns {Outcome} */
   outcome(side) {
     const [only] = this.conditions;
-    const [, subset, occlusions] = JSON.parse(only ?? '["", "", ""]');
-    const condition = this.conditions.size === 1 ? {subset, occlusions} : null;
+    const [, subset, occlusions, guarded] = JSON.parse(only ?? '["", "", "", false]');
+    const condition = this.conditions.size === 1 ? {subset, occlusions, guarded} : null;
     return {side, policy: this.policy.spec.name, seed: this.seed, condition,
       success: this.physics.success, success_any: this.successAny};
   }
@@ -271,6 +310,7 @@ export class Simulation {
       norms: Float32Array.from(norms),
       streams,
       mask: this.mask(),
+      guard: this.guard && structuredClone(this.noticed),
       merged: merged.slice(),
       action: action.slice(),
       q: q[0],

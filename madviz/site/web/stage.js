@@ -87,6 +87,7 @@ export class Stage extends Episodes {
       const names = [policy, ...(second ? [second] : [])];
       const sides = await this.made(names);
       sides.forEach(side => side.physics.check(seed));
+      this.guarded = false;
       this.replace(sides);
       this.schedule = [];
       this.many = null;
@@ -174,6 +175,16 @@ export class Stage extends Episodes {
     this.autoNext = on;
   }
 
+  /** @param {{on: boolean}} command */
+  async onSetGuard({on}) {
+    this.guarded = on;
+    for (const one of this.sides) {
+      one.watch(on);
+      await one.read();
+    }
+    await this.readAll();
+  }
+
   /** @param {{events: ScheduledEvent[]}} command */
   async onSetSchedule({events}) {
     this.schedule = events;
@@ -210,6 +221,7 @@ export class Stage extends Episodes {
     const recipe = readEpisode(text, episode, this.stock?.manifest.policies ?? []);
     const sides = await this.made([recipe.policy]);
     sides[0].physics.check(recipe.seed);
+    this.guarded = recipe.guarded;
     this.replace(sides);
     this.schedule = recipe.events.map(event => ({...event, side: /** @type {Side} */ ('first')}));
     this.phase = 'playing';
@@ -243,6 +255,7 @@ export class Stage extends Episodes {
   replace(sides) {
     for (const old of this.sides) old.physics.close();
     this.sides = sides;
+    for (const one of sides) one.watch(this.guarded);
   }
 
   /** @param {string} name */

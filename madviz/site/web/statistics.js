@@ -80,7 +80,7 @@ export class Tally {
     return [...this.outcomes.keys()]
       .filter(key => key.startsWith(`${policy} `))
       .map(key => key.slice(policy.length + 1).split(' '))
-      .map(([subset, occlusions]) => ({subset, occlusions}));
+      .map(([subset, occlusions, guarded]) => ({subset, occlusions, guarded: Boolean(guarded)}));
   }
 }
 
@@ -89,5 +89,5 @@ export class Tally {
  * @param {import('./messages.js').Condition} condition
  */
 function tallyKey(policy, condition) {
-  return `${policy} ${condition.subset} ${condition.occlusions}`;
+  return `${policy} ${condition.subset} ${condition.occlusions}${condition.guarded ? ' guarded' : ''}`;
 }

@@ -64,8 +64,9 @@ export class Stock {
     const spec = this.describe(name);
     return this.once(`policy ${name}`, async () => {
       const runtime = this.runtime();
-      const graph = await this.file(spec.graph);
-      return Policy.load(await runtime, spec, graph);
+      const [graph, guard] = await Promise.all([this.file(spec.graph),
+        spec.guard ? this.file(spec.guard) : undefined]);
+      return Policy.load(await runtime, spec, graph, guard);
     });
   }
 

@@ -44,7 +44,8 @@ export class Success {
     this.shown = state;
     this.body.replaceChildren(...conditions.map((condition, i) => {
       const {successes, n} = counts[i], current = same(condition, world.condition);
-      const measured = condition.occlusions ? undefined : this.entry.measured[condition.subset];
+      const {occlusions, guarded} = condition;
+      const measured = occlusions || guarded ? undefined : this.entry.measured[condition.subset];
       const here = n === 0 ? '' : bar(successes / n, wilson(successes, n), n);
       const trained = this.entry.trained_subsets.includes(condition.subset);
       return make('tr', {class: current ? 'current' : '', 'aria-current': current && 'true'},
@@ -68,7 +69,8 @@ export class Success {
 
 /** @param {Condition} one @param {Condition} other */
 function same(one, other) {
-  return one.subset === other.subset && one.occlusions === other.occlusions;
+  return one.subset === other.subset && one.occlusions === other.occlusions
+    && Boolean(one.guarded) === Boolean(other.guarded);
 }
 
 /** @param {number} rate @param {[number, number]} interval @param {number} n */

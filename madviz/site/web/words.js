@@ -40,7 +40,31 @@ export function subsetWords(subset, cameras) {
  */
 export function conditionWords(condition, cameras) {
   const words = subsetWords(condition.subset, cameras);
-  return condition.occlusions ? `${words}, with failures` : words;
+  return [words, ...condition.occlusions ? ['with failures'] : [],
+    ...condition.guarded ? ['with guard'] : []].join(', ');
+}
+
+const NOTICED = {fine: '', gone: 'sends nothing', black: 'sends black', covered: 'is covered',
+  noise: 'sends noise', blurred: 'is blurred', frozen: 'is frozen', lossy: 'loses pictures',
+  late: 'is late'};
+
+/** @param {import('./messages.js').Noticed} noticed @returns {string} `LATE · left out since step 23`. */
+export function badgeWords({kind, since}) {
+  return `${kind.toUpperCase()} · left out since step ${since}`;
+}
+
+/**
+ * All that the guard says of a step; '' where no camera fails. The same as
+ * `madviz/session/guard_words.py`.
+ * @param {World} world
+ * @param {CameraSpec[]} cameras
+ */
+export function guardWords({guard, mask}, cameras) {
+  if (!guard?.length) return '';
+  const words = guard.map(({camera, kind, since, why}) =>
+    `${labelOf(camera, cameras)} ${NOTICED[kind]} since step ${since} (${why}): left out.`);
+  const rest = mask.some(Boolean) ? '' : ' No camera is left: the policy acts on the state alone.';
+  return `Guard: ${words.join(' ')}${rest}`;
 }
 
 /**

@@ -1,0 +1,159 @@
+"""The guard in a live session and on the page: what is shown is what the policy acts on."""
+
+from __future__ import annotations
+
+import re
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from madviz.app.panel import apply
+from madviz.app.panels.guard import GuardPanel
+from madviz.app.panels.success import bars_html
+from madviz.app.panels.words import WordsPanel
+from madviz.app.success_rates import SuccessRates
+from madviz.drawing.mosaic import mosaic
+from madviz.envs.registry import make_env
+from madviz.guard.fit import fit_values
+from madviz.guard.policy import GuardedPolicy
+from madviz.measure.guard_fit import play_intact
+from madviz.observation.ablation import CameraState
+from madviz.session.commands import Compare, Fork, Scrub, SetCamera, SetPolicy
+from madviz.session.guard_words import failing, guard_sentence
+from madviz.session.replay import replay_episode
+from madviz.types import Policy
+from tests.fakes import FakePolicy, policies
+from tests.pages import recorded, use
+from tests.sessions import BLACK, OFF, Recorder, frame_with
+
+NAME = "toy-mad"
+GUARDED = f"guard:{NAME}"
+
+
+@pytest.fixture(scope="module")
+def guarded() -> GuardedPolicy:
+    policy = FakePolicy(NAME)
+    with closing(make_env("toy/reach", policy.spec.render_profile, policy.spec.cameras)) as env:
+        episodes = [play_intact(policy, env, seed, 0.2) for seed in range(900, 904)]
+        places = env.spec.paper_state
+    size = (policy.spec.image_size, policy.spec.image_size)
+    return GuardedPolicy(policy, fit_values(episodes, size, places))
+
+
+@pytest.fixture
+def session(guarded: GuardedPolicy) -> Recorder:
+    def load(name: str) -> Policy:
+        return guarded if name.startswith("guard:") else policies(name)
+
+    session = Recorder(FakePolicy(NAME), load=load)
+    session.at(0.0)
+    return session
+
+
+def test_a_camera_that_fails_is_left_out_of_what_is_shown(session: Recorder) -> None:
+    session.ask(SetPolicy(GUARDED))
+    whole = session.steps(3)
+    assert whole.mask.all() and failing(whole) == {}
+    black = session.ask(SetCamera("first", BLACK))
+    assert black.mask.tolist() == [False, True, True] and not black.uses("first")
+    noticed = failing(black)["first"]
+    assert (noticed.kind, noticed.since, noticed.left_out) == ("black", 3, True)
+    assert noticed.badge == "BLACK · left out since step 3"
+    assert "First person sends black since step 3" in guard_sentence(black)
+    dropped = session.ask(SetCamera("first", OFF))
+    assert failing(dropped) == {}
+    np.testing.assert_array_equal(dropped.action, black.action)
+    assert not dropped.world.change or dropped.world.change.action_change == 0
+
+
+def test_the_shown_action_is_the_one_that_is_taken(session: Recorder) -> None:
+    session.ask(SetPolicy(GUARDED), SetCamera("first", BLACK))
+    shown = session.frames[-1].action
+    session.steps(1)
+    taken = session._stage._live.snapshot().actions[-1]
+    np.testing.assert_allclose(taken, shown, atol=1e-6)
+
+
+def test_looking_at_a_step_again_is_no_step_of_the_guard(session: Recorder) -> None:
+    """Each touch of a camera asks the guard anew; a confirmed kind must not come sooner."""
+    session.ask(SetPolicy(GUARDED))
+    session.steps(2)
+    for state in (BLACK, CameraState("rgb"), BLACK, CameraState("rgb")):
+        frame = session.ask(SetCamera("first", state))
+    assert failing(frame) == {} and frame.world.guard is not None
+    assert frame.world.guard.step == 2
+
+
+def test_a_guard_that_begins_late_counts_the_steps_of_the_episode(session: Recorder) -> None:
+    session.ask(SetCamera("third_a", BLACK))
+    session.steps(5)
+    frame = session.ask(SetPolicy(GUARDED))
+    assert failing(frame)["third_a"].since == 5
+    session.ask(SetPolicy(NAME))
+    assert session.frames[-1].world.guard is None
+
+
+def test_going_back_and_replaying_find_the_same(session: Recorder, guarded: GuardedPolicy) -> None:
+    session.ask(SetPolicy(GUARDED))
+    session.steps(2)
+    session.ask(SetCamera("first", BLACK))
+    session.steps(4)
+    frame = session.ask(Scrub(4), Fork())
+    assert failing(frame)["first"].since == 2 and not frame.pace.error
+    later = session.steps(2)
+    assert failing(later)["first"].since == 2
+    saved = session.save().episodes[-1]
+    again = replay_episode(
+        saved, lambda policy: guarded if "(guarded)" in policy.name else FakePolicy(NAME)
+    )
+    assert again.sha256 == saved.sha256
+
+
+def test_the_page_says_it(session: Recorder, server) -> None:
+    session.ask(SetPolicy(GUARDED))
+    session.steps(1)
+    before = mosaic(session.frames[-1], 150)
+    frame = session.ask(SetCamera("first", BLACK))
+    assert mosaic(frame, 150)[-20:, :150].max() > 200, "a badge over the black picture"
+    assert before.shape == mosaic(frame, 150).shape
+    panel = WordsPanel(server.gui, frame, SuccessRates())
+    assert "First person sends black since step 1" in panel._content(frame)
+    assert re.search("with guard · [^<]*black", bars_html(frame, SuccessRates()))
+    without = session.ask(SetPolicy(NAME))
+    assert "with guard" not in bars_html(without, SuccessRates())
+
+
+def test_the_switch_wraps_the_policy_that_acts(session: Recorder, server, monkeypatch) -> None:
+    monkeypatch.setattr("madviz.app.panels.guard.has_guard", lambda policy: True)
+    sent: list = []
+    gui = recorded(server.gui)
+    names = {NAME: NAME, f"{NAME} (guarded)": GUARDED}
+    panel = GuardPanel(gui, sent.append, session.frames[-1], lambda spec: names[spec.name])
+    apply(panel.update(session.frames[-1]))
+    switch = gui.find("Guard")
+    assert not switch.disabled and switch.value is False
+    use(switch, True)
+    assert sent == [SetPolicy(GUARDED)]
+    frame = session.ask(*sent)
+    apply(panel.update(frame))
+    assert switch.value is True
+    paired = session.ask(Compare(GUARDED, frame.world.ablation))
+    apply(panel.update(paired))
+    sent.clear()
+    use(switch, False)
+    assert sent == [SetPolicy(NAME), Compare(NAME, frame.world.ablation)]
+    panel.remove()
+
+
+def test_without_values_the_switch_names_the_command(server) -> None:
+    gui = recorded(server.gui)
+    panel = GuardPanel(gui, lambda _: None, frame_with())
+    apply(panel.update(frame_with()))
+    assert gui.find("Guard").disabled
+    assert f"madviz guard --policy {frame_with().world.policy.name}" in gui.html
+    watched = GuardPanel(gui, None, replace(frame_with()))
+    assert gui.find("Guard", 1).disabled
+    watched.remove()
+    panel.remove()
