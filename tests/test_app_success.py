@@ -66,9 +66,9 @@ def test_success_bars_tell_shipped_from_measured(server):
     rates.add(frame.world.policy, frame.condition, {2000: True, 2001: False})
     rates.add(frame.world.policy, frame.condition, {2001: False})
     html = bars_html(frame, rates)
-    assert "shipped 0.94 [0.88, 0.97], n=100; nothing measured here" in html
-    assert "nothing shipped; measured here 0.50 [0.09, 0.91], n=2" in html
-    assert "† first+third_b<" in html and 'title="First person + Third B:' in html
+    assert "measured 0.94 [0.88, 0.97], n=100; nothing counted here" in html
+    assert "nothing measured; counted here 0.50 [0.09, 0.91], n=2" in html
+    assert "† First + Third B<" in html and 'title="First person + Third B:' in html
     panel = SuccessPanel(server.gui, frame, rates, visitor=1)
     apply(panel.update(frame))
     panel.remove()
@@ -211,7 +211,7 @@ def test_bars_and_outcomes_of_both_sides_stand_under_each_other(server):
     html = bars_html(frame, rates)
     rows = bars_html(frame_with(), rates).count('class="rate')
     assert html.count("<b>A</b>") == html.count("<b>B</b>") == rows
-    assert "shipped 0.94" in html and html.count("first episode is still running") == 0
+    assert "measured 0.94" in html and html.count("first episode is still running") == 0
     assert strip_html(frame).count("the first episode is still running") == 2
 
 
@@ -271,7 +271,7 @@ def test_what_a_visitor_has_chosen_outlives_a_change_of_task(server):
     await_that(lambda: len([one for one in gui.added if one_is(one, "save the last 20")]) == 2)
     page.close()
     assert not gui.find("Measure", 1).value and asked.ever == {"toy-mad"}
-    assert gui.find("Read every set", 1).value
+    assert gui.find("Read every subset", 1).value
     page.clear()
 
 

@@ -25,6 +25,7 @@ from madviz.report.findings import findings_table
 from madviz.report.layouts import THREE
 from madviz.report.rows import Row
 from madviz.report.threshold import TWENTY, WEAK, judge
+from madviz.vocabulary.words import MEANINGS
 
 START = "<!-- figures: "
 BLOCK = re.compile(rf"({START}(\S+) -->\n)(?:(?!{START}).)*?(<!-- end -->)", re.DOTALL)
@@ -89,7 +90,15 @@ def included(method: str) -> str:
     )
 
 
+def glossary() -> str:
+    """Every word of the vocabulary."""
+    return table(
+        ("word", "meaning"), ((word, MEANINGS[word]) for word in sorted(MEANINGS, key=str.lower))
+    )
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
+    "glossary": glossary,
     "wiring": measurements.wiring,
     "findings": findings,
     "mv-mae": partial(included, "mv-mae"),

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 from html import escape
 
+from madviz.vocabulary.words import MEANINGS
+
 TRACEBACK = "Traceback (most recent call last):"
 
 
 def dot(colour: str, style: str = "") -> str:
     """A small square in a camera's colour."""
     return f'<span class="dot" style="background:{colour};{style}"></span>'
+
+
+def term(word: str, label: str = "") -> str:
+    """A word of the vocabulary, or ``label`` for it: its sentence is shown while the pointer rests
+    on it, and while it has the focus."""
+    says = escape(MEANINGS[word])
+    shown = escape(label or word)
+    return (
+        f'<span class="term" tabindex="0" aria-description="{says}" data-says="{says}">{shown}'
+        "</span>"
+    )
 
 
 def progress_bar(share: float, colour: str) -> str:

@@ -31,6 +31,7 @@ from madviz.site.recordings import record_policy
 from madviz.site.runtime import find_packages, versions, write_licences, write_runtime
 from madviz.system.files import write_json
 from madviz.system.numbers import CountOrNone
+from madviz.vocabulary.words import shown_meanings
 
 SCHEMA = 1
 MANIFEST = "manifest.json"
@@ -85,6 +86,7 @@ def run_site(config: SiteConfig) -> dict[str, Any]:
         "version": versions_here()["madviz"],
         "versions": {**versions_here(), **versions()},
         "runtime": write_runtime(out, packages),
+        "meanings": shown_meanings(),
     }
     live = [folder for folder in folders if folder.spec.task.startswith(LIVE)]
     tasks = list(dict.fromkeys(folder.spec.task for folder in live))

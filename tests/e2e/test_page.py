@@ -102,7 +102,7 @@ IN_SIGHT = """() => {
     .filter(one => one.checkVisibility());
   const named = name => shown.filter(one => one.innerText.trim() === name).map(rect);
   const found = {};
-  for (const name of ['off', 'break …', 'next', 'max', 'merged: their sum', '† state only'])
+  for (const name of ['off', 'break …', 'next', 'max', 'merged: their sum', '† no camera'])
     found[name] = named(name);
   for (const part of ['mv-status', 'mv-words'])
     found[part] = shown.filter(one => one.classList.contains(part)).map(rect);

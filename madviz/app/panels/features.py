@@ -19,7 +19,7 @@ from viser import uplot
 
 from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import METHODS
-from madviz.app.markup import dot
+from madviz.app.markup import dot, term
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import stream_label
 from madviz.app.toolkit import HtmlPanel
@@ -177,10 +177,8 @@ def features_html(frame: Frame) -> str:
 
 _HEAD = (
     '<tr class="dim"><td>stream</td><td style="width:42%">where its feature is active</td>'
-    '<td class="num">norm</td>'
-    '<td class="num" title="of the angle to the merged feature: 1 is the same direction">cosine'
-    '</td><td class="num" title="V·M / |M|²: how much of the merged feature M this stream\'s '
-    'feature V explains. The shares of all streams add up to 100 %.">share</td></tr>'
+    f'<td class="num">{term("norm")}</td><td class="num">{term("cosine")}</td>'
+    f'<td class="num">{term("share")}</td></tr>'
 )
 
 

@@ -38,9 +38,9 @@ IDEA = (
     "orders. Together they add what is in the last row."
 )
 ARROWS = (
-    "<b>Arrows at the gripper:</b> where it would go next with each set of cameras. "
+    "<b>Arrows at the gripper:</b> where it would go next with each subset. "
     f'<b style="color:{NOTE}">Yellow</b> is the present condition, <b>white</b> all cameras, a '
-    "camera's own colour that camera alone; grey is any other set, dashed is a set it was "
+    "camera's own colour that camera alone; grey is any other subset, dashed is one it was "
     "not trained on. None at full speed."
 )
 
@@ -138,15 +138,12 @@ def _undefined(frame: Frame) -> str:
     names = dict.fromkeys(set_names(streams, frame.mask))
     cannot = [name for name in names if not probe.supported[probe.row(mask_of(name, streams))]]
     if not cannot and not probe.known.all():
-        return "needs every set of cameras: switch <b>Read every set</b> on, under Subsets."
+        return "needs every subset: switch <b>Read every subset</b> on, under Subsets."
     if not cannot:
         return "some of its numbers are broken (not finite), so there is nothing to share."
     said = ", ".join(escape(subset_label(frame, name)) for name in cannot[:3])
     more = f" and {len(cannot) - 3} more" if len(cannot) > 3 else ""
-    return (
-        f"not defined. The idea needs every set of cameras, and this policy cannot act on {said}"
-        f"{more}."
-    )
+    return f"not defined. The idea needs every subset, and this policy cannot act on {said}{more}."
 
 
 def _missing(frame: Frame, names: list[str]) -> str:

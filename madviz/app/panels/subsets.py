@@ -9,7 +9,7 @@ import numpy as np
 import viser
 
 from madviz.analysis.shapley import camera_masks
-from madviz.app.markup import band, track
+from madviz.app.markup import band, term, track
 from madviz.app.panel import Assign, apply
 from madviz.app.toolkit import HtmlPanel, SyncedInput, on_value
 from madviz.drawing.colours import NOTE, camera_colours
@@ -23,10 +23,10 @@ MIDDLE = 50
 
 
 ONE_BY_ONE = (
-    "This policy looks at all its cameras in one pass, so every set costs a pass. On: between two "
-    "decisions as many sets are read as there is time for; while paused, all."
+    "This policy looks at all its cameras in one pass, so every subset costs a pass. On: between "
+    "two decisions as many subsets are read as there is time for; while paused, all."
 )
-UNTRAINED_Q = "Q was not learned on this set of cameras, so it says little about what follows."
+UNTRAINED_Q = "Q was not learned on this subset, so it says little about what follows."
 FEW = 16
 """Rows up to which all are shown; six streams have 64, four pages of them."""
 
@@ -40,7 +40,7 @@ class SubsetsPanel(HtmlPanel):
     ) -> None:
         """``send`` None: read-only."""
         self._frame = frame
-        self._read = gui.add_checkbox("Read every set", frame.pace.reads_all, hint=ONE_BY_ONE)
+        self._read = gui.add_checkbox("Read every subset", frame.pace.reads_all, hint=ONE_BY_ONE)
         self._reads = SyncedInput(self._read)
         self._read.visible = send is not None and not frame.world.policy.reads_together
         if send is not None:
@@ -84,17 +84,18 @@ def subsets_html(frame: Frame, everything: bool = True) -> str:
     left_out = len(masks) - len(lines)
     more = f" · {left_out} sets with half a camera are not shown" if left_out else ""
     if probe.waiting[list(rows)].any():
-        more += " · not read: every set costs this policy a pass; see <b>Read every set</b>"
+        more += " · not read: every subset costs this policy a pass; see <b>Read every subset</b>"
     key = (
-        '<div class="dim">† not trained on this subset · apart: distance between '
-        f"this row's action and the one taken now, and the one of all cameras{more}</div>"
+        f'<div class="dim">† {term("not trained on")} · apart: from the action taken now, and from '
+        f"the one of all cameras{more}</div>"
     )
     return f'<div class="mv"><table>{_HEAD}{"".join(lines)}</table>{key}</div>'
 
 
 _HEAD = (
-    '<tr class="dim"><td colspan="2">the policy gets</td><td style="width:42%">action now</td>'
-    '<td class="num">apart: now</td><td class="num">all</td><td class="num">Q now</td></tr>'
+    '<tr class="dim"><td colspan="2">the policy gets</td>'
+    f'<td style="width:42%">{term("action")} now</td><td class="num">{term("apart")}: now</td>'
+    f'<td class="num">all</td><td class="num">{term("Q")} now</td></tr>'
 )
 
 
@@ -111,7 +112,7 @@ def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
     mask = frame.world.probe.masks[row]
     label = escape(subset_label(frame, name_of(mask, frame.world.policy.streams)))
     now = f'<span class="tag" style="background:{NOTE}">now</span> ' if here else ""
-    dagger = "" if trained else '<span class="dim" title="not trained on this subset">† </span>'
+    dagger = "" if trained else '<span class="dim" title="not trained on">† </span>'
     if np.isfinite(readout.action[row]).all():
         apart = "".join(
             f'<td class="num">{"–" if np.isnan(d) else f"{d:.2f}"}</td>'
@@ -148,12 +149,19 @@ def presence(frame: Frame, mask: np.ndarray) -> str:
     return squares
 
 
-def subset_label(frame: Frame, subset: str) -> str:
-    """``First person + Third B depth`` for ``first+third_b.depth``."""
-    special = {"all": "all", "none": "state only", "rgb": "all colour", "depth": "all depth"}
+def subset_label(frame: Frame, subset: str, short: bool = False) -> str:
+    """``First person + Third B depth`` for ``first+third_b.depth``; ``short``: ``First + Third B
+    depth``, where the first word tells one camera from the others."""
+    special = {"all": "all", "none": "no camera", "rgb": "all colour", "depth": "all depth"}
     if subset in special:
         return special[subset]
-    return " + ".join(stream_label(frame, stream, "." in stream) for stream in subset.split("+"))
+    labels = [stream_label(frame, stream, "." in stream) for stream in subset.split("+")]
+    if short:
+        firsts = [camera.label.split()[0] for camera in frame.world.env.cameras]
+        for camera, first in zip(frame.world.env.cameras, firsts, strict=True):
+            if firsts.count(first) == 1:
+                labels = [label.replace(camera.label, first) for label in labels]
+    return " + ".join(labels)
 
 
 def stream_label(frame: Frame, stream: str, with_modality: bool | None = None) -> str:

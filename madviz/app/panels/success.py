@@ -10,7 +10,7 @@ import numpy as np
 import viser
 from viser import uplot
 
-from madviz.app.markup import band, dot, track
+from madviz.app.markup import band, dot, term, track
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_POINTS, small_axes
 from madviz.app.panels.subsets import presence, subset_label
@@ -38,7 +38,7 @@ HISTORY = 200
 
 
 class SuccessPanel(WidgetPanel):
-    """Bars (shipped above, measured here below), a curve that marks every change, a strip."""
+    """Bars (measured above, counted here below), a curve that marks every change, a strip."""
 
     def __init__(
         self,
@@ -206,7 +206,7 @@ def bar_rows(frame: Frame, rates: SuccessRates) -> list[Condition]:
 
 
 def bars_html(frame: Frame, rates: SuccessRates) -> str:
-    """One bar per condition: rate, interval and count, shipped above, measured here below. Where
+    """One bar per condition: rate, interval and n, measured above, counted here below. Where
     there is a B, its bar stands under A's."""
     sides = [frame] if frame.second is None else [frame, frame.second]
     own = [bar_rows(side, rates) for side in sides]
@@ -222,13 +222,15 @@ def bars_html(frame: Frame, rates: SuccessRates) -> str:
         if condition in own[index] or alike
     ]
     key = (
-        f"{dot(MUTED, 'height:5px')}shipped{dot(GOOD, 'height:5px;margin-left:8px')}"
-        f'here · † not trained on · <b style="color:{NOTE}">▸</b> now'
+        f"{dot(MUTED, 'height:5px')}{term('measured')}"
+        f"{dot(GOOD, 'height:5px;margin-left:8px')}{term('counted here')} · † "
+        f'{term("not trained on")} · <b style="color:{NOTE}">▸</b> now'
     )
     troubles = {rates.error(side.world.policy, side.condition): None for side in sides}
     return (
-        f'<div class="mv"><h4>Success at the last step</h4><div class="dim">{key}'
-        f"</div>{''.join(rows)}{''.join(_trouble('not measured', one) for one in troubles)}"
+        f'<div class="mv"><h4>{term("success", "Success")} at the last step</h4>'
+        f'<div class="dim">{key}</div>'
+        f"{''.join(rows)}{''.join(_trouble('not measured', one) for one in troubles)}"
         f"{_trouble('not stored', rates.trouble)}</div>"
     )
 
@@ -243,7 +245,7 @@ def _bar_row(
     live = rates.live(spec, condition)
     mask = mask_of(condition.subset, frame.world.policy.streams)
     label = subset_label(frame, condition.subset)
-    short = label if len(label) <= LABEL else condition.subset
+    short = label if len(label) <= LABEL else subset_label(frame, condition.subset, short=True)
     if condition.key():
         words = " · " + ", ".join(p.split(",")[0] for p in condition.key().split(";"))
         label = label + words
@@ -256,7 +258,7 @@ def _bar_row(
     number = f"<b>{joined.value:.2f}</b> <span class=dim>n={joined.n}</span>" if joined.n else "–"
     here = condition == frame.condition
     now = f'<b style="color:{NOTE}">▸</b>' if here else ""
-    title = escape(f"{label}: {_in_words(shipped, 'shipped')}; {_in_words(live, 'measured here')}")
+    title = escape(f"{label}: {_in_words(shipped, 'measured')}; {_in_words(live, 'counted here')}")
     intervals = _interval(shipped, MUTED, 0) + _interval(live, GOOD, 6)
     named = f"{now}{dagger}{escape(short)}" if side != "B" else ""
     squares = f"<span{' class=hidden' if side == 'B' else ''}>{presence(frame, mask)}</span>"

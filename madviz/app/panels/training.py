@@ -37,7 +37,7 @@ HINTS = {
     "task": "What is to be learned.",
     "method": "How the cameras are merged and which of them are learned from.",
     "recipe": " ".join(f"{name}: {offer.words}." for name, offer in OFFERS.items()),
-    "budget": "trial: minutes, to see it move. short: the recipe's defaults. full: as shipped.",
+    "budget": "trial: minutes, to see it move. short: the recipe's defaults. full: as included.",
     "start": "A process of its own, at the lowest priority: the page stays quick.",
     "stop": "Loses nothing that was learned.",
     "go on": "Goes on exactly where it was stopped.",

@@ -6,6 +6,8 @@
  * rest of the link holds.
  */
 
+import {setMeanings} from './dom.js';
+
 /** @typedef {import('./messages.js').Manifest} Manifest */
 /** @typedef {import('./link.js').LinkState} LinkState */
 /**
@@ -40,6 +42,7 @@ export class Catalogue {
    * @param {boolean} alive Whether this browser can simulate; otherwise recordings alone count.
    */
   constructor(manifest, alive) {
+    setMeanings(manifest.meanings);
     this.first = manifest.opening;
     const tasks = new Map(manifest.tasks.map(task => [task.name, task]));
     /** @type {Entry[]} */

@@ -29,6 +29,26 @@ export function byId(id) {
   return element;
 }
 
+/** @type {Record<string, string>} The vocabulary's sentences, from the manifest. */
+const meanings = {};
+
+/** @param {Record<string, string>} [words] */
+export function setMeanings(words = {}) {
+  Object.assign(meanings, words);
+}
+
+/**
+ * A word of the vocabulary: its sentence is shown on hover and focus.
+ * @param {string} word
+ * @param {string} [label] What stands there, if it is not the word.
+ */
+export function term(word, label = word) {
+  const says = meanings[word];
+  if (!says) return make('span', {}, label);
+  return make('span', {class: 'term', tabindex: 0, 'aria-description': says, 'data-says': says},
+    label);
+}
+
 /**
  * Sets text only where it changes: what is set again is read again by a screen reader.
  * @param {Element} element

@@ -372,6 +372,7 @@
  * @property {SitePolicy[]} policies
  * @property {SiteRecording[]} recordings
  * @property {Record<RuntimeName, SiteFile>} runtime
+ * @property {Record<string, string>} [meanings] Words of the page, and what they mean.
  * @typedef {'mujoco.js' | 'mujoco.wasm' | 'ort.js' | 'ort_glue.js' | 'ort.wasm'} RuntimeName
  */
 

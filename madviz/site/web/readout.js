@@ -6,7 +6,7 @@
  */
 
 import {cameraColour, cameraColourNow, colourNow, scaleColour} from './colours.js';
-import {make, say} from './dom.js';
+import {make, say, term} from './dom.js';
 import {nameOf} from './subsets.js';
 import {subsetWords} from './words.js';
 
@@ -15,7 +15,7 @@ import {subsetWords} from './words.js';
 
 const MOST_ROWS = 16;
 
-/** A curve of the size of each camera's feature, and the sum's numbers as a strip. */
+/** A curve of the norm of each camera's feature, and the sum's numbers as a strip. */
 export class Features {
   /** @param {Entry} entry */
   constructor(entry) {
@@ -34,7 +34,7 @@ export class Features {
       make('h3', {}, 'Features: how strongly each camera counts'),
       make('div', {class: 'key'}, ...key, make('span', {},
         make('i', {class: 'swatch merged'}), 'merged')), this.chart,
-      make('h3', {}, 'Merged feature'), this.strip, this.words);
+      make('h3', {}, term('merged feature', 'Merged feature')), this.strip, this.words);
     /** @type {number[][]} By step: norms of the streams, and of the merged feature. */
     this.past = [];
     this.episode = -1;
@@ -55,10 +55,10 @@ export class Features {
   /** @param {World} world */
   draw(world) {
     const now = this.past[world.step] ?? [];
-    say(this.words, `Size now: ${now.map((value, i) => `${i < world.streams.length
+    say(this.words, `Norm now: ${now.map((value, i) => `${i < world.streams.length
       ? subsetWords(world.streams[i], this.entry.cameras) : 'merged'} ${value.toFixed(1)}`)
       .join(', ')}`);
-    this.chart.setAttribute('aria-label', `Size of the features by step. ${this.words.textContent}`);
+    this.chart.setAttribute('aria-label', `Norms of the features by step. ${this.words.textContent}`);
     this.curves(world);
     this.cells(world.merged);
   }
@@ -119,7 +119,7 @@ export class Subsets {
       make('h3', {}, 'What it would do now with other cameras'),
       make('div', {class: 'scroll'}, make('table', {class: 'subsets'},
         make('thead', {}, make('tr', {}, ...['cameras', 'action', 'apart', 'Q'].map(words =>
-          make('th', {scope: 'col'}, words)))), this.body)),
+          make('th', {scope: 'col'}, term(words))))), this.body)),
       this.age);
   }
 

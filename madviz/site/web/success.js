@@ -5,7 +5,7 @@
  * switch between its first and its last step.
  */
 
-import {make, say} from './dom.js';
+import {make, say, term} from './dom.js';
 import {rateWords, wilson} from './statistics.js';
 import {conditionWords} from './words.js';
 
@@ -25,10 +25,10 @@ export class Success {
     this.body = make('tbody');
     this.note = make('p', {class: 'soft'});
     const columns = ['the policy gets', 'measured', ...(entry.recorded ? [] : ['counted here'])];
-    this.element = make('section', {class: 'panel'}, make('h3', {}, 'Success'),
+    this.element = make('section', {class: 'panel'}, make('h3', {}, term('success', 'Success')),
       make('div', {class: 'scroll'}, make('table', {class: 'success'},
         make('thead', {}, make('tr', {}, ...columns.map(words =>
-          make('th', {scope: 'col'}, words)))), this.body)),
+          make('th', {scope: 'col'}, term(words))))), this.body)),
       this.note);
     say(this.note, `Goal: ${entry.success}. It counts at the last step. Brackets: 95 % interval. `
       + `Measured on ${entry.seeds_words || 'no seeds yet'}. † not trained on.`);

@@ -1,0 +1,1 @@
+"""The words of madviz, each with one sentence."""
