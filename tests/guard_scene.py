@@ -106,7 +106,7 @@ def agreements(values: GuardValues, seed: int, steps: int) -> list[float]:
     guard = Guard(values)
     for place in walk(seed, steps):
         guard.step({"camera": picture(place)}, state(place))
-    return guard._watched["camera"]._lag.agreements().tolist()
+    return guard._watched["camera"]._lag.agreements()
 
 
 def from_step(first: int, show: Show, last: int = STEPS) -> list[Show]:
@@ -145,7 +145,11 @@ def table() -> dict[str, object]:
     return {
         "values": msgspec.to_builtins(values),
         "sums": [
-            {"sum": int(sums.cells.sum()), "cells": sums.cells[:24].tolist(), "spread": sums.spread}
+            {
+                "sum": int(sums.cells.sum()),
+                "cells": sums.cells[:24].astype(int).tolist(),
+                "spread": sums.spread,
+            }
             | {"dark": sums.dark, "rough": sums.rough, "edges": sums.edges}
             for sums in map(sums_of, filter(lambda one: one is not None, pictures))
         ],

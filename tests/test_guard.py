@@ -239,6 +239,24 @@ def test_a_camera_fails_with_all_its_streams() -> None:
     assert play(policy, shows)[4][0] == [False, False, True, True]
 
 
+def test_cameras_of_ones_own_have_a_guard_too() -> None:
+    streams = ("left", "wrist")
+    policy = GuardedPolicy(MaskPolicy(streams=streams), values_for(streams))
+    assert play(policy, {"left": INTACT, "wrist": BLACK})[4][0] == [True, False]
+    with pytest.raises(UserError, match="found none for left; run `madviz guard --policy p`"):
+        GuardedPolicy(MaskPolicy(streams=streams), values_for(STREAMS))
+
+
+def test_a_stream_that_never_changes_can_be_fitted() -> None:
+    """For example, the depth of an empty wall."""
+    episodes = []
+    for seed in range(4):
+        states = np.array([scene.state(place) for place in scene.walk(seed)])
+        episodes.append(seen_episode([{"camera": scene.picture((20, 20))}] * len(states), states))
+    values = fit_values(episodes, (42, 42)).streams["camera"]
+    assert values.numbers == () and values.reach > 0
+
+
 def test_where_it_cannot_be_left_out_the_last_good_picture_stands_in() -> None:
     policy = GuardedPolicy(MaskPolicy(needs=("first",)), values_for(STREAMS))
     steps = play(policy, {"first": BLACK, "third_a": INTACT, "third_b": INTACT})

@@ -5,20 +5,30 @@ from __future__ import annotations
 import json
 from contextlib import closing
 
+import numpy as np
 import pytest
 
 from benchmarks.guard_alarms import WAYS, GuardAlarmsConfig, alarms_words, guard_alarms
 from benchmarks.guard_trial import GuardTrialConfig, guard_trial, trial_words
+from madviz.envs.registry import SETTINGS, make_env
 from madviz.errors import UserError
-from madviz.guard.policy import GuardedPolicy
+from madviz.guard.fit import fit_values
+from madviz.guard.policy import GuardedPolicy, GuardReport
+from madviz.guard.values import read_values
 from madviz.measure.audit.audit import AuditConfig, audit_words, command, run_audit
 from madviz.measure.compare import CompareConfig, comparison_table, run_compare
 from madviz.measure.evaluate import EvalConfig, evaluate, run_eval, success_table
-from madviz.measure.guard_fit import GuardConfig, guard_words, run_guard
+from madviz.measure.guard_fit import GuardConfig, guard_words, play_intact, run_guard
+from madviz.measure.mean_picture import stack_of
+from madviz.observation.ablation import Occlusion
+from madviz.observation.condition import Condition
 from madviz.policies.checkpoint import describe, load_policy
 from madviz.recording.record import RecordConfig, run_record
 from madviz.serving.episodes import BadLook, ServedEpisodes
+from madviz.subsets import camera_of
+from madviz.types import Policy
 from tests.checkpoints import saved
+from tests.fakes import FakePolicy
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +125,51 @@ def test_alarms_of_a_policy_are_counted_and_kept(guarded, tmp_path) -> None:
     file = tmp_path / f"{guarded.name}.json"
     file.write_text(json.dumps({**found, "policy": "kept"}))
     assert guard_alarms(config)[0]["policy"] == "kept"
+
+
+def guarded_with(policy: Policy) -> GuardedPolicy:
+    """The policy with a guard that is fitted on four of its episodes."""
+    spec = policy.spec
+    with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
+        episodes = [play_intact(policy, env, seed, 0.2) for seed in range(900, 904)]
+        places = env.spec.paper_state
+    size = (spec.image_size, spec.image_size)
+    return GuardedPolicy(policy, fit_values(episodes, size, places))
+
+
+def black_from(policy: GuardedPolicy, camera: str, step: int) -> GuardReport:
+    """The report on a decision after ``camera`` went black at ``step``."""
+    spec = policy.spec
+    with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
+        stack = stack_of(spec, env.spec)
+        now = env.reset(5)
+        player = policy.reset(5)
+        for number in range(step + 2):
+            views = {one.name: env.view(one.name) for one in env.spec.cameras}
+            black = {camera: Occlusion("black")} if number >= step else {}
+            condition = Condition("all", tuple(black.items()))
+            stack.push(views, condition.ablation(spec.streams), 5, number)
+            mask = np.ones(len(spec.streams), bool)
+            now = env.step(player.act(policy.encode(stack.views, now.state), mask))
+    assert player.noticed == step
+    return player.report
+
+
+def test_colour_and_depth_of_a_camera_are_left_out_together() -> None:
+    report = black_from(guarded_with(FakePolicy("toy-rgbd", "three-rgbd")), "first", 3)
+    left = [camera_of(stream) == "first" for stream in SETTINGS["three-rgbd"].streams]
+    assert report.mask.tolist() == [not one for one in left] and sum(left) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:mani_skill")
+def test_maniskill_has_a_guard_too(tmp_path) -> None:
+    name = "maniskill-push-cube-mad-light"
+    out = tmp_path / "guard.json"
+    fitted = run_guard(GuardConfig(name, episodes=4, out=out))
+    assert fitted["bytes"] < 20_000
+    guarded = GuardedPolicy(load_policy(name), read_values(out, "fit"))
+    assert black_from(guarded, "first", 2).mask.tolist() == [False, True, True]
 
 
 @pytest.mark.slow

@@ -171,6 +171,16 @@ WRONG: dict[str, dict[str, tuple[Any, ...]]] = {
         "best has 9 episodes": (Paired(7, 2, 0, 0), Paired(6, 3, 1, 0)),
     },
     "04.episodes": {"p is 0.12": (20,), "fewer are enough": (100,), "not a multiple": (25,)},
+    "04.frozen": {
+        "misses a camera": (lambda picture, before, state, state_before: False,),
+        "one pixel": (lambda picture, before, *_: abs(int(picture.sum()) - int(before.sum())) < 9,),
+        "expected True or False": (lambda picture, before, *_: picture == before,),
+        "expected a function": (True,),
+    },
+    "04.mended": {
+        "stands still": (lambda picture, before, *_: np.array_equal(picture, before),),
+        "one pixel": (lambda picture, before, now, then: not np.allclose(now, then),),
+    },
     "05.sets": {"the empty set": (8,), "the single streams": (3,), "is not their number": (32,)},
     "05.dark": {
         "it changes the stack": (in_place,),

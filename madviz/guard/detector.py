@@ -18,7 +18,7 @@ from typing import Literal, Self
 import numpy as np
 
 from madviz.errors import UserError
-from madviz.guard.lag import LAGS, LagTest
+from madviz.guard.lag import LAGS, LagTest, Path
 from madviz.guard.pictures import PictureSums, sums_of
 from madviz.guard.values import GuardValues, StreamValues
 from madviz.types import Array
@@ -64,16 +64,16 @@ class Guard:
     def restart(self) -> None:
         """Another episode begins."""
         self.now = 0
-        self._states: deque[Array] = deque(maxlen=LAGS + 1)
+        self._states = np.zeros((0, len(self._places)))
+        """(LAGS + 1, numbers), the newest first; empty before the first step."""
         self._watched = {
-            name: _Stream(values, self.values.size) for name, values in self.values.streams.items()
+            name: _Stream(usual, self.values) for name, usual in self.values.streams.items()
         }
 
     def __copy__(self) -> Self:
         """A guard that goes on from here by itself."""
         other = type(self).__new__(type(self))
         other.__dict__.update(self.__dict__)
-        other._states = self._states.copy()
         other._watched = {name: copy(stream) for name, stream in self._watched.items()}
         return other
 
@@ -94,14 +94,14 @@ class Guard:
                 f"expected a state of {max(self._places) + 1} finite numbers or more, found one of "
                 f"shape {state.shape}"
             )
-        here = state[self._places] / self._unit
-        self._states.appendleft(here)
-        while len(self._states) <= LAGS:
-            self._states.append(here)  # Before its first step, the robot stood there.
-        states = np.array(self._states)  # (LAGS + 1, numbers), the newest first
+        here = (state[self._places] / self._unit)[None]  # (1, numbers)
+        # Before its first step, the robot stood there.
+        before = self._states[:-1] if len(self._states) else np.repeat(here, LAGS, 0)
+        self._states = np.concatenate([here, before])
+        path = Path.of(self._states)
         for name, stream in self._watched.items():
             if name in pictures:
-                stream.take(pictures[name], states, self.now)
+                stream.take(pictures[name], path, self.now)
             else:
                 stream.restart()
         self.now += 1
@@ -111,11 +111,11 @@ class Guard:
 class _Stream:
     """One stream: what its last pictures were, and the verdict on it."""
 
-    def __init__(self, values: StreamValues, size: tuple[int, int]) -> None:
-        self._values = values
-        self._size = size
-        self._reach = max(2 * values.reach, SMALLEST)
-        self._lag = LagTest(values)
+    def __init__(self, usual: StreamValues, values: GuardValues) -> None:
+        self._values = usual
+        self._size = values.size
+        self._reach = max(2 * usual.reach, SMALLEST)
+        self._lag = LagTest(usual, len(values.state))
         self.restart()
 
     def __copy__(self) -> Self:
@@ -151,10 +151,9 @@ class _Stream:
         self._stops: deque[int] = deque(maxlen=2)
         """The steps at which the last two freezes were noticed."""
 
-    def take(self, picture: Array | None, states: Array, now: int) -> None:
-        """Takes the picture of step ``now`` and decides. ``states`` (LAGS + 1, numbers): the newest
-        first."""
-        kind, why = self._judge(picture, states, now)
+    def take(self, picture: Array | None, path: Path, now: int) -> None:
+        """Takes the picture of step ``now`` and decides."""
+        kind, why = self._judge(picture, path, now)
         if self.verdict.fine:
             self._suspected = self._suspected + 1 if kind == self._suspect else 1
             self._suspect = kind
@@ -170,7 +169,7 @@ class _Stream:
         elif kind not in ("fine", self.verdict.kind):
             self.verdict = CameraVerdict(kind, self.verdict.since, why)
 
-    def _judge(self, picture: Array | None, states: Array, now: int) -> tuple[Kind, str]:
+    def _judge(self, picture: Array | None, path: Path, now: int) -> tuple[Kind, str]:
         """The kind that this step suggests, and why."""
         if picture is None:
             self._forget()
@@ -184,7 +183,7 @@ class _Stream:
         sums = sums_of(picture)
         kind, why = self._by_itself(sums)
         if kind == "fine":
-            return self._in_time(sums, states, now)
+            return self._in_time(sums, path, now)
         self._forget()
         return kind, why
 
@@ -201,39 +200,39 @@ class _Stream:
             return "blurred", f"{sums.edges} edges; {usual.edges} or more are usual"
         return "fine", ""
 
-    def _in_time(self, sums: PictureSums, states: Array, now: int) -> tuple[Kind, str]:
+    def _in_time(self, sums: PictureSums, path: Path, now: int) -> tuple[Kind, str]:
         """The kinds that only a comparison with the past shows."""
         before = self._past[0] if self._past else None
-        replayed = self._replayed(sums, states)
+        replayed = self._replayed(sums, path)
         self._past.appendleft(sums)
         if before is None:
-            self._anchor = states[0]
+            self._anchor = path.states[0]
             return "fine", ""
         change = sums.cells - before.cells  # (441,)
         if not change.any():
-            return self._repeated(states, now)
+            return self._repeated(path, now)
         stood = self._repeats
         self._repeats = 0
         self._stopped = False
-        self._anchor = states[0]
+        self._anchor = path.states[0]
         if replayed:
             self._is_behind(replayed)
         elif stood:
             behind = self._behind + stood
-            caught_up = self._lag.caught_up(change, states, behind)
+            caught_up = self._lag.caught_up(change, path, behind)
             if caught_up is not None:
                 self._is_behind(0 if caught_up else behind)
-        elif self._behind and self._lag.caught_up(change, states, self._behind, clearly=True):
+        elif self._behind and self._lag.caught_up(change, path, self._behind, clearly=True):
             self._is_behind(0)
         else:
-            self._compare_lags(change, states)
+            self._compare_lags(change, path)
         if self._behind:
             return "late", f"the picture shows what was {self._behind} steps ago"
         return "fine", ""
 
-    def _compare_lags(self, change: Array, states: Array) -> None:
+    def _compare_lags(self, change: Array, path: Path) -> None:
         """Lateness that no repeated picture has shown, and its end."""
-        self._lag.add(change, states)
+        self._lag.add(change, path)
         if self._behind:
             if self._lag.on_time():
                 self._is_behind(0)
@@ -248,10 +247,10 @@ class _Stream:
         self._lags = 0
         self._lag.restart()
 
-    def _repeated(self, states: Array, now: int) -> tuple[Kind, str]:
+    def _repeated(self, path: Path, now: int) -> tuple[Kind, str]:
         """The picture is the last one again. That is a fault only where the robot moved."""
         self._repeats += 1
-        if np.abs(states[0] - self._anchor).max() <= self._reach:
+        if np.abs(path.states[0] - self._anchor).max() <= self._reach:
             return ("late", "it was late, and the robot stands") if self._behind else ("fine", "")
         if not self._stopped:
             self._stopped = True
@@ -260,11 +259,11 @@ class _Stream:
         why = f"the robot moved, and the picture is the same for {self._repeats} steps"
         return ("lossy" if lossy else "frozen"), why
 
-    def _replayed(self, sums: PictureSums, states: Array) -> int:
+    def _replayed(self, sums: PictureSums, path: Path) -> int:
         """How many steps ago this picture came before, where the robot was elsewhere then; 0 if it
         is new or the last one again."""
         for ago, past in enumerate(self._past, 1):
             if past.spread == sums.spread and np.array_equal(past.cells, sums.cells):
-                moved = np.abs(states[0] - states[ago]).max() > self._reach
+                moved = np.abs(path.states[0] - path.states[ago]).max() > self._reach
                 return ago if moved and ago > 1 else 0
         return 0

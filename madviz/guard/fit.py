@@ -129,7 +129,8 @@ def _ridge(cells: list[Array], positions: list[Array]) -> Array:
     size = np.sqrt((change**2).mean()) + 1e-9
     change = change / size
     products = change.T @ change  # (441, 441)
-    penalty = RIDGE * np.trace(products) / len(products)
+    # A stream that never changes gets weights of 0.
+    penalty = RIDGE * np.trace(products) / len(products) + 1e-9
     return np.linalg.solve(products + penalty * np.eye(len(products)), change.T @ movement) / size
 
 

@@ -31,7 +31,7 @@ class PictureSums:
     """The numbers of one picture."""
 
     cells: Array
-    """(441,) int64: the sums of the cells, row by row."""
+    """(441,) float64, whole numbers: the sums of the cells, row by row."""
     spread: float
     """The standard deviation of ``cells``: 0 for an even picture."""
     dark: int
@@ -62,12 +62,12 @@ def sums_of(picture: Array) -> PictureSums:
     by_row = _membership(shape[0])  # (21, H)
     by_column = _membership(shape[1])  # (21, W)
     # Whole numbers below 2^24 are exact in float32, and its products are the fastest.
-    cells = (by_row @ grey @ by_column.T).astype(np.int64).ravel()  # (441,)
-    total = int(cells.sum())
-    square = int(cells @ cells)
-    lines = picture[::ROWS, :, 1].astype(np.int16)
-    steps = lines[:, 1:] - lines[:, :-1]  # (H / 4, W - 1)
-    np.abs(steps, out=steps)
+    cells = (by_row @ grey @ by_column.T).ravel().astype(np.float64)  # (441,)
+    total = float(cells.sum())
+    square = float(cells @ cells)
+    lines = picture[::ROWS, :, 1]
+    steps = np.maximum(lines[:, 1:], lines[:, :-1])  # (H / 4, W - 1)
+    steps -= np.minimum(lines[:, 1:], lines[:, :-1])
     return PictureSums(
         cells=cells,
         spread=max(len(cells) * square - total * total, 0) ** 0.5 / len(cells),

@@ -12,9 +12,11 @@
 # **Question: a camera can be missing, or it can send nonsense. Is that the same for a policy? And
 # how many episodes does it take to know?**
 #
-# Time: 40 minutes. Some cells run the hammer task, at a few seconds per episode.
+# Time: 50 minutes. Some cells run the hammer task, at a few seconds per episode.
 
 # %%
+import numpy as np
+
 import madviz
 from madviz import teaching
 from madviz.measure.statistics import Paired, pair, wilson
@@ -211,3 +213,75 @@ teaching.check("04.episodes", episodes)
 # With ten episodes neither case says that A is better: two tosses that both come up heads are no
 # evidence. With thirty the best case does, as six tosses that come up alike are rare. Only episodes
 # with different outcomes count.
+
+# %% [markdown]
+# ## Exercise 3: notice a frozen camera
+#
+# MAD can act without a camera. But somebody has to tell it that the camera is broken. Write a test
+# for one step: `picture` is the newest one of a camera, `before` the one of the step before, both
+# (84, 84, 3); `state` and `state_before` say where the robot's hand was, (3,), in metres. It is
+# true where the camera looks frozen. Begin with the pictures alone.
+
+
+# %% tags=["answer"]
+def frozen(picture, before, state, state_before):
+    return ...
+
+
+# %% tags=["solution"]
+def frozen(picture, before, state, state_before):
+    return np.array_equal(picture, before)
+
+
+# %% tags=["check"]
+teaching.check("04.frozen", frozen)
+
+# %% [markdown]
+# Three episodes to try it on: one with a frozen Third A, an intact one, and an intact one in which
+# the robot waits for ten steps, as somebody holds it up. How often does the test raise an alarm?
+
+# %%
+intact_run = list(teaching.moments(mad, seed=2000))
+stuck_run = list(teaching.moments(mad, seed=2000, occlusions={"third_a": Occlusion("freeze")}))
+runs = {
+    "frozen": stuck_run,
+    "intact": intact_run,
+    "intact, waits": [*intact_run[:40], *[intact_run[40]] * 10, *intact_run[41:]],
+}
+
+
+def alarms(test, run):
+    seen = [(moment.arrived["third_a"], moment.state[:3]) for moment in run]
+    pairs = zip(seen[1:], seen, strict=False)
+    return sum(bool(test(now[0], then[0], now[1], then[1])) for now, then in pairs)
+
+
+table(["Third A", "steps", "alarms"], [[k, len(r) - 1, alarms(frozen, r)] for k, r in runs.items()])
+
+# %% [markdown]
+# A robot that stands still sees the same picture twice, and nothing is wrong. Now mend the test:
+# what else has to be true before an unchanged picture is a fault?
+
+
+# %% tags=["answer"]
+def mended(picture, before, state, state_before):
+    return ...
+
+
+# %% tags=["solution"]
+def mended(picture, before, state, state_before):
+    moved = not np.allclose(state, state_before)
+    return moved and np.array_equal(picture, before)
+
+
+# %% tags=["check"]
+teaching.check("04.mended", mended)
+
+# %%
+table(["Third A", "steps", "alarms"], [[k, len(r) - 1, alarms(mended, r)] for k, r in runs.items()])
+
+# %% [markdown] tags=["solution"]
+# The state tells frozen from still. The guard of this package does the same, with a margin that is
+# fitted on intact episodes, and leaves the camera out until it works again:
+# `madviz eval --guard --occlude third_a=freeze`. A camera whose pictures are late, or lossy, needs
+# more than one step to be noticed.

@@ -1,11 +1,13 @@
-"""Lesson 4: what ten episodes can say about two policies."""
+"""Lesson 4: what ten episodes can say about two policies, and a test for a frozen camera."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from madviz.measure.statistics import Paired
-from madviz.teaching.checks.exercise import exercise, expect, number
+from madviz.teaching.checks.exercise import call, exercise, expect, number
 
 
 @exercise(
@@ -39,6 +41,58 @@ def episodes(episodes: Any) -> None:
     expect(tens == round(tens) and tens > 0, f"{found:g} is not a multiple of ten")
     expect(_p(round(tens)) < 0.05, f"with {found:g} episodes p is {_p(round(tens)):.2g}")
     expect(_p(round(tens) - 1) >= 0.05, f"{found:g} are enough, but fewer are enough, too")
+
+
+@exercise(
+    "04.frozen",
+    "write frozen(picture, before, state, state_before), true where two pictures are the same",
+    "What does a frozen camera send at this step, compared with the step before?",
+    "One number that differs is enough for another picture.",
+    "`np.array_equal(a, b)` is true where all numbers are the same.",
+)
+def frozen(frozen: Any) -> None:
+    _finds_frozen(frozen)
+
+
+@exercise(
+    "04.mended",
+    "write mended(...) like frozen(...), but with no alarm where the robot stands still",
+    "When is an unchanged picture no fault?",
+    "Compare `state` with `state_before`, too.",
+    "It is frozen where the robot moved *and* the picture is the same.",
+)
+def mended(mended: Any) -> None:
+    _finds_frozen(mended)
+    picture = _picture()
+    hand = np.array([0.1, 0.6, 0.2], np.float32)
+    expect(
+        not _answer(mended, picture, picture, hand, hand),
+        "it raises an alarm while the robot stands still",
+    )
+
+
+def _finds_frozen(test: Any) -> None:
+    picture = _picture()
+    other = picture.copy()
+    other[40, 40, 1] += 1
+    hand = np.array([0.1, 0.6, 0.2], np.float32)
+    moved = hand + np.float32(0.01)
+    found = _answer(test, picture, picture.copy(), moved, hand)
+    expect(found, "it misses a camera whose picture is the same while the hand moved by 1 cm")
+    expect(
+        not _answer(test, other, picture, moved, hand),
+        "it raises an alarm where one pixel of the picture has changed",
+    )
+
+
+def _picture() -> np.ndarray:
+    return np.random.default_rng(4).integers(0, 200, (84, 84, 3), np.uint8)
+
+
+def _answer(test: Any, *values: Any) -> bool:
+    found = call(test, *values)
+    expect(isinstance(found, bool | np.bool_), f"expected True or False, found {found!r:.60}")
+    return bool(found)
 
 
 def _p(tens: int) -> float:
