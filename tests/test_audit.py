@@ -15,13 +15,13 @@ from madviz.errors import Interrupted, UserError
 from madviz.measure import table as table_module
 from madviz.measure.audit.account import account
 from madviz.measure.audit.audit import AuditConfig, audit, audit_words, run_audit
-from madviz.measure.audit.blocks import html, markdown
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras
 from madviz.measure.audit.schedule import AuditPlan
 from madviz.measure.audit.sentences import in_words
 from madviz.measure.audit.verdict import (
     VERDICTS,
 )
+from madviz.measure.blocks import html, markdown
 from madviz.measure.statistics import pair
 from madviz.measure.store import MEMORY, EpisodeResult, Store
 from madviz.measure.table import Table

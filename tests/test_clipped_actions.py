@@ -13,7 +13,7 @@ from madviz.measure.audit.account import account
 from madviz.measure.audit.along import along
 from madviz.measure.audit.along_account import along_words
 from madviz.measure.audit.audit import AuditConfig, run_audit
-from madviz.measure.audit.blocks import html
+from madviz.measure.blocks import html
 from madviz.measure.compare import CompareConfig, compare_policies, comparison_table
 from madviz.measure.evaluate import evaluate
 from madviz.measure.store import EpisodeResult, ResultKey, Store

@@ -61,6 +61,13 @@ class Occlusion:
         """How many decisions ago what arrives now was seen."""
         return round(LATEST * self.strength) if self.kind == "delay" else 0
 
+    def looks(self, step: int) -> bool:
+        """Whether the camera's own picture of ``step`` matters, where the occlusion lasts from step
+        0 on: if not, nobody need draw it."""
+        if self.kind in ("black", "mean") or (self.kind == "noise" and self.strength == 1):
+            return False
+        return self.kind != "freeze" or step == 0
+
     @property
     def predicate(self) -> str:
         """The sentence about a camera, without its name: ``sends 70 % noise``."""

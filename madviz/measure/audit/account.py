@@ -1,11 +1,13 @@
-"""audit.html and audit.md: one account of an audit, in blocks (``blocks.py``)."""
+"""audit.html and audit.md: one account of an audit, in blocks (``madviz.measure.blocks``)."""
 
 from __future__ import annotations
 
-from madviz.measure.audit.blocks import Block
+from collections.abc import Sequence
+
 from madviz.measure.audit.document import AuditFile, ConditionRow
 from madviz.measure.audit.lost_cameras import HOWS
 from madviz.measure.audit.sentences import HOW_WORDS, MEANING, change, deciding, in_words, planned
+from madviz.measure.blocks import Block
 from madviz.measure.episodes import clipped_words
 from madviz.measure.statistics import SuccessRate
 from madviz.plots import figures
@@ -28,8 +30,8 @@ HOW_TO_READ = (
 )
 
 
-def account(found: AuditFile, command: str) -> list[Block]:
-    """All blocks; ``command`` makes the audit again."""
+def account(found: AuditFile, command: str, pairs: Sequence[Block] = ()) -> list[Block]:
+    """All blocks; ``command`` makes the audit again, ``pairs`` show episodes that turned."""
     clipped = clipped_words(found.get("outside", 0.0))
     return [
         Block("h1", [f"Does {found['policy']} use its cameras?"]),
@@ -39,6 +41,7 @@ def account(found: AuditFile, command: str) -> list[Block]:
         Block("table", VERDICT_HEADS, _verdict_rows(found)),
         *([Block("p", [clipped])] if clipped else []),
         Block("list", [f"{name}: {meaning}." for name, meaning in MEANING.items()]),
+        *pairs,
         Block("h2", ["Success by condition"]),
         Block("svg", [rates_picture(found)]),
         *_shapley(found),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 
 from madviz.measure.audit.along import AlongFile, AxisRow, SideRow
-from madviz.measure.audit.blocks import Block
 from madviz.measure.audit.sentences import FAILS
+from madviz.measure.blocks import Block
 from madviz.measure.episodes import clipped_words
 from madviz.measure.statistics import SuccessRate
 from madviz.plots.figures import Line, lines
@@ -71,13 +72,14 @@ def _at(axis: AxisRow, value: float) -> str:
     return f"{abs(value):.3g}{'' if unit == '°' else ' '}{unit}"
 
 
-def along_account(found: AlongFile, command: str) -> list[Block]:
-    """All blocks; ``command`` makes the audit again."""
+def along_account(found: AlongFile, command: str, pairs: Sequence[Block] = ()) -> list[Block]:
+    """All blocks; ``command`` makes the audit again, ``pairs`` show episodes that turned."""
     seeds = range(found["seed"], found["seed"] + found["intact"]["n"])
     return [
         Block("h1", [f"How much is too much for {found['policy']}?"]),
         Block("words", along_words(found)),
         *(Block("svg", [_picture(found, axis)]) for axis in found["axes"]),
+        *pairs,
         Block("h2", ["Every side"]),
         Block("table", HEADS, _rows(found)),
         Block("h2", ["How to read this"]),

@@ -21,6 +21,7 @@ import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from madviz.envs.registry import TaskName
 from madviz.errors import Interrupted, UserError, saving
@@ -29,20 +30,24 @@ from madviz.measure.audit.along import EPISODES as ALONG_EPISODES
 from madviz.measure.audit.along import AlongFile, along
 from madviz.measure.audit.along_account import along_account, along_csv, along_words
 from madviz.measure.audit.audited_policy import FILE, check_same_policy
-from madviz.measure.audit.blocks import Block, html, markdown
 from madviz.measure.audit.document import AuditFile, audit_document, facts_of
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras, How
 from madviz.measure.audit.schedule import AuditPlan, Outcomes
 from madviz.measure.audit.sentences import in_words, plan_words, planned
-from madviz.measure.episodes import FIRST_SEED
+from madviz.measure.audit.turned import along_pairs, audit_pairs
+from madviz.measure.blocks import Block, html, markdown
+from madviz.measure.episodes import FIRST_SEED, Job, Runner
+from madviz.measure.pairs import MOST as MOST_PAIRS
+from madviz.measure.pairs import pair_blocks
 from madviz.measure.store import MEMORY, Store
 from madviz.measure.table import Table, seeds_of_run
+from madviz.observation.condition import Condition
 from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
 from madviz.system.address import without_secrets
 from madviz.system.files import read_json, write_bytes, write_json, written_to
-from madviz.system.numbers import Count, Seed, ThreadsOrNone
+from madviz.system.numbers import Count, Range, Seed, ThreadsOrNone
 from madviz.types import Policy
 from madviz.wire.reference import with_wire
 
@@ -72,6 +77,8 @@ class AuditConfig:
     along: tuple[str, ...] = ()
     """Instead: how much is too much, along axes such as ``third_a.pan=-20:20 third_a.blur=0:1
     light=0.3:2 third_a.delay=0:8``; also forward, right, up, tilt, zoom, noise, patch and loss."""
+    pairs: Annotated[int, Range(int, 0, MOST_PAIRS)] = 4
+    """Episodes that turned, to be shown beside the intact ones: films that are made at the end."""
     workers: ThreadsOrNone | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
     json: str | None = None
@@ -145,7 +152,7 @@ def run_audit(config: AuditConfig) -> AuditFile | AlongFile:
     check_same_policy(config.out, policy, config.seed)
     with closing(Store(config.out / EPISODES)) as store:
         try:
-            document, blocks = _measured(config, reference, store)
+            document, blocks = _measured(config, reference, policy, store)
         except KeyboardInterrupt as stopped:
             raise Interrupted(command(config, given_away=False), signal.SIGINT) from stopped
     name = _name(config)
@@ -159,33 +166,40 @@ def run_audit(config: AuditConfig) -> AuditFile | AlongFile:
 
 
 def _measured(
-    config: AuditConfig, reference: str, store: Store
+    config: AuditConfig, reference: str, policy: Policy, store: Store
 ) -> tuple[AuditFile | AlongFile, list[Block]]:
     """The document that ``config`` asks for, and its account."""
-    seed = config.seed
-    workers = config.workers
-    if config.along:
-        most = config.episodes or ALONG_EPISODES
-        rows = along(
+    runner = Runner()
+    runner.adopt(reference, policy)
+    again = command(config)
+
+    def job(condition: Condition, seed: int) -> Job:
+        return Job(reference, policy.spec.digest, condition, seed)
+
+    with closing(runner):
+        if config.along:
+            rows = along(
+                reference,
+                config.along,
+                episodes=config.episodes or ALONG_EPISODES,
+                seed=config.seed,
+                workers=config.workers,
+                store=store,
+                progress=True,
+            )
+            pairs = along_pairs(rows, config.along, policy, job, config.pairs)
+            return rows, along_account(rows, again, pair_blocks(pairs, runner))
+        found = audit(
             reference,
-            config.along,
-            episodes=most,
-            seed=seed,
-            workers=workers,
+            episodes=config.episodes or MOST,
+            seed=config.seed,
+            how=config.how,
+            workers=config.workers,
             store=store,
             progress=True,
         )
-        return rows, along_account(rows, command(config))
-    found = audit(
-        reference,
-        episodes=config.episodes or MOST,
-        seed=seed,
-        how=config.how,
-        workers=workers,
-        store=store,
-        progress=True,
-    )
-    return found, account(found, command(config))
+        pairs = audit_pairs(found, policy, job, config.pairs)
+        return found, account(found, again, pair_blocks(pairs, runner))
 
 
 def _name(config: AuditConfig) -> str:
@@ -228,6 +242,7 @@ def command(config: AuditConfig, given_away: bool = True) -> str:
     most = config.episodes or (ALONG_EPISODES if config.along else MOST)
     words += ["--episodes", str(most), "--seed", str(config.seed)]
     words += ["--along", *config.along] if config.along else []
+    words += ["--pairs", str(config.pairs)] if config.pairs != AuditConfig.pairs else []
     if config.how != HOWS:
         words += ["--how", *config.how]
     return shlex.join([*words, "--out", out])

@@ -89,7 +89,7 @@ def family(places: tuple[float, ...]) -> Family:
 
 
 class FallingCurve:
-    """The probabilities of all curves, after the episodes that were played on one side of an axis."""
+    """The probabilities of all curves, after the episodes of one side of an axis."""
 
     def __init__(self, places: tuple[float, ...]) -> None:
         self._family = family(places)

@@ -22,9 +22,10 @@ table{border-collapse:collapse;margin:0 0 8px}.wide{overflow-x:auto}
 td,th{padding:3px 16px 3px 0;text-align:left;white-space:nowrap;
 border-bottom:1px solid #e4e4e4}th{font-weight:600;color:#555}
 code{background:#f1f1f1;padding:2px 5px;overflow-wrap:anywhere}p{margin:0 0 8px}
-svg{max-width:100%;height:auto;display:block;margin-bottom:10px}
+svg,video{max-width:100%;height:auto;display:block;margin-bottom:10px}
+video{width:100%}details{border-top:1px solid #e4e4e4;padding:8px 0}summary{cursor:pointer}
 @media(prefers-color-scheme:dark){body{background:#1b1c1f;color:#e4e4e4}code{background:#303236}
-td,th{border-color:#3a3c40}th{color:#aaa}svg{background:#fff;border-radius:4px}a{color:#7fb8e0}}
+td,th,details{border-color:#3a3c40}th{color:#aaa}svg{background:#fff;border-radius:4px}a{color:#7fb8e0}}
 """
 
 
@@ -33,9 +34,9 @@ class Block:
     """A piece of an account: a heading, lines, a table or a picture."""
 
     kind: str
-    """``h1``, ``h2``, ``p``, ``words``, ``list``, ``code``, ``table`` or ``svg``."""
+    """``h1``, ``h2``, ``p``, ``words``, ``list``, ``code``, ``table``, ``svg`` or ``raw``."""
     lines: Sequence[str] = ()
-    """Text; of a table, its heads."""
+    """Text; of a table, its heads; of ``raw``, the text and the HTML."""
     rows: Sequence[Sequence[str]] = ()
 
 
@@ -50,14 +51,14 @@ def _as_markdown(block: Block) -> str:
         return markdown_table(rows[0], rows[1:])
     if block.kind in ("words", "list"):
         return "\n".join(f"- {line}" for line in block.lines)
-    text = " ".join(block.lines)
+    text = block.lines[0] if block.kind == "raw" else " ".join(block.lines)
     marks = {"h1": "# {}", "h2": "## {}", "code": "```sh\n{}\n```", "svg": ""}
     return marks.get(block.kind, "{}").format(text)
 
 
 def html(blocks: Sequence[Block]) -> str:
     """The account as a page; its first block is its title."""
-    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+    policy = "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'"
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
@@ -68,8 +69,8 @@ def html(blocks: Sequence[Block]) -> str:
 
 
 def _as_html(block: Block) -> str:
-    if block.kind == "svg":
-        return block.lines[0]
+    if block.kind in ("svg", "raw"):
+        return block.lines[-1]
     if block.kind == "table":
         heads = "".join(f"<th>{escape(head)}</th>" for head in block.lines)
         head = f"<tr>{heads}</tr>" if any(block.lines) else ""
