@@ -76,7 +76,7 @@ def test_a_pair_says_when_the_actions_part_and_has_a_film_of_both(tmp_path):
         frames = [np.asarray(frame) for frame in reader]  # type: ignore[attr-defined]
     (shown,) = show([pair], runner)
     assert len(frames) == max(len(shown.first.pictures), len(shown.second.pictures))
-    assert frames[0].shape == (2 * 168 + 2 * 4 + 8, 2 * 168 + 4, 3) and len(film) < 150_000
+    assert frames[0].shape == (8 + 2 * 168 + 4, 2 * 168 + 4, 3) and len(film) < 150_000
 
 
 def test_pairs_that_come_out_otherwise_are_left_out_and_counted():
@@ -146,3 +146,22 @@ def test_the_page_begins_with_the_switches_of_an_episode():
         beginning(start(replay="x.json"), spec)
     with pytest.raises(UserError, match="unknown camera"):
         beginning(start(condition="nose.pan=5"), spec)
+
+
+@pytest.mark.slow
+def test_the_whole_chain_on_hammer(tmp_path):
+    """An audit of a policy that uses First person, its page with films and maps, and one axis."""
+    config = AuditConfig(
+        "metaworld-hammer-merged-only-light", tmp_path, episodes=2, how=("dropped",), pairs=2
+    )
+    found = run_audit(config)
+    page = (tmp_path / "audit.html").read_text()
+    assert page.count("<video") == 2 and page.count("data:image/jpeg") == 2
+    assert "Under it, the gradient of the network. First person: up to 0." in page
+    assert len(page) < 5_000_000 * 2 / 12
+    rows = {(row["camera"], row["what"]): row for row in found["conditions"]}
+    assert rows["first", "removed"]["lost"] == [60_000, 60_001]
+    along = run_audit(replace(config, along=("first.pan=0:40",), episodes=16, pairs=1))
+    (side,) = along["axes"][0]["sides"]
+    assert 0 < side["breaking"] < 40
+    assert (tmp_path / "along.html").read_text().count("<video") == 1

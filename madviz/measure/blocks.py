@@ -22,8 +22,9 @@ table{border-collapse:collapse;margin:0 0 8px}.wide{overflow-x:auto}
 td,th{padding:3px 16px 3px 0;text-align:left;white-space:nowrap;
 border-bottom:1px solid #e4e4e4}th{font-weight:600;color:#555}
 code{background:#f1f1f1;padding:2px 5px;overflow-wrap:anywhere}p{margin:0 0 8px}
-svg,video{max-width:100%;height:auto;display:block;margin-bottom:10px}
-video{width:100%}details{border-top:1px solid #e4e4e4;padding:8px 0}summary{cursor:pointer}
+svg,video,img{max-width:100%;height:auto;display:block;margin-bottom:10px}
+video{width:100%;max-width:720px}
+details{border-top:1px solid #e4e4e4;padding:8px 0}summary{cursor:pointer}
 @media(prefers-color-scheme:dark){body{background:#1b1c1f;color:#e4e4e4}code{background:#303236}
 td,th,details{border-color:#3a3c40}th{color:#aaa}svg{background:#fff;border-radius:4px}a{color:#7fb8e0}}
 """

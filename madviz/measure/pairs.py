@@ -24,6 +24,7 @@ import cv2
 import imageio.v2 as imageio
 import numpy as np
 
+from madviz.measure.attention import places_html
 from madviz.measure.blocks import Block, html
 from madviz.measure.episodes import Job, Runner
 from madviz.observation.grammar import condition_text
@@ -41,7 +42,7 @@ FAR = 0.1
 SIDE = 168
 """Pixels of a camera in a film."""
 BAR = 8
-"""Pixels of the time line under it."""
+"""Pixels of the time line above it."""
 GAP = 4
 FPS = 10
 RATE = 30
@@ -71,6 +72,9 @@ class EpisodeAgain:
     """One for each decision, (SIDE, W, 3): all cameras side by side."""
     actions: list[Array] = field(default_factory=list)
     """(A,) each."""
+    looks: list[tuple[Array, Array]] = field(default_factory=list)
+    """The policy's input at each decision: views (V, C, H, W) and state (S,); where they are
+    kept."""
     success: bool = False
 
 
@@ -106,8 +110,10 @@ def parting(distances: Array) -> int | None:
 def show(pairs: Sequence[EpisodePair], runner: Runner) -> list[ShownPair]:
     """Plays the episodes of ``pairs`` again; those whose outcomes are others now are left out."""
     known: dict[Job, EpisodeAgain] = {}
-    for job in dict.fromkeys(job for pair in pairs for job in (pair.first, pair.second)):
-        known[job] = played(job, runner)
+    for job in dict.fromkeys(pair.first for pair in pairs):
+        known[job] = played(job, runner, keep=True)
+    for job in dict.fromkeys(pair.second for pair in pairs):
+        known[job] = known.get(job) or played(job, runner)
     return [
         ShownPair(pair, known[pair.first], known[pair.second])
         for pair in pairs
@@ -115,14 +121,14 @@ def show(pairs: Sequence[EpisodePair], runner: Runner) -> list[ShownPair]:
     ]
 
 
-def played(job: Job, runner: Runner) -> EpisodeAgain:
-    """Plays the episode of ``job``, and keeps pictures and actions."""
+def played(job: Job, runner: Runner, keep: bool = False) -> EpisodeAgain:
+    """Plays the episode of ``job``, and keeps pictures and actions; to ``keep``, also looks."""
     result = EpisodeAgain()
     _, policy = runner.opened(job)
     streams = policy.spec.streams
     present = job.condition.ablation(streams).present(streams)
 
-    def watch(env: Environment, stack: StreamStack, _: Encoded, action: Array) -> None:
+    def watch(env: Environment, stack: StreamStack, encoded: Encoded, action: Array) -> None:
         tiles = []
         for camera in cameras_of(streams):
             stream = next(one for one in streams if camera_of(one) == camera)
@@ -134,6 +140,8 @@ def played(job: Job, runner: Runner) -> EpisodeAgain:
             tiles += [_sized(picture), np.full((SIDE, GAP, 3), 40, np.uint8)]
         result.pictures.append(np.concatenate(tiles[:-1], axis=1))
         result.actions.append(np.asarray(action, np.float32))
+        if keep:
+            result.looks.append((stack.views, encoded.state))
 
     result.success = runner.run(job, watch)[0].success
     return result
@@ -144,8 +152,8 @@ def _sized(picture: Array) -> Array:
 
 
 def film(shown: ShownPair) -> bytes:
-    """An MP4 file: the first episode above, the second under it, and a time line on which the step
-    is marked at which the actions part. The shorter one holds its last picture."""
+    """An MP4 file: a time line on which the step is marked at which the actions part, the first
+    episode, and the second under it. The shorter one holds its last picture."""
     rows = shown.first.pictures, shown.second.pictures
     steps = max(map(len, rows))
     width = rows[0][0].shape[1]
@@ -165,7 +173,7 @@ def film(shown: ShownPair) -> bytes:
                     line[:, place : place + 4] = MARK
                 above, below = (row[min(step, len(row) - 1)] for row in rows)
                 gap = np.full((GAP, width, 3), 40, np.uint8)
-                writer.append_data(np.concatenate([above, gap, below, gap, line]))
+                writer.append_data(np.concatenate([line, above, gap, below]))
         return file.read_bytes()
 
 
@@ -235,7 +243,8 @@ def _html(shown: ShownPair, runner: Runner) -> str:
         f"<p>Above: {first}. Under it: {second}. From left to right: {escape(', '.join(names))}. "
         "The mark on the time line is where the actions part.</p>"
         f'<video controls loop muted playsinline preload="metadata" src="{film_url}"></video>'
-        f"{drawn}<p>Open it in the explorer, the same seed and switches:</p>"
+        f"{drawn}{places_html(shown.first.looks, step, pair.first, runner)}"
+        "<p>Open it in the explorer, the same seed and switches:</p>"
         f"<p><code>{escape(explore_command(pair.second))}</code></p></details>"
     )
 
