@@ -81,7 +81,7 @@ def run(words: Sequence[str], commands: Mapping[str, Command], prog: str) -> int
             print(script_of(rest[0] if rest else ""))
         return 0
     if first in MOVED and commands is COMMANDS:
-        raise UserError(f"{first} has moved: {MOVED[first]} {rest[0] if rest else '--help'}")
+        raise UserError(f"{first} has moved: {MOVED[first].format(*rest[:1] or ['--help'])}")
     if first not in commands:
         raise unknown("command", first, list(commands))
     command = commands[first]

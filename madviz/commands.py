@@ -154,13 +154,6 @@ COMMANDS: dict[str, Command] = {
         words="madviz.grading.grade:grade_words",
         positional=True,
     ),
-    "displace": Command(
-        "Moves a camera away from where a policy was trained: success against distance.",
-        "displace --policy metaworld-hammer-mad-light --camera third_a --svg moved.svg",
-        config="madviz.measure.displace:DisplaceConfig",
-        work="madviz.measure.displace:run_displace",
-        words="madviz.measure.displace:displacement_table",
-    ),
     "soak": Command(
         "Lets visitors come and go for an hour; says whether the server has grown.",
         "soak --minutes 3 --visitors 2",
@@ -176,5 +169,8 @@ OTHERS = (
     "      madviz --completion bash > ~/.local/share/bash-completion/completions/madviz",
 )
 """The options of ``madviz`` itself."""
-MOVED = {"bench": "in a clone of the repository, run python -m benchmarks"}
-"""Names that were commands once, and what to run instead."""
+MOVED = {
+    "bench": "in a clone of the repository, run python -m benchmarks {}",
+    "displace": "run madviz audit --along, for example --along third_a.right=-0.2:0.2",
+}
+"""Names that were commands once, and what to run instead; ``{}`` is the word that followed."""

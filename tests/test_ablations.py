@@ -37,7 +37,8 @@ def test_every_kind_keeps_shape_and_input(kind: str, channels: int) -> None:
     arrived = arrive(Occlusion(kind), frame)  # type: ignore[arg-type]
     assert arrived.shape == frame.shape and arrived.dtype == np.uint8
     assert np.array_equal(frame, kept)
-    assert np.array_equal(arrived, frame) == (kind in ("none", "delay", "mean"))
+    same = kind in ("none", "delay", "mean") or (kind == "light" and channels == 1)
+    assert np.array_equal(arrived, frame) == same
 
 
 def test_what_arrives() -> None:
@@ -47,6 +48,14 @@ def test_what_arrives() -> None:
     assert np.array_equal(noisy, arrive(Occlusion("noise", strength=1.0)))
     assert np.abs(arrive(Occlusion("noise", strength=0.1)).astype(int) - FRAME).mean() < 12
     assert arrive(Occlusion("blur")).std() < FRAME.std() / 4
+
+
+def test_light_is_a_factor_and_half_of_it_changes_nothing() -> None:
+    assert np.array_equal(arrive(Occlusion("light", 0.5)), FRAME)
+    darker = arrive(Occlusion("light", 0.15))
+    assert np.abs(darker - 0.3 * FRAME.astype(float)).max() <= 0.5
+    assert arrive(Occlusion("light", 1.0)).max() == 255
+    assert Occlusion("light", 0.15).badge == "LIGHT x0.3"
 
 
 def test_lost_pictures_repeat_the_last_one_and_depend_on_seed_step_and_stream() -> None:

@@ -59,7 +59,7 @@ def test_a_policy_of_ones_own_is_not_taken_for_the_shipped_one_of_its_name(serve
         assert SetPolicy("runs/mine") in commands
     for step in (*steps(frame, choices, own_folder), *comparison_steps(frame, "b", own_folder)):
         assert SetPolicy("toy-mad") not in step.commands
-    assert "displace --policy runs/mine " in move_html(
+    assert "audit --policy runs/mine --along first.pan=0:5 " in move_html(
         frame_with(MoveCamera("first", Displacement(pan=5)), policy=OWN), own_folder
     )
 

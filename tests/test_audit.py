@@ -13,7 +13,7 @@ from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import STEP
 from madviz.errors import Interrupted, UserError
 from madviz.measure import table as table_module
-from madviz.measure.audit.account import html, markdown
+from madviz.measure.audit.account import account
 from madviz.measure.audit.audit import AuditConfig, audit, audit_words, run_audit
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras
 from madviz.measure.audit.schedule import AuditPlan
@@ -21,6 +21,7 @@ from madviz.measure.audit.sentences import in_words
 from madviz.measure.audit.verdict import (
     VERDICTS,
 )
+from madviz.measure.blocks import html, markdown
 from madviz.measure.statistics import pair
 from madviz.measure.store import MEMORY, EpisodeResult, Store
 from madviz.measure.table import Table
@@ -235,13 +236,14 @@ def test_page_and_text_say_the_same_and_load_nothing(monkeypatch):
     World(one_needed, monkeypatch)
     found = audit(Looker(streams=THREE), episodes=60)
     found["policy"] = "<b>bad</b> | name"
-    page, text = html(found, "madviz audit --out <x>"), markdown(found, "madviz audit --out <x>")
+    blocks = account(found, "madviz audit --out <x>")
+    page, text = html(blocks), markdown(blocks)
     for line in in_words(found):
         assert line in text
     assert "<b>bad</b>" not in page and "--out &lt;x&gt;" in page
     assert "Content-Security-Policy" in page and page.count("<svg") == 2
     assert not re.findall(r"(?:src|href)=\"(?!#)", page.replace("http://www.w3.org", ""))
-    assert page == html(found, "madviz audit --out <x>")
+    assert page == html(account(found, "madviz audit --out <x>"))
     tables = [line for line in text.splitlines() if line.startswith("|")]
     assert len(tables) > 45 and text.count("## ") == 6
 

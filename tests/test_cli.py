@@ -186,8 +186,8 @@ def test_without_a_command_the_usage_is_an_error() -> None:
 def test_unknown_commands_list_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["wurst"]) == 2
     assert capsys.readouterr().err == (
-        "madviz: unknown command 'wurst'; known: audit, compare, displace, doctor, eval, "
-        "explore, grade, guard, list, record, replay, report, serve, site, soak, sweep, train, "
+        "madviz: unknown command 'wurst'; known: audit, compare, doctor, eval, explore, "
+        "grade, guard, list, record, replay, report, serve, site, soak, sweep, train, "
         "wiring\n"
     )
     assert benchmark(["wurst"]) == 2

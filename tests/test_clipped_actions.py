@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from madviz.cli import main
-from madviz.measure.audit.account import html
+from madviz.measure.audit.account import account
+from madviz.measure.audit.along import along
+from madviz.measure.audit.along_account import along_words
 from madviz.measure.audit.audit import AuditConfig, run_audit
+from madviz.measure.blocks import html
 from madviz.measure.compare import CompareConfig, compare_policies, comparison_table
-from madviz.measure.displace import DisplaceConfig, displacement_table, run_displace
 from madviz.measure.evaluate import evaluate
 from madviz.measure.store import EpisodeResult, ResultKey, Store
 from madviz.system.files import read_json, write_json
@@ -53,11 +55,10 @@ def test_those_of_a_policy_here_are_counted_too(policy, share):
     assert evaluate(policy, ["all"], episodes=1).rows["all"].get("outside") == share
 
 
-def test_displace_counts_and_prints_them():
-    config = DisplaceConfig(f"{__name__}:Wild", "third_a", steps=2, episodes=1, workers=0)
-    found = run_displace(config)
-    assert [point.get("outside") for point in found["points"]] == [0.5, 0.5]
-    assert SAID in displacement_table(found)
+def test_an_audit_along_an_axis_counts_and_prints_them():
+    found = along(Wild(), ["third_a.right=0:0.2"], seed=5000, episodes=8)
+    assert found["outside"] == 0.5
+    assert SAID in "\n".join(along_words(found))
 
 
 def test_compare_says_them_of_each_policy(tmp_path):
@@ -85,7 +86,7 @@ def test_an_audit_says_them_beside_its_verdicts_also_when_it_goes_on(tmp_path):
     assert json.loads((tmp_path / "out" / "audit.json").read_text())["outside"] == 0.5
     for name in ("audit.md", "audit.html"):
         assert (tmp_path / "out" / name).read_text().count("action numbers lay outside") == 2
-    assert "lay outside" not in html({**found, "outside": 0.0}, "")
+    assert "lay outside" not in html(account({**found, "outside": 0.0}, ""))
 
 
 def test_the_command_that_compares_conditions_says_them(tmp_path, capsys):

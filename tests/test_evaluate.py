@@ -25,7 +25,7 @@ from madviz.measure.evaluate import (
     run_eval,
 )
 from madviz.measure.store import MEMORY, Store
-from madviz.observation.ablation import Ablation, Occlusion
+from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.condition import Condition
 from madviz.observation.grammar import parse_occlusions
 from madviz.policies import checkpoint
@@ -353,3 +353,42 @@ def test_a_process_keeps_a_few_policies_and_notices_a_changed_one(folder, tmp_pa
     assert loaded == [str(folder), "tests.fakes:FakePolicy"]
     with pytest.raises(UserError, match="was changed while it was evaluated"):
         runner.run(Job(str(folder), "another digest", Condition("none"), 1))
+
+
+@pytest.mark.parametrize("setting", ["three", "three-rgbd"])
+@pytest.mark.parametrize(
+    ("occlusion", "drawn"),
+    [
+        (Occlusion("black"), 0),
+        (Occlusion("mean"), 0),
+        (Occlusion("noise"), 0),
+        (Occlusion("freeze"), 1),
+        (Occlusion("noise", 0.5), None),
+        (Occlusion("delay", 0.3), None),
+    ],
+)
+def test_pictures_that_do_not_matter_are_not_drawn_and_nothing_else_changes(
+    monkeypatch, setting, occlusion, drawn
+):
+    def episode():
+        counted, inputs, env = [], [], ToyReach()
+        view = env.view
+        env.view = lambda camera: counted.append(camera) or view(camera)
+        policy = FakePolicy(setting=setting)
+        ablation = Ablation({"third_a": CameraState(occlusion=occlusion)})
+        mask = np.ones(len(policy.spec.streams), bool)
+
+        def watch(_, stack, __, action):
+            inputs.append((stack.views, action))
+
+        result = run_episode(policy, env, mask, ablation, 60_000, watch=watch)
+        return result, inputs, counted
+
+    result, inputs, counted = episode()
+    monkeypatch.setattr(Occlusion, "looks", lambda *_: True)
+    before, inputs_before, counted_before = episode()
+    assert result == before
+    for (views, action), (views_before, action_before) in zip(inputs, inputs_before, strict=True):
+        assert np.array_equal(views, views_before) and np.array_equal(action, action_before)
+    assert counted_before.count("third_a") == len(inputs)
+    assert counted.count("third_a") == (len(inputs) if drawn is None else drawn)

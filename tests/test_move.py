@@ -286,10 +286,10 @@ def test_the_panel_says_where_cameras_are_and_what_counts():
     assert "Every camera stands where" in move_html(live.now)
     html = move_html(live.ask(ASIDE))
     assert "0.30 m to the right" in html and "First" not in html
-    told = "madviz displace --policy toy-mad --camera third_a --along right --most 0.3<"
+    told = "madviz audit --policy toy-mad --along third_a.right=0:0.3 --out audit-right<"
     assert told in html
     html = move_html(live.ask(MoveCamera("third_a", Displacement(tilt=-12, zoom=2))))
-    assert "--along tilt --most -12<" in html
+    assert "--along third_a.tilt=-12:0 --out audit-tilt<" in html
 
 
 @pytest.mark.parametrize("camera", ["first", "third_a"])

@@ -25,16 +25,21 @@ from madviz.envs.registry import TaskName, check_task, shared_imports
 from madviz.errors import UserError
 from madviz.measure.live import Evaluator, Tally
 from madviz.measure.store import Store
+from madviz.observation.condition import Condition
+from madviz.observation.displacement import MoveCamera
+from madviz.observation.grammar import parse_condition
 from madviz.policies import checkpoint
 from madviz.policies.checkpoint import PolicyName
 from madviz.policies.guarded import is_guarded, unguarded
 from madviz.policies.listing import list_policies
 from madviz.policies.sb3 import trust
+from madviz.session.commands import Command, SetCamera
 from madviz.session.live_session import LiveSession
 from madviz.session.process import References, SessionProcess, prepare
 from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
+from madviz.subsets import cameras_of
 from madviz.system.hosts import (
     check_port,
     machine_token,
@@ -43,7 +48,15 @@ from madviz.system.hosts import (
     stays_here,
     with_token,
 )
-from madviz.system.numbers import Count, CountOrNone, Port, Rate, ThreadsOrNone, check_numbers
+from madviz.system.numbers import (
+    Count,
+    CountOrNone,
+    Port,
+    Rate,
+    Seed,
+    ThreadsOrNone,
+    check_numbers,
+)
 from madviz.system.processes import limit_heaps
 from madviz.system.streams import say, telling
 from madviz.types import PolicySpec
@@ -88,6 +101,11 @@ class ExploreConfig:
     wire: Path | None = None
     """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
     itself."""
+    seed: Seed | None = None
+    """The scene to begin with."""
+    condition: str = "all"
+    """How the cameras are when the page opens, as in `madviz compare --conditions`: first=off,
+    third_a=noise:0.5 or third_a.pan=-11."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
 
@@ -211,7 +229,14 @@ def open_app(config: ExploreConfig) -> App:
     if name not in [choice.name for choice in choices]:
         choices = [PolicyChoice(name, checkpoint.shown(name), given[name].task), *choices]
     make = SessionMaker(
-        name, named or None, config.task, config.speed, script, trusted=config.trust
+        name,
+        named or None,
+        config.task,
+        config.speed,
+        script,
+        trusted=config.trust,
+        seed=config.seed,
+        begins=beginning(config, given[name]),
     )
 
     def new_session() -> SessionProcess:
@@ -226,7 +251,12 @@ def open_app(config: ExploreConfig) -> App:
     rates = SuccessRates(shipped, evaluator if config.workers else None, references.name_of)
     return App(
         new_session,
-        Shared(choices, rates, greets=script is None, references=references),
+        Shared(
+            choices,
+            rates,
+            greets=script is None and config.seed is None,
+            references=references,
+        ),
         Address(config.host, config.port, gate_for(config)),
         Limits(config.visitors, config.watchers),
         light=config.light,
@@ -238,6 +268,25 @@ def gate_for(config: ExploreConfig) -> Gate:
     local = stays_here(config.host)
     visit = machine_token() or (None if local else new_token())
     return Gate(visit if config.token else None, new_token() if config.present else None, local)
+
+
+def beginning(config: ExploreConfig, spec: PolicySpec) -> tuple[Command, ...]:
+    """The commands that make the cameras of a policy as ``--condition`` says. Raises UserError for
+    a condition that is none, and beside a saved session."""
+    if config.replay is not None and (config.seed is not None or config.condition != "all"):
+        raise UserError(
+            "expected a saved session to have a seed and switches of its own, found --seed or "
+            "--condition beside --replay; leave them out"
+        )
+    condition = parse_condition(config.condition, cameras_of(spec.streams))
+    ablation = condition.noticed(spec.streams).ablation(spec.streams)
+    intact = Condition("all").ablation(spec.streams)
+    switches = [
+        SetCamera(name, state)
+        for name, state in ablation.cameras.items()
+        if state != intact.camera(name)
+    ]
+    return (*switches, *(MoveCamera(name, move) for name, move in ablation.moves.items()))
 
 
 def described(policy: str) -> PolicySpec:

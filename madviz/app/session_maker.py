@@ -11,9 +11,10 @@ from madviz.envs.custom import allow_task
 from madviz.envs.registry import make_env
 from madviz.policies import checkpoint
 from madviz.policies.sb3 import trust
+from madviz.session.commands import Command
 from madviz.session.process import Noted
 from madviz.session.replay import finder
-from madviz.session.session import Session
+from madviz.session.session import FIRST_SEED, Session
 from madviz.session.session_file import SavedEpisode
 from madviz.types import CameraSpec, Environment, Policy, PolicySpec
 
@@ -43,15 +44,27 @@ class SessionMaker:
     script: SavedEpisode | None = None
     trusted: bool = False
     """Whether the file that was typed may be loaded, which runs what is in it; see ``sb3.py``."""
+    seed: int | None = None
+    """The first scene; by default the first one of live pages."""
+    begins: tuple[Command, ...] = ()
+    """The commands that every session gets first."""
 
     def __call__(self, noted: Noted = lambda name, spec: None) -> Session:
         """A session that is not started yet. Raises UserError where a script's policy is gone."""
         allow_task(self.task)
         trust(self.typed, self.trusted)
         policies = LoadedPolicies(self._of_script(), noted)
-        return Session(
-            env_in_one_thread, self.policy, policies.load, speed=self.speed, script=self.script
+        session = Session(
+            env_in_one_thread,
+            self.policy,
+            policies.load,
+            seed=FIRST_SEED if self.seed is None else self.seed,
+            speed=self.speed,
+            script=self.script,
         )
+        for command in self.begins:
+            session.send(command)
+        return session
 
     def _of_script(self) -> dict[str, Policy]:
         if self.script is None:

@@ -23,6 +23,7 @@ from typing import NotRequired, TypedDict
 
 from madviz.errors import UserError
 from madviz.measure.compare_conditions import ConditionsFile, compare_conditions, conditions_table
+from madviz.measure.compare_page import write_comparison
 from madviz.measure.episodes import FIRST_SEED, clipped_words
 from madviz.measure.evidence import Evidence, Outcomes, alike, readable
 from madviz.measure.formulas import student
@@ -57,6 +58,9 @@ class CompareConfig:
     """Write success by method and subset to this SVG file."""
     curves: Path | None = None
     """Write success against environment steps to this SVG file; recipe ``paper`` measures it."""
+    page: Path | None = None
+    """Write a page with episodes that came out differently to this HTML file, as films: they are
+    played again."""
     wire: Path | None = None
     """With ``--conditions`` and ws://HOST:PORT: how its names and shapes map to ours."""
     conditions: tuple[str, ...] = ()
@@ -125,9 +129,7 @@ def compare_policies(config: CompareConfig) -> CompareFile:
         raise UserError("expected --conditions beside --guard, found none; add them")
     if len(config.policies) < 2:
         raise UserError(f"expected two or more policies, found {len(config.policies)}")
-    for option, file in (("--figure", config.figure), ("--curves", config.curves)):
-        if file is not None:
-            written_to(file, option)
+    _check_files(config)
     folders = [checkpoint.find_policy(name) for name in config.policies]
     policies, broken = readable(folders)
     if len(policies) < 2 or policies[0].path != folders[0]:
@@ -149,7 +151,7 @@ def compare_policies(config: CompareConfig) -> CompareFile:
         write_bytes(config.figure, bars.encode())
     if config.curves is not None:
         write_bytes(config.curves, curves(policies).encode())
-    return {
+    found: CompareFile = {
         "schema": 1,
         "task": first.config.task,
         "definition": first.config.definition,
@@ -173,11 +175,23 @@ def compare_policies(config: CompareConfig) -> CompareFile:
         ],
         "broken": broken,
     }
+    if config.page is not None:
+        title = f"{found['task']}: policies compared"
+        write_comparison(config.page, title, comparison_table(found), policies, table)
+    return found
+
+
+def _check_files(config: CompareConfig) -> None:
+    for name in ("figure", "curves", "page"):
+        file: Path | None = getattr(config, name)
+        if file is not None:
+            written_to(file, f"--{name}")
 
 
 def _conditions(config: CompareConfig) -> ConditionsFile:
     if len(config.policies) != 1:
         raise UserError(f"expected one policy with --conditions, found {len(config.policies)}")
+    _check_files(config)
     for name in ("subset", "store", "figure", "curves"):
         if getattr(config, name):
             raise UserError(f"--{name} is about policies; leave it out, or --conditions")
@@ -187,6 +201,7 @@ def _conditions(config: CompareConfig) -> ConditionsFile:
         episodes=config.episodes,
         seed=config.seed,
         workers=config.workers,
+        page=config.page,
     )
 
 

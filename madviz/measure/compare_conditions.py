@@ -6,15 +6,19 @@ Every condition is played on the same seeds and compared with the first one, pai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
+from pathlib import Path
 from typing import Any, TypedDict
 
 from madviz.errors import UserError
 from madviz.guard.policy import guard_note
 from madviz.measure.episodes import clipped_words, unsupported
+from madviz.measure.pairs import MOST, in_turns, turned, write_page
 from madviz.measure.statistics import PairedRow, SuccessRate, pair
 from madviz.measure.table import Table, seeds_of_run
+from madviz.observation.condition import Condition
 from madviz.observation.grammar import parse_condition
 from madviz.policies.measured import RateRow
 from madviz.subsets import cameras_of
@@ -54,9 +58,16 @@ class ConditionsFile(TypedDict):
 
 
 def compare_conditions(
-    policy: str, words: Sequence[str], *, episodes: int, seed: int, workers: int | None
+    policy: str,
+    words: Sequence[str],
+    *,
+    episodes: int,
+    seed: int,
+    workers: int | None,
+    page: Path | None = None,
 ) -> ConditionsFile:
-    """Plays ``policy`` under every condition. Raises UserError for a condition that is none, or
+    """Plays ``policy`` under every condition; ``page`` gets the episodes that turned. Raises
+    UserError for a condition that is none, or
     that the policy cannot act under, before anything is played."""
     if len(words) < 2 or len(set(words)) < len(words):
         raise UserError(f"expected two or more conditions, each once, found {' '.join(words)!r}")
@@ -80,7 +91,7 @@ def compare_conditions(
             **SuccessRate.counted(outcomes[word].values()).row(),
         }
     first = words[0]
-    return {
+    found: ConditionsFile = {
         "schema": 1,
         "policy": loaded.spec.name,
         "task": loaded.spec.task,
@@ -94,6 +105,22 @@ def compare_conditions(
         ],
         "broken": [],
     }
+    if page is not None:
+        _show(page, found, table, played)
+    return found
+
+
+def _show(page: Path, found: ConditionsFile, table: Table, played: Mapping[str, Condition]) -> None:
+    """Writes the page of episodes that turned."""
+    first, *others = played
+    jobs = {word: partial(table.job, condition) for word, condition in played.items()}
+    outcomes = {word: table.outcomes(condition) for word, condition in played.items()}
+    lists = [
+        turned(outcomes[first], outcomes[word], (jobs[first], jobs[word]), (first, word))
+        for word in others
+    ]
+    title = f"{found['policy']}: conditions compared"
+    write_page(page, title, conditions_table(found), in_turns(lists, MOST), table.runner)
 
 
 def conditions_table(result: ConditionsFile) -> str:

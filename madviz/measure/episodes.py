@@ -20,16 +20,21 @@ from madviz.measure.store import EpisodeResult
 from madviz.observation.ablation import Ablation
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement
+from madviz.observation.streams import StreamStack
 from madviz.policies import checkpoint
 from madviz.policies.config import check_environment, definition_of
 from madviz.policies.players import player_of
 from madviz.policies.seeds import FIRST_TRY
 from madviz.subsets import camera_of, name_of
-from madviz.types import Array, Environment, Policy, PolicySpec
+from madviz.types import Array, Encoded, Environment, Policy, PolicySpec
 from madviz.wire.policy import numbers_outside
 
 Finished = tuple[EpisodeResult, str]
 """An episode's result and the definition of success it was judged by."""
+
+Watch = Callable[[Environment, StreamStack, Encoded, Array], None]
+"""Called with the environment, the policy's input, its features and the action (A,) of every
+decision, before it is carried out. It may draw, and must change nothing."""
 
 FIRST_SEED = FIRST_TRY
 """The first seed of evaluations whose seeds nobody named."""
@@ -69,13 +74,15 @@ def run_episode(
     ablation: Ablation,
     seed: int,
     stop: Callable[[], bool] = lambda: False,
+    watch: Watch = lambda *_: None,
 ) -> EpisodeResult:
     """Runs the episode ``seed`` on the subset ``mask`` (V,) bool, with the occlusions of
     ``ablation``; cameras stand where ``env`` has them.
 
-    Only cameras that are present are drawn; dropped streams cannot reach the sum, so they may as
-    well be black. Raises UserError if the policy cannot act on the subset, Stopped if ``stop``
-    says so between two decisions.
+    Only cameras that are present are drawn, and of those that are occluded only the pictures that
+    matter; dropped streams cannot reach the sum, so they may as well be black. ``watch`` sees every
+    decision. Raises UserError if the policy cannot act on the subset, Stopped if ``stop`` says so
+    between two decisions.
     """
     streams = policy.spec.streams
     if not policy.supports(mask):
@@ -91,11 +98,16 @@ def run_episode(
         while not now.last:
             if stop():
                 raise Stopped
-            views = {camera: env.view(camera) for camera in cameras}
+            views = {
+                camera: env.view(camera)
+                for camera in cameras
+                if ablation.camera(camera).occlusion.looks(decision)
+            }
             stack.push(views, ablation, seed, decision)
             encoded = policy.encode(stack.views, now.state)  # (V, C, H, W) -> features (V, Z)
             action = player.act(encoded, mask)  # (A,)
             outside += numbers_outside(action)
+            watch(env, stack, encoded, action)
             now = env.step(action)
             total += float(now.reward)
             success_any |= bool(now.success)
@@ -133,14 +145,15 @@ class Runner:
         policy = self._loaded(job.policy, job.digest)
         return self._environment(policy), policy
 
-    def run(self, job: Job) -> Finished:
-        """Plays the job's episode. Raises UserError if its policy's files changed meanwhile."""
+    def run(self, job: Job, watch: Watch = lambda *_: None) -> Finished:
+        """Plays the job's episode, and shows every decision to ``watch``. Raises UserError if its
+        policy's files changed meanwhile."""
         env, policy = self.opened(job)
         self._place(env, dict(job.condition.moves))
         mask = job.condition.mask(policy.spec.streams)
         ablation = job.condition.ablation(policy.spec.streams)
         with one_thread():
-            result = run_episode(policy, env, mask, ablation, job.seed, self._stop)
+            result = run_episode(policy, env, mask, ablation, job.seed, self._stop, watch)
         return result, definition_of(env.spec)
 
     def _place(self, env: Environment, moves: dict[str, Displacement]) -> None:

@@ -1,7 +1,7 @@
 """The table of a policy's episodes: a result for each condition and seed.
 
 Everything that measures is a view of such a table: ``eval`` asks for camera subsets, ``compare
---conditions`` and ``displace`` for other conditions, ``audit`` for those it needs next, the page
+--conditions`` for other conditions, ``audit`` for those it needs next, the page
 for what its visitors look at. A table grows, and is kept in a store (``store.py``) if it gets one:
 what is there is not played again, so whatever was stopped goes on where it was.
 
@@ -18,7 +18,7 @@ from pathlib import Path
 from madviz.errors import UserError
 from madviz.measure.episodes import Finished, Job, Runner
 from madviz.measure.store import EpisodeResult, ResultKey, Store
-from madviz.measure.workers import run_anywhere
+from madviz.measure.workers import Workers, run_anywhere
 from madviz.observation.condition import Condition
 from madviz.policies import checkpoint
 from madviz.types import Policy, PolicySpec
@@ -105,7 +105,10 @@ class Table:
             self._store.put(key, result)
 
     def play(
-        self, wanted: Iterable[tuple[Condition, int]], workers: int | None, progress: bool = False
+        self,
+        wanted: Iterable[tuple[Condition, int]],
+        workers: int | None | Workers,
+        progress: bool = False,
     ) -> None:
         """Plays the episodes ``wanted`` (condition and seed) that are not there yet, and keeps each
         as it finishes. ``workers`` and ``progress`` as in ``run_anywhere``. Raises UserError where

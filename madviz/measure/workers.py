@@ -83,6 +83,11 @@ class Workers:
         self._pool = None
 
 
+def processes(workers: int | None) -> int:
+    """How many processes ``workers`` asks for, by default one per core."""
+    return (os.cpu_count() or 1) if workers is None else workers
+
+
 Ended = Callable[[Job, "Finished | BaseException"], None]
 """Called with a job and its result, or with the error that ended it."""
 
@@ -174,8 +179,11 @@ class Pool:
         self._after(job)
 
 
-def run_jobs(jobs: list[Job], workers: Workers) -> Iterator[tuple[Job, Finished]]:
-    """Every job with its result, as they finish, in no order; closes ``workers`` at the end.
+def run_jobs(
+    jobs: list[Job], workers: Workers, keep: bool = False
+) -> Iterator[tuple[Job, Finished]]:
+    """Every job with its result, as they finish, in no order. Closes ``workers`` at the end, unless
+    they are to ``keep`` and all jobs are done.
 
     Raises UserError if processes keep dying, and whatever a job raises.
     """
@@ -194,22 +202,28 @@ def run_jobs(jobs: list[Job], workers: Workers) -> Iterator[tuple[Job, Finished]
             if isinstance(outcome, BaseException):
                 raise outcome
             yield job, outcome
+            count -= 1
     finally:
-        pool.close()
+        if count or not keep:
+            pool.close()
 
 
 def run_anywhere(
-    jobs: list[Job], workers: int | None, here: Runner, progress: bool
+    jobs: list[Job], workers: int | None | Workers, here: Runner, progress: bool
 ) -> Iterator[tuple[Job, Finished]]:
     """Every job with its result, in no order: by ``workers`` processes, by default one per core; or
-    in this one, ``here``, where it is 0 or the policy is an object. Closes ``here`` at the end.
-    ``progress`` shows a bar on standard error, if that is a terminal."""
-    count = (os.cpu_count() or 1) if workers is None else workers
+    in this one, ``here``, where it is 0 or the policy is an object. Closes ``here`` at the end, and
+    leaves processes that it was given. ``progress`` shows a bar on standard error, if that is a
+    terminal."""
+    keep = isinstance(workers, Workers)
+    count = workers.count if isinstance(workers, Workers) else processes(workers)
     if any(not job.policy for job in jobs):
         count = 0
     results: Iterator[tuple[Job, Finished]] = ((job, here.run(job)) for job in jobs)
     if count and jobs:
-        results = run_jobs(jobs, Workers(min(count, len(jobs)), niceness=5))
+        if not isinstance(workers, Workers):
+            workers = Workers(min(count, len(jobs)), niceness=5)
+        results = run_jobs(jobs, workers, keep)
     try:
         yield from tqdm(
             results, total=len(jobs), unit="episode", disable=None if progress else True

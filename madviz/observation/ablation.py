@@ -27,12 +27,14 @@ from madviz.types import Array
 T = TypeVar("T")
 CameraInput = Literal["rgb", "depth", "both", "off"]
 OcclusionKind = Literal[
-    "none", "black", "mean", "noise", "freeze", "blur", "patch", "dropout", "delay"
+    "none", "black", "mean", "noise", "freeze", "blur", "patch", "dropout", "delay", "light"
 ]
 PLACE = ("x", "y", "width", "height")
 """Where a patch is: its middle from the left and the top, and its sides."""
 LATEST = 10
 """Decisions by which a delayed picture is late at most; a second at normal speed."""
+BRIGHTEST = 2.0
+"""Times the light that there is, at strength 1 of ``light``; nothing changes at half."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,13 @@ class Occlusion:
         """How many decisions ago what arrives now was seen."""
         return round(LATEST * self.strength) if self.kind == "delay" else 0
 
+    def looks(self, step: int) -> bool:
+        """Whether the camera's own picture of ``step`` matters, where the occlusion lasts from step
+        0 on: if not, nobody need draw it."""
+        if self.kind in ("black", "mean") or (self.kind == "noise" and self.strength == 1):
+            return False
+        return self.kind != "freeze" or step == 0
+
     @property
     def predicate(self) -> str:
         """The sentence about a camera, without its name: ``sends 70 % noise``."""
@@ -75,7 +84,9 @@ class Occlusion:
         return self._filled_in(KINDS[self.kind].badge)
 
     def _filled_in(self, template: str) -> str:
-        return template.format(strength=f"{100 * self.strength:.0f} %", late=self.late)
+        light = f"{BRIGHTEST * self.strength:.2g}"
+        strength = f"{100 * self.strength:.0f} %"
+        return template.format(strength=strength, late=self.late, light=light)
 
     @property
     def effective(self) -> Occlusion:
@@ -115,6 +126,12 @@ def _noisy(how: Occlusion, frame: Array, before: Array | None, rng: np.random.Ge
     return cv2.addWeighted(frame, 1 - how.strength, noise, how.strength, 0).reshape(frame.shape)
 
 
+def _lit(how: Occlusion, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
+    if frame.shape[2] == 1:  # Depth is the same in any light.
+        return frame
+    return cv2.convertScaleAbs(frame, alpha=BRIGHTEST * how.strength)
+
+
 def _patched(how: Occlusion, frame: Array, before: Array | None, rng: np.random.Generator) -> Array:
     rows = _covered(how.y, how.height, frame.shape[0])
     columns = _covered(how.x, how.width, frame.shape[1])
@@ -139,7 +156,8 @@ class Kind:
     menu: str
     """Its line in a notebook's menu, after the camera's name."""
     predicate: str
-    """See ``Occlusion.predicate``. ``{strength}`` and ``{late}`` are filled in, here and below."""
+    """See ``Occlusion.predicate``. ``{strength}``, ``{late}`` and ``{light}`` are filled in, here
+    and below."""
     past: str
     """See ``Occlusion.past``."""
     badge: str = ""
@@ -224,6 +242,16 @@ KINDS: dict[OcclusionKind, Kind] = {
         "was {late} steps late",
         "LATE BY {late}",
         uses=_STRENGTH,
+    ),
+    # Brighter or darker colours: times ``BRIGHTEST`` x ``strength``.
+    "light": Kind(
+        "light",
+        "is lit",
+        "sends a picture {light} times as bright",
+        "sent a picture {light} times as bright",
+        "LIGHT x{light}",
+        _lit,
+        _STRENGTH,
     ),
 }
 """By ``OcclusionKind``, in the order in which page and notebooks offer them."""

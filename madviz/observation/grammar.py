@@ -16,19 +16,21 @@ An older spelling, ``first=noise,strength=0.5``, is still read, with a line that
 
 A *condition*, for a comparison, is a subset of cameras or a failure for the whole episode, or
 several of those with commas: ``all``, ``first+third_b``, ``third_a=black``, ``all=noise:0.5``,
-``first=off,third_a=black``. The words of page and audit are read, too (lossy, late, frozen), and so
-is an order with the failure first: ``late:first``, ``noise:all:0.5``.
+``first=off,third_a=black``; or a camera that stands elsewhere, ``third_a.pan=-11``. The words of
+page and audit are read, too (lossy, late, frozen), and so is an order with the failure first:
+``late:first``, ``noise:all:0.5``.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 
 from madviz.errors import UserError, unknown
 from madviz.observation.ablation import KINDS, PLACE, Occlusion, by_sides
 from madviz.observation.condition import Condition
+from madviz.observation.displacement import Displacement
 from madviz.subsets import camera_of
 from madviz.system.streams import say
 
@@ -38,6 +40,7 @@ DROPPED = "off"
 """The word for a dropped camera: ``third_a@20`` is short for ``third_a=off@20``."""
 HOW = "camera@step, camera@from-to or camera=black@step, for example third_b=noise:0.5@10-30"
 _FAILURE = re.compile(r"(\w+)(?:=([a-z]+[\d.:]*))?(?:@(\d{1,6})(?:-(\d{1,6}))?)?")
+_MOVED = re.compile(r"(\w+)\.(forward|right|up|pan|tilt|zoom)=(-?\d+(?:\.\d*)?)")
 _OLD = re.compile(r"(\w+)=([a-z]+)((?:,[a-z]+=[\d.]+)+)")
 
 
@@ -125,7 +128,14 @@ def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
     failing: list[str] = []
     dropped: list[str] = []
     occlusions: dict[str, Occlusion] = {}
+    moves: dict[str, Displacement] = {}
     for part in word.split(","):
+        if moved := _MOVED.fullmatch(part):
+            name, axis, value = moved.groups()
+            if name not in cameras:
+                raise unknown(f"camera in the condition {word!r:.60}:", name, list(cameras))
+            moves[name] = replace(moves.get(name, Displacement()), **{axis: float(value)})
+            continue
         if "=" in part or ":" not in part:
             what, _, strength = part.partition("=")[2].partition(":")
             name = part.partition("=")[0]
@@ -154,7 +164,18 @@ def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
     present = "+".join(camera for camera in cameras if camera not in dropped) or "none"
     subset = subsets[0] if subsets else present if dropped else "all"
     _check_present(word, subset, failing, cameras)
-    return Condition(subset, tuple(occlusions.items()))
+    return Condition(subset, tuple(occlusions.items()), tuple(moves.items()))
+
+
+def condition_text(condition: Condition) -> str:
+    """The condition in the grammar again, as briefly as it can be said."""
+    parts = [] if condition.subset == "all" else [condition.subset]
+    parts += [failure_text(camera, occlusion) for camera, occlusion in condition.occlusions]
+    plain = asdict(Displacement())
+    for camera, move in condition.moves:
+        changed = {name: value for name, value in asdict(move).items() if value != plain[name]}
+        parts += [f"{camera}.{name}={value:g}" for name, value in changed.items()]
+    return ",".join(parts) or "all"
 
 
 def _check_present(word: str, subset: str, failing: Sequence[str], cameras: Sequence[str]) -> None:

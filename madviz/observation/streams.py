@@ -85,10 +85,10 @@ class StreamStack:
     def push(self, views: dict[str, View], ablation: Ablation, seed: int, step: int) -> None:
         """Takes the views of one step. Cameras absent from ``views`` arrive black; at ``step`` 0
         the stack is filled with the first frame."""
-        black = np.zeros((self.size, self.size, 3), np.uint8)
         seen = {}
         for stream in self.streams:
             view = views.get(camera_of(stream))
+            black = np.zeros((self.size, self.size, channels_of(stream)), np.uint8)
             seen[stream] = stream_frame(view, stream, self.env, self.size) if view else black
         if step == 0:
             self._frames = []

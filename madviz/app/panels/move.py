@@ -183,7 +183,7 @@ def sweep(frame: Frame, policy: str) -> str:
     moved = frame.world.ablation.moves[camera]
     plain = Displacement()
     way = next(name for name in RANGES if getattr(moved, name) != getattr(plain, name))
+    low, high = sorted((getattr(plain, way), getattr(moved, way)))
     return (
-        f"madviz displace --policy {policy} --camera {camera} --along {way} "
-        f"--most {getattr(moved, way):g}"
+        f"madviz audit --policy {policy} --along {camera}.{way}={low:g}:{high:g} --out audit-{way}"
     )

@@ -1,14 +1,8 @@
-"""audit.html and audit.md: one account of an audit, as a page that needs nothing else and as text.
-
-Both are made from the same blocks. The page loads nothing and runs nothing; a content security
-policy in its head tells the browser so.
-"""
+"""audit.html and audit.md: one account of an audit, in blocks (``madviz.measure.blocks``)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from html import escape
 
 from madviz.measure.audit.document import AuditFile, ConditionRow
 from madviz.measure.audit.guarded import GuardedRow, noticed_words
@@ -22,11 +16,11 @@ from madviz.measure.audit.sentences import (
     in_words,
     planned,
 )
+from madviz.measure.blocks import Block
 from madviz.measure.episodes import clipped_words
 from madviz.measure.statistics import SuccessRate
 from madviz.plots import figures
 from madviz.policies.seeds import use_of
-from madviz.system.markdown import markdown_table
 
 HOW_TO_READ = (
     "Success counts at the last step of an episode. All conditions met the same scenes, so that a "
@@ -44,32 +38,9 @@ HOW_TO_READ = (
     "An audit is about one training of a policy, in simulation, on the scenes of these seeds.",
 )
 
-_STYLE = """
-body{font:15px/1.55 sans-serif;max-width:960px;margin:28px auto;padding:0 18px;color:#222;
-background:#fff}h1{font-size:24px;margin:0 0 10px;overflow-wrap:anywhere}
-h2{font-size:17px;margin:30px 0 8px}
-ul{padding-left:20px;margin:0}li{margin:0 0 5px}ul.words{font-size:17px}
-table{border-collapse:collapse;margin:0 0 8px}.wide{overflow-x:auto}
-td,th{padding:3px 16px 3px 0;text-align:left;white-space:nowrap;
-border-bottom:1px solid #e4e4e4}th{font-weight:600;color:#555}
-code{background:#f1f1f1;padding:2px 5px;overflow-wrap:anywhere}p{margin:0 0 8px}
-svg{max-width:100%;height:auto;display:block;margin-bottom:10px}
-"""
 
-
-@dataclass(frozen=True)
-class Block:
-    """A piece of an account: a heading, lines, a table or a picture."""
-
-    kind: str
-    """``h1``, ``h2``, ``p``, ``words``, ``list``, ``code``, ``table`` or ``svg``."""
-    lines: Sequence[str] = ()
-    """Text; of a table, its heads."""
-    rows: Sequence[Sequence[str]] = ()
-
-
-def account(found: AuditFile, command: str) -> list[Block]:
-    """All blocks; ``command`` makes the audit again."""
+def account(found: AuditFile, command: str, pairs: Sequence[Block] = ()) -> list[Block]:
+    """All blocks; ``command`` makes the audit again, ``pairs`` show episodes that turned."""
     clipped = clipped_words(found.get("outside", 0.0))
     return [
         Block("h1", [f"Does {found['policy']} use its cameras?"]),
@@ -79,6 +50,7 @@ def account(found: AuditFile, command: str) -> list[Block]:
         Block("table", VERDICT_HEADS, _verdict_rows(found)),
         *([Block("p", [clipped])] if clipped else []),
         Block("list", [f"{name}: {meaning}." for name, meaning in MEANING.items()]),
+        *pairs,
         Block("h2", ["Success by condition"]),
         Block("svg", [rates_picture(found)]),
         *_shapley(found),
@@ -189,52 +161,3 @@ def _facts(found: AuditFile) -> list[tuple[str, str]]:
         ("seeds", f"{used[0]} to {used[-1]} ({use_of(used)})"),
         ("looks", ", ".join(map(str, found["looks"])) + " episodes"),
     ]
-
-
-def markdown(found: AuditFile, command: str) -> str:
-    """audit.md: the account without its pictures."""
-    return "\n\n".join(filter(None, map(_as_markdown, account(found, command)))) + "\n"
-
-
-def _as_markdown(block: Block) -> str:
-    if block.kind == "table":
-        rows = [[cell.replace("|", "/") for cell in row] for row in (block.lines, *block.rows)]
-        return markdown_table(rows[0], rows[1:])
-    if block.kind in ("words", "list"):
-        return "\n".join(f"- {line}" for line in block.lines)
-    text = " ".join(block.lines)
-    marks = {"h1": "# {}", "h2": "## {}", "code": "```sh\n{}\n```", "svg": ""}
-    return marks.get(block.kind, "{}").format(text)
-
-
-def html(found: AuditFile, command: str) -> str:
-    """audit.html."""
-    blocks = account(found, command)
-    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
-        '<meta name="viewport" content="width=device-width">'
-        f"<title>{escape(blocks[0].lines[0])}</title><style>{_STYLE}</style></head>"
-        f"<body>{''.join(map(_as_html, blocks))}</body></html>\n"
-    )
-
-
-def _as_html(block: Block) -> str:
-    if block.kind == "svg":
-        return block.lines[0]
-    if block.kind == "table":
-        heads = "".join(f"<th>{escape(head)}</th>" for head in block.lines)
-        head = f"<tr>{heads}</tr>" if any(block.lines) else ""
-        rows = "".join(
-            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
-            for row in block.rows
-        )
-        return f'<div class="wide"><table>{head}{rows}</table></div>'
-    if block.kind in ("words", "list"):
-        items = "".join(f"<li>{escape(line)}</li>" for line in block.lines)
-        return f'<ul class="{block.kind}">{items}</ul>'
-    text = escape(" ".join(block.lines))
-    if block.kind == "code":
-        return f"<p><code>{text}</code></p>"
-    return f"<{block.kind}>{text}</{block.kind}>"

@@ -6,6 +6,11 @@ plays the same scenes with every camera removed and alone, and with none, and wr
 audit.json and audit.md. Every episode is kept in episodes.sqlite of that folder as it finishes, so
 that an audit which was stopped goes on where it was, with the same command. policy.json says with
 which policy and seed it began; another one is refused.
+
+    madviz audit --policy metaworld-hammer-mad-light --along third_a.pan=-20:20 --out audit-hammer
+
+asks another question, how much is too much (``along.py``), with the same episodes, and writes
+along.html, along.json, along.md and along.csv.
 """
 
 from __future__ import annotations
@@ -16,31 +21,41 @@ import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from madviz.envs.registry import TaskName
 from madviz.errors import Interrupted, UserError, saving
 from madviz.guard.policy import guard_note
-from madviz.measure.audit.account import html, markdown
+from madviz.measure.audit.account import account
+from madviz.measure.audit.along import EPISODES as ALONG_EPISODES
+from madviz.measure.audit.along import AlongFile, along
+from madviz.measure.audit.along_account import along_account, along_csv, along_words
 from madviz.measure.audit.audited_policy import FILE, check_same_policy
 from madviz.measure.audit.document import AuditFile, audit_document, facts_of
 from madviz.measure.audit.guarded import guarded_rows
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras, How
 from madviz.measure.audit.schedule import AuditPlan, Outcomes
 from madviz.measure.audit.sentences import in_words, plan_words, planned
-from madviz.measure.episodes import FIRST_SEED
+from madviz.measure.audit.turned import along_pairs, audit_pairs
+from madviz.measure.blocks import Block, html, markdown
+from madviz.measure.episodes import FIRST_SEED, Job, Runner
+from madviz.measure.pairs import MOST as MOST_PAIRS
+from madviz.measure.pairs import pair_blocks
 from madviz.measure.store import MEMORY, Store
 from madviz.measure.table import Table, seeds_of_run
+from madviz.observation.condition import Condition
 from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
 from madviz.system.address import without_secrets
 from madviz.system.files import read_json, write_bytes, write_json, written_to
-from madviz.system.numbers import Count, Seed, ThreadsOrNone
+from madviz.system.numbers import Count, Range, Seed, ThreadsOrNone
 from madviz.types import Policy
 from madviz.wire.reference import with_wire
 
 EPISODES = "episodes.sqlite"
-FILES = ("audit.html", "audit.json", "audit.md")
+MOST = 100
+"""Episodes of each condition, where no other number is asked for."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +68,19 @@ class AuditConfig:
     """The folder for audit.html, audit.json, audit.md and the episodes; one for each audit."""
     task: TaskName | None = None
     """The task that the policy must be for; by default its own."""
-    episodes: Count = 100
-    """Episodes of each condition, at most: the audit stops early when all is decided."""
+    episodes: Count | None = None
+    """Episodes of each condition, at most: the audit stops early when all is decided. By default
+    100; with --along 60 of each axis."""
     seed: Seed = FIRST_SEED
     """The first episode's seed; the others count up, the same for every condition."""
     how: tuple[How, ...] = HOWS
     """The ways in which cameras are away; fewer take less time. Verdicts rest on ``dropped``, or on
     ``mean`` where the policy cannot drop a camera: what they need is always played."""
+    along: tuple[str, ...] = ()
+    """Instead: how much is too much, along axes such as ``third_a.pan=-20:20 third_a.blur=0:1
+    light=0.3:2 third_a.delay=0:8``; also forward, right, up, tilt, zoom, noise, patch and loss."""
+    pairs: Annotated[int, Range(int, 0, MOST_PAIRS)] = 4
+    """Episodes that turned, to be shown beside the intact ones: films that are made at the end."""
     workers: ThreadsOrNone | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
     json: str | None = None
@@ -77,7 +98,7 @@ class AuditConfig:
 def audit(
     policy: str | Path | Policy,
     *,
-    episodes: int = 100,
+    episodes: int = MOST,
     seed: int = FIRST_SEED,
     how: tuple[How, ...] = HOWS,
     workers: int | None = None,
@@ -125,60 +146,102 @@ def audit(
 # --- The command ----------------------------------------------------------------------------
 
 
-def run_audit(config: AuditConfig) -> AuditFile:
+def run_audit(config: AuditConfig) -> AuditFile | AlongFile:
     """``madviz audit``; progress goes to standard error. Raises Interrupted at Ctrl-C, and
     UserError for a policy of another task, and for a folder whose audit began with another policy
     or seed."""
     trust(config.policy, config.trust)
-    reference = with_wire(config.policy, config.wire)
-    policy = checkpoint.load_policy(reference)
-    guarded = with_guard(reference, True) if config.guard else None
+    plain = with_wire(config.policy, config.wire)
+    guarded = with_guard(plain, True) if config.guard else None
     if guarded is not None:
         checkpoint.load_policy(guarded)  # Before hours of episodes: its guard may not be fitted.
+    reference = guarded if guarded and config.along else plain
+    policy = checkpoint.load_policy(reference)
     if config.task not in (None, policy.spec.task):
         raise UserError(
             f"expected a policy for {config.task}, found {policy.spec.name!r} for "
             f"{policy.spec.task}; leave --task out, or name another policy"
         )
-    _check_folder(config.out, policy)
+    if config.along and config.how != HOWS:
+        raise UserError("--how is about cameras that are away; leave it out, or --along")
+    _check_folder(config, policy)
     check_same_policy(config.out, policy, config.seed)
     with closing(Store(config.out / EPISODES)) as store:
         try:
-            document = audit(
-                reference,
-                episodes=config.episodes,
-                seed=config.seed,
-                how=config.how,
-                workers=config.workers,
-                store=store,
-                progress=True,
-                guarded=guarded,
-            )
+            document, blocks = _measured(config, reference, guarded, policy, store)
         except KeyboardInterrupt as stopped:
             raise Interrupted(command(config, given_away=False), signal.SIGINT) from stopped
+    name = _name(config)
     with saving(document, f"--out {config.out}"):
-        write_json(config.out / "audit.json", document)
-        write_bytes(config.out / "audit.md", markdown(document, command(config)).encode())
-        write_bytes(config.out / "audit.html", html(document, command(config)).encode())
+        write_json(config.out / f"{name}.json", document)
+        write_bytes(config.out / f"{name}.md", markdown(blocks).encode())
+        write_bytes(config.out / f"{name}.html", html(blocks).encode())
+        if "axes" in document:
+            write_bytes(config.out / "along.csv", along_csv(document).encode())
     return document
 
 
-def _check_folder(out: Path, policy: Policy) -> None:
+def _measured(
+    config: AuditConfig, reference: str, guarded: str | None, policy: Policy, store: Store
+) -> tuple[AuditFile | AlongFile, list[Block]]:
+    """The document that ``config`` asks for, and its account."""
+    runner = Runner()
+    runner.adopt(reference, policy)
+    again = command(config)
+
+    def job(condition: Condition, seed: int) -> Job:
+        return Job(reference, policy.spec.digest, condition, seed)
+
+    with closing(runner):
+        if config.along:
+            rows = along(
+                reference,
+                config.along,
+                episodes=config.episodes or ALONG_EPISODES,
+                seed=config.seed,
+                workers=config.workers,
+                store=store,
+                progress=True,
+            )
+            pairs = along_pairs(rows, config.along, policy, job, config.pairs)
+            return rows, along_account(rows, again, pair_blocks(pairs, runner))
+        found = audit(
+            reference,
+            episodes=config.episodes or MOST,
+            seed=config.seed,
+            how=config.how,
+            workers=config.workers,
+            store=store,
+            progress=True,
+            guarded=guarded,
+        )
+        pairs = audit_pairs(found, policy, job, config.pairs)
+        return found, account(found, again, pair_blocks(pairs, runner))
+
+
+def _name(config: AuditConfig) -> str:
+    return "along" if config.along else "audit"
+
+
+def _check_folder(config: AuditConfig, policy: Policy) -> None:
     """Makes the folder. Raises UserError where it holds another policy's audit."""
+    out = config.out
     if not out.exists():
         written_to(out, "--out")
         out.mkdir()
     if not out.is_dir():
         raise UserError(f"--out {out}: expected a folder, found a file; choose another name")
-    for name in (*FILES, EPISODES, FILE):
+    for ending in ("html", "json", "md", "csv"):
+        written_to(out / f"{_name(config)}.{ending}", "--out")
+    for name in (EPISODES, FILE):
         written_to(out / name, "--out")
-    if (out / "audit.json").is_file():
-        before = read_json(out / "audit.json")
-        name = before.get("policy") if isinstance(before, dict) else None
-        if name != policy.spec.name:
+    for name in ("audit.json", "along.json"):
+        before = read_json(out / name) if (out / name).is_file() else {}
+        known = before.get("policy") if isinstance(before, dict) else None
+        if before and known != policy.spec.name:
             raise UserError(
                 f"--out {out}: expected a folder of its own for the audit of {policy.spec.name!r}, "
-                f"found one of {name!r:.100}; choose another"
+                f"found one of {known!r:.100}; choose another"
             )
 
 
@@ -193,12 +256,17 @@ def command(config: AuditConfig, given_away: bool = True) -> str:
     words += ["--guard"] if config.guard else []
     if config.task is not None:
         words += ["--task", config.task]
-    words += ["--episodes", str(config.episodes), "--seed", str(config.seed)]
+    most = config.episodes or (ALONG_EPISODES if config.along else MOST)
+    words += ["--episodes", str(most), "--seed", str(config.seed)]
+    words += ["--along", *config.along] if config.along else []
+    words += ["--pairs", str(config.pairs)] if config.pairs != AuditConfig.pairs else []
     if config.how != HOWS:
         words += ["--how", *config.how]
     return shlex.join([*words, "--out", out])
 
 
-def audit_words(found: AuditFile) -> str:
+def audit_words(found: AuditFile | AlongFile) -> str:
     """The text that the command prints."""
+    if "axes" in found:
+        return "\n".join(along_words(found))
     return "\n".join([*in_words(found), planned(found)])

@@ -51,6 +51,10 @@ class ConditionRow(DifferenceRow):
     together (``verdict.py``); *makes no difference* is said from it."""
     above_none: NotRequired[DifferenceRow]
     """This camera alone against no camera, where the verdict rests on it."""
+    lost: NotRequired[list[int]]
+    """The seeds that succeed with all cameras, and not here; ``won`` has the others that turned.
+    Older documents have neither."""
+    won: NotRequired[list[int]]
 
 
 class OccludedRow(DifferenceRow):
@@ -175,6 +179,10 @@ def _rows(plan: AuditPlan, seen: Seen, look: Look, judgement: Judgement) -> list
     against_intact = corrected([(seen[row.condition], seen[INTACT]) for row in others], look)
     p |= dict(zip(others, against_intact, strict=True))
     documents = {row: _row(row, seen, float(p[row])) for row in rows}
+    for row, document in documents.items():
+        change = seen[row.condition].astype(int) - seen[INTACT]  # (n,)
+        document["lost"] = [plan.seed + int(place) for place in np.flatnonzero(change < 0)]
+        document["won"] = [plan.seed + int(place) for place in np.flatnonzero(change > 0)]
     low, high = judgement.change
     for each, p_alone, *ends in zip(deciding, judgement.p_alone, low, high, strict=True):
         documents[each.removed]["ci_all"] = [float(end) for end in ends]

@@ -1,0 +1,282 @@
+"""Show me: an episode that turned, beside the one that it is compared with.
+
+A rate says how often; a pair shows what happens. Both episodes are of one seed. They are played
+again, which gives the same episodes to the bit for a policy that repeats itself; where the outcome
+is another one this time, the pair is left out, and the page says how many were.
+
+The actions part at the first step from which they differ for ``STEPS`` steps by more than ``FAR``
+of the spread of the first episode's actions. Up to there both robots do the same.
+"""
+
+from __future__ import annotations
+
+import shlex
+import tempfile
+from base64 import b64encode
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import cv2
+import imageio.v2 as imageio
+import numpy as np
+
+from madviz.measure.attention import places_html
+from madviz.measure.blocks import Block, html
+from madviz.measure.episodes import Job, Runner
+from madviz.observation.grammar import condition_text
+from madviz.observation.streams import StreamStack
+from madviz.plots.figures import curves
+from madviz.policies import checkpoint
+from madviz.subsets import camera_of, cameras_of
+from madviz.system.files import write_bytes
+from madviz.types import Array, Encoded, Environment
+
+MOST = 12
+"""Pairs on a page."""
+STEPS = 3
+FAR = 0.1
+SIDE = 168
+"""Pixels of a camera in a film."""
+BAR = 8
+"""Pixels of the time line above it."""
+GAP = 4
+FPS = 10
+RATE = 30
+"""x264's constant rate factor: greater is smaller."""
+MARK = (184, 134, 11)
+_DIM = 0.3
+"""Brightness of a camera that is dropped: the policy does not get its picture."""
+
+
+@dataclass(frozen=True)
+class EpisodePair:
+    """Two episodes of one seed."""
+
+    first: Job
+    second: Job
+    labels: tuple[str, str]
+    """The words for each: ``all cameras`` and ``First person dropped``."""
+    successes: tuple[bool, bool]
+    """The outcomes that were measured."""
+
+
+@dataclass
+class EpisodeAgain:
+    """An episode that was played again."""
+
+    pictures: list[Array] = field(default_factory=list)
+    """One for each decision, (SIDE, W, 3): all cameras side by side."""
+    actions: list[Array] = field(default_factory=list)
+    """(A,) each."""
+    looks: list[tuple[Array, Array]] = field(default_factory=list)
+    """The policy's input at each decision: views (V, C, H, W) and state (S,); where they are
+    kept."""
+    success: bool = False
+
+
+@dataclass(frozen=True)
+class ShownPair:
+    """A pair with its two episodes."""
+
+    pair: EpisodePair
+    first: EpisodeAgain
+    second: EpisodeAgain
+
+    @property
+    def distances(self) -> Array:
+        """(T,): how far the actions are apart, in spreads of the first episode's."""
+        steps = min(len(self.first.actions), len(self.second.actions))
+        first, second = (np.stack(one.actions[:steps]) for one in (self.first, self.second))
+        spread = float(np.sqrt(((first - first.mean(0)) ** 2).sum(-1).mean()))
+        return np.linalg.norm(first - second, axis=-1) / max(spread, 1e-9)
+
+    @property
+    def parts(self) -> int | None:
+        """The step at which the actions part; None where they do not."""
+        return parting(self.distances)
+
+
+def parting(distances: Array) -> int | None:
+    """The first of ``STEPS`` steps in a row whose distance is above ``FAR``; None for none."""
+    far = np.asarray(distances) > FAR
+    runs = np.convolve(far, np.ones(STEPS), "valid") == STEPS if len(far) >= STEPS else far[:0]
+    return int(np.argmax(runs)) if runs.any() else None
+
+
+def show(pairs: Sequence[EpisodePair], runner: Runner) -> list[ShownPair]:
+    """Plays the episodes of ``pairs`` again; those whose outcomes are others now are left out."""
+    known: dict[Job, EpisodeAgain] = {}
+    for job in dict.fromkeys(pair.first for pair in pairs):
+        known[job] = played(job, runner, keep=True)
+    for job in dict.fromkeys(pair.second for pair in pairs):
+        known[job] = known.get(job) or played(job, runner)
+    return [
+        ShownPair(pair, known[pair.first], known[pair.second])
+        for pair in pairs
+        if pair.successes == (known[pair.first].success, known[pair.second].success)
+    ]
+
+
+def played(job: Job, runner: Runner, keep: bool = False) -> EpisodeAgain:
+    """Plays the episode of ``job``, and keeps pictures and actions; to ``keep``, also looks."""
+    result = EpisodeAgain()
+    _, policy = runner.opened(job)
+    streams = policy.spec.streams
+    present = job.condition.ablation(streams).present(streams)
+
+    def watch(env: Environment, stack: StreamStack, encoded: Encoded, action: Array) -> None:
+        tiles = []
+        for camera in cameras_of(streams):
+            stream = next(one for one in streams if camera_of(one) == camera)
+            picture = stack.newest[stream]  # (H, W, C)
+            if camera not in present:
+                picture = (_DIM * env.view(camera).rgb).astype(np.uint8)
+            elif picture.shape[2] == 1:
+                picture = picture.repeat(3, axis=2)
+            tiles += [_sized(picture), np.full((SIDE, GAP, 3), 40, np.uint8)]
+        result.pictures.append(np.concatenate(tiles[:-1], axis=1))
+        result.actions.append(np.asarray(action, np.float32))
+        if keep:
+            result.looks.append((stack.views, encoded.state))
+
+    result.success = runner.run(job, watch)[0].success
+    return result
+
+
+def _sized(picture: Array) -> Array:
+    return cv2.resize(picture, (SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
+
+
+def film(shown: ShownPair) -> bytes:
+    """An MP4 file: a time line on which the step is marked at which the actions part, the first
+    episode, and the second under it. The shorter one holds its last picture."""
+    rows = shown.first.pictures, shown.second.pictures
+    steps = max(map(len, rows))
+    width = rows[0][0].shape[1]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "pair.mp4"
+        options = ["-crf", str(RATE), "-threads", "1", "-map_metadata", "-1"]
+        settings = {"fps": FPS, "codec": "libx264", "quality": None, "macro_block_size": 2}
+        writer: Any = imageio.get_writer(
+            file, output_params=options, ffmpeg_log_level="error", **settings
+        )
+        with writer:
+            for step in range(steps):
+                line = np.full((BAR, width, 3), 60, np.uint8)
+                line[:, : round(width * (step + 1) / steps)] = 150
+                if shown.parts is not None:
+                    place = round((width - 4) * shown.parts / steps)
+                    line[:, place : place + 4] = MARK
+                above, below = (row[min(step, len(row) - 1)] for row in rows)
+                gap = np.full((GAP, width, 3), 40, np.uint8)
+                writer.append_data(np.concatenate([line, above, gap, below]))
+        return file.read_bytes()
+
+
+# --- On a page ---
+
+
+def pair_blocks(pairs: Sequence[EpisodePair], runner: Runner) -> list[Block]:
+    """The part of a page that shows ``pairs``; nothing where there are none."""
+    if not pairs:
+        return []
+    shown = show(pairs, runner)
+    blocks = [Block("h2", ["Show me"])]
+    blocks += [Block("raw", [sentence(one), _html(one, runner)]) for one in shown]
+    if len(shown) < len(pairs):
+        blocks.append(
+            Block(
+                "p",
+                [
+                    f"{len(pairs) - len(shown)} of {len(pairs)} pairs came out otherwise when they "
+                    "were played again, and are not shown: this policy does not repeat itself."
+                ],
+            )
+        )
+    return blocks
+
+
+def sentence(shown: ShownPair) -> str:
+    """``Seed 60003: success with all cameras, none with First person dropped. …``."""
+    pair = shown.pair
+    words = ["success" if success else "no success" for success in pair.successes]
+    step = shown.parts
+    steps = len(shown.distances)
+    apart = (
+        "Their actions never part for long."
+        if step is None
+        else f"Their actions part at step {step} of {steps}."
+    )
+    first, second = pair.labels
+    return f"Seed {pair.first.seed}: {words[0]} with {first}, {words[1]} with {second}. {apart}"
+
+
+def explore_command(job: Job) -> str:
+    """The command that opens the episode of ``job`` on the page."""
+    words = ["madviz", "explore", "--policy", checkpoint.shown(job.policy or "POLICY")]
+    words += ["--seed", str(job.seed), "--condition", condition_text(job.condition)]
+    return shlex.join(words)
+
+
+def _html(shown: ShownPair, runner: Runner) -> str:
+    pair = shown.pair
+    env, policy = runner.opened(pair.first)
+    names = [env.spec.camera(name).label for name in cameras_of(policy.spec.streams)]
+    step = shown.parts
+    marks = {} if step is None else {step: "the actions part"}
+    distances = list(map(float, shown.distances))
+    drawn = curves(
+        "How far the actions are apart, in spreads",
+        {"distance": distances},
+        {"distance": "#0b6e99"},
+        marks,
+        len(distances),
+    )
+    film_url = "data:video/mp4;base64," + b64encode(film(shown)).decode()
+    first, second = (escape(label) for label in pair.labels)
+    return (
+        f'<details class="pair"><summary>{escape(sentence(shown))}</summary>'
+        f"<p>Above: {first}. Under it: {second}. From left to right: {escape(', '.join(names))}. "
+        "The mark on the time line is where the actions part.</p>"
+        f'<video controls loop muted playsinline preload="metadata" src="{film_url}"></video>'
+        f"{drawn}{places_html(shown.first.looks, step, pair.first, runner)}"
+        "<p>Open it in the explorer, the same seed and switches:</p>"
+        f"<p><code>{escape(explore_command(pair.second))}</code></p></details>"
+    )
+
+
+def turned(
+    first: Mapping[int, bool],
+    second: Mapping[int, bool],
+    jobs: tuple[Callable[[int], Job], Callable[[int], Job]],
+    labels: tuple[str, str],
+) -> list[EpisodePair]:
+    """The pairs whose outcomes differ, those that only the first solves before the others;
+    outcomes by seed, and the episode of a seed for each."""
+    seeds = sorted(
+        (seed for seed in first if first[seed] != second[seed]), key=lambda s: (second[s], s)
+    )
+    return [
+        EpisodePair(jobs[0](seed), jobs[1](seed), labels, (first[seed], second[seed]))
+        for seed in seeds
+    ]
+
+
+def in_turns(lists: Sequence[Sequence[EpisodePair]], most: int) -> list[EpisodePair]:
+    """At most ``most`` pairs, the first of every list, then the second, and so on."""
+    longest = max(map(len, lists), default=0)
+    return [one[place] for place in range(longest) for one in lists if place < len(one)][:most]
+
+
+def write_page(
+    file: Path, title: str, text: str, pairs: Sequence[EpisodePair], runner: Runner
+) -> None:
+    """A page with the lines of ``text`` and with ``pairs``."""
+    with closing(runner):
+        blocks = [Block("h1", [title]), Block("list", text.splitlines())]
+        shown = pair_blocks(pairs, runner) or [Block("p", ["No episode turned."])]
+        write_bytes(file, html([*blocks, *shown]).encode())

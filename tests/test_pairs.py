@@ -1,0 +1,167 @@
+"""Show me: the episodes behind a verdict, beside the ones they are compared with."""
+
+from __future__ import annotations
+
+import re
+from base64 import b64decode
+from dataclasses import replace
+from functools import partial
+
+import imageio.v2 as imageio
+import numpy as np
+import pytest
+
+from madviz import cli
+from madviz.app.server import ExploreConfig, beginning
+from madviz.envs.registry import SETTINGS
+from madviz.errors import UserError
+from madviz.measure.audit.audit import AuditConfig, run_audit
+from madviz.measure.episodes import Job, Runner
+from madviz.measure.pairs import EpisodePair, explore_command, pair_blocks, parting, played, show
+from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.condition import Condition
+from madviz.observation.displacement import Displacement, MoveCamera
+from madviz.observation.grammar import condition_text, parse_condition
+from madviz.session.commands import SetCamera
+from tests.test_audit import Looker
+
+ALL, ALONE = Condition("all"), Condition("first")
+LABELS = ("all cameras", "Third B dropped")
+
+
+def runner_of(policy) -> Runner:
+    runner = Runner()
+    runner.adopt("p", policy)
+    return runner
+
+
+def job(condition: Condition, seed: int = 60_000) -> Job:
+    return Job("p", "looker", condition, seed)
+
+
+def test_actions_part_where_they_stay_apart_for_three_steps():
+    assert parting(np.array([0, 0.2, 0, 0.2, 0.2, 0.05, 0.2, 0.3, 0.11])) == 6
+    assert parting(np.array([0.2, 0.2])) is None and parting(np.zeros(9)) is None
+
+
+def test_an_episode_is_played_again_with_the_pictures_that_the_policy_got():
+    runner = runner_of(Looker())
+    whole, broken = played(job(ALL), runner), played(job(ALONE), runner)
+    assert whole.success and not broken.success
+    assert whole.pictures[0].shape == (168, 2 * 168 + 4, 3)
+    assert np.array_equal(whole.pictures[0][:, :168], broken.pictures[0][:, :168])
+    dimmed, seen = (one.pictures[0][:, -168:].astype(float) for one in (broken, whole))
+    assert np.abs(dimmed - 0.3 * seen).max() <= 2
+    black = played(job(Condition("all", (("third_b", Occlusion("black")),))), runner)
+    assert not black.pictures[0][:, -168:].any()
+    again = played(job(ALL), runner)
+    assert np.array_equal(again.actions, whole.actions)
+
+
+def test_a_pair_says_when_the_actions_part_and_has_a_film_of_both(tmp_path):
+    runner = runner_of(Looker())
+    pair = EpisodePair(job(ALL), job(ALONE), LABELS, (True, False))
+    (heading, block) = pair_blocks([pair], runner)
+    text, html = block.lines
+    assert heading.lines == ["Show me"]
+    assert text.startswith(
+        "Seed 60000: success with all cameras, no success with Third B dropped. Their actions part "
+        "at step 0 of "
+    )
+    assert "madviz explore --policy p --seed 60000 --condition first<" in html
+    assert "First person, Third B" in html and 'class="mark 0"' in html
+    film = b64decode(re.search(r"data:video/mp4;base64,([^\"]+)", html)[1])
+    (tmp_path / "pair.mp4").write_bytes(film)
+    with imageio.get_reader(tmp_path / "pair.mp4") as reader:
+        frames = [np.asarray(frame) for frame in reader]  # type: ignore[attr-defined]
+    (shown,) = show([pair], runner)
+    assert len(frames) == max(len(shown.first.pictures), len(shown.second.pictures))
+    assert frames[0].shape == (8 + 2 * 168 + 4, 2 * 168 + 4, 3) and len(film) < 150_000
+
+
+def test_pairs_that_come_out_otherwise_are_left_out_and_counted():
+    pair = EpisodePair(job(ALL), job(ALONE), LABELS, (True, True))
+    blocks = pair_blocks([pair], runner_of(Looker()))
+    assert "1 of 1 pairs came out otherwise" in blocks[-1].lines[0]
+
+
+def test_an_audit_keeps_the_seeds_that_turned_and_its_page_shows_pairs(tmp_path):
+    config = AuditConfig(
+        "tests.test_audit:make_looker", tmp_path, episodes=2, how=("dropped",), workers=0, pairs=2
+    )
+    found = run_audit(config)
+    removed = next(
+        r for r in found["conditions"] if (r["camera"], r["what"]) == ("third_b", "removed")
+    )
+    assert removed["lost"] == [60_000, 60_001] and removed["won"] == []
+    page = (tmp_path / "audit.html").read_bytes()
+    assert page.count(b"<video") == 2 and b"<script" not in page and len(page) < 1_000_000
+    (tmp_path / "audit.html").unlink()
+    run_audit(config)
+    assert (tmp_path / "audit.html").read_bytes() == page
+    assert "Their actions part at step" in (tmp_path / "audit.md").read_text()
+
+
+def test_compare_shows_the_same_page(tmp_path):
+    page = tmp_path / "pairs.html"
+    words = ["compare", "tests.test_audit:make_looker", "--conditions", "all", "third_b=black"]
+    words += ["--episodes", "1", "--workers", "0", "--page", str(page), "--json", "-"]
+    assert cli.main(words) == 0
+    text = page.read_text()
+    assert text.count("<video") == 1 and "no success with third_b=black" in text
+
+
+# --- Open in the explorer ---
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        "all",
+        "first+third_b",
+        "third_a=noise:0.3",
+        "first,first=patch:1:0.5:0.5:0.3:0.2",
+        "third_a.pan=-11",
+        "first=blur:0.5,third_a.right=0.1,third_a.zoom=1.5",
+    ],
+)
+def test_a_condition_can_be_written_and_read_again(word):
+    streams = SETTINGS["three"].streams
+    condition = parse_condition(word, streams).noticed(streams)
+    assert condition_text(condition) == word
+    assert parse_condition(condition_text(condition), streams).noticed(streams) == condition
+    assert explore_command(Job("p", "", condition, 7)).split()[-1] == word
+
+
+def test_the_page_begins_with_the_switches_of_an_episode():
+    spec = replace(Looker().spec, streams=SETTINGS["three"].streams)
+    start = partial(ExploreConfig, seed=60_003)
+    assert beginning(start(), spec) == ()
+    assert beginning(start(condition="third_a=black,first.pan=5"), spec) == (
+        SetCamera("third_a", CameraState("rgb", Occlusion("black"))),
+        MoveCamera("first", Displacement(pan=5)),
+    )
+    assert [c.camera for c in beginning(start(condition="first"), spec)] == ["third_a", "third_b"]
+    with pytest.raises(UserError, match="beside --replay"):
+        beginning(start(replay="x.json"), spec)
+    with pytest.raises(UserError, match="unknown camera"):
+        beginning(start(condition="nose.pan=5"), spec)
+
+
+@pytest.mark.slow
+def test_the_whole_chain_on_hammer(tmp_path):
+    """An audit of a policy that uses First person, its page with films and maps, and one axis."""
+    config = AuditConfig(
+        "metaworld-hammer-merged-only-light", tmp_path, episodes=2, how=("dropped",), pairs=2
+    )
+    found = run_audit(config)
+    page = (tmp_path / "audit.html").read_text()
+    assert page.count("<video") == 2 and page.count("data:image/jpeg") == 2
+    assert "Under it, the gradient of the network. First person: up to 0." in page
+    assert len(page) < 5_000_000 * 2 / 12
+    rows = {(row["camera"], row["what"]): row for row in found["conditions"]}
+    assert rows["first", "removed"]["lost"] == [60_000, 60_001]
+    along = run_audit(replace(config, along=("first.pan=0:40",), episodes=16, pairs=1))
+    (side,) = along["axes"][0]["sides"]
+    assert 0 < side["breaking"] < 40
+    assert (tmp_path / "along.html").read_text().count("<video") == 1
