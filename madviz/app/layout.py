@@ -34,7 +34,7 @@ from madviz.app.panels.subsets import SubsetsPanel
 from madviz.app.panels.success import SuccessPanel
 from madviz.app.panels.timeline import TimelinePanel
 from madviz.app.panels.training import TrainingPanel
-from madviz.app.panels.words import WordsPanel
+from madviz.app.panels.words import Prediction, WordsPanel
 from madviz.app.refresh import FASTEST, Refresh, TimedPanel
 from madviz.app.scene.arrows import ArrowsPanel
 from madviz.app.scene.scene import ScenePanel, extent
@@ -87,10 +87,11 @@ class Panels:
         readonly: bool,
         greet: bool,
         measures: bool,
+        prediction: Prediction,
     ) -> None:
         """``newest`` is what the page shows last; ``wide`` windows have more room; who is
         ``readonly`` watches somebody else's session; ``greet`` offers a comparison; ``measures``
-        is as in ``SuccessPanel``."""
+        is as in ``SuccessPanel``; ``prediction`` is the visitor's."""
         self._client = client
         self._session = session
         self._shared = shared
@@ -103,14 +104,14 @@ class Panels:
         named = shared.references.name_of
         visitor = None if readonly else client.client_id
         keys = Keys(self._send, newest, frame)
-        tour = Tour(client, self._send, newest, choices, keys.help, named, self._guessed)
+        tour = Tour(client, self._send, newest, choices, keys.help, named, prediction.take)
         policy = PolicyPanel(gui, self._send, frame, choices, named)
         self.success = SuccessPanel(gui, frame, rates, visitor, measures)
         dockable = dock(client, wide)
         with dockable.add_tab("Cameras", viser.Icon.CAMERA):
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
             cameras = CamerasPanel(gui, self._send, frame, width, PAIRED_WIDE if wide else PAIRED)
-            self._words = WordsPanel(gui, frame, rates)
+            words = WordsPanel(gui, frame, rates, None if readonly else prediction)
             if self._send is not None:
                 cameras.breaks = BreakPanel(gui, self._send, frame, client.scene, named)
             tabs = gui.add_tab_group()
@@ -123,7 +124,7 @@ class Panels:
         self.panels = [
             TimedPanel(cameras, FASTEST),
             TimedPanel(policy, FASTEST),
-            TimedPanel(self._words, FASTEST),
+            TimedPanel(words, FASTEST),
             *breaks,
             *tabbed,
             TimedPanel(self.success, 0.5),
@@ -181,9 +182,6 @@ class Panels:
         add(more.add_tab("Train"), (lambda: TrainingPanel(gui, send, frame, shared.training), 1.0))
         add(more.add_tab("Save"), (lambda: SavePanel(gui, self._session.save, frame), 1.0))
         return built
-
-    def _guessed(self, guess: str) -> None:
-        self._words.guess = guess
 
     def _explain(self, target: Target | None) -> None:
         self._session.send(SetSaliency(target))

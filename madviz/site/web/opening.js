@@ -7,7 +7,7 @@
 
 import {noOcclusion} from './camera_state.js';
 import {make, say} from './dom.js';
-import {BOTH, endingOf, guessWords} from './ending.js';
+import {endingOf, guessWords} from './ending.js';
 import {effectWords, labelOf} from './words.js';
 
 /** @typedef {import('./messages.js').Frame} Frame */
@@ -28,11 +28,6 @@ export function openingEvents({camera, step}) {
 export function headline({entries}) {
   return entries.length > 1 ? 'Two policies, the same start, and one camera goes off'
     : 'One robot, several cameras, and one of them goes off';
-}
-
-/** The answers to the question who will succeed. @param {Opening} opening */
-export function guesses({entries}) {
-  return [...entries.map(entry => entry.label), BOTH];
 }
 
 /**
