@@ -19,7 +19,7 @@ from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel, status_html
 from madviz.app.panels.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
 from madviz.app.panels.success import SuccessPanel
-from madviz.app.panels.words import WordsPanel
+from madviz.app.panels.words import Prediction, WordsPanel
 from madviz.app.scene.scene import ScenePanel
 from madviz.app.screen import Screen
 from madviz.app.success_rates import SuccessRates
@@ -175,15 +175,57 @@ def test_an_episode_ends_in_words_and_a_guess_counts_for_one(server):
     session = Recorder()
     session.at(0.0)
     gui = recorded(server.gui)
-    panel = WordsPanel(gui, session.frames[-1], SuccessRates())
+    prediction = Prediction()
+    panel = WordsPanel(gui, session.frames[-1], SuccessRates(), prediction)
     session.ask(Compare("toy-other"))
-    panel.hear("both")
+    prediction.take("both")
     first = session.steps(25)
     apply(panel.update(first))
     assert first.ended and "You said both" in gui.html and "not measured yet" in gui.html
     apply(panel.update(session.steps(1)))
     apply(panel.update(session.steps(25)))
     assert "mv-ending" in gui.html and "You said" not in gui.html
+    panel.remove()
+
+
+def test_a_guess_on_a_later_episode_waits_for_it(server):
+    session = Recorder()
+    session.at(0.0)
+    gui = recorded(server.gui)
+    prediction = Prediction()
+    panel = WordsPanel(gui, session.frames[-1], SuccessRates(), prediction)
+    session.ask(Compare("toy-other"))
+    prediction.take("both", asked_in=session.frames[-1].world.episode)
+    apply(panel.update(session.steps(25)))
+    assert "mv-ending" in gui.html and "You said" not in gui.html
+    apply(panel.update(session.steps(1)))
+    apply(panel.update(session.steps(25)))
+    assert "You said both" in gui.html
+    panel.remove()
+
+
+def test_a_dropped_camera_is_a_question_until_it_is_answered_or_silenced(server):
+    session = Recorder()
+    session.at(0.0)
+    gui = recorded(server.gui)
+    prediction = Prediction()
+    panel = WordsPanel(gui, session.frames[-1], SuccessRates(), prediction)
+    answers = gui.find("Your guess")
+    apply(panel.update(session.steps(1)))
+    assert not answers.visible
+    apply(panel.update(session.ask(SetCamera("first", OFF))))
+    assert answers.visible and answers.options == ("yes", "no", "just show me")
+    assert "Will it still do it?" in gui.html
+    use(answers, "no")
+    assert not answers.visible and "You say no." in gui.html
+    apply(panel.update(session.steps(24)))
+    assert "You said no" in gui.html
+    apply(panel.update(session.ask(Compare("toy-other"))))
+    apply(panel.update(session.ask(SetCamera("third_a", OFF))))
+    assert answers.visible and answers.options == ("MAD", "Merged Only", "both", "just show me")
+    use(answers, "just show me")
+    apply(panel.update(session.ask(SetCamera("third_b", OFF))))
+    assert not answers.visible and prediction.silent
     panel.remove()
 
 

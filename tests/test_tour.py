@@ -201,6 +201,10 @@ def test_a_guess_is_heard_and_leads_on(table: Table, server: viser.ViserServer):
     labels = [getattr(handle, "label", "") for handle in client.gui.present]
     assert "Your guess" not in labels
     tour.end()
+    tour.greet()
+    use(client.gui.find("just show me"))
+    assert guesses == ["both", "just show me"]
+    tour.end()
 
 
 def test_where_guards_are_fitted_the_comparison_has_three_acts(

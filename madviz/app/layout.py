@@ -35,7 +35,7 @@ from madviz.app.panels.subsets import SubsetsPanel
 from madviz.app.panels.success import SuccessPanel
 from madviz.app.panels.timeline import TimelinePanel
 from madviz.app.panels.training import TrainingPanel
-from madviz.app.panels.words import WordsPanel
+from madviz.app.panels.words import Prediction, WordsPanel
 from madviz.app.refresh import FASTEST, Refresh, TimedPanel
 from madviz.app.scene.arrows import ArrowsPanel
 from madviz.app.scene.scene import ScenePanel, extent
@@ -88,16 +88,18 @@ class Panels:
         readonly: bool,
         greet: bool,
         measures: bool,
+        prediction: Prediction,
     ) -> None:
         """``newest`` is what the page shows last; ``wide`` windows have more room; who is
         ``readonly`` watches somebody else's session; ``greet`` offers a comparison; ``measures``
-        is as in ``SuccessPanel``."""
+        is as in ``SuccessPanel``; ``prediction`` is the visitor's."""
         self._client = client
         self._session = session
         self._shared = shared
         self._newest = newest
         self._send = None if readonly else session.send
         self._wide = wide
+        self._prediction = prediction
         gui = client.gui
         choices = shared.choices
         rates = shared.rates
@@ -112,7 +114,7 @@ class Panels:
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
             cameras = CamerasPanel(gui, self._send, frame, width, PAIRED_WIDE if wide else PAIRED)
             guard = GuardPanel(gui, self._send, frame, named)
-            self._words = WordsPanel(gui, frame, rates)
+            words = WordsPanel(gui, frame, rates, None if readonly else prediction)
             if self._send is not None:
                 cameras.breaks = BreakPanel(gui, self._send, frame, client.scene, named)
             tabs = gui.add_tab_group()
@@ -126,7 +128,7 @@ class Panels:
             TimedPanel(cameras, FASTEST),
             TimedPanel(guard, 0.25),
             TimedPanel(policy, FASTEST),
-            TimedPanel(self._words, FASTEST),
+            TimedPanel(words, FASTEST),
             *breaks,
             *tabbed,
             TimedPanel(self.success, 0.5),
@@ -186,7 +188,9 @@ class Panels:
         return built
 
     def _guessed(self, guess: str) -> None:
-        self._words.hear(guess)
+        frame = self._newest()
+        now = frame.world.episode if isinstance(frame, Frame) else None
+        self._prediction.take(guess, asked_in=now)
 
     def _explain(self, target: Target | None) -> None:
         self._session.send(SetSaliency(target))

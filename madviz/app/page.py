@@ -21,6 +21,7 @@ import viser
 from madviz.app.layout import Panels, Shared
 from madviz.app.markup import error_html
 from madviz.app.panel import apply
+from madviz.app.panels.words import Prediction
 from madviz.app.toolkit import window_is_wide
 from madviz.session.frame import Change, Frame, NoFrame
 from madviz.session.live_session import LiveSession
@@ -52,6 +53,7 @@ class Page:
         """Until it has: whoever comes is offered a comparison once."""
         self._measures = True
         """Whether success is measured for this page, as its visitor left the switch."""
+        self._prediction = Prediction()
         self._waiting: viser.GuiHtmlHandle | None = None
         self._panels: Panels | None = None
         self._wanted: object = None
@@ -205,6 +207,7 @@ class Page:
                 readonly=self._readonly,
                 greet=greet,
                 measures=self._measures,
+                prediction=self._prediction,
             )
 
 

@@ -49,7 +49,8 @@ HELP = """
 gets their pictures and says how the hand moves next. You may take cameras away while it works.
 
 **off** takes a camera away: nothing of it is added. **break …** breaks it instead: it still sends
-pictures, but bad ones (black, noise, frozen, blurred, covered, lost or late), or from elsewhere.
+pictures, but bad ones (**black**, noise, frozen, blurred, a patch, lossy or late), or from
+elsewhere.
 
 **merged** is what the policy acts on: what it makes of each camera's picture, added up.
 
@@ -78,7 +79,7 @@ class Tour:
         guessed: Callable[[str], None] = lambda guess: None,
     ) -> None:
         """``send`` None: a watcher, who gets help only. ``keys``: (key, what it does). ``guessed``
-        hears who a visitor thinks will succeed."""
+        hears who a visitor thinks will succeed, or *just show me*."""
         self._client = client
         self._send = send
         self._newest = newest
@@ -152,9 +153,15 @@ class Tour:
             self._end = gui.add_button("end the tour", color="gray", hint="All as it was before.")
             place(gui, "tour-steps", 1, [Cell(self._next, 1), Cell(self._end, 1)])
             self._text = gui.add_html("")
-        self._next.on_click(heard(lambda _: self.next()))
+        self._next.on_click(heard(lambda _: self._go()))
         self._end.on_click(heard(lambda _: self.end()))
         self._show()
+
+    def _go(self) -> None:
+        step = self._steps[self._at] if self._panel is not None else None
+        if step is not None and step.guesses:
+            self._guessed(step.go)
+        self.next()
 
     def next(self) -> None:
         """One step on; after the last one the tour is over."""

@@ -60,11 +60,15 @@ def ending_of(frame: Frame, rate_of: RateOf) -> Ending | None:
     outcomes = [side.outcomes[-1] for side in sides]
     if len(outcomes) == 1 and not outcomes[0].deeds:
         return None
-    labels = [label_of(outcome.policy) for outcome in outcomes]
-    if len(set(labels)) < len(labels):
-        labels = ["A", "B"]
+    labels = side_labels([outcome.policy for outcome in outcomes])
     ended = [_side(label, one, rate_of) for label, one in zip(labels, outcomes, strict=True)]
     return ending(ended, done_words(frame.world.env.task))
+
+
+def side_labels(policies: Sequence[PolicySpec]) -> list[str]:
+    """The names of the sides in sentences: their policies', or A and B where those are the same."""
+    labels = [label_of(policy) for policy in policies]
+    return labels if len(set(labels)) == len(labels) else ["A", "B"]
 
 
 def _side(label: str, outcome: Outcome, rate_of: RateOf) -> EndedSide:
@@ -81,10 +85,17 @@ def ending(sides: Sequence[EndedSide], done: tuple[str, str]) -> Ending:
 
 
 BOTH = "both"
+YES_OR_NO = ("yes", "no")
+"""The answers to the question whether the only policy will succeed."""
 
 
 def guess_words(guess: str, winners: Sequence[str]) -> str:
-    """``You said both, and it was MAD alone.`` A guess is a label, or ``BOTH``."""
+    """``You said both, and it was MAD alone.`` A guess is a label, ``BOTH``, or one of
+    ``YES_OR_NO``."""
+    if guess in YES_OR_NO:
+        right = (guess == "yes") == bool(winners)
+        came = "it did" if winners else "it did not"
+        return f"You said {guess}, and so it was." if right else f"You said {guess}, but {came}."
     came = {0: "neither", 1: f"{next(iter(winners), '')} alone"}.get(len(winners), BOTH)
     right = guess == BOTH if len(winners) == 2 else list(winners) == [guess]
     return f"You said {guess}, and so it was." if right else f"You said {guess}, and it was {came}."

@@ -191,6 +191,9 @@ def visitor(long_visit: Visitor, app: App) -> Visitor:
         session.send(command)
     for camera in latest.world.env.cameras:
         session.send(SetCamera(camera.name, CameraState("rgb")))
+    close = long_visit.page.get_by_role("button", name="close", exact=True)
+    if close.count():
+        close.click()
     long_visit.until("status.setting === 'all' && status.phase === 'playing'")
     return long_visit
 

@@ -250,6 +250,7 @@ def test_nan_pauses_with_words_and_a_traceback_and_the_page_lives(visitor: Visit
 
 def test_absurd_numbers_from_the_page_do_no_harm(visitor: Visitor):
     visitor.breaks("noise", camera=0)
+    visitor.page.get_by_text("strength", exact=True).wait_for()
     box = visitor.page.locator("[data-mv-grid=breaks] input[inputmode=decimal]").first
     box.fill("1e9")
     box.press("Enter")

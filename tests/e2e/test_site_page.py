@@ -341,3 +341,21 @@ def test_a_site_that_is_not_whole_says_so(visit, tmp_path: Path):
         assert "404" in until(visit(f"{url}none/", ready=False), "404", "#notices")
         words = until(visit(f"{url}script/", ready=False), "could not start", "#loading")
         assert "newer browser" in words
+
+
+def test_who_drops_a_camera_is_asked_and_told(visit, address):
+    page = visit(address + f"#policy={MERGED_ONLY}", reduced_motion="reduce")  # It stands still.
+    page.locator("[data-camera=first] input[value=off]").check(force=True)
+    until(page, "Will it still do it?", "#line")
+    page.get_by_role("button", name="yes", exact=True).click()
+    until(page, "You say yes.", "#line")
+    page.get_by_role("button", name="Play", exact=True).click()
+    until(page, "You said yes, but it did not.", "#line")
+    page.get_by_role("button", name="Again", exact=True).click()
+    page.get_by_role("button", name="Pause", exact=True).click()
+    page.locator("[data-camera=first] input[value=both]").check(force=True)
+    page.locator("[data-camera=first] input[value=off]").check(force=True)
+    page.get_by_role("button", name="Just show me").click()
+    page.locator("[data-camera=third_a] input[value=off]").check(force=True)
+    until(page, "Third A is off", "#line")
+    assert page.get_by_role("button", name="yes", exact=True).count() == 0

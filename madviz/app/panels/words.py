@@ -1,20 +1,56 @@
-"""The line under the pictures: what a visitor has just changed, and how the episode ended."""
+"""The line under the pictures: what a visitor has just changed, and how the episode ended.
+
+When a camera is dropped, it asks who will still succeed. Nothing waits for the answer, which is
+compared with the end.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from html import escape
 
 import viser
 
+from madviz.app.panel import Assign, apply
 from madviz.app.success_rates import SuccessRates
-from madviz.app.toolkit import HtmlPanel
+from madviz.app.toolkit import HtmlPanel, heard
 from madviz.drawing.colours import NOTE
-from madviz.session.ending import Ending, ending_of, guess_words
+from madviz.session.ending import BOTH, YES_OR_NO, Ending, ending_of, guess_words, side_labels
 from madviz.session.frame import Change, Frame, deed, words
 from madviz.session.guard_words import guard_sentence
 from madviz.types import PolicySpec
 
+ASKS = {1: "Will it still do it?", 2: "Which will still do it?"}
+"""The question, by the number of sides."""
+SILENCE = "just show me"
 WAITS = "Waiting for the policy: {:.0f} s. What you change now counts from its next decision on."
+
+
+@dataclass
+class Prediction:
+    """A visitor's guess who will succeed."""
+
+    guess: str = ""
+    episode: int | None = None
+    """The episode for which it counts; None: the next one that ends after ``asked_in``."""
+    asked_in: int | None = None
+    """The episode that ran when it was asked for a later one."""
+    silent: bool = False
+    """Whether the visitor wants no question in this visit."""
+
+    def take(self, answer: str, episode: int | None = None, asked_in: int | None = None) -> None:
+        """Notes an answer; ``SILENCE`` is none, and the last question."""
+        self.silent |= answer == SILENCE
+        self.guess = "" if answer == SILENCE else answer
+        self.episode = episode
+        self.asked_in = asked_in
+
+    def about(self, episode: int) -> str:
+        """The guess on an episode that is over; from now on it counts for no other."""
+        if episode == self.asked_in:
+            return ""
+        self.episode = episode
+        return self.guess
 
 
 class WordsPanel(HtmlPanel):
@@ -25,41 +61,54 @@ class WordsPanel(HtmlPanel):
         "the scene. <b>Off</b> leaves it out; <b>break …</b> lets it send a bad picture."
     )
 
-    def __init__(self, gui: viser.GuiApi, frame: Frame, rates: SuccessRates) -> None:
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        frame: Frame,
+        rates: SuccessRates,
+        prediction: Prediction | None = None,
+    ) -> None:
+        """``prediction`` None: nothing is asked."""
         self._rates = rates
+        self._frame = frame
         self._last: tuple[Change, PolicySpec] | None = None
-        self.guess = ""
-        """A visitor's guess who will succeed in the comparison; it counts for one episode."""
-        self._asked_in: int | None = None
-        """The episode that was shown when the guess was made; it is for a later one."""
-        self._shown_in: int | None = None
-        self._guessed_in: int | None = None
-        """The episode in which the guess was compared."""
+        self._prediction = prediction or Prediction(silent=True)
         super().__init__(gui, frame, self._content)
+        self._answers = gui.add_button_group("Your guess", YES_OR_NO, visible=False)
+        self._answers.on_click(heard(lambda event: self._answer(event.target.value)))
+        self.handles = [*self.handles, self._answers]
 
-    def hear(self, guess: str) -> None:
-        """A visitor's guess on the next episode."""
-        self.guess = guess
-        self._asked_in = self._shown_in
+    def _answer(self, answer: str) -> None:
+        self._prediction.take(answer, self._frame.world.episode)
+        apply(self.update(self._frame))
+
+    def update(self, frame: Frame) -> list[Assign]:
+        self._frame = frame
+        changes = super().update(frame)
+        asks = asks_now(frame, self._prediction)
+        if asks and not self._answers.visible:
+            changes.append(Assign(self._answers, "options", (*answers(frame), SILENCE)))
+        return [*changes, Assign(self._answers, "visible", asks)]
 
     def _content(self, frame: Frame) -> str:
-        self._shown_in = frame.world.episode
         if frame.world.change is not None:
             self._last = (frame.world.change, frame.world.policy)
         ending = ending_of(frame, self._rates.best)
-        if self._guessed_in not in (None, frame.world.episode):
-            self.guess = ""
-            self._guessed_in = None
+        prediction = self._prediction
+        if prediction.episode not in (None, frame.world.episode):
+            prediction.take("")
         if ending is not None:
-            guess = "" if frame.world.episode == self._asked_in else self.guess
-            self._guessed_in = frame.world.episode if guess else None
-            said = ending_html(ending, frame, guess)
+            said = ending_html(ending, frame, prediction.about(frame.world.episode))
         elif frame.pace.waited >= 1:
             said = escape(WAITS.format(frame.pace.waited))
         elif self._last is None or self._last[1] != frame.world.policy:
             said = f'<span class="dim">{self.HINT}</span>'
         else:
             said = escape(both_sides(self._last[0], frame, self._rates))
+            if asks_now(frame, prediction):
+                said += f" <b>{ASKS[1 if frame.second is None else 2]}</b>"
+            elif prediction.guess:
+                said += f" <b>You say {escape(prediction.guess)}.</b>"
         for side in (frame, frame.second):
             if side is not None and (noticed := guard_sentence(side)):
                 said += f'<div class="mv-noticed" role="status">{escape(noticed)}</div>'
@@ -67,6 +116,21 @@ class WordsPanel(HtmlPanel):
             f'<div class="mv mv-words" style="border-left:3px solid {NOTE};margin:0 10px 4px;'
             f'padding:2px 8px;min-height:36px">{said}</div>'
         )
+
+
+def answers(frame: Frame) -> tuple[str, ...]:
+    """The answers to the question who will succeed."""
+    if frame.second is None:
+        return YES_OR_NO
+    return (*side_labels([frame.world.policy, frame.second.world.policy]), BOTH)
+
+
+def asks_now(frame: Frame, prediction: Prediction) -> bool:
+    """Whether a camera has just been dropped, and nothing is known yet of who will succeed."""
+    change = frame.world.change
+    dropped = change is not None and frame.camera(change.camera).input == "off"
+    over = frame.ended or frame.past
+    return dropped and not over and not prediction.silent and not prediction.guess
 
 
 def ending_html(ending: Ending, frame: Frame, guess: str = "") -> str:

@@ -78,8 +78,8 @@ function pastOf(way, state, move) {
  */
 export function endingOf(worlds, entries, tally) {
   if (worlds.some(world => !world.ended)) return null;
-  const same = worlds.length > 1 && entries[0].label === entries[1].label;
-  const sides = worlds.map((world, i) => ({label: same ? 'AB'[i] : entries[i].label,
+  const labels = sideLabels(entries);
+  const sides = worlds.map((world, i) => ({label: labels[i],
     success: world.success, rate: rateOf(world, entries[i], tally),
     deeds: deedsOf(world, entries[i].cameras)}));
   if (sides.length === 1 && !sides[0].deeds.length) return null;
@@ -112,13 +112,33 @@ export function endingParts(sides, done) {
 }
 
 export const BOTH = 'both';
+const YES_OR_NO = ['yes', 'no'];
 
 /**
- * `You said both, and it was MAD alone.` A guess is a label, or `BOTH`.
+ * The answers to the question who will succeed.
+ * @param {import('./catalogue.js').Entry[]} entries
+ */
+export function answersFor(entries) {
+  return entries.length > 1 ? [...sideLabels(entries), BOTH] : YES_OR_NO;
+}
+
+/** @param {import('./catalogue.js').Entry[]} entries */
+function sideLabels(entries) {
+  const same = entries.length > 1 && entries[0].label === entries[1].label;
+  return entries.map((entry, i) => same ? 'AB'[i] : entry.label);
+}
+
+/**
+ * `You said both, and it was MAD alone.` A guess is one of `answersFor`.
  * @param {string} guess
  * @param {string[]} winners
  */
 export function guessWords(guess, winners) {
+  if (YES_OR_NO.includes(guess)) {
+    const right = (guess === 'yes') === winners.length > 0;
+    return `You said ${guess}, ${right ? 'and so it was'
+      : `but it ${winners.length ? 'did' : 'did not'}`}.`;
+  }
   const came = ['neither', `${winners[0]} alone`, BOTH][winners.length];
   const right = guess === (winners.length === 2 ? BOTH : winners[0]);
   return `You said ${guess}, and ${right ? 'so it was' : `it was ${came}`}.`;

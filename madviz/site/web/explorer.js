@@ -7,10 +7,10 @@
 
 import {intact} from './camera_state.js';
 import {byId, calm, make, say} from './dom.js';
-import {endingOf} from './ending.js';
+import {answersFor, endingOf} from './ending.js';
 import {mergedEvents} from './link.js';
 import {notice} from './notices.js';
-import {SPEED, acts, endingNodes, guesses, headline, leadsOn, openingEvents, story, tell} from './opening.js';
+import {SPEED, acts, endingNodes, headline, leadsOn, openingEvents, story, tell} from './opening.js';
 import {Features, Subsets} from './readout.js';
 import {SceneView} from './scene_view.js';
 import {Side} from './side.js';
@@ -66,8 +66,10 @@ export class Explorer {
     /** Of the opening. */
     this.act = 0;
     this.asked = false;
-    /** Whether the opening waits for a guess. */
+    /** Whether a guess is asked for; the opening waits for it. */
     this.asks = false;
+    /** Whether the visitor wants no more questions. */
+    this.silent = false;
     /** Who will succeed in an episode, as the visitor thinks; '' where nobody guessed. */
     this.guess = {words: '', episode: 0};
   }
@@ -89,19 +91,21 @@ export class Explorer {
     const title = byId('headline'), turn = byId('turn');
     const button = (/** @type {string} */ words, /** @type {() => void} */ act, main = false) =>
       make('button', {type: 'button', class: main ? 'main' : '', onclick: act}, words);
+    const answers = this.asks ? [...answersFor(this.entries).map(guess =>
+      button(guess, () => this.answer(guess))),
+    button('Just show me', () => this.answer(''), this.mode === 'opening')] : [];
     if (this.mode === 'opening') {
       const opening = this.catalogue.opening(), all = acts(opening), next = all[this.act + 1];
       say(title, headline(opening, all[this.act]));
-      turn.replaceChildren(...this.asks ? guesses(opening).map(guess =>
-        button(guess, () => this.begins(guess))) : [],
-      ...this.asks ? [button('Just show me', () => this.begins(''), true)]
+      turn.replaceChildren(...answers, ...this.asks ? []
         : [...next ? [button(leadsOn(opening, next), () => this.again(this.act + 1), true)] : [],
           button('Your turn', () => this.yourTurn(), !next),
           button('Again', () => this.again())]);
     } else {
       say(title, this.entries[1] ? `${this.entries[0].label} and ${this.entries[1].label}: `
         + `${this.entries[0].task_label}` : `${this.entries[0].label}: ${this.entries[0].task_label}`);
-      turn.replaceChildren(button('Show me first', () => this.opening()));
+      turn.replaceChildren(...answers, ...this.asks ? []
+        : [button('Show me first', () => this.opening())]);
     }
   }
 
@@ -137,12 +141,23 @@ export class Explorer {
     this.headline();
   }
 
-  /** @param {string} guess */
-  begins(guess) {
+  /** @param {string} guess '' for none, and for no more questions. */
+  answer(guess) {
     this.asks = false;
+    this.silent ||= !guess;
     this.guess = {words: guess, episode: this.frame?.first.episode ?? 0};
     this.headline();
-    this.send({kind: 'Play'});
+    if (this.mode === 'opening') this.send({kind: 'Play'});
+    else if (this.frame) this.words(this.frame, worldsOf(this.frame)); // No frame may come.
+  }
+
+  /** Asks who will still succeed where a camera has just gone off; nothing waits. @param {World} world */
+  wonder({change, cameras, ended, episode}) {
+    const dropped = change !== null && cameras[change.camera]?.input === 'off';
+    const asks = dropped && !ended && !this.silent && this.guess.episode !== episode;
+    if (asks === this.asks) return;
+    this.asks = asks;
+    this.headline();
   }
 
   /** All cameras work. */
@@ -276,9 +291,11 @@ export class Explorer {
         {asks: this.asks, guess: episode === frame.first.episode ? words : ''},
         acts(this.catalogue.opening())[this.act]));
     }
+    this.wonder(frame.first);
+    const guess = this.guess.episode === frame.first.episode ? this.guess.words : '';
     const noticed = worlds.map((world, index) => guardWords(world, this.entries[index].cameras));
     const guard = [...new Set(noticed.filter(Boolean))].join(' ');
-    const ending = endingNodes(endingOf(worlds, this.entries, this.tally));
+    const ending = endingNodes(endingOf(worlds, this.entries, this.tally), guess);
     if (ending.length) return tell(line, [...ending, document.createTextNode(guard && ` ${guard}`)]);
     const changes = worlds.map((world, index) => world.change && world.step - world.change.step < 40
       ? `${worlds.length > 1 ? `${this.entries[index].label}: ` : ''}${
@@ -289,7 +306,9 @@ export class Explorer {
         matchMedia('(pointer: fine)').matches
           ? ` Keys 1 to ${this.entries[0].cameras.length} switch one off.` : ''}`;
     const said = [changes.join('. '), guard].filter(Boolean).join('. ');
-    return tell(line, [document.createTextNode(said || hint)]);
+    const asked = !this.asks ? guess && ` You say ${guess}.`
+      : worlds.length > 1 ? ' Which will still do it?' : ' Will it still do it?';
+    return tell(line, [document.createTextNode(said || hint), ...asked ? [make('b', {}, asked)] : []]);
   }
 
   /** What is played now, for a link. @returns {import('./link.js').LinkState | null} */

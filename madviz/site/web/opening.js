@@ -9,7 +9,7 @@
 
 import {intact, noOcclusion} from './camera_state.js';
 import {make, say} from './dom.js';
-import {BOTH, endingOf, guessWords} from './ending.js';
+import {endingOf, guessWords} from './ending.js';
 import {effectWords, guardWords, labelOf} from './words.js';
 
 /** @typedef {import('./messages.js').Frame} Frame */
@@ -56,11 +56,6 @@ export function headline({entries, camera}, {how, guard}) {
 export function leadsOn({entries, camera}, {guard}) {
   return guard ? 'Next: the same with the guard'
     : `Next: ${labelOf(camera, entries[0].cameras)} goes black`;
-}
-
-/** The answers to the question who will succeed. @param {Opening} opening */
-export function guesses({entries}) {
-  return [...entries.map(entry => entry.label), BOTH];
 }
 
 /**
