@@ -104,11 +104,12 @@ class Panels:
         choices = shared.choices
         rates = shared.rates
         named = shared.references.name_of
-        visitor = None if readonly else client.client_id
         keys = Keys(self._send, newest, frame)
         tour = Tour(client, self._send, newest, choices, keys.help, named, self._guessed)
         policy = PolicyPanel(gui, self._send, frame, choices, named)
-        self.success = SuccessPanel(gui, frame, rates, visitor, measures)
+        self.success = SuccessPanel(
+            gui, frame, rates, None if readonly else client.client_id, measures
+        )
         dockable = dock(client, wide)
         with dockable.add_tab("Cameras", viser.Icon.CAMERA):
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
@@ -122,7 +123,6 @@ class Panels:
         tabbed = self._build_tabs(tabs, frame)
         self._extras = [dockable, tour, *commands(client, keys.table)]
         scene = ScenePanel(client, frame, None if readonly else keys.toggle)
-        arrows = ArrowsPanel(client, frame, extent(frame))
         # Every panel of the page, in the order in which they get a frame.
         self.panels = [
             TimedPanel(cameras, FASTEST),
@@ -133,7 +133,7 @@ class Panels:
             *tabbed,
             TimedPanel(self.success, 0.5),
             TimedPanel(scene, 0.05),
-            TimedPanel(arrows, 0.25),
+            TimedPanel(ArrowsPanel(client, frame, extent(frame)), 0.25),
         ]
         self.refresh = Refresh(self.panels)
         if greet:

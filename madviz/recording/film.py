@@ -22,7 +22,7 @@ from madviz.observation.schedule import Event, Schedule
 from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.recording.film_files import Film, LargeFilm, SmallFilm
-from madviz.recording.film_picture import Side, whole_picture
+from madviz.recording.film_picture import FilmSide, whole_picture
 from madviz.recording.frames import frames
 from madviz.recording.scene_view import KeepsActions
 from madviz.session.commands import Compare, SetSchedule
@@ -142,14 +142,14 @@ def write_film(
     rows: list[ChapterRow] = []
     titles: list[tuple[float, str]] = []
     with ExitStack() as scenes:
-        sides: list[Side] = []
+        sides: list[FilmSide] = []
         for part in parts:
             titles.append((film.seconds, f"{part.title}, seed {part.seed}"))
             made: list[KeepsActions] = []
             for frame in played(part, policies, made):
                 both = [frame, *([frame.second] if frame.second else [])]
                 first = frame.world.step == 0
-                sides = sides or [scenes.enter_context(closing(Side(one))) for one in both]
+                sides = sides or [scenes.enter_context(closing(FilmSide(one))) for one in both]
                 if first:
                     for side in sides:
                         side.begin(part.seed)

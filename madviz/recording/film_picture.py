@@ -36,7 +36,7 @@ LARGEST_TILE = 216
 _GROUND = (30, 31, 34)
 
 
-class Side:
+class FilmSide:
     """One policy's half of the picture."""
 
     def __init__(self, frame: Frame) -> None:
@@ -66,7 +66,7 @@ class Side:
 
 
 def whole_picture(frame: Frame, sides: list[Array], title: str, words: str) -> Array:
-    """(HEIGHT, WIDTH, 3) uint8 of a comparison. ``sides``: the two halves, as ``Side.picture``;
+    """(HEIGHT, WIDTH, 3) uint8 of a comparison. ``sides``: the two halves, as ``FilmSide.picture``;
     ``words``: how the episode ended, '' before it has."""
     canvas = np.empty((HEIGHT, WIDTH, 3), np.uint8)
     canvas[:] = _GROUND
