@@ -101,15 +101,13 @@ class Panels:
         self._wide = wide
         self._prediction = prediction
         gui = client.gui
-        choices = shared.choices
         rates = shared.rates
         named = shared.references.name_of
         keys = Keys(self._send, newest, frame)
-        tour = Tour(client, self._send, newest, choices, keys.help, named, self._guessed)
-        policy = PolicyPanel(gui, self._send, frame, choices, named)
-        self.success = SuccessPanel(
-            gui, frame, rates, None if readonly else client.client_id, measures
-        )
+        tour = Tour(client, self._send, newest, shared.choices, keys.help, named, self._guessed)
+        policy = PolicyPanel(gui, self._send, frame, shared.choices, named)
+        own = None if readonly else client.client_id
+        self.success = SuccessPanel(gui, frame, rates, own, measures)
         dockable = dock(client, wide)
         with dockable.add_tab("Cameras", viser.Icon.CAMERA):
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
