@@ -52,14 +52,15 @@ MOVED = Displacement(forward=0.05, right=0.05, up=0.03, pan=4, tilt=3)
 
 @dataclass(frozen=True)
 class GuardAlarmsConfig:
-    """The policies, which have fitted guards, and the episodes of each."""
+    """The policies, which have fitted guards, and the episodes: intact ones, and as many with a
+    moved camera."""
 
     policies: tuple[checkpoint.PolicyName, ...]
     """Names of policies, or their folders."""
     out: Path
-    """The folder for a file of each policy."""
+    """The folder for the results."""
     episodes: Count = 20
-    """Intact episodes of each policy, and as many with a moved camera."""
+    """Episodes of each policy and condition."""
     seed: Seed = FIRST_DEVELOPMENT
     """The first episode's seed."""
     json: str | None = None

@@ -3,27 +3,27 @@
 Every camera of every policy fails in every way of ``WAYS``, and the same seeds are played with the
 camera broken, broken with a guard, and dropped; and intact, with the guard and without. Episodes
 are kept in episodes.sqlite of --out as they finish, so that a run that was stopped goes on.
-trial.json of --out has for each policy, camera and way the three rates.
+trial.json of --out has for each policy, camera and way the three rates, and when it was noticed.
 """
 
 from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TypedDict
 
+from benchmarks.guard_alarms import GuardAlarmsConfig
+from madviz.measure.audit.guarded import alarms_words, noticed_words
 from madviz.measure.statistics import SuccessRate
 from madviz.measure.store import Store
 from madviz.measure.table import Table
 from madviz.observation.condition import Condition
 from madviz.observation.grammar import parse_condition
-from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
-from madviz.policies.seeds import FIRST_DEVELOPMENT, seeds_from
+from madviz.policies.seeds import seeds_from
 from madviz.subsets import cameras_of
 from madviz.system.files import write_json
-from madviz.system.numbers import Count, Seed, ThreadsOrNone
+from madviz.system.numbers import ThreadsOrNone
 
 WAYS = ("black", "freeze", "dropout:0.5", "noise", "delay:0.5", "blur", "patch")
 
@@ -38,24 +38,17 @@ class TrialRow(TypedDict):
     guarded: float
     dropped: float
     n: int
+    noticed: list[int | None]
+    """By episode with the guard: the step at which it noticed something; None: at none. In intact
+    episodes these are false alarms."""
 
 
 @dataclass(frozen=True)
-class GuardTrialConfig:
+class GuardTrialConfig(GuardAlarmsConfig):
     """The policies, which have fitted guards, and the episodes of each condition."""
 
-    policies: tuple[checkpoint.PolicyName, ...]
-    """Names of policies, or their folders."""
-    out: Path
-    """The folder for trial.json and the episodes."""
-    episodes: Count = 20
-    """Episodes of each condition."""
-    seed: Seed = FIRST_DEVELOPMENT
-    """The first episode's seed."""
     workers: ThreadsOrNone | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
-    json: str | None = None
-    """Where to write the result, too; - is standard output."""
 
 
 class GuardTrialFile(TypedDict):
@@ -84,7 +77,8 @@ def trial_words(result: GuardTrialFile) -> str:
     for row in result["rows"]:
         place = f"{row['camera']} {row['way']}" if row["camera"] else "intact"
         rates = [f"{word} {row[word]:.2f}" for word in ("broken", "guarded", "dropped")]
-        lines.append(f"{row['policy']:40} {place:24} {' '.join(rates)} n={row['n']}")
+        noticed = noticed_words(row["noticed"]) if row["camera"] else alarms_words(row["noticed"])
+        lines.append(f"{row['policy']:40} {place:24} {' '.join(rates)} n={row['n']}; {noticed}")
     return "\n".join(lines)
 
 
@@ -127,4 +121,5 @@ def _row(
         "guarded": rates[1].value,
         "dropped": rates[2].value,
         "n": len(seeds),
+        "noticed": [guarded[0].results(guarded[1])[seed].noticed for seed in seeds],
     }

@@ -177,4 +177,6 @@ def test_a_trial_plays_what_is_missing(guarded, tmp_path) -> None:
     config = GuardTrialConfig((str(guarded),), tmp_path, episodes=1, workers=0)
     result = guard_trial(config)
     assert "first black" in trial_words(result)
+    assert "no false alarm in 1 intact episode" in trial_words(result)
+    assert next(row for row in result["rows"] if row["way"] == "black")["noticed"] == [0]
     assert guard_trial(config) == result

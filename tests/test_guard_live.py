@@ -20,6 +20,7 @@ from madviz.guard.fit import fit_values
 from madviz.guard.policy import GuardedPolicy
 from madviz.measure.guard_fit import play_intact
 from madviz.observation.ablation import CameraState
+from madviz.policies.guarded import reference_to
 from madviz.session.commands import Compare, Fork, Scrub, SetCamera, SetPolicy
 from madviz.session.guard_words import failing, guard_sentence
 from madviz.session.replay import replay_episode
@@ -109,6 +110,11 @@ def test_going_back_and_replaying_find_the_same(session: Recorder, guarded: Guar
         saved, lambda policy: guarded if "(guarded)" in policy.name else FakePolicy(NAME)
     )
     assert again.sha256 == saved.sha256
+
+
+def test_a_file_names_the_policy_with_its_guard() -> None:
+    assert reference_to("toy-mad (guarded)") == GUARDED
+    assert reference_to(NAME) == NAME
 
 
 def test_the_page_says_it(session: Recorder, server) -> None:

@@ -259,8 +259,11 @@ def alarms(test, run):
 table(["Third A", "steps", "alarms"], [[k, len(r) - 1, alarms(frozen, r)] for k, r in runs.items()])
 
 # %% [markdown]
-# A robot that stands still sees the same picture twice, and nothing is wrong. Now mend the test:
-# what else has to be true before an unchanged picture is a fault?
+# A robot that stands still sees the same picture twice, and nothing is wrong.
+#
+# ## Exercise 4: frozen, or still?
+#
+# Mend the test: what else has to be true before an unchanged picture is a fault?
 
 
 # %% tags=["answer"]

@@ -102,7 +102,7 @@ def _condition_row(found: AuditFile, row: ConditionRow) -> list[str]:
     guarded = found["guarded"]["broken"].get(str(row["camera"]), {}).get(row["how"])
     if guarded is None or not broken(row):
         return [*cells, "", ""]
-    return [*cells, str(_rate(guarded)), noticed_words(guarded).removeprefix("noticed ")]
+    return [*cells, str(_rate(guarded)), noticed_words(guarded["noticed"]).removeprefix("noticed ")]
 
 
 def condition_label(found: AuditFile, row: ConditionRow) -> str:

@@ -66,20 +66,20 @@ def _row(results: Sequence[EpisodeResult]) -> GuardedRow:
     return {**rate.row(), "noticed": [result.noticed for result in results]}
 
 
-def noticed_words(row: GuardedRow) -> str:
+def noticed_words(noticed: Sequence[int | None]) -> str:
     """``noticed after 1 step (median)``."""
-    steps = [step + 1 for step in row["noticed"] if step is not None]
+    steps = [step + 1 for step in noticed if step is not None]
     if not steps:
         return "never noticed"
     median = float(np.median(steps))
     words = f"noticed after {median:g} step{'' if median == 1 else 's'} (median)"
-    missed = len(row["noticed"]) - len(steps)
-    return f"{words}, but not in {missed} of {len(row['noticed'])} episodes" if missed else words
+    missed = len(noticed) - len(steps)
+    return f"{words}, but not in {missed} of {len(noticed)} episodes" if missed else words
 
 
-def alarms_words(row: GuardedRow) -> str:
+def alarms_words(noticed: Sequence[int | None]) -> str:
     """``no false alarm in 100 intact episodes``."""
-    alarms = sum(step is not None for step in row["noticed"])
-    count = len(row["noticed"])
+    alarms = sum(step is not None for step in noticed)
+    count = len(noticed)
     words = "no false alarm" if not alarms else f"{alarms} false alarm{'' if alarms == 1 else 's'}"
     return f"{words} in {count} intact episode{'' if count == 1 else 's'}"

@@ -160,9 +160,10 @@ def _guarded(found: AuditFile) -> list[str]:
         for one in (row, with_guard)
     ]
     subject = f"{HOW_WORDS[row['how']].capitalize()}, {found['labels'][str(row['camera'])]}"
+    noticed = noticed_words(with_guard["noticed"])
+    alarms = alarms_words(guarded["intact"]["noticed"])
     return [
-        f"{subject}: {rates[0]} without, {rates[1]} with the guard; {noticed_words(with_guard)}, "
-        f"{alarms_words(guarded['intact'])}.",
+        f"{subject}: {rates[0]} without, {rates[1]} with the guard; {noticed}, {alarms}.",
         guarded["note"],
     ]
 
