@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from madviz.analysis.covering import covered
+from madviz.measure import attention
 from madviz.measure.attention import place_words
+from madviz.measure.episodes import Job, Runner
+from madviz.observation.condition import Condition
 from madviz.types import Encoded, Readout
 from tests.fakes import FakePolicy
 
@@ -81,3 +84,18 @@ def test_corners_are_covered_too(place):
     views, means, other = pictures(np.random.default_rng(2))
     found = covered(PlacePolicy(2, place), views, np.zeros(2), MASK, means, other)
     assert found.distance[2, place[0] + 6, place[1] + 6] == pytest.approx(found.peak[2])
+
+
+def test_a_task_without_an_expert_takes_the_mean_of_the_episode_and_says_so(monkeypatch):
+    def fails(*_):
+        raise NotImplementedError
+
+    monkeypatch.setattr(attention, "mean_pictures", fails)
+    runner = Runner()
+    runner.adopt("p", PlacePolicy(2, (30, 30)))
+    looks = [(pictures(np.random.default_rng(n))[0], np.zeros(2)) for n in range(3)]
+    job = Job("p", PlacePolicy().spec.digest, Condition("all"), 60_000)
+    html = attention.places_html(looks, 1, job, runner)
+    runner.close()
+    assert "The task has no expert" in html and "First person: nothing here" in html
+    assert "data:image/jpeg" in html and attention.places_html(looks, None, job, runner) == ""

@@ -15,7 +15,7 @@ from madviz.measure.episodes import Job, Runner, one_thread
 from madviz.measure.mean_picture import mean_pictures
 from madviz.observation.streams import to_channels
 from madviz.subsets import camera_of
-from madviz.types import Array
+from madviz.types import Array, Environment, Policy
 
 SIDE = 168
 """Pixels of a camera."""
@@ -31,7 +31,7 @@ def places_html(
     env, policy = runner.opened(job)
     streams = policy.spec.streams
     mask = job.condition.mask(streams)
-    means = mean_pictures(env.spec, streams, policy.spec.image_size)
+    means, note = _means(policy, env, looks)
     views, state = looks[step]
     other, _ = looks[(step + len(looks) // 2) % len(looks)]
     with one_thread():
@@ -40,7 +40,7 @@ def places_html(
             views,
             state,
             mask,
-            np.stack([to_channels(means[stream]) for stream in streams]),
+            means,
             other,
         )
         slopes = saliency(policy, views, state, mask, "action")
@@ -52,10 +52,24 @@ def places_html(
     labels = [env.spec.camera(camera_of(stream)).label for stream in streams]
     return (
         f"<p>Where {escape(policy.spec.name)} looks at step {step} of the episode above: bright is "
-        f"where covering moves the action.{beside} {escape(place_words(found, labels))}</p>"
+        f"where covering moves the action.{note}{beside} {escape(place_words(found, labels))}</p>"
         '<img alt="where the policy looks, camera by camera" '
         f'src="data:image/jpeg;base64,{b64encode(file.tobytes()).decode()}">'
     )
+
+
+def _means(
+    policy: Policy, env: Environment, looks: Sequence[tuple[Array, Array]]
+) -> tuple[Array, str]:
+    """The mean pictures (V, 3, H, W), and a sentence on them where they are not the usual ones."""
+    streams = policy.spec.streams
+    try:
+        known = mean_pictures(env.spec, streams, policy.spec.image_size)
+    except Exception:  # The expert of an own task may raise anything.
+        frames = np.stack([views[:, -3:] for views, _ in looks])  # (T, V, 3, H, W)
+        words = " The task has no expert, so the mean picture is that of this episode."
+        return np.round(frames.mean(0)).astype(np.uint8), words
+    return np.stack([to_channels(known[stream]) for stream in streams]), ""
 
 
 def place_words(found: Covered, labels: Sequence[str]) -> str:
