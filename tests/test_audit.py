@@ -137,7 +137,7 @@ def test_the_document_has_the_schema(monkeypatch):
     assert set(found["shapley"]) == set(found["verdict"]) == set(THREE)
     asked = {"camera", "what", "how", "success", "n", "difference", "ci95", "p_holm"}
     for row in found["conditions"]:
-        assert asked <= set(row) <= asked | {"above_none", "ci_all"}
+        assert asked <= set(row) <= asked | {"above_none", "ci_all", "lost", "won"}
         assert row["n"] == found["intact"]["n"]
         assert row["ci95"][0] <= row["difference"] <= row["ci95"][1]
         assert row["difference"] == pytest.approx(row["success"] - found["intact"]["success"])

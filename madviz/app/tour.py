@@ -38,7 +38,8 @@ HELP = """
 gets their pictures and says how the hand moves next. You may take cameras away while it works.
 
 **off** takes a camera away: nothing of it is added. **black**, **noise**, **freeze**, **blur**,
-**patch**, **lossy** and **late** break it instead: it still sends pictures, but bad ones.
+**patch**, **lossy**, **late** and **light** break it instead: it still sends pictures, but bad
+ones.
 
 **merged** is what the policy acts on: what it makes of each camera's picture, added up.
 
