@@ -16,6 +16,7 @@ from madviz.app.server import ExploreConfig, beginning
 from madviz.envs.registry import SETTINGS
 from madviz.errors import UserError
 from madviz.measure.audit.audit import AuditConfig, run_audit
+from madviz.measure.audit.lost_cameras import HOWS
 from madviz.measure.episodes import Job, Runner
 from madviz.measure.pairs import EpisodePair, explore_command, pair_blocks, parting, played, show
 from madviz.observation.ablation import CameraState, Occlusion
@@ -161,7 +162,7 @@ def test_the_whole_chain_on_hammer(tmp_path):
     assert len(page) < 5_000_000 * 2 / 12
     rows = {(row["camera"], row["what"]): row for row in found["conditions"]}
     assert rows["first", "removed"]["lost"] == [60_000, 60_001]
-    along = run_audit(replace(config, along=("first.pan=0:40",), episodes=16, pairs=1))
+    along = run_audit(replace(config, how=HOWS, along=("first.pan=0:40",), episodes=16, pairs=1))
     (side,) = along["axes"][0]["sides"]
     assert 0 < side["breaking"] < 40
     assert (tmp_path / "along.html").read_text().count("<video") == 1
