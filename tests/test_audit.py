@@ -72,6 +72,7 @@ def make_looker():
 def test_it_finds_the_camera_that_is_used_and_the_one_that_is_not(tmp_path):
     config = AuditConfig("tests.test_audit:make_looker", tmp_path, episodes=16, workers=0)
     found = run_audit(config)
+    assert "verdict" in found
     assert found["verdict"] == {"first": "no use shown", "third_b": "needed"}
     rows = {(row["camera"], row["what"], row["how"]): row for row in found["conditions"]}
     assert len(rows) == 5 * 5
@@ -137,7 +138,7 @@ def test_the_document_has_the_schema(monkeypatch):
     assert set(found["shapley"]) == set(found["verdict"]) == set(THREE)
     asked = {"camera", "what", "how", "success", "n", "difference", "ci95", "p_holm"}
     for row in found["conditions"]:
-        assert asked <= set(row) <= asked | {"above_none", "ci_all"}
+        assert asked <= set(row) <= asked | {"above_none", "ci_all", "lost", "won"}
         assert row["n"] == found["intact"]["n"]
         assert row["ci95"][0] <= row["difference"] <= row["ci95"][1]
         assert row["difference"] == pytest.approx(row["success"] - found["intact"]["success"])

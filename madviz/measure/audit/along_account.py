@@ -18,9 +18,9 @@ HOW_TO_READ = (
     "Success counts at the last step of an episode. Every scene was played with nothing changed "
     "first. Those that were solved were then played with the change, each once on a side of an "
     "axis, and all sides met them in the same order.",
-    "A curve is the share of these scenes that is solved in spite of the change, its band is where "
-    "that share lies with a probability of 95 %, and so is the interval of a breaking point. They "
-    "come from a family of curves that only fall (Weibull's), and Bayes' rule.",
+    "A curve is the share of these scenes that is solved in spite of the change. It comes from a "
+    "family of curves that only fall (Weibull's) and Bayes' rule. Its band, and the interval of a "
+    "breaking point, held the truth at least 95 times in 100 in simulated audits.",
     "Most episodes are where success falls, few where it does not change. So the counts of single "
     "places differ, and say less than the curve.",
     "An audit is about one training of a policy, in simulation, on the scenes of these seeds.",
