@@ -49,7 +49,7 @@ HELP = """
 gets their pictures and says how the hand moves next. You may take cameras away while it works.
 
 **off** takes a camera away: nothing of it is added. **break …** breaks it instead: it still sends
-pictures, but bad ones (**black**, noise, frozen, blurred, a patch, lossy, late or another light), or
+pictures, but bad ones (**black**, noise, frozen, blurred, a patch, lossy, late, another light), or
 from elsewhere.
 
 **merged** is what the policy acts on: what it makes of each camera's picture, added up.
