@@ -21,7 +21,7 @@ from madviz.guard.policy import GuardedPolicy
 from madviz.measure.guard_fit import play_intact
 from madviz.observation.ablation import CameraState
 from madviz.policies.guarded import reference_to
-from madviz.session.commands import Compare, Fork, Scrub, SetCamera, SetPolicy
+from madviz.session.commands import Compare, Fork, Link, Scrub, SetCamera, SetPolicy
 from madviz.session.guard_words import failing, guard_sentence
 from madviz.session.replay import replay_episode
 from madviz.types import Policy
@@ -149,7 +149,7 @@ def test_the_switch_wraps_the_policy_that_acts(session: Recorder, server, monkey
     apply(panel.update(paired))
     sent.clear()
     use(switch, False)
-    assert sent == [SetPolicy(NAME), Compare(NAME, frame.world.ablation)]
+    assert sent == [SetPolicy(NAME), Compare(NAME, frame.world.ablation), Link(True)]
     panel.remove()
 
 

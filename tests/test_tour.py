@@ -16,6 +16,7 @@ from madviz.observation.schedule import Event
 from madviz.policies.seeds import FIRST_DEVELOPMENT
 from madviz.session.commands import (
     Compare,
+    Link,
     Pause,
     Play,
     SetCamera,
@@ -225,9 +226,10 @@ def test_where_guards_are_fitted_the_comparison_has_three_acts(
     assert sent == [black, SetSeed(FIRST_DEVELOPMENT), Play()]
     sent.clear()
     tour.next()
-    assert sent[:3] == [
-        SetPolicy("guard:toy-mad-light"),
+    assert sent[:4] == [
         Compare("guard:toy-merged-only-light"),
+        Link(True),
+        SetPolicy("guard:toy-mad-light"),
         black,
     ]
     sent.clear()

@@ -218,14 +218,20 @@ def acts(frame: Frame, other: str, named: Reference = own_name) -> list[Step]:
             "The same with the guard",
             "The guard watches the pictures. It notices the black one and leaves the camera out, "
             "so that it is as good as switched off. MAD was trained for that, Merged Only was not.",
-            (SetPolicy(with_guard(first, True)), Compare(with_guard(other, True)), black, *again),
+            (
+                Compare(with_guard(other, True)),
+                Link(True),
+                SetPolicy(with_guard(first, True)),
+                black,
+                *again,
+            ),
             leave="explore one policy",
         ),
         Step(
             "Your turn",
             "Nothing fails by itself now. Press off or black under any picture, with the switch "
             "Guard or without it. One episode says little: the bars on the right count many.",
-            (SetSchedule(()), *intact, Compare(other), *again),
+            (SetSchedule(()), *intact, Compare(other), Link(True), *again),
             go="keep comparing",
             leave="explore one policy",
             keep=True,

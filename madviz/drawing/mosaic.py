@@ -68,7 +68,7 @@ def mosaic(
         if frame.camera(camera.name).input == "off":
             _stamp(picture, "DROPPED")
         elif camera.name in noticed:
-            _label(picture[-20:], noticed[camera.name].badge)
+            _label(picture[-20:], noticed[camera.name].badge, 12 if tile >= 180 else 10)
     return canvas
 
 
@@ -113,10 +113,10 @@ def _imagined(picture: Array, drawn: Imagined, truth: Array | None) -> None:
         _label(place[2:20, 2:], "TRUTH")
 
 
-def _label(band: Array, text: str) -> None:
+def _label(band: Array, text: str, size: int = 12) -> None:
     """A word in white on a darkened band."""
     band[:] = band // 3
-    _write(band, text, 8, "#ffffff", 12)
+    _write(band, text, 4 if size < 12 else 8, "#ffffff", size)
 
 
 def badge(frame: Frame, camera: str) -> str:

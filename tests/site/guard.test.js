@@ -93,7 +93,14 @@ test('a copy goes on by itself', () => {
   const copy = guard.copy(), covered = shown('covered', places, 8);
   copy.step({camera: covered}, places[8]);
   copy.step({camera: covered}, places[9]);
+  guard.copy().step({camera: picture(places[8])}, places[8]);
+  assert.equal(guard.watched.get('camera').memory.past.length, 8);
   assert.equal(guard.now, 8);
   assert.equal(guard.step({camera: covered}, places[8]).camera.kind, 'fine');
   assert.equal(guard.step({}, places[9]).camera, undefined);
+});
+
+test('a cell is dark up to 8 of 255', () => {
+  const dark = [8, 9].map(value => sumsOf(picture([21, 21], () => value)).dark);
+  assert.deepEqual(dark, [441, 0]);
 });

@@ -12,7 +12,7 @@ from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import SyncedInput, WidgetPanel, on_value
 from madviz.policies.checkpoint import has_guard
 from madviz.policies.guarded import fit_command, unguarded, with_guard
-from madviz.session.commands import Compare, SetPolicy
+from madviz.session.commands import Compare, Link, SetPolicy
 from madviz.session.frame import Frame
 
 HINT = (
@@ -27,7 +27,7 @@ class GuardPanel(WidgetPanel):
     def __init__(
         self,
         gui: viser.GuiApi,
-        send: Callable[[SetPolicy | Compare], None] | None,
+        send: Callable[[SetPolicy | Compare | Link], None] | None,
         frame: Frame,
         named: Reference = own_name,
     ) -> None:
@@ -63,6 +63,7 @@ class GuardPanel(WidgetPanel):
         second = frame.second
         if second is not None and frame.linked:
             self._send(Compare(self._reference(second, on), second.world.ablation))
+            self._send(Link(True))
 
     def _reference(self, frame: Frame, on: bool) -> str:
         policy = unguarded(self._named(frame.world.policy))
