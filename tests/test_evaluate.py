@@ -373,7 +373,7 @@ def test_pictures_that_do_not_matter_are_not_drawn_and_nothing_else_changes(
     def episode():
         counted, inputs, env = [], [], ToyReach()
         view = env.view
-        env.view = lambda camera: counted.append(camera) or view(camera)
+        monkeypatch.setattr(env, "view", lambda camera: counted.append(camera) or view(camera))
         policy = FakePolicy(setting=setting)
         ablation = Ablation({"third_a": CameraState(occlusion=occlusion)})
         mask = np.ones(len(policy.spec.streams), bool)

@@ -73,10 +73,6 @@ class RecordConfig:
     beside --replay, where to find it."""
     seed: Seed = FIRST_TRY
     """Which episode."""
-    vs: checkpoint.PolicyName | None = None
-    """A second policy on the same episodes, for a film of both."""
-    acts: bool = False
-    """With --vs: every seed thrice: all cameras, with the failures, and with the guard as well."""
     drop: tuple[str, ...] = ()
     """Cameras that fail: third_a@20 (dropped), third_a@20-40 (comes back), third_b=noise:0.5@10."""
     scenario: ScenarioName | None = None
@@ -113,6 +109,10 @@ class RecordConfig:
     noise: Share = 0.0
     """With --expert: the largest standard deviation of a noise that is added to what the expert
     does, not to what is kept as its action. Each episode draws its own."""
+    vs: checkpoint.PolicyName | None = None
+    """A second policy on the same episodes, for a film of both."""
+    acts: bool = False
+    """With --vs: every seed thrice: all cameras, with the failures, and with the guard as well."""
 
 
 def check(config: RecordConfig) -> None:
