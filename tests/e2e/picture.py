@@ -20,21 +20,19 @@ from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 WIDTH, HEIGHT = 1280, 800
-LEFT, RIGHT = 643, 957
+LEFT, RIGHT = 443, 967
 """Where the left panel ends and the right one begins, in pixels."""
 COLOURS = 255
-TABS = (
-    "Features",
-    "Subsets",
-    "Shapley",
-    "Inside",
-    "Move",
-    "Timeline",
-    "Failures",
-    "Train",
-    "Audit",
-    "Save",
-)
+TABS = {
+    "What counts?": "features",
+    "What if?": "subsets",
+    "Sees what?": "inside",
+    "Go back": "timeline",
+    "More": "audit",
+    "Failures": "failures",
+    "Train": "train",
+    "Save": "save",
+}
 
 
 def keep(page: Page, name: str, clip: FloatRect | None = None, wait: int = 1_500) -> None:
@@ -61,11 +59,17 @@ def take(page: Page) -> None:
     keep(page, "panels/greeting", {"x": LEFT, "y": 0, "width": RIGHT - LEFT, "height": 290})
     page.get_by_role("button", name="explore one policy").click()
     page.wait_for_timeout(9_000)
-    page.get_by_role("button", name="off").nth(1).click()
-    page.get_by_role("button", name="freeze").nth(2).click()
+    page.get_by_role("button", name="off", exact=True).nth(1).click()
+    page.get_by_role("button", name="just show me").click()
+    page.get_by_role("button", name="break …").nth(2).click()
+    page.get_by_role("button", name="freeze").click()
     page.wait_for_timeout(2_500)
+    tabs = page.get_by_role("tab", name="What counts?").bounding_box()
+    assert tabs is not None
+    keep(page, "panels/breaks", {"x": 0, "y": 210, "width": LEFT, "height": tabs["y"] - 210})
+    page.get_by_role("button", name="close", exact=True).click()
     keep(page, "page")
-    tabs = page.locator("[role=tablist]").last.bounding_box()
+    tabs = page.get_by_role("tab", name="What counts?").bounding_box()
     assert tabs is not None
     whole = {"x": 0.0, "y": 58.0, "width": float(LEFT), "height": tabs["y"] - 58}
     keep(page, "panels/cameras", whole)  # type: ignore[arg-type]
@@ -74,20 +78,20 @@ def take(page: Page) -> None:
     keep(page, "panels/success", success)
     keep(page, "panels/policy", {**success, "y": 55, "height": success["y"] - 55})
     below: FloatRect = {"x": 0, "y": tabs["y"], "width": LEFT, "height": HEIGHT - tabs["y"]}
-    for name in TABS:
+    for name, file in TABS.items():
         page.get_by_role("tab", name=name).click()
-        if name == "Inside":
+        if file == "inside":
             page.get_by_role("button", name="for its Q").click()
             page.get_by_text("Bright: if this pixel").wait_for(timeout=60_000)
-        keep(page, f"panels/{name.lower()}", below)
-        if name == "Inside":
+        keep(page, f"panels/{file}", below)
+        if file == "inside":
             page.locator("[data-mv-grid=saliency] button").first.click()
     compare(page)
 
 
 def compare(page: Page) -> None:
     """MAD against Merged Only, when both have ended."""
-    page.get_by_role("tab", name="A/B").click()
+    page.get_by_role("tab", name="Who wins?").click()
     page.get_by_role("button", name="compare").click()
     page.get_by_role("button", name="just show me").click()
     ended = "() => [...document.querySelectorAll('.mv-side .tag')].some(e => e.innerText == 'FAIL')"
@@ -103,7 +107,7 @@ def draw(page: Page) -> None:
     page.wait_for_timeout(4_000)
     page.get_by_role("button", name="off", exact=True).nth(1).click()
     page.wait_for_timeout(2_500)
-    tabs = page.locator("[role=tablist]").last.bounding_box()
+    tabs = page.get_by_role("tab", name="What counts?").bounding_box()
     assert tabs is not None
     keep(page, "panels/imagined", {"x": 0, "y": 58, "width": LEFT, "height": tabs["y"] - 58}, 0)
 
@@ -112,7 +116,7 @@ def imagine(page: Page) -> None:
     """What MV-MWM imagines of a camera that is dropped and of the next decisions."""
     page.wait_for_selector(".mv-status", timeout=60_000)
     page.keyboard.press("Escape")
-    page.get_by_role("tab", name="Inside").click()
+    page.get_by_role("tab", name="Sees what?").click()
     page.get_by_role("button", name="off", exact=True).nth(2).click()
     page.get_by_role("button", name="next", exact=True).click()
     page.wait_for_timeout(300)
