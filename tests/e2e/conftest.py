@@ -123,6 +123,13 @@ class Visitor:
             self.press("break …", camera)
         self.press(how)
 
+    def close_breaks(self) -> None:
+        """Closes what breaks a camera, where it is open, and waits until it is gone."""
+        close = self.page.get_by_role("button", name="close", exact=True)
+        if close.count():
+            close.click()
+            close.wait_for(state="detached", timeout=PATIENCE)
+
     def pick(self, policy: str) -> None:
         """Chooses a policy from the list."""
         name = self.page.locator("label", has_text="Policy").get_attribute("for")
@@ -191,9 +198,7 @@ def visitor(long_visit: Visitor, app: App) -> Visitor:
         session.send(command)
     for camera in latest.world.env.cameras:
         session.send(SetCamera(camera.name, CameraState("rgb")))
-    close = long_visit.page.get_by_role("button", name="close", exact=True)
-    if close.count():
-        close.click()
+    long_visit.close_breaks()
     long_visit.until("status.setting === 'all' && status.phase === 'playing'")
     return long_visit
 

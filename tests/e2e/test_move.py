@@ -30,9 +30,7 @@ def paused(visitor: Visitor, app: App) -> Iterator[Visitor]:
     for session in filter(None, map(app.users.session_of, app.server.get_clients())):
         for camera in ("first", "third_a", "third_b"):
             session.send(MoveCamera(camera, None))
-    close = visitor.page.get_by_role("button", name="close", exact=True)
-    if close.count():
-        close.click()
+    visitor.close_breaks()
 
 
 def drag(
