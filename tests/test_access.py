@@ -250,7 +250,7 @@ def test_one_presents_and_the_others_watch(shown: App):
                 "Episode",
                 "Speed",
                 "Seed",
-                "Input",
+                "First person",
                 "Step",
                 "start",
                 "start B",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import tempfile
 from pathlib import Path
 from typing import Protocol
 
@@ -39,8 +40,15 @@ class LargeFilm:
         self._path = path
         self._fps = fps
         self.seconds = 0.0
+        self._folder = tempfile.TemporaryDirectory()
+        self._plain = Path(self._folder.name) / "film.mp4"
         self._film = imageio.get_writer(
-            path, fps=fps, codec="libx264", quality=7, macro_block_size=2, ffmpeg_log_level="error"
+            self._plain,
+            fps=fps,
+            codec="libx264",
+            quality=7,
+            macro_block_size=2,
+            ffmpeg_log_level="error",
         )
 
     def add(self, picture: Array, seconds: float) -> None:
@@ -57,19 +65,15 @@ class LargeFilm:
         for (start, title), end in zip(titles, ends, strict=True):
             times = f"START={round(1000 * start)}\nEND={round(1000 * end)}"
             described.append(f"[CHAPTER]\nTIMEBASE=1/1000\n{times}\ntitle={_escaped(title)}")
-        without = self._path.with_name(f"plain-{self._path.name}")
-        self._path.rename(without)
-        try:
-            subprocess.run(
-                [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", "-i", without]
-                + ["-f", "ffmetadata", "-i", "-", "-map_metadata", "1", "-codec", "copy"]
-                + ["-movflags", "+faststart", "-f", "mp4", self._path],
-                input="\n".join(described),
-                text=True,
-                check=True,
-            )
-        finally:
-            without.unlink()
+        subprocess.run(
+            [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", "-i", self._plain]
+            + ["-f", "ffmetadata", "-i", "-", "-map_metadata", "1", "-codec", "copy"]
+            + ["-movflags", "+faststart", "-f", "mp4", self._path],
+            input="\n".join(described),
+            text=True,
+            check=True,
+        )
+        self._folder.cleanup()
 
 
 def _escaped(title: str) -> str:

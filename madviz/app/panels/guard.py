@@ -10,7 +10,7 @@ import viser
 from madviz.app.panel import Assign
 from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import SyncedInput, WidgetPanel, on_value
-from madviz.policies.checkpoint import has_guard
+from madviz.policies.checkpoint import has_guard, shown
 from madviz.policies.guarded import fit_command, unguarded, with_guard
 from madviz.session.commands import Compare, Link, SetPolicy
 from madviz.session.frame import Frame
@@ -72,4 +72,4 @@ class GuardPanel(WidgetPanel):
 
 def no_guard(policy: str) -> str:
     """The sentence on a policy without a fitted guard."""
-    return f"No guard is fitted for this policy; {fit_command(policy)} does it."
+    return f"No guard is fitted for this policy; {fit_command(shown(policy))} does it."
