@@ -104,3 +104,19 @@ def test_one_click_leads_to_plain_exploring_and_no_note_hides_the_scene(newcomer
     page.wait_for_function(
         "() => !document.querySelector('.mantine-Notification-root')", timeout=PATIENCE
     )
+
+
+def test_on_a_phone_the_opening_is_on_top(browser, greeting_app: App):
+    context = browser.new_context(viewport={"width": 390, "height": 844})
+    page = context.new_page()
+    page.goto(greeting_app.url + "?fixedDpr=0.25")
+    page.wait_for_selector("[data-mv-phone] .mv-tour", timeout=PATIENCE)
+    page.wait_for_function(
+        """() => {
+          const tops = ['canvas', '.mv-tour', '.mv-status', '.mv-mosaic']
+            .map(name => document.querySelector(name).getBoundingClientRect().top);
+          return tops.every((top, i) => i === 0 || top > tops[i - 1]) && tops[1] < 600;
+        }""",
+        timeout=PATIENCE,
+    )
+    context.close()

@@ -18,19 +18,22 @@ SIDEWAYS = """() => [...document.querySelectorAll('*')].filter(one => one.checkV
 """What can be scrolled to the side on a phone, or lies outside of its screen."""
 
 
-def sized(browser, app: App, width: int, height: int) -> Visitor:
+def sized(browser, app: App, width: int, height: int, dpr: float = 0.25) -> Visitor:
+    """A visitor with a window of that size; viser knows it in pixels that are drawn, ``dpr``."""
     context = browser.new_context(viewport={"width": width, "height": height})
     page = context.new_page()
-    page.goto(app.url + "?fixedDpr=0.25")
+    page.goto(f"{app.url}?fixedDpr={dpr}")
     page.wait_for_selector(".mv-mosaic", timeout=PATIENCE)
     return Visitor(page)
 
 
 @pytest.mark.parametrize("width, height, share", [(1280, 800, 0.4), (1920, 1080, 0.5)])
 def test_the_scene_has_its_share_of_the_width(browser, app: App, width, height, share):
-    visitor = sized(browser, app, width, height)
+    visitor = sized(browser, app, width, height, dpr=1)
     visitor.page.wait_for_function(f"() => ({SCENE})() < 0.9", timeout=PATIENCE)
     assert visitor.page.evaluate(SCENE) >= share
+    picture = visitor.page.locator(".mv-mosaic").first.bounding_box()
+    assert picture is not None and picture["width"] > (600 if width > 1600 else 400)
     visitor.page.get_by_role("tab", name="More").wait_for()
     tabs = [tab.bounding_box() for tab in visitor.page.get_by_role("tab").all()]
     assert len({round(box["y"]) for box in tabs[1:] if box}) == 1, "the tabs stand in one row"

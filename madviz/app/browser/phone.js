@@ -12,18 +12,19 @@ const arrange = () => {
   if (!narrow.matches || !image || !status) return;
   const sheet = image.closest('.mantine-Paper-root');
   if (!sheet || !sheet.contains(status)) return;
-  const tour = sheet.querySelector('.mv-tour'), arranged = sheet.querySelector('[data-mv-root]');
-  if (tour && arranged) below(arranged, tour).style.order = -3;
+  const tour = sheet.querySelector('.mv-tour'), panels = sheet.querySelector('[data-mv-panels]');
+  if (tour && panels) below(panels, tour).style.order = -3;
   if (sheet.dataset.mvPhone) return;
   let section = image, piece = status;
   while (!section.parentElement.contains(status)) section = section.parentElement;
   const root = section.parentElement;
   for (piece = piece.parentElement; piece !== root; piece = piece.parentElement)
     piece.style.display = 'contents';
-  root.dataset.mvRoot = '';
+  below(section, image).style.order = -1;
+  section.dataset.mvPanels = '';
+  section.style.display = 'contents';
   root.style.display = 'flex';
   root.style.flexDirection = 'column';
-  section.style.order = -1;
   sheet.style.width = '100%';
   sheet.style.maxHeight = '70%';
   let scene = document.querySelector('canvas');
