@@ -66,7 +66,7 @@ def take(page: Page) -> None:
     page.wait_for_timeout(2_500)
     tabs = page.get_by_role("tab", name="What counts?").bounding_box()
     assert tabs is not None
-    keep(page, "panels/breaks", {"x": 0, "y": 210, "width": LEFT, "height": tabs["y"] - 210})
+    keep(page, "panels/breaks", {"x": 0, "y": 228, "width": LEFT, "height": tabs["y"] - 228})
     page.get_by_role("button", name="close", exact=True).click()
     keep(page, "page")
     tabs = page.get_by_role("tab", name="What counts?").bounding_box()
@@ -90,10 +90,11 @@ def take(page: Page) -> None:
 
 
 def compare(page: Page) -> None:
-    """MAD against Merged Only, when both have ended."""
-    page.get_by_role("tab", name="Who wins?").click()
-    page.get_by_role("button", name="compare").click()
-    page.get_by_role("button", name="just show me").click()
+    """The third act of MAD against Merged Only, when both have ended."""
+    page.get_by_role("button", name="compare", exact=True).click()
+    for button in ("show me", "just show me", "next step"):
+        page.get_by_role("button", name=button, exact=True).first.click()
+        page.wait_for_timeout(2_000)
     ended = "() => [...document.querySelectorAll('.mv-side .tag')].some(e => e.innerText == 'FAIL')"
     page.wait_for_function(ended, timeout=120_000)
     picture: FloatRect = {"x": 0, "y": 58, "width": LEFT, "height": HEIGHT - 58}
