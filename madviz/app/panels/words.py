@@ -109,8 +109,9 @@ class WordsPanel(HtmlPanel):
                 said += f" <b>{ASKS[1 if frame.second is None else 2]}</b>"
             elif prediction.guess:
                 said += f" <b>You say {escape(prediction.guess)}.</b>"
-        for side in (frame, frame.second):
-            if side is not None and (noticed := guard_sentence(side)):
+        sides = [frame] if frame.second is None else [frame, frame.second]
+        for noticed in dict.fromkeys(map(guard_sentence, sides)):  # Once where both notice alike.
+            if noticed:
                 said += f'<div class="mv-noticed" role="status">{escape(noticed)}</div>'
         return (
             f'<div class="mv mv-words" style="border-left:3px solid {NOTE};margin:0 10px 4px;'
