@@ -61,7 +61,7 @@ class Suite:
     """Modules that take seconds to import and open no device, so that a process can be forked after
     it; simulations then share them."""
     listed: bool = True
-    """Whether lists name its tasks; those that are there for policies of others are left out."""
+    """True where lists name its tasks; those that are there for policies of others are left out."""
 
 
 SUITES = {

@@ -62,8 +62,8 @@ class Occlusion:
         return round(LATEST * self.strength) if self.kind == "delay" else 0
 
     def looks(self, step: int) -> bool:
-        """Whether the camera's own picture of ``step`` matters, where the occlusion lasts from step
-        0 on: if not, nobody need draw it."""
+        """True where the camera's own picture of ``step`` matters, if the occlusion lasts from step
+        0 on; otherwise it need not be drawn."""
         if self.kind in ("black", "mean") or (self.kind == "noise" and self.strength == 1):
             return False
         return self.kind != "freeze" or step == 0

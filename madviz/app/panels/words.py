@@ -36,7 +36,7 @@ class Prediction:
     asked_in: int | None = None
     """The episode that ran when it was asked for a later one."""
     silent: bool = False
-    """Whether the visitor wants no question in this visit."""
+    """True after *just show me*: no more questions in this visit."""
 
     def take(self, answer: str, episode: int | None = None, asked_in: int | None = None) -> None:
         """Notes an answer; ``SILENCE`` is none, and the last question."""
@@ -127,7 +127,7 @@ def answers(frame: Frame) -> tuple[str, ...]:
 
 
 def asks_now(frame: Frame, prediction: Prediction) -> bool:
-    """Whether a camera has just been dropped, and nothing is known yet of who will succeed."""
+    """True where a camera has just been dropped, and the visitor has not answered yet."""
     change = frame.world.change
     dropped = change is not None and frame.camera(change.camera).input == "off"
     over = frame.ended or frame.past

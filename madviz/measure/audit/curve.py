@@ -98,8 +98,8 @@ class FallingCurve:
     def add(self, place: int, success: float) -> None:
         """Takes an episode at the place of that number; an expected outcome is a share."""
         curves = self._family
-        told = success * curves.success[:, place] + (1 - success) * curves.failure[:, place]
-        self._log = self._log + told
+        observed = success * curves.success[:, place] + (1 - success) * curves.failure[:, place]
+        self._log = self._log + observed
 
     def next(self, episodes: int) -> list[int]:
         """The numbers of the places for the next ``episodes``, which are played together: each is
