@@ -32,8 +32,8 @@ def test_an_audit_is_started_on_the_page_and_comes_to_verdicts(
     try:
         visitor = visit(app.url)
         visitor.page.get_by_role("tab", name="More").click()
-        tabs = [tab.bounding_box() for tab in visitor.page.get_by_role("tab").all()]
         visitor.page.get_by_role("tab", name="Audit").click()
+        tabs = [tab.bounding_box() for tab in visitor.page.get_by_role("tab").all()]
         visitor.until_text(".mv-audit", "Does this policy use its cameras")
         visitor.press("start audit")
         visitor.until_text(".mv-audit", "First person is needed: without it success changes by -")

@@ -114,6 +114,8 @@ IN_SIGHT = """() => {
 def test_everything_that_matters_is_in_sight(visitor: Visitor):
     page = visitor.page
     visitor.until("document.querySelector('.mv-mosaic')?.naturalWidth > 400")
+    for text in ("merged: their sum", "† no camera"):
+        page.get_by_text(text, exact=True).first.wait_for(timeout=PATIENCE)
     found = page.evaluate(IN_SIGHT)
     assert len(found["off"]) == len(found["break …"]) == 3
     for name, boxes in found.items():

@@ -116,7 +116,7 @@ def presses(visitor: Visitor) -> tuple[list[int], list[int]]:
     switches: list[int] = []
     pauses: list[int] = []
     for _ in range(3):
-        for label, setting in (("off", "third_a+third_b"), ("RGB", "all")):
+        for label, setting in (("off", "third_a+third_b"), ("on", "all")):
             shown = f"status.setting === '{setting}'"
             switches.append(takes(visitor, lambda name=label: visitor.press(name), shown))
         for label, phase in (("pause", "paused"), ("▶ play", "playing")):
