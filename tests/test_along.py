@@ -156,10 +156,10 @@ class Thresholds:
             if len(self.ran) == self.stop_after:
                 raise KeyboardInterrupt
             self.ran.append(job)
-            luck = np.random.default_rng([job.seed, 3])
-            success = bool(luck.random() < self.intact)
+            noise = np.random.default_rng([job.seed, 3])
+            success = bool(noise.random() < self.intact)
             if job.condition in self.table:
-                success &= self.table[job.condition] < self.place + luck.normal() * self.spread
+                success &= self.table[job.condition] < self.place + noise.normal() * self.spread
             yield job, (EpisodeResult("all", job.seed, success, success, 0.0), "near")
 
 

@@ -286,8 +286,8 @@ def test_the_panel_says_where_cameras_are_and_what_counts():
     assert "Every camera stands where" in move_html(live.now)
     html = move_html(live.ask(ASIDE))
     assert "0.30 m to the right" in html and "First" not in html
-    told = "madviz audit --policy toy-mad --along third_a.right=0:0.3 --out audit-right<"
-    assert told in html
+    command = "madviz audit --policy toy-mad --along third_a.right=0:0.3 --out audit-right<"
+    assert command in html
     html = move_html(live.ask(MoveCamera("third_a", Displacement(tilt=-12, zoom=2))))
     assert "--along third_a.tilt=-12:0 --out audit-tilt<" in html
 

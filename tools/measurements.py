@@ -362,7 +362,7 @@ def wiring() -> str:
     ]
     return (
         f"{table(header, lines)}\n{count['right']} of {len(faults)} faults were named, "
-        f"{count['wrong']} wrongly; {count['cannot tell']} could not be told. In {len(clean)} runs "
+        f"{count['wrong']} wrongly; {count['cannot tell']} were undecided. In {len(clean)} runs "
         f"without a fault, on a policy that succeeded in {wins} of {n} episodes, {advised} changes "
         "were advised.\n"
     )

@@ -44,7 +44,7 @@ class Chapter:
     seed: int
     schedule: Schedule
     guard: bool
-    """Whether both policies are guarded."""
+    """True where both policies are guarded."""
 
 
 def chapters(

@@ -52,13 +52,13 @@ class LargeFilm:
         )
 
     def add(self, picture: Array, seconds: float) -> None:
-        """As ``Film.add``."""
+        """Writes a picture as often as its time asks for; see ``Film``."""
         for _ in range(max(1, round(seconds * self._fps))):
             self._film.append_data(picture)
         self.seconds += seconds
 
     def close(self, titles: list[tuple[float, str]]) -> None:
-        """As ``Film.close``. Chapters are written once the times of all are known."""
+        """Writes the chapters, whose times are known only now; see ``Film``."""
         self._film.close()
         ends = [*(start for start, _ in titles[1:]), self.seconds]
         described = [";FFMETADATA1"]
@@ -91,7 +91,7 @@ class SmallFilm:
         self._passed = 0
 
     def add(self, picture: Array, seconds: float) -> None:
-        """As ``Film.add``; a picture that is left out gives its time to the one before it."""
+        """Takes a picture; one that is left out gives its time to the one before it."""
         self.seconds += seconds
         self._passed += 1
         if self._shown and seconds < 1 and self._passed % SMALL_EVERY:
@@ -103,7 +103,7 @@ class SmallFilm:
         self._shown.append((small, seconds))
 
     def close(self, titles: list[tuple[float, str]]) -> None:
-        """As ``Film.close``; this format has no chapters."""
+        """Writes the file; this format has no chapters."""
         pictures = [picture for picture, _ in self._shown]
         pictures[0].save(
             self._path,

@@ -27,12 +27,12 @@ class KeepsActions:
         self.actions: list[Array] = []
 
     def reset(self, seed: int) -> TimeStep:
-        """As the environment's; what was done is forgotten."""
+        """Begins an episode; earlier actions are forgotten."""
         self.actions = []
         return self._env.reset(seed)
 
     def step(self, action: Array) -> TimeStep:
-        """As the environment's."""
+        """Keeps the action and takes the step."""
         self.actions.append(np.array(action))
         return self._env.step(action)
 

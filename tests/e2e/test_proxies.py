@@ -50,8 +50,7 @@ def app() -> Iterator[App]:
 def proxied(app: App, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
     """nginx before the page: by scheme, the address of the proxy."""
     nginx = shutil.which("nginx", path=f"{UNPACKED}:{os.environ['PATH']}")
-    if nginx is None:
-        pytest.skip("nginx is not here: make .venv/nginx.stamp")
+    assert nginx is not None, "expected nginx, found none; make .venv/nginx.stamp unpacks it"
     folder = tmp_path_factory.mktemp("nginx")
     key = ["-newkey", "rsa:2048", "-nodes", "-keyout", "key.pem", "-out", "cert.pem"]
     named = ["-days", "2", "-subj", "/CN=localhost"]
