@@ -199,6 +199,7 @@ def visitor(long_visit: Visitor, app: App) -> Visitor:
     for camera in latest.world.env.cameras:
         session.send(SetCamera(camera.name, CameraState("rgb")))
     long_visit.close_breaks()
+    long_visit.page.get_by_role("tab", name="What counts?").click()
     long_visit.until("status.setting === 'all' && status.phase === 'playing'")
     return long_visit
 
