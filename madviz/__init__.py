@@ -1,4 +1,4 @@
-"""Take a camera away from a multi-view robot policy, live, and see what it does then.
+"""Switch off a robot's camera, live, and watch what happens.
 
     import madviz
 

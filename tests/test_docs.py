@@ -62,8 +62,33 @@ def of_ours(line: str) -> tuple[str, list[str]]:
 OURS = [each for each in commands() if of_ours(each.line)[0]]
 
 
+READ_FIRST = ("README.md", "docs/index.md", "docs/cookbook.md", "docs/page.md", "docs/audit.md")
+"""Pages that people read before they know the words; their sentences are short."""
+LONGEST = 28
+"""Words of a sentence there."""
+
+
+def sentences(text: str) -> Iterator[str]:
+    """The prose of a page: no code, tables, headings or comments, and links by their text."""
+    text = re.sub(r"```.*?```|<!--.*?-->", "\n\n", text, flags=re.DOTALL)
+    text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    text = re.sub(r"`[^`]*`", "code", text)
+    lines = [line for line in text.splitlines() if not re.match(r"\s*(\||#)", line)]
+    for part in re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.)\s", "\n".join(lines)):
+        yield from re.split(r"(?<=[.?!])\**\s+", " ".join(part.split()))
+
+
 def test_readme_is_read_in_one_sitting() -> None:
-    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 120
+    prose = " ".join(sentences(text))
+    assert len(re.findall(r"\d+(?:\.\d+)?", prose)) <= 60
+
+
+@pytest.mark.parametrize("page", READ_FIRST)
+def test_sentences_of_a_first_page_are_short(page: str) -> None:
+    long = [one for one in sentences((ROOT / page).read_text()) if len(one.split()) > LONGEST]
+    assert long == []
 
 
 def test_figures_in_the_text_are_those_in_the_files() -> None:

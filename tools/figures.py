@@ -1,5 +1,5 @@
-"""docs/push.svg and docs/push-cube.svg, README's two plots, from the files of the policies, and
-docs/soak.svg, memory of the page's server, from those of `madviz soak`.
+"""docs/findings.svg, README's plot, from the files of the policies, and docs/soak.svg, memory of the
+page's server, from those of `madviz soak`.
 
 python tools/figures.py
 """
@@ -10,42 +10,27 @@ import math
 from typing import Any
 
 from measurements import read_all
-from policy_files import LABELS, ROOT, methods
+from policy_files import ROOT, every_table
 
-from madviz.plots.figures import Bar, bars, curves
+from madviz.plots.figures import Bar, curves, dots
 from madviz.plots.styles import styles
-from madviz.report.layouts import THREE
-from madviz.report.rows import Row
+from madviz.report.findings import judged
 from madviz.soak.soak import warm_up
 
 DOCS = ROOT / "docs"
-SHOWN = {
-    "MAD": "mad",
-    "Single": "single",
-    "Singular Only": "singular-only",
-    "MVD": "mvd",
-    "Merged Only": "merged-only",
-    "VIB": "vib",
-}
 
 
-def figure(title: str, task: str) -> str:
-    """SVG text: a group of bars for all cameras and for each one alone, a dot for each training.
-    Single is a policy for each camera, and has no bar for all."""
-    rows = methods(task)
-    series = {name: [_bar(rows[label], group) for group in THREE] for name, label in SHOWN.items()}
-    names = ["all cameras", *(f"{label} alone" for label in LABELS.values())]
-    mad = rows["mad"]
-    measured = f"success at the last step, {mad.trainings} trainings, {mad.seeds} seeds"
-    return bars(f"{title}: {measured}", names, series)
-
-
-def _bar(row: Row, group: str) -> Bar | None:
-    rate = row.rate(group)
-    if rate is None:
-        return None
-    trainings = (row.seeded({seed}).rate(group) for seed in sorted(row.training_seeds))
-    return Bar(rate.value, *rate.interval, tuple(single.value for single in trainings if single))
+def findings_figure() -> str:
+    """SVG text: the difference and the interval of every claim, by verdict."""
+    found = judged(every_table())
+    series: dict[str, list[Bar | None]] = {
+        said: [
+            Bar(one.gap.value, *one.gap.interval) if one.verdict == said else None for one in found
+        ]
+        for said in dict.fromkeys(one.verdict for one in found)
+    }
+    title = "Difference of success rates, with its 95 % interval"
+    return dots(title, [one.label for one in found], series, signed=True)
 
 
 def soak_figure() -> str:
@@ -65,8 +50,7 @@ def _changes(memory: dict[str, Any]) -> list[float]:
 
 
 def main() -> None:
-    (DOCS / "push.svg").write_text(figure("Push, small budget", "metaworld/push"))
-    (DOCS / "push-cube.svg").write_text(figure("PushCube, small budget", "maniskill/push-cube"))
+    (DOCS / "findings.svg").write_text(findings_figure())
     if read_all("soak/*"):
         (DOCS / "soak.svg").write_text(soak_figure())
 

@@ -21,7 +21,7 @@ from measurements import table
 from policy_files import LABELS, ROOT, every_table, policies, rates, row
 
 from madviz.policies import checkpoint
-from madviz.report.findings import findings_table
+from madviz.report.findings import findings_table, judged
 from madviz.report.layouts import THREE
 from madviz.report.rows import Row
 from madviz.report.threshold import TWENTY, WEAK, judge
@@ -63,6 +63,11 @@ def findings() -> str:
     )
 
 
+def headlines() -> str:
+    """Three of the findings, a sentence each; the verdict and the number are the table's."""
+    return "".join(f"- {one.sentence}\n" for one in judged(every_table()) if one.finding.headline)
+
+
 def holding_still() -> str:
     """Success at the last step and at any step of the policy that learned from rewards."""
     file = ROOT / "checkpoints/maniskill-push-cube-mad-paper-vectorised" / checkpoint.DEVELOPMENT
@@ -101,6 +106,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "glossary": glossary,
     "wiring": measurements.wiring,
     "findings": findings,
+    "headlines": headlines,
     "mv-mae": partial(included, "mv-mae"),
     "mv-mwm": partial(included, "mv-mwm"),
     "beside-imagining": measurements.beside_imagining,

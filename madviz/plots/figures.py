@@ -94,7 +94,8 @@ def dots(
 ) -> str:
     """SVG text as of ``bars``, with the rates from left to right and a group in each line; the
     rates of ``marks`` are drawn as dashed lines. ``signed``: differences from -1 to 1."""
-    size = max(20, 9 * len(series) + 8)
+    crowd = max((sum(map(bool, group)) for group in zip(*series.values(), strict=True)), default=1)
+    size = max(20, 9 * crowd + 8)
     left = 30 + 6.2 * max(map(len, groups), default=0)
     with _style(title):
         figure = _figure(_width(left + 430, title, series), 70 + size * len(groups))
@@ -107,7 +108,7 @@ def dots(
         for rate in marks:
             axes.axvline(rate, color=MARK, linestyle="--", linewidth=1, gid="mark")
         chosen = styles(series)
-        for name, y, bar in _placed(series, 0.8 / len(series)):
+        for name, y, bar in _placed(series, 0.8 / len(series) if crowd > 1 else 0.0):
             _dot(axes, bar, y, chosen[name])
         for artist in axes.get_children():
             artist.set_clip_on(False)

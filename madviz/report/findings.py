@@ -24,7 +24,7 @@ from typing import Literal
 from madviz.measure.statistics import Interval
 from madviz.report.claims import SEVERAL
 from madviz.report.layouts import THREE
-from madviz.report.rows import Difference, Row, difference
+from madviz.report.rows import Difference, Row, difference, signed
 from madviz.report.tables import ResultTable
 from madviz.system.markdown import markdown_table
 
@@ -49,6 +49,31 @@ class Finding:
     columns: tuple[str, ...]
     paper: str
     expected: Literal["ahead", "alike"] = "ahead"
+    headline: bool = False
+    """Whether README says it in a sentence above the table."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A finding with its difference, from rows that were measured."""
+
+    finding: Finding
+    gap: Difference
+    measured: str
+    """How: the learning, the task, trainings, episodes and seeds."""
+    verdict: str
+
+    @property
+    def label(self) -> str:
+        """The claim and its task, for a picture."""
+        return f"{self.finding.claim} ({self.finding.task.split('/')[1]})"
+
+    @property
+    def sentence(self) -> str:
+        """The verdict, the claim and the difference, without the interval."""
+        claim = self.finding.claim[0].lower() + self.finding.claim[1:]
+        size = f"{signed(self.gap.value)} points on {self.finding.task.split('/')[1]}"
+        return f"**{self.verdict.capitalize()}:** {claim} ({size})."
 
 
 FINDINGS = (
@@ -59,9 +84,10 @@ FINDINGS = (
         ("overall", "merged-only"),
         ALONE,
         "MAD is ahead",
+        headline=True,
     ),
     Finding(
-        "The same",
+        "On a single camera, MAD is ahead of training on the sum alone",
         CUBE,
         ("overall", "mad"),
         ("overall", "merged-only"),
@@ -69,7 +95,7 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "Recorded episodes count as well: the sum's loss on MAD's episodes, against its own",
+        "Recorded episodes count as well: the sum's loss on MAD's episodes is ahead of its own",
         PUSH,
         ("alpha", "alpha 1"),
         ("overall", "merged-only"),
@@ -84,9 +110,10 @@ FINDINGS = (
         ("all",),
         "MAD is ahead",
         "alike",
+        headline=True,
     ),
     Finding(
-        "MAD is ahead of one policy for each camera (alpha 0.25)",
+        "On a single camera, MAD is ahead of one policy for each camera, alpha 0.25",
         PUSH,
         ("overall", "mad"),
         ("overall", "single"),
@@ -94,7 +121,7 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "The same with the paper's alpha, 0.8",
+        "On a single camera, MAD is ahead of one policy for each camera, alpha 0.8",
         PUSH,
         ("alpha", "alpha 0.8"),
         ("overall", "single"),
@@ -102,7 +129,7 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "The same (alpha 0.25)",
+        "On a single camera, MAD is ahead of one policy for each camera, alpha 0.25",
         CUBE,
         ("overall", "mad"),
         ("overall", "single"),
@@ -119,16 +146,17 @@ FINDINGS = (
         "alike",
     ),
     Finding(
-        "Two cameras turned away: MAD is as good as the camera that is left",
+        "With two cameras turned away, MAD is as good as the camera that is left",
         CUBE,
         ("occlusion", "mad"),
         ("occlusion", "single"),
         ("all",),
         "alike: 63 % and 62 %",
         "alike",
+        headline=True,
     ),
     Finding(
-        "The same with the paper's alpha, 0.8",
+        "With two cameras turned away, MAD is as good as the camera that is left, alpha 0.8",
         CUBE,
         ("occlusion", "mad, alpha 0.8"),
         ("occlusion", "single"),
@@ -157,9 +185,9 @@ FINDINGS = (
 )
 
 
-def findings_table(tables: Sequence[ResultTable]) -> str:
-    """Markdown; '' where no claim can be judged from ``tables``."""
-    rows = []
+def judged(tables: Sequence[ResultTable]) -> list[Judged]:
+    """Every finding whose rows are in ``tables``, in the order of ``FINDINGS``."""
+    found = []
     for finding in FINDINGS:
         first = _row(tables, finding.task, finding.first)
         second = _row(tables, finding.task, finding.second)
@@ -169,7 +197,16 @@ def findings_table(tables: Sequence[ResultTable]) -> str:
             learning = "reinforcement learning" if rewards else "imitation"
             measured = f"{learning}, {finding.task.split('/')[1]}, {_amount(gap)}, {first.seeds}"
             said = verdict(finding.expected, gap.interval, rewards, len(gap.trainings))
-            rows.append([finding.claim, measured, str(gap), finding.paper, said])
+            found.append(Judged(finding, gap, measured, said))
+    return found
+
+
+def findings_table(tables: Sequence[ResultTable]) -> str:
+    """Markdown; '' where no claim can be judged from ``tables``."""
+    rows = [
+        [one.finding.claim, one.measured, str(one.gap), one.finding.paper, one.verdict]
+        for one in judged(tables)
+    ]
     return markdown_table(HEADER, rows) if rows else ""
 
 
