@@ -7,6 +7,8 @@
 # make check   the same, and the documentation's links
 # make docs    the documentation as a site in build/docs
 # make dist    a wheel and a source archive in dist/
+# make release REPOSITORY=ADDRESS   writes the address into README and the package's data, then makes
+#               wheel, documentation and site, and tries the wheel in a clean environment
 # make figures  evaluate every policy on the reporting seeds (hours; goes on where it was stopped),
 #               then make pictures
 # make bench   every benchmark, into docs/benchmarks.md (20 minutes on an idle machine)
@@ -20,7 +22,9 @@ PYTHON ?= python3
 POLICY ?= metaworld-hammer-mad-light
 BIN    := .venv/bin
 
-.PHONY: notebooks student-copies help demo site setup setup-dev test test-slow style check docs figures pictures dist bench clean
+RELEASED := README.md docs/teaching.md CITATION.cff pyproject.toml
+
+.PHONY: notebooks student-copies help demo site release setup setup-dev test test-slow style check docs figures pictures dist bench clean
 
 help:
 	@sed -n '/^$$/q; s/^# \{0,1\}//p' Makefile
@@ -28,9 +32,12 @@ help:
 demo: setup
 	$(BIN)/madviz explore --policy $(POLICY) $(ARGS)
 
-site: .venv/site.stamp
-	$(BIN)/madviz site --out build/site $(ARGS)
+site: build/site
 	$(BIN)/python -m http.server --bind 127.0.0.1 --directory build/site 8000
+
+.PHONY: build/site
+build/site: .venv/site.stamp
+	$(BIN)/madviz site --out build/site --zip $(ARGS)
 
 setup: .venv/packages.stamp
 
@@ -64,6 +71,12 @@ docs: .venv/dev.stamp
 
 dist: .venv/dev.stamp
 	$(BIN)/python -m build --outdir dist .
+
+release: setup-dev .venv/node.stamp
+	@test -n "$(REPOSITORY)" || { echo "expected make release REPOSITORY=ADDRESS"; exit 2; }
+	sed -i 's|\bREPOSITORY\b|$(REPOSITORY)|; s,^# \(urls.Repository\|repository-code:\),\1,' $(RELEASED)
+	$(MAKE) dist docs build/site
+	$(BIN)/python -m pytest -m slow tests/test_wheel.py
 
 figures: setup-dev
 	$(BIN)/madviz report --evaluate

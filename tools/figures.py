@@ -1,5 +1,5 @@
-"""docs/findings.svg, README's plot, from the files of the policies, and docs/soak.svg, memory of the
-page's server, from those of `madviz soak`.
+"""docs/findings.svg, README's plot, from the files of the policies, and docs/soak.svg, memory of
+the page's server, from those of `madviz soak`.
 
 python tools/figures.py
 """
