@@ -187,7 +187,7 @@ def _row(colour: str, label: str, strip: Array, numbers: tuple[str, ...], faded:
     cells = "".join(f'<td class="num">{number}</td>' for number in numbers)
     return (
         f'<tr style="{style}"><td>{dot(colour)}'
-        f'{label}</td><td><img class="strip" src="{strip_uri(strip)}"></td>{cells}</tr>'
+        f'{label}</td><td><img class="strip" alt="" src="{strip_uri(strip)}"></td>{cells}</tr>'
     )
 
 
