@@ -7,8 +7,9 @@ import pytest
 from madviz.app.server import App
 from tests.e2e.conftest import PATIENCE, Visitor
 
-SCENE = """() => Math.max(...[...document.querySelectorAll('canvas')]
-  .map(one => one.getBoundingClientRect().width)) / innerWidth"""
+SCENE = """() => [...document.querySelectorAll('canvas')].map(one => one.getBoundingClientRect())
+  .reduce((most, one) => one.height > most.height ? one : most).width / innerWidth"""
+"""The scene's share of the window's width; its canvas is the highest one."""
 
 SIDEWAYS = """() => [...document.querySelectorAll('*')].filter(one => one.checkVisibility()
   && (one.scrollWidth > one.clientWidth + 1
@@ -57,3 +58,19 @@ def test_a_phone_has_the_scene_above_and_nothing_to_scroll_sideways(browser, app
     scene = page.locator("canvas").first.bounding_box()
     assert scene is not None and 200 < scene["height"] < 300
     visitor.close()
+
+
+def test_a_sharp_screen_has_the_layout_of_its_width_and_is_drawn_sharply(browser, app: App):
+    context = browser.new_context(viewport={"width": 1280, "height": 800}, device_scale_factor=2)
+    page = context.new_page()
+    page.goto(app.url)
+    page.wait_for_selector(".mv-mosaic", timeout=PATIENCE)
+    page.wait_for_function(f"() => ({SCENE})() < 0.9", timeout=PATIENCE)
+    assert page.evaluate(SCENE) >= 0.4
+    page.wait_for_function(
+        """() => [...document.querySelectorAll('canvas')].some(
+          one => one.width > 0 && Math.abs(one.width - 2 * one.clientWidth) < 3)""",
+        timeout=PATIENCE,
+    )
+    assert page.evaluate("devicePixelRatio") == 2
+    context.close()

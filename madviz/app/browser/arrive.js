@@ -1,5 +1,10 @@
-// Runs before viser's client: which address its websocket has, and why it does not open.
+// Runs before viser's client: which address its websocket has, why it does not open, and how wide the
+// window is. viser tells the server the width of its canvas in the screen's pixels, and the layout is
+// chosen by it. So a pixel of the screen counts as one of the page until the layout is there.
 (() => {
+  const {get} = Object.getOwnPropertyDescriptor(window, 'devicePixelRatio');
+  Object.defineProperty(window, 'devicePixelRatio',
+    {configurable: true, get: () => window.madvizRan ? get.call(window) : 1});
   const address = new URL(location.href);
   address.searchParams.delete('entered');
   if (address.pathname.endsWith('/') && address.pathname !== '/' && location.protocol !== 'about:') {
