@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 
@@ -64,8 +65,12 @@ def findings() -> str:
 
 
 def headlines() -> str:
-    """Three of the findings, a sentence each; the verdict and the number are the table's."""
-    return "".join(f"- {one.sentence}\n" for one in judged(every_table()) if one.finding.headline)
+    """Three of the findings, a sentence each, and how many there are of each verdict."""
+    found = judged(every_table())
+    counts = Counter(one.verdict for one in found)
+    said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    sentences = [one.sentence for one in found if one.finding.headline]
+    return "".join(f"- {one}\n" for one in [*sentences, f"Of {len(found)} claims: {said}."])
 
 
 def holding_still() -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,12 +13,16 @@ PACKAGES = (ROOT / "madviz", ROOT / "benchmarks")
 
 
 def packages() -> str:
-    """The packages right under ``madviz/``, as README has them."""
-    lines = [
-        f"{folder.name + '/':16} {summary(folder / '__init__.py')}"
-        for folder, depth in folders(ROOT / "madviz")
-        if depth == 1
-    ]
+    """The packages right under ``madviz/``, in the order of the layers in ``pyproject.toml``."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    layers = next(one["layers"] for one in contracts["contracts"] if one["type"] == "layers")
+    lines = []
+    for layer in layers:
+        inits = [ROOT / "madviz" / name / "__init__.py" for name in layer.split(" | ")]
+        mark = "─ "
+        for init in filter(Path.is_file, inits):
+            lines.append(f"{mark}{init.parent.name + '/':16} {summary(init)}")
+            mark = "  "
     return "```text\n" + "\n".join(lines) + "\n```\n"
 
 

@@ -70,10 +70,9 @@ class Judged:
 
     @property
     def sentence(self) -> str:
-        """The verdict, the claim and the difference, without the interval."""
-        claim = self.finding.claim[0].lower() + self.finding.claim[1:]
+        """The claim, the verdict and the difference, without the interval."""
         size = f"{signed(self.gap.value)} points on {self.finding.task.split('/')[1]}"
-        return f"**{self.verdict.capitalize()}:** {claim} ({size})."
+        return f"{self.finding.claim}: **{self.verdict}**, {size}."
 
 
 FINDINGS = (
@@ -95,7 +94,7 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "Recorded episodes count as well: the sum's loss on MAD's episodes is ahead of its own",
+        "Trained on MAD's episodes, the sum's loss is ahead of the same loss on its own episodes",
         PUSH,
         ("alpha", "alpha 1"),
         ("overall", "merged-only"),
