@@ -26,6 +26,13 @@ class Recorder(Session):
         self.subscribe(lambda frame: self.frames.append(frame))  # type: ignore[arg-type]
         self.time = 0.0
 
+    def tick(self, now: float) -> float | None:
+        """A replay of an ended episode takes no time."""
+        due = super().tick(now)
+        while self._stage.retracing:
+            due = super().tick(now)
+        return due
+
     def at(self, time: float) -> float | None:
         self.time = time
         return self.tick(time)

@@ -24,13 +24,14 @@ from madviz.app.panels.shapley import (
     success_column,
 )
 from madviz.app.scene.arrows import NEAR, ArrowsPanel, arrows, towards
+from madviz.app.scene.paths import OVER, PathsPanel, segments
 from madviz.app.success_rates import SuccessRates
 from madviz.drawing import mosaic
 from madviz.drawing.colours import CAMERA_COLOURS, NOTE, rgb
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Pause, Reset, SetCamera, SetPolicy
-from madviz.session.frame import Frame
+from madviz.session.frame import Frame, HandPaths
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import browser, recorded, use
@@ -320,3 +321,28 @@ def test_arrows_follow_the_visitors_eye(server) -> None:
     np.testing.assert_allclose(client.scene.find("/arrows").points, expected, atol=1e-6)
     panel.remove()
     assert client.followers == []  # A page that was closed is not drawn on, nor kept.
+
+
+def test_the_paths_of_the_hand_are_drawn_once_they_are_known(server) -> None:
+    client, frame = browser(server), frame_with()
+    panel = PathsPanel(client, frame)
+    thick, thin, other = (
+        client.scene.find(f"/paths/{n}") for n in ("a/taken", "a/intact", "b/taken")
+    )
+    assert panel.update(frame) == [] and len(thick.points) == 0
+    straight = np.arange(15, dtype=np.float32).reshape(5, 3) / 14
+    bent = straight + np.array([0, 0.1, 0], np.float32)
+    known = replace(frame, paths=HandPaths(3, bent, straight))
+    apply(panel.update(known))
+    eye = np.asarray(client.camera.position, float)
+    np.testing.assert_allclose(thick.points, towards(segments(bent), eye), atol=1e-6)
+    np.testing.assert_allclose(thin.points, towards(segments(straight), eye, OVER), atol=1e-6)
+    assert len(other.points) == 0 and panel.update(known) == []
+    client.camera.position = np.array([-3.0, 0.0, 1.0])
+    asyncio.run(client.followers[0](client.camera))
+    moved = towards(segments(bent), client.camera.position)
+    np.testing.assert_allclose(thick.points, moved, atol=1e-6)
+    apply(panel.update(frame))
+    assert len(thick.points) == len(thin.points) == 0, "the next episode begins"
+    panel.remove()
+    assert client.followers == []

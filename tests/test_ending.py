@@ -32,10 +32,11 @@ def measured(spec: PolicySpec, condition: Condition) -> SuccessRate:
 def side(values: dict[str, Any]) -> EndedSide:
     deeds = tuple(Deed(*deed) for deed in values["deeds"])
     rate = SuccessRate.of(values["successes"], values["n"])
-    return EndedSide(values["label"], values["success"], rate, deeds)
+    departure = tuple(values["departure"]) if "departure" in values else None
+    return EndedSide(values["label"], values["success"], rate, deeds, departure)
 
 
-@pytest.mark.parametrize("case", CASES, ids=[case["words"][:30] for case in CASES])
+@pytest.mark.parametrize("case", CASES, ids=[case["words"][:90] for case in CASES])
 def test_the_words_are_those_of_the_table(case: dict[str, Any]) -> None:
     sides = [side(values) for values in case["sides"]]
     words = ending(sides, tuple(case["done"]))

@@ -38,6 +38,7 @@ from madviz.app.panels.training import TrainingPanel
 from madviz.app.panels.words import Prediction, WordsPanel
 from madviz.app.refresh import FASTEST, Refresh, TimedPanel
 from madviz.app.scene.arrows import ArrowsPanel
+from madviz.app.scene.paths import PathsPanel
 from madviz.app.scene.scene import ScenePanel, extent
 from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
@@ -118,7 +119,6 @@ class Panels:
                 cameras.breaks = BreakPanel(gui, self._send, frame, client.scene, named)
             tabs = gui.add_tab_group()
         breaks = [TimedPanel(cameras.breaks, 0.1)] if cameras.breaks else []
-        tabbed = self._build_tabs(tabs, frame)
         self._extras = [dockable, tour, *commands(client, keys.table)]
         scene = ScenePanel(client, frame, None if readonly else keys.toggle)
         # Every panel of the page, in the order in which they get a frame.
@@ -128,10 +128,11 @@ class Panels:
             TimedPanel(policy, FASTEST),
             TimedPanel(words, FASTEST),
             *breaks,
-            *tabbed,
+            *self._build_tabs(tabs, frame),
             TimedPanel(self.success, 0.5),
             TimedPanel(scene, 0.05),
             TimedPanel(ArrowsPanel(client, frame, extent(frame)), 0.25),
+            TimedPanel(PathsPanel(client, frame), 0.25),
         ]
         self.refresh = Refresh(self.panels)
         if greet:

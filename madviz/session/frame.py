@@ -115,6 +115,39 @@ class Branch:
     """At the same step as the frame that holds this branch, or at the branch's last one."""
 
 
+APART = 0.01
+"""Metres between two paths from which on they are said to differ; a grip shifts by less."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandPaths:
+    """The hand's path in an episode from the first change of a camera on, and its path in the same
+    episode with all cameras; both begin at the same place."""
+
+    since: int
+    """The step at which they begin."""
+    taken: Array
+    """(T, 3) float32 metres, world frame: the path of the episode."""
+    intact: Array
+    """(T, 3) likewise, with all cameras."""
+
+    @property
+    def apart(self) -> Array:
+        """(T,) metres between the two, step by step."""
+        return np.linalg.norm(self.taken - self.intact, axis=1)  # (T, 3) -> (T,)
+
+    @property
+    def largest(self) -> float:
+        """Metres."""
+        return float(self.apart.max())
+
+    @property
+    def differ_at(self) -> int | None:
+        """The first step at which they are ``APART``; None where there is none."""
+        steps = np.flatnonzero(self.apart >= APART)
+        return self.since + int(steps[0]) if len(steps) else None
+
+
 @dataclass(frozen=True)
 class NoFrame:
     """There is no frame to show, for a simulation could not be started or drawn."""
@@ -213,6 +246,8 @@ class Frame:
     """The target whose pixels somebody asked to see; there may be no ``saliency`` of it yet."""
     foresight: Foresight | None = None
     """The policy's imagination of the decisions after an earlier step or this one."""
+    paths: HandPaths | None = None
+    """After an episode in which a camera was changed, once its replay with all cameras is done."""
 
     @property
     def mask(self) -> Array:

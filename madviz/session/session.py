@@ -47,7 +47,7 @@ from madviz.session.commands import (
 from madviz.session.frame import Frame, NoFrame, Phase, SessionPace
 from madviz.session.inbox import Inbox
 from madviz.session.live_session import MOST_WAITING, TOO_MANY, LiveSession
-from madviz.session.pace import StepClock
+from madviz.session.pace import HOLD_TO_READ, StepClock
 from madviz.session.session_file import SavedEpisode, SavedSession
 from madviz.session.stage import EnvFactory, Stage
 from madviz.session.waiting import ATTENDED_AFTER, LOOKS_EVERY, promised
@@ -157,8 +157,11 @@ class Session(LiveSession):
         if self._moving() and now >= self._pace.due and not self._closing.is_set():
             self._guarded(lambda: self._advance(now))
         self._guarded(lambda: self._explain(now))
-        if self._read_all and self._read_more(now):
-            return now  # More may be waiting.
+        if self._stage.ended and self._pace.speed is not None and not self._error:
+            self._guarded(lambda: self._retrace(now))
+        waiting = self._backlog or self._stage.retracing
+        if waiting or (self._read_all and self._read_more(now)):
+            return now
         return self._pace.due if self._moving() else None
 
     def _attend(self) -> None:
@@ -194,18 +197,19 @@ class Session(LiveSession):
             return False
         began = time.monotonic()
         before = self._number
-        self._guarded(self._read_and_emit)
+        self._guarded(lambda: self._stage.read_more() and self._emit())
         self._pass_takes = time.monotonic() - began
         return self._number > before and not self._error
 
-    def _read_and_emit(self) -> None:
-        if self._stage.read_more():
+    def _retrace(self, now: float) -> None:
+        """One decision of the ended episode's replay with all cameras; its end is to be read."""
+        if self._stage.retrace():
+            self._pace.due = max(self._pace.due, now + HOLD_TO_READ / 2)
             self._emit()
 
     def _explain(self, now: float) -> None:
         """After everything else, because it takes as long as a step."""
-        moving = self._phase == "playing"
-        if self._stage.explain(now, moving, full_speed=self._pace.speed is None):
+        if self._stage.explain(now, self._phase == "playing", self._pace.speed is None):
             self._emit()
 
     @property
@@ -217,7 +221,7 @@ class Session(LiveSession):
         waiting = self._phase == "ended" and self._auto_next
         return self._stage.is_open and (self._phase == "playing" or waiting)
 
-    def _guarded(self, work: Callable[[], None]) -> None:
+    def _guarded(self, work: Callable[[], object]) -> None:
         """An error pauses the session and shows on the page; the session goes on. The one place
         that catches everything: whatever a policy or a simulator throws, a visitor must see it."""
         try:

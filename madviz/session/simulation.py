@@ -188,12 +188,15 @@ class Simulation:
 
     def close(self) -> None:
         """Frees the environment, and what the policy holds for this episode."""
-        self._playing.close()
+        self.leave()
         self.env.close()
 
+    def leave(self) -> None:
+        """Frees what the policy holds for this episode."""
+        self._playing.close()
+
     def read_more(self) -> bool:
-        """Reads one more subset of this step, for a policy that reads one at a time; whether there
-        was one."""
+        """Reads one more subset of this step, where each costs a pass; whether there was one."""
         waiting = np.flatnonzero(self.probe.waiting)
         if len(waiting):
             self._read_row(int(waiting[0]))

@@ -21,6 +21,7 @@ from madviz.analysis.saliency import LiveSaliency
 from madviz.envs.registry import sees
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation
+from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Schedule
 from madviz.policies.config import check_environment
@@ -29,9 +30,11 @@ from madviz.session.comparison import MOST_PAIRS, SecondSimulation
 from madviz.session.frame import Frame, Pair, SessionPace
 from madviz.session.journal import Journal
 from madviz.session.opening import open_simulation
+from madviz.session.retrace import Retrace
 from madviz.session.scheduled import SessionPlan
 from madviz.session.session_file import SavedEpisode
 from madviz.session.simulation import Simulation
+from madviz.session.snapshot import Snapshot
 from madviz.session.timeline import Timeline
 from madviz.session.waiting import PolicyWait
 from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec
@@ -69,6 +72,10 @@ class Stage:
         self._second: SecondSimulation | None = None
         self._linked = True
         self._pairs: deque[Pair] = deque(maxlen=MOST_PAIRS)
+        self._retraces: list[Retrace] = []
+        """The replays of A's ended episode and of B's, once they were asked for."""
+        self._before: dict[Simulation, Snapshot] = {}
+        """By side: the step at which a camera was first not as in training."""
 
     @property
     def is_open(self) -> bool:
@@ -107,6 +114,7 @@ class Stage:
 
     def shut(self) -> None:
         """Closes the environment, and B's."""
+        self._forget_retraces()
         self.compare(None)
         self._foresight = None
         if self.simulation is not None:
@@ -121,6 +129,7 @@ class Stage:
             self.seed = seed
             self.open()
             return
+        self._forget_retraces()
         self._timeline.show(None)  # What is touched meanwhile is touched now, not in the past.
         if self._second is not None:  # Before A, whose last step is there to be touched meanwhile.
             self._second.begin(seed, between)
@@ -134,6 +143,7 @@ class Stage:
         self.saliency.forget()
         if self._foresight is not None:  # It stays to be looked at.
             self._foresight = replace(self._foresight, closed=True)
+        self._before = {}
         self._plan.begin()
         self._run_plan()
 
@@ -141,6 +151,9 @@ class Stage:
         """One decision, on both sides if there are two; ``between`` as in ``Simulation.step``."""
         live = self._live
         condition = str(live.condition)
+        for side in self._sides:
+            if side not in self._before and side.condition != Condition("all"):
+                self._before[side] = side.snapshot()
         live.step(between)
         if self._foresight is not None:
             now = live.now
@@ -167,6 +180,8 @@ class Stage:
         """A camera elsewhere; in the past, another future begins with it."""
         if self._timeline.shown is not None:
             self.fork()
+        for retrace in self._retraces:  # The picture is drawn anew.
+            retrace.leave()
         self._live.move_camera(command)
         self._sync_b()
 
@@ -213,6 +228,31 @@ class Stage:
         live = self.simulation
         return live is not None and self._timeline.shown is None and live.read_more()
 
+    @property
+    def _sides(self) -> list[Simulation]:
+        return [self._live, *([self._second.simulation] if self._second is not None else [])]
+
+    @property
+    def retracing(self) -> bool:
+        """True while a replay with all cameras is not done."""
+        return not all(retrace.done for retrace in self._retraces)
+
+    def retrace(self) -> bool:
+        """One decision of the ended episode, played once more with all cameras, on each side where
+        one was changed. Returns whether its paths have just come to be known."""
+        if not self._retraces:
+            self._retraces = [Retrace(side, self._before.get(side)) for side in self._sides]
+        before = [retrace for retrace in self._retraces if not retrace.done]
+        if before:
+            before[0].advance()
+        return bool(before) and not self.retracing
+
+    def _forget_retraces(self) -> None:
+        """Brings the environments back from a replay that was not done, and forgets the paths."""
+        for retrace in self._retraces:
+            retrace.leave()
+        self._retraces = []
+
     def show_step(self, step: int | None) -> None:
         """Shows an earlier step from now on; None: the newest one."""
         if step is not None:
@@ -224,7 +264,10 @@ class Stage:
         if self._timeline.shown is None:
             raise UserError("expected an earlier step to fork from; drag the timeline back first")
         live = self._live
-        live.return_to(self._timeline.fork())
+        self._forget_retraces()
+        to = self._timeline.fork()
+        self._before = {a: s for a, s in self._before.items() if len(s.actions) < len(to.actions)}
+        live.return_to(to)
         self._foresight = None
         self.policy = live.policy
         if self._second is not None:
@@ -234,6 +277,7 @@ class Stage:
         """Starts B, and the episode again for both; None ends B. They are linked if their cameras
         begin alike. Raises UserError if B's policy belongs to another task: there would be nothing
         to compare. Where the new B cannot begin, the old one and its pairs stay."""
+        self._forget_retraces()
         second = None if name is None else self._open_second(name, ablation or Ablation())
         if self._second is not None:
             self._second.close()
@@ -278,16 +322,19 @@ class Stage:
         live = self.simulation
         if live is None:
             return None
+        paths = [retrace.paths for retrace in self._retraces] or [None, None]
+        b = self._second
         frame = Frame(
             live.world(),
             pace,
-            second=Frame(self._second.simulation.world(), pace) if self._second else None,
+            second=Frame(b.simulation.world(), pace, paths=paths[1]) if b else None,
             linked=self._linked,
             pairs=tuple(self._pairs),
             schedule=self._plan.schedule,
             saliency=self.saliency.maps,
             explained=self.saliency.target,
             foresight=self._foresight,
+            paths=paths[0],
         )
         frame = self._timeline.live(frame, live.snapshot(), keep)
         return frame if self._timeline.shown is None else self._timeline.again(frame)

@@ -23,7 +23,16 @@ import pickle
 from typing import Any, NamedTuple
 
 from madviz.analysis.foresight import Foresight, Happened
-from madviz.session.frame import Branch, Change, Frame, NoFrame, Outcome, Pair, TimelinePoint
+from madviz.session.frame import (
+    Branch,
+    Change,
+    Frame,
+    HandPaths,
+    NoFrame,
+    Outcome,
+    Pair,
+    TimelinePoint,
+)
 from madviz.types import Body, EnvSpec, Future, PolicySpec
 
 _SHARED = (
@@ -32,6 +41,7 @@ _SHARED = (
     EnvSpec,
     Foresight,
     Future,
+    HandPaths,
     Happened,
     Outcome,
     Pair,

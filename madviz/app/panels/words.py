@@ -135,10 +135,14 @@ def asks_now(frame: Frame, prediction: Prediction) -> bool:
 
 
 def ending_html(ending: Ending, frame: Frame, guess: str = "") -> str:
-    """The three parts of an end, a visitor's guess, and how it goes on."""
+    """The four parts of an end, a visitor's guess, and how it goes on."""
     result = f'<b style="color:{NOTE}">{escape(ending.result)}</b>'
     guessed = escape(guess_words(guess, ending.winners)) if guess else ""
-    parts = (escape(ending.done), result, guessed, escape(ending.measured))
+    came_of_it = escape(ending.came_of_it)
+    if came_of_it:
+        thick = "Thick line: its path" if frame.second is None else "Yellow: A's path; violet: B's"
+        came_of_it += f'<span class="dim"> {thick}; thin: with all cameras.</span>'
+    parts = (escape(ending.done), result, guessed, came_of_it, escape(ending.measured))
     goes_on = "" if frame.pace.speed is None or not frame.pace.auto_next else " The next one soon."
     return (
         f'<div class="mv-ending" role="status">{" ".join(filter(None, parts))}'

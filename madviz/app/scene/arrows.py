@@ -104,10 +104,10 @@ class ArrowsPanel(Panel):
                 self._lines.points = towards(points, self._eye())
 
 
-def towards(points: Array, eye: Array) -> Array:
+def towards(points: Array, eye: Array, over: float = 1.0) -> Array:
     """(N, 2, 3) -> the same seen from ``eye`` (3,), but nearer to it: later lines the nearest, so
-    that they cover the ones before."""
-    near = np.linspace(NEAR, 0.9 * NEAR, len(points))[:, None, None]
+    that they cover the ones before. ``over`` below 1 covers other sets of lines."""
+    near = over * np.linspace(NEAR, 0.9 * NEAR, len(points))[:, None, None]
     return (eye + near * (points - eye)).astype(np.float32)
 
 
@@ -129,13 +129,13 @@ def arrows(frame: Frame, size: float) -> tuple[Array, Array]:
             lines = _dashed(lines)
             colour = tuple(int(DIM * part) for part in colour)
         points.append(lines)
-        colours.append(np.full(lines.shape, _linear(colour), np.uint8))
+        colours.append(np.full(lines.shape, linear_in_light(colour), np.uint8))
     if not points:
         return np.zeros((0, 2, 3), np.float32), np.zeros((0, 2, 3), np.uint8)
     return np.concatenate(points).astype(np.float32), np.concatenate(colours)
 
 
-def _linear(colour: tuple[int, ...]) -> Array:
+def linear_in_light(colour: tuple[int, ...]) -> Array:
     """The colour that viser's browser side turns into ``colour``: it takes the colours of lines,
     and of lines only, for amounts of light, and they would come out pale."""
     return np.round(255 * (np.array(colour) / 255) ** 2.2).astype(np.uint8)
