@@ -87,6 +87,13 @@ class EnvSpec:
     """The task's own success condition, in words."""
     instruction: str = ""
     """The task in words, for a policy that takes language."""
+    action_spread: tuple[float, ...] = ()
+    """Standard deviation of each number of the recorded actions. Only recordings have it."""
+
+    @property
+    def recorded(self) -> bool:
+        """Whether its episodes were recorded, so that actions change nothing."""
+        return bool(self.action_spread)
 
     def camera(self, name: str) -> CameraSpec:
         """The camera called ``name``. Raises UserError naming the known ones."""
@@ -220,6 +227,27 @@ class NamesPlaces(KnowsPlaces, Protocol):
     @property
     def place_names(self) -> tuple[str, ...]:
         """(P,) names, in the order of ``places``."""
+        ...
+
+
+@dataclass(frozen=True)
+class RecordedStep:
+    """A moment of a recording."""
+
+    action: Array
+    """(A,) float32 the recorded action; beyond [-1, 1] where training has none so large."""
+    episode: int
+    """The episode's number in its dataset."""
+    task: str
+    """The episode's task in words."""
+
+
+@runtime_checkable
+class PlaysRecording(Protocol):
+    """An environment that shows what was recorded, whatever the actions."""
+
+    def recorded(self) -> RecordedStep:
+        """The recording at this step."""
         ...
 
 

@@ -24,7 +24,7 @@ from madviz.recorded.split import held_out
 from madviz.types import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recordings:
     """Episodes are named by their index in the dataset; indices of those left out are missing."""
 
