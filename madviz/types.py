@@ -87,6 +87,13 @@ class EnvSpec:
     """The task's own success condition, in words."""
     instruction: str = ""
     """The task in words, for a policy that takes language."""
+    action_spread: tuple[float, ...] = ()
+    """Standard deviation of each number of the recorded actions. Only recordings have it."""
+
+    @property
+    def recorded(self) -> bool:
+        """Whether its episodes were recorded, so that actions change nothing."""
+        return bool(self.action_spread)
 
     def camera(self, name: str) -> CameraSpec:
         """The camera called ``name``. Raises UserError naming the known ones."""

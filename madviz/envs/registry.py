@@ -25,6 +25,7 @@ from madviz.envs import custom
 from madviz.envs.cameras import read_cameras
 from madviz.envs.tasks import MANISKILL_SUCCESS, METAWORLD_SUCCESS
 from madviz.errors import UserError, unknown
+from madviz.recorded.known import SUITE, check_recording, is_recording, known_recordings
 from madviz.system.options import Listed
 from madviz.system.plugins import load
 from madviz.types import CameraSpec, Environment, EnvSpec, Modality
@@ -75,6 +76,7 @@ SUITES = {
     "lerobot": Suite(
         METAWORLD_TASKS, "madviz.envs.metaworld.lerobot:LeRobotMetaWorld", listed=False
     ),
+    SUITE: Suite((), "madviz.envs.recorded:RecordedRobot"),  # Its tasks are those named here.
 }
 
 TASKS = tuple(
@@ -83,8 +85,8 @@ TASKS = tuple(
 
 
 def known_tasks() -> tuple[str, ...]:
-    """madviz's tasks, and those of your own that were named here (``custom.py``)."""
-    return (*TASKS, *custom.own_tasks())
+    """madviz's tasks, and those of your own that were named here (``custom.py``, recordings)."""
+    return (*TASKS, *custom.own_tasks(), *known_recordings())
 
 
 TaskName = Annotated[str, Listed("tasks", known_tasks)]
@@ -95,6 +97,9 @@ def check_task(task: str) -> None:
     """Raises UserError, listing the known ones, for a task that cannot be made here."""
     if custom.is_own(task):
         custom.check_allowed(task)
+        return
+    if is_recording(task):
+        check_recording(task)
         return
     suite, _, name = task.partition("/")
     if suite not in SUITES or name not in SUITES[suite].tasks:
@@ -183,9 +188,12 @@ def choose(
     cameras in the modalities of that setting. A task of one's own has its cameras, under whatever
     names, where the setting asks for the usual three.
     Raises UserError for unknown names and bad files."""
-    if file is None and not (custom.is_own(task) and setting(name).usual):
+    own = custom.is_own(task) or is_recording(task)
+    if file is None and not (own and setting(name).usual):
         return setting(name), setting_cameras(task, name)
     cameras = read_cameras(file) if file else env_spec(task).cameras
+    if is_recording(task) and "depth" in setting(name).modalities:
+        raise UserError(f"expected a setting without depth for {task}, found {name!r}; pick three")
     return Setting(tuple(c.name for c in cameras), setting(name).modalities), cameras
 
 
@@ -200,7 +208,7 @@ def sees(env: EnvSpec, cameras: tuple[CameraSpec, ...]) -> bool:
 
 def _suite(task: str) -> tuple[SuiteEnvironment, str]:
     """The class of a suite's environments, and the name of ``task`` there."""
-    suite, name = task.split("/")
+    suite, _, name = task.partition("/")
     return load(SUITES[suite].environment), name
 
 

@@ -40,6 +40,7 @@ from madviz.policies.config import (
 )
 from madviz.policies.guarded import fit_command, is_guarded, unguarded
 from madviz.policies.measured import EvaluationFile, as_evaluation
+from madviz.policies.no_policy import NoPolicy, is_no_policy
 from madviz.policies.sb3 import is_sb3, load_sb3, shown_sb3
 from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.options import Listed
@@ -180,7 +181,7 @@ def load_policy(policy: str | Path) -> Policy:
     """A policy that can act: from a folder, a name (see ``policy_roots``), ``module:factory``, or
     ``ws://host:port`` of one that is served (``madviz.wire.reference``), or ``sb3:FILE@TASK`` of
     Stable-Baselines3, if that was trusted (``sb3.py``). ``guard:`` before a folder or a name adds a
-    guard (``guarded.py``).
+    guard (``guarded.py``). ``recorded:NAME`` is none (``no_policy.py``).
 
     Raises UserError for anything but a complete, finite policy of a known format.
     """
@@ -190,6 +191,8 @@ def load_policy(policy: str | Path) -> Policy:
         return connect(str(policy))
     if is_sb3(str(policy)):
         return load_sb3(str(policy))
+    if is_no_policy(str(policy)):
+        return NoPolicy(str(policy))
     if not is_folder(policy):
         return _from_factory(str(policy))
     path = find_policy(policy)

@@ -35,12 +35,13 @@ class Retrace:
 
     def __init__(self, live: Simulation, before: Snapshot | None) -> None:
         """``before``: the step of the first change; None where there was none. Nothing is done yet.
-        Without a change, or where the policy was exchanged or is served by another program, it is
-        ``done`` at once."""
+        Without a change, in a recording, or where the policy was exchanged or is served by another
+        program, it is ``done`` at once."""
         self._live = live
         served = isinstance(getattr(live.policy, "inner", live.policy), ServedPolicy)
         one_policy = {policy for policy, _ in live.record.conditions} == {live.policy.spec}
-        self.done = before is None or served or not one_policy
+        recorded = live.env.spec.recorded
+        self.done = before is None or recorded or served or not one_policy
         self.paths: HandPaths | None = None
         """Once ``done``; None where the replay was not exact or was left."""
         self._away = False

@@ -1,0 +1,1 @@
+"""Recordings of a robot of one's own: LeRobot datasets, read and cached."""
