@@ -184,9 +184,8 @@ class Simulation:
         self.record.arrived(time_step)
         self._arrive(self._seen(time_step, self.now.step + 1, between))
         if time_step.last:
-            spec = self.policy.spec
-            cameras = self.env.spec.cameras
-            self.outcomes.append(self.record.outcome(spec, self.seed, time_step.success, cameras))
+            ended = (self.seed, time_step.success, self.env.spec.cameras)
+            self.outcomes.append(self.record.outcome(self.policy.spec, *ended))
 
     def close(self) -> None:
         """Frees the environment, and what the policy holds for this episode."""
@@ -298,10 +297,8 @@ class Simulation:
 
     def return_to(self, saved: Snapshot) -> None:
         """Stands at an earlier step of this episode again. An episode is its seed and its actions,
-        so the simulator takes those once more, without drawing anything.
-
-        Raises UserError if it does not come to the same state.
-        """
+        so the simulator takes those once more, without drawing anything. Raises UserError if it
+        does not come to the same state."""
         strayed = {*self.ablation.moves, *saved.ablation.moves}
         self.ablation = saved.ablation
         for camera in strayed:
