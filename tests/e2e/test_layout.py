@@ -57,3 +57,17 @@ def test_a_phone_has_the_scene_above_and_nothing_to_scroll_sideways(browser, app
     scene = page.locator("canvas").first.bounding_box()
     assert scene is not None and 200 < scene["height"] < 300
     visitor.close()
+
+
+def test_the_question_has_its_place_before_it_is_asked(browser, app: App):
+    visitor = sized(browser, app, 1280, 800)
+    page = visitor.page
+    visitor.dismiss()
+    tab = page.get_by_role("tab", name="What counts?")
+    before = tab.bounding_box()
+    visitor.press("off", camera=1)
+    page.get_by_role("button", name="just show me").wait_for(timeout=PATIENCE)
+    after = tab.bounding_box()
+    assert before is not None and after is not None
+    assert abs(after["y"] - before["y"]) <= 2
+    visitor.close()
