@@ -74,3 +74,17 @@ def test_a_sharp_screen_has_the_layout_of_its_width_and_is_drawn_sharply(browser
     )
     assert page.evaluate("devicePixelRatio") == 2
     context.close()
+
+
+def test_the_question_has_its_place_before_it_is_asked(browser, app: App):
+    visitor = sized(browser, app, 1280, 800)
+    page = visitor.page
+    visitor.dismiss()
+    tab = page.get_by_role("tab", name="What counts?")
+    before = tab.bounding_box()
+    visitor.press("off", camera=1)
+    page.get_by_role("button", name="just show me").wait_for(timeout=PATIENCE)
+    after = tab.bounding_box()
+    assert before is not None and after is not None
+    assert abs(after["y"] - before["y"]) <= 2
+    visitor.close()

@@ -20,8 +20,19 @@ def test_a_student_predicts_looks_and_answers(browser, tmp_path: Path) -> None:
             assert not why.is_visible(), "the answer, before a prediction"
             page.get_by_label("One goes on, the other fails").check()
             page.get_by_role("button", name="Show the robots").click()
-            page.get_by_text("You predicted: One goes on.").wait_for()
-            page.frame_locator("iframe").locator("#line").wait_for()
+            page.get_by_text("You predicted: One goes on, the other fails.").wait_for()
+            said = (
+                "First person was dropped at step 15. MAD drove the nail in, Merged Only did not. "
+            )
+            page.get_by_text(
+                f"{said}You predicted: One goes on, the other fails, and so it was."
+            ).wait_for()
+            assert page.frame_locator("iframe").locator("#line").inner_text().startswith(said)
+            page.get_by_label("Both go on").check()
+            page.get_by_role("button", name="Show the robots").click()
+            page.get_by_text(
+                f"{said}You predicted: Both go on, and it was: One goes on, the other fails."
+            ).wait_for()
 
             rates, link = page.locator("#rates"), page.locator("#link")
             rates.get_by_role("button").click()

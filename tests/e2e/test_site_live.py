@@ -77,6 +77,20 @@ def test_a_camera_goes_off_and_one_of_two_policies_succeeds(page, address) -> No
     page.wait_for_function(f"before => ({picture})() !== before", arg=before)
 
 
+def test_an_episode_ends_with_the_hands_path_beside_the_one_with_all_cameras(page, address) -> None:
+    page.goto(f"{address}#policy={MERGED_ONLY}&seed=5001&first=off@15")
+    page.wait_for_selector("body[data-ready]")
+    page.locator("#speed").select_option("")
+    until(page, "Merged Only did not drive the nail in.", "#line")
+    before = page.evaluate("() => document.querySelector('.scene canvas').toDataURL()")
+    until(page, " cm from its path with all cameras, and 1 cm for the first time at step", "#line")
+    page.wait_for_function(
+        "before => document.querySelector('.scene canvas').toDataURL() !== before", arg=before
+    )
+    page.get_by_role("button", name="Again", exact=True).click()
+    page.wait_for_function("() => !document.querySelector('#line').innerText.includes(' cm ')")
+
+
 def origin(address: str) -> str:
     return "/".join(address.split("/")[:3])
 

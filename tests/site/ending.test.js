@@ -5,7 +5,7 @@ import {readFileSync} from 'node:fs';
 import test from 'node:test';
 
 import {intact, noOcclusion} from '../../madviz/site/web/camera_state.js';
-import {deedsOf, endingOf, endingParts, guessWords} from '../../madviz/site/web/ending.js';
+import {deedsOf, departureOf, endingOf, endingParts, guessWords} from '../../madviz/site/web/ending.js';
 import {Tally, wilson} from '../../madviz/site/web/statistics.js';
 
 const CASES = JSON.parse(readFileSync(new URL('./endings.json', import.meta.url), 'utf8'));
@@ -13,7 +13,7 @@ const CAMERAS = [['first', 'First person'], ['third_a', 'Third A']].map(([name, 
   ({name, label}));
 const OFF = {...intact(), input: 'off'};
 const BLACK = {...intact(), occlusion: {...noOcclusion(), kind: 'black'}};
-const words = parts => [parts.done, parts.result, parts.measured].filter(Boolean).join(' ');
+const words = parts => [parts.done, parts.result, parts.cameOfIt, parts.measured].filter(Boolean).join(' ');
 
 test('the words are those of the table', () => {
   assert.ok(CASES.length > 4);
@@ -46,4 +46,14 @@ test('an episode ends in words where something was done, with what is known of i
     'First person was dropped from the start. MAD did it. Over 100 episodes: 0.90 [0.83, 0.94].');
   assert.equal(endingOf([{...world, events: []}], [entry], new Tally()), null);
   assert.equal(endingOf([{...world, ended: false}], [entry], new Tally()), null);
+});
+
+test('how far two paths are apart, and from which step on', () => {
+  const straight = new Float32Array(15), bent = straight.slice();
+  bent.set([0.004, 0, 0, 0.03, 0, 0, 0.02, 0, 0], 6);
+  const [largest, step] = departureOf({since: 10, taken: bent, intact: straight});
+  assert.ok(Math.abs(largest - 0.03) < 1e-6);
+  assert.equal(step, 13);
+  assert.equal(departureOf({since: 10, taken: straight, intact: straight})[1], null);
+  assert.equal(departureOf(null), null);
 });

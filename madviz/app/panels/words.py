@@ -24,6 +24,10 @@ from madviz.types import PolicySpec
 ASKS = {1: "Will it still do it?", 2: "Which will still do it?"}
 """The question, by the number of sides."""
 SILENCE = "just show me"
+LINES = 54
+ANSWERS = 30
+"""Pixels of three lines of words, and of the row of answers; it has its place before it is there,
+so that nothing under it moves."""
 WAITS = "Waiting for the policy: {:.0f} s. What you change now counts from its next decision on."
 
 
@@ -115,9 +119,10 @@ class WordsPanel(HtmlPanel):
         for noticed in dict.fromkeys(map(guard_sentence, sides)):  # Once where both notice alike.
             if noticed:
                 said += f'<div class="mv-noticed" role="status">{escape(noticed)}</div>'
+        free = 0 if prediction.silent or asks_now(frame, prediction) else ANSWERS
         return (
             f'<div class="mv mv-words" style="border-left:3px solid {NOTE};margin:0 10px 4px;'
-            f'padding:2px 8px;min-height:36px">{said}</div>'
+            f'padding:2px 8px;min-height:{LINES + free}px">{said}</div>'
         )
 
 

@@ -4,6 +4,7 @@
 import {Drawing} from './drawing.js';
 import {buffersOf, Pace} from './pace.js';
 import {refusal} from './refusals.js';
+import {Retrace} from './retrace.js';
 import {savedEpisode} from './saved.js';
 
 /** @typedef {import('./messages.js').Answer} Answer */
@@ -32,6 +33,8 @@ export class Episodes {
     this.episodes = [];
     /** @type {Many | null} */
     this.many = null;
+    /** Of the sides of an ended episode. @type {Retrace[]} */
+    this.retraces = [];
     this.drawing = new Drawing(() => this.problem(LOST));
     this.pace = new Pace();
     this.phase = 'paused';
@@ -57,6 +60,8 @@ export class Episodes {
   /** @param {number} seed */
   async begin(seed) {
     this.episode += 1;
+    for (const one of this.retraces) one.leave();
+    this.retraces = [];
     for (const [i, one] of this.sides.entries()) {
       const first = this.scheduled(i, 0);
       const named = new Set(this.schedule.filter(event => covers(event, i)).map(e => e.camera));
@@ -93,6 +98,22 @@ export class Episodes {
     this.episodes = [...this.episodes, await savedEpisode(this.sides[0])].slice(-MOST_SAVED);
     this.endedAt = performance.now();
     if (!this.many) this.phase = 'ended';
+  }
+
+  /** One decision of the ended episode's replay with all cameras. Whether there was one. */
+  async retrace() {
+    if (!this.retraces.length) this.retraces = this.sides.map(one => new Retrace(one));
+    const next = this.retraces.find(one => !one.done);
+    if (!next) return false;
+    await this.pace.yield();
+    try {
+      await next.advance();
+    } catch (error) {
+      next.leave();
+      throw error;
+    }
+    if (this.retraces.every(one => one.done)) this.show();
+    return true;
   }
 
   async playMany() {

@@ -4,6 +4,8 @@ import {byId, make, say} from './dom.js';
 import {HINTS, linkLacks, MAD, MERGED_ONLY, ratesLack} from './lesson_checks.js';
 
 const OPENING = `./?embed#policy=${MAD}&vs=${MERGED_ONLY}&first=off@15`;
+const DONE = 'First person was dropped at step 15.';
+const NOTHING = 'nothing yet';
 
 /**
  * Shows what an answer lacks, with one hint more each time.
@@ -33,11 +35,33 @@ async function measured() {
   return Object.fromEntries(all.map(one => [one.name ?? one.policy, one.measured]));
 }
 
+/**
+ * Says how both episodes ended, and whether that was predicted. What is tried in the frame afterwards
+ * was not.
+ * @param {Document} inside The page in the frame.
+ * @param {string} guess
+ */
+function compare(inside, guess) {
+  const line = inside.getElementById('line');
+  const winners = inside.querySelectorAll('.outcome.good').length;
+  const ended = winners + inside.querySelectorAll('.outcome.bad').length;
+  if (ended < 2 || !line?.textContent?.startsWith(DONE)) return;
+  const came = winners === 1 ? 'One goes on, the other fails' : winners ? 'Both go on' : 'Both fail';
+  say(byId('said'), `${DONE} ${line.querySelector('b')?.textContent} You predicted: ${guess}${
+    guess === NOTHING ? '.' : guess === came ? ', and so it was.' : `, and it was: ${came}.`}`);
+}
+
 byId('open').addEventListener('click', () => {
-  const guess = document.querySelector('input[name=guess]:checked');
-  const said = guess instanceof HTMLInputElement ? guess.value : 'nothing yet';
-  say(byId('said'), `You predicted: ${said}.`);
-  byId('robots').replaceChildren(make('iframe', {src: OPENING, title: 'Two robots'}));
+  const checked = document.querySelector('input[name=guess]:checked');
+  const guess = checked instanceof HTMLInputElement ? checked.value : NOTHING;
+  say(byId('said'), `You predicted: ${guess}.`);
+  const frame = /** @type {HTMLIFrameElement} */ (make('iframe', {src: OPENING, title: 'Two robots'}));
+  frame.addEventListener('load', () => {
+    const inside = frame.contentDocument, line = inside?.getElementById('line');
+    if (!inside || !line) return;
+    new MutationObserver(() => compare(inside, guess)).observe(line, {childList: true});
+  });
+  byId('robots').replaceChildren(frame);
 });
 exercise('rates', HINTS.rates, async typed => {
   try {

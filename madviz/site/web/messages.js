@@ -246,6 +246,13 @@
  * @property {Change | null} change The last thing done to a camera in this episode.
  * @property {CameraEvent[]} events What was done to cameras in this episode, in order; at step 0,
  *   how it began.
+ * @property {HandPaths | null} [paths] After an episode in which a camera was changed, once its replay
+ *   with all cameras is done and was exact.
+ */
+
+/**
+ * The hand's path from the first change of a camera on, and its path with all cameras: (T x 3) metres.
+ * @typedef {{since: number, taken: Float32Array, intact: Float32Array}} HandPaths
  */
 
 /** A camera that a guard has found to fail, and the step of the episode at which it was noticed.

@@ -94,7 +94,9 @@ export function story(frame, {entries, step, camera: name}, tally, {asks, guess}
 /** @param {ReturnType<typeof endingOf>} parts @param {string} [guess] @returns {Node[]} */
 export function endingNodes(parts, guess = '') {
   return parts ? [text(parts.done ? `${parts.done} ` : ''), strong(parts.result),
-    text(guess ? ` ${guessWords(guess, parts.winners)}` : ''), text(` ${parts.measured}`)] : [];
+    text(guess ? ` ${guessWords(guess, parts.winners)}` : ''),
+    ...parts.cameOfIt ? [text(` ${parts.cameOfIt}`), make('span', {class: 'soft'},
+      ' Thick line: its path; thin: with all cameras.')] : [], text(` ${parts.measured}`)] : [];
 }
 
 /** @param {string} words */

@@ -136,6 +136,12 @@ export class Physics {
     return [inside(0), inside(1), inside(2), Math.min(apart / 0.1, 1)];
   }
 
+  /** The middle between the fingertips, metres. */
+  fingertips() {
+    const [right, left] = [this.site('rightEndEffector'), this.site('leftEndEffector')];
+    return [0, 1, 2].map(axis => (right[axis] + left[axis]) / 2);
+  }
+
   /** @param {string} name @returns {Float64Array} */
   body(name) {
     return at(this.data.xpos, this.number('mjOBJ_BODY', name), 3);

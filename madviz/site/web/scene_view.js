@@ -20,6 +20,8 @@ import {parseScene} from './scene.js';
 const LEAST = 40; // Milliseconds from one drawing to the next.
 const SHARE = 4; // Times as long as a drawing takes, nothing is drawn.
 const LENGTH = 0.12; // Metres of a frustum; one on the hand is shorter.
+const TAKEN = [['#000a', 6], ['#ffd166', 4]]; // The hand's path: colours, and pixels wide.
+const INTACT = [['#fff', 1.5]]; // Its path with all cameras.
 const WIDEST = 900; // Pixels.
 const WIDEST_SLOW = 360; // Where OpenGL runs on the CPU.
 
@@ -123,6 +125,9 @@ export class SceneView {
     if (!context) return;
     context.drawImage(this.canvas, 0, 0, side.canvas.width, side.canvas.height);
     this.frusta(context, world, side, view, area.width < 300 ? 0.75 * scale : scale);
+    if (!world.paths) return;
+    drawPath(context, world.paths.taken, TAKEN, view, scale);
+    drawPath(context, world.paths.intact, INTACT, view, scale);
   }
 
   /** @param {CanvasRenderingContext2D} context @param {World} world
@@ -193,6 +198,29 @@ export class SceneView {
     this.orbit.distance = Math.min(Math.max(this.orbit.distance * zoom, 0.4), 5);
     this.wake();
   }
+}
+
+/** @param {CanvasRenderingContext2D} context @param {Float32Array} path (T x 3)
+ * @param {(string | number)[][]} strokes @param {import('./geometry.js').Viewpoint} view
+ * @param {number} scale */
+function drawPath(context, path, strokes, view, scale) {
+  const {width, height} = context.canvas;
+  const points = Array.from({length: path.length / 3}, (_, i) =>
+    /** @type {import("./geometry.js").Point} */ ([path[3 * i], path[3 * i + 1], path[3 * i + 2]]));
+  context.lineCap = 'round';
+  for (const [colour, wide] of strokes) {
+    context.strokeStyle = String(colour);
+    context.lineWidth = Number(wide) * scale;
+    context.beginPath();
+    points.slice(1).forEach((to, i) => {
+      const place = lineOnCanvas(points[i], to, view, width, height);
+      if (!place) return;
+      context.moveTo(place[0], place[1]);
+      context.lineTo(place[2], place[3]);
+    });
+    context.stroke();
+  }
+  context.lineCap = 'butt';
 }
 
 /** @param {HTMLCanvasElement} canvas @param {number} width @param {number} height */

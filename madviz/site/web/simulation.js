@@ -57,6 +57,13 @@ export class Simulation {
     this.actions = [];
     /** @type {boolean[]} */
     this.flags = [];
+    /** The middle between the fingertips at each step, metres. @type {number[][]} */
+    this.hands = [];
+    /** The first decision that was not taken with all cameras as in training.
+     * @type {number | null} */
+    this.changedAt = null;
+    /** @type {import('./messages.js').HandPaths | null} */
+    this.paths = null;
     /** @type {Set<string>} */
     this.conditions = new Set();
     /** @type {import('./messages.js').Change | null} */
@@ -108,6 +115,8 @@ export class Simulation {
     this.change = this.readout = null;
     this.actions = [];
     this.flags = [];
+    this.hands = [];
+    this.changedAt = this.paths = null;
     this.conditions.clear();
     this.watch(this.guard !== null);
     this.guardEvents = [];
@@ -158,6 +167,7 @@ export class Simulation {
   /** One decision. */
   async advance() {
     const {subset, occlusions, guarded} = this.condition();
+    if (subset !== 'all' || occlusions) this.changedAt ??= this.step;
     this.conditions.add(JSON.stringify([this.policy.spec.name, subset, occlusions, guarded]));
     this.actions.push(this.action);
     const start = performance.now();
@@ -168,8 +178,19 @@ export class Simulation {
     await this.arrive();
   }
 
+  /**
+   * A decision of an earlier episode.
+   * @param {Float32Array} action
+   * @param {boolean} drawn Whether its pictures are wanted.
+   */
+  async repeat(action, drawn) {
+    this.physics.act(action);
+    if (drawn) await this.arrive(); else this.hands.push(this.physics.fingertips());
+  }
+
   /** Draws every camera, and reads the policy on what comes of it. */
   async arrive() {
+    this.hands.push(this.physics.fingertips());
     this.stack.push(await this.draw(), this.occlusions(), {seed: this.seed, step: this.step});
     this.guardBefore = this.guard;
     await this.read();
@@ -320,6 +341,7 @@ export class Simulation {
       ended: this.ended,
       change: this.change,
       events: structuredClone(this.events),
+      paths: structuredClone(this.paths),
     };
   }
 }

@@ -55,12 +55,14 @@ export class Stage extends Episodes {
     if (command) return this.obey(command);
     if (this.sides.length === 0 || !this.visible) return this.pace.sleep();
     if (this.many) return this.playMany();
-    if (this.phase === 'ended' && this.autoNext) {
+    if (this.phase === 'ended') {
       const toRead = this.sides.length > 1 || this.sides[0].events.length > 0;
       const left = this.endedAt + (toRead ? HOLD_TO_READ : HOLD) - performance.now();
-      if (left > 0) return this.pace.sleep(left);
-      this.phase = 'playing';
-      return this.begin(this.nextSeed());
+      if (left <= 0 && this.autoNext) {
+        this.phase = 'playing';
+        return this.begin(this.nextSeed());
+      }
+      return await this.retrace() || this.pace.sleep(this.autoNext ? left : undefined);
     }
     if (this.phase !== 'playing') return this.pace.sleep();
     if (await this.pace.due()) await this.step();
