@@ -22,6 +22,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -41,6 +42,7 @@ from madviz.policies.config import (
 from madviz.policies.guarded import fit_command, is_guarded, unguarded
 from madviz.policies.measured import EvaluationFile, as_evaluation
 from madviz.policies.sb3 import is_sb3, load_sb3, shown_sb3
+from madviz.recorded.known import is_recording
 from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.options import Listed
 from madviz.system.plugins import made_by
@@ -203,7 +205,9 @@ def load_policy(policy: str | Path) -> Policy:
     networks = networks_of(config, text, path / CONFIG)
     agent = _agent(path, config, networks, weights)
     spec = config.spec(digest(hashlib.sha256(weights).hexdigest(), text))
-    return TorchPolicy(spec, agent, config.reward_scale)
+    # No rewards were recorded, so the critic has learned nothing: its Q is not shown.
+    scale = nan if is_recording(config.task) else config.reward_scale
+    return TorchPolicy(spec, agent, scale)
 
 
 def has_guard(policy: str) -> bool:
