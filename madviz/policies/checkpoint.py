@@ -43,6 +43,7 @@ from madviz.policies.guarded import fit_command, is_guarded, unguarded
 from madviz.policies.measured import EvaluationFile, as_evaluation
 from madviz.policies.sb3 import is_sb3, load_sb3, shown_sb3
 from madviz.recorded.known import is_recording
+from madviz.recorded.robot import Robot, read_robot
 from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.options import Listed
 from madviz.system.plugins import made_by
@@ -215,6 +216,15 @@ def has_guard(policy: str) -> bool:
     with suppress(UserError):
         return is_folder(policy) and (find_policy(policy) / FILE).is_file()
     return False
+
+
+def robot_of_policy(policy: str) -> Robot | None:
+    """The robot whose recordings the policy of a folder or a name learned from; None for others.
+    Raises UserError for a policy of recordings without its robot.json."""
+    if not is_folder(unguarded(policy)):
+        return None
+    path = find_policy(unguarded(policy))
+    return read_robot(path) if is_recording(read_config(path / CONFIG)[0].task) else None
 
 
 def _guarded(policy: str) -> GuardedPolicy:

@@ -126,22 +126,26 @@ def robot_of(recordings: Recordings) -> Robot:
     )
 
 
-def write_robot(folder: Path, robot: Robot) -> None:
-    """Writes robot.json into ``folder``."""
-    document = {
+def robot_document(robot: Robot) -> dict[str, object]:
+    """The content of robot.json."""
+    return {
         "schema": 1,
         "fps": robot.fps,
         "cameras": [asdict(camera) for camera in robot.cameras],
-        "state": {"names": robot.state_names, **robot.states.to_json()},
+        "state": {"names": list(robot.state_names), **robot.states.to_json()},
         "action": {
-            "names": robot.action_names,
+            "names": list(robot.action_names),
             **robot.actions.to_json(),
-            "spread": robot.spread,
+            "spread": list(robot.spread),
         },
-        "held_out": robot.held_out,
+        "held_out": list(robot.held_out),
     }
+
+
+def write_robot(folder: Path, robot: Robot) -> None:
+    """Writes robot.json into ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / FILE, document)
+    write_json(folder / FILE, robot_document(robot))
 
 
 def read_robot(folder: Path) -> Robot:
