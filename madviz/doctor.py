@@ -24,6 +24,7 @@ from typing import Any, get_args
 
 from madviz.envs.registry import RenderProfile, TaskName, make_env
 from madviz.errors import UserError
+from madviz.recorded.storage import cache_bytes, clear_cache, recordings_cache
 from madviz.system.browser import find_browser
 from madviz.types import Environment
 
@@ -59,6 +60,8 @@ class DoctorConfig:
     """Write the report to this file; ``-`` is standard output, and then nothing else goes there."""
     task: TaskName = "metaworld/hammer"
     """The task whose frames are timed; ``maniskill/push-cube`` times Vulkan's."""
+    clear_recordings: bool = False
+    """Remove the decoded pictures of recordings; they are decoded anew when they are needed."""
 
 
 @dataclass(frozen=True)
@@ -164,6 +167,18 @@ def check_browser() -> Check:
     return Check("Chromium", path or "", needed=False, fix="" if path else install_line("browser"))
 
 
+def check_recordings(clear: bool) -> list[Check]:
+    """The size of what is decoded of recordings, if anything is; with ``clear`` it is removed."""
+    size = cache_bytes()
+    if not size:
+        return []
+    found = f"{size / 1e9:.2f} GB of decoded pictures in {recordings_cache()}"
+    if clear:
+        clear_cache()
+    said = "; removed" if clear else "; --clear-recordings removes them"
+    return [Check("Recordings", found + said, needed=False)]
+
+
 def describe_cpu(cpuinfo: str, cores: int) -> Check:
     """Cores this process may use, and the matrix and bfloat16 instructions among the flags."""
     flags = set(re.findall(r"\w+", " ".join(re.findall(r"(?:flags|Features)\s*:(.*)", cpuinfo))))
@@ -202,7 +217,7 @@ def examine(config: DoctorConfig) -> dict[str, Any]:
     """The whole report. Key ``ok`` is True if nothing that madviz needs is missing."""
     checks = [check_cpu(), *check_packages()]
     checks += check_opengl(probe_opengl, os.environ.get("MUJOCO_GL", "egl"))
-    checks += [check_vulkan(), check_browser()]
+    checks += [check_vulkan(), check_browser(), *check_recordings(config.clear_recordings)]
     report: dict[str, Any] = {
         "schema": 1,
         "ok": all(check.sound or not check.needed for check in checks),

@@ -231,27 +231,6 @@ class NamesPlaces(KnowsPlaces, Protocol):
 
 
 @dataclass(frozen=True)
-class RecordedStep:
-    """A moment of a recording."""
-
-    action: Array
-    """(A,) float32 the recorded action; beyond [-1, 1] where training has none so large."""
-    episode: int
-    """The episode's number in its dataset."""
-    task: str
-    """The episode's task in words."""
-
-
-@runtime_checkable
-class PlaysRecording(Protocol):
-    """An environment that shows what was recorded, whatever the actions."""
-
-    def recorded(self) -> RecordedStep:
-        """The recording at this step."""
-        ...
-
-
-@dataclass(frozen=True)
 class Encoded:
     """The features of all streams at one time step, before a subset is chosen."""
 

@@ -150,11 +150,9 @@ def png(pixels: np.ndarray) -> bytes:
 
 def write_film(path: Path, pictures: list[np.ndarray], fps: float, codec: str) -> None:
     """A film with a key frame every second picture, and its header first, as LeRobot's."""
-    quiet = {"svtav1-params": "lp=1"} if codec == "libsvtav1" else {}
+    options = {"g": "2", "crf": "20"} | ({"svtav1-params": "lp=1"} if "av1" in codec else {})
     with av.open(str(path), "w", options={"movflags": "faststart"}) as film:
-        stream: Any = film.add_stream(
-            codec, Fraction(fps), options={"g": "2", "crf": "20", **quiet}
-        )
+        stream: Any = film.add_stream(codec, Fraction(fps), options=options)
         stream.height, stream.width = pictures[0].shape[:2]
         stream.pix_fmt = "yuv420p"
         for one in pictures:

@@ -14,13 +14,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from madviz.doctor import check_recordings
 from madviz.errors import UserError
 from madviz.recorded import films
-from madviz.recorded.cache import cache_bytes, clear_cache, recordings_cache
 from madviz.recorded.films import letterboxed
 from madviz.recorded.recordings import open_recordings
 from madviz.recorded.scaling import Scaling
 from madviz.recorded.split import held_out
+from madviz.recorded.storage import cache_bytes, clear_cache, recordings_cache
 from tests.recordings import (
     DATA_FILE,
     EPISODES_FILE,
@@ -101,6 +102,16 @@ def test_a_changed_film_is_decoded_anew(tmp_path: Path, cache: Path) -> None:
     assert len(list(cache.iterdir())) == 2
     clear_cache()
     assert cache_bytes() == 0
+
+
+def test_the_doctor_names_the_size_of_the_cache_and_clears_it(tmp_path: Path) -> None:
+    assert check_recordings(clear=False) == []
+    open_recordings(Small().write(tmp_path / "mine")).frames(0, 84)
+    [found] = check_recordings(clear=False)
+    assert found.sound and not found.needed
+    assert found.found.startswith("0.00 GB") and "--clear-recordings removes" in found.found
+    [cleared] = check_recordings(clear=True)
+    assert cleared.found.endswith("; removed") and cache_bytes() == 0
 
 
 def test_a_cached_file_that_was_cut_is_made_again(tmp_path: Path, cache: Path) -> None:

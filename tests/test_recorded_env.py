@@ -13,7 +13,8 @@ import pytest
 from madviz.envs.registry import choose, env_spec, known_tasks, make_env
 from madviz.errors import UserError
 from madviz.recorded.known import VARIABLE, allow_recording, refuse_recording
-from madviz.types import Environment, PlaysRecording
+from madviz.recorded.moment import PlaysRecording
+from madviz.types import Environment
 from tests.recordings import TASKS, Small, level
 
 TASK = "recording/mine"

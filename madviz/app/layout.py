@@ -28,6 +28,7 @@ from madviz.app.panels.foresight import ForesightPanel
 from madviz.app.panels.guard import GuardPanel
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel
 from madviz.app.panels.projection import ProjectionPanel
+from madviz.app.panels.recorded import RecordedPanel
 from madviz.app.panels.saliency import SaliencyPanel
 from madviz.app.panels.save import SavePanel
 from madviz.app.panels.shapley import ShapleyPanel
@@ -38,10 +39,12 @@ from madviz.app.panels.training import TrainingPanel
 from madviz.app.panels.words import Prediction, WordsPanel
 from madviz.app.refresh import FASTEST, Refresh, TimedPanel
 from madviz.app.scene.arrows import ArrowsPanel
+from madviz.app.scene.recorded import PicturesPanel
 from madviz.app.scene.scene import ScenePanel, extent
 from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
 from madviz.app.tour import Tour
+from madviz.policies.no_policy import NO_POLICY
 from madviz.session.commands import SetSaliency
 from madviz.session.frame import Frame, NoFrame
 from madviz.session.live_session import LiveSession
@@ -107,7 +110,8 @@ class Panels:
         tour = Tour(client, self._send, newest, shared.choices, keys.help, named, self._guessed)
         policy = PolicyPanel(gui, self._send, frame, shared.choices, named)
         own = None if readonly else client.client_id
-        self.success = SuccessPanel(gui, frame, rates, own, measures)
+        recorded = frame.world.env.recorded
+        self.success = None if recorded else SuccessPanel(gui, frame, rates, own, measures)
         dockable = dock(client, wide)
         with dockable.add_tab("Cameras", viser.Icon.CAMERA):
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
@@ -120,7 +124,7 @@ class Panels:
         breaks = [TimedPanel(cameras.breaks, 0.1)] if cameras.breaks else []
         tabbed = self._build_tabs(tabs, frame)
         self._extras = [dockable, tour, *commands(client, keys.table)]
-        scene = ScenePanel(client, frame, None if readonly else keys.toggle)
+        scene = self._build_scene(frame, None if readonly else keys.toggle)
         # Every panel of the page, in the order in which they get a frame.
         self.panels = [
             TimedPanel(cameras, FASTEST),
@@ -129,9 +133,8 @@ class Panels:
             TimedPanel(words, FASTEST),
             *breaks,
             *tabbed,
-            TimedPanel(self.success, 0.5),
-            TimedPanel(scene, 0.05),
-            TimedPanel(ArrowsPanel(client, frame, extent(frame)), 0.25),
+            TimedPanel(self.success or RecordedPanel(gui, frame), 0.5),
+            *scene,
         ]
         self.refresh = Refresh(self.panels)
         if greet:
@@ -143,6 +146,16 @@ class Panels:
             timed.panel.remove()
         for handle in self._extras:
             handle.remove()
+
+    def _build_scene(self, frame: Frame, click: Callable[[str], None] | None) -> list[TimedPanel]:
+        """Builds the middle of the page: recordings have no scene, so their pictures are there."""
+        if frame.world.env.recorded:
+            return [TimedPanel(PicturesPanel(self._client, frame, click), 0.05)]
+        arrows = ArrowsPanel(self._client, frame, extent(frame))
+        return [
+            TimedPanel(ScenePanel(self._client, frame, click), 0.05),
+            TimedPanel(arrows, 0.25),
+        ]
 
     def _build_tabs(self, tabs: viser.GuiTabGroupHandle, frame: Frame) -> list[TimedPanel]:
         """Builds the panels under the cameras, a tab for each question a visitor has; the last one
@@ -160,28 +173,35 @@ class Panels:
             with tab:
                 built.extend(TimedPanel(build(), period) for build, period in panels)
 
-        add(
-            tabs.add_tab("What counts?"),
-            (lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25),
-            (lambda: ShapleyPanel(gui, frame, shared.rates), 0.5),
-        )
-        add(tabs.add_tab("What if?"), (lambda: SubsetsPanel(gui, send, frame), 0.5))
-        add(
-            tabs.add_tab("Sees what?"),
-            (lambda: SaliencyPanel(gui, explain, frame), 0.25),
-            (lambda: ForesightPanel(gui, send, frame), 0.5),
-            (lambda: ProjectionPanel(gui, frame, 330 if wide else 170), 0.4),
-        )
+        if frame.world.policy.method != NO_POLICY:
+            add(
+                tabs.add_tab("What counts?"),
+                (lambda: FeaturesPanel(gui, frame, 230 if wide else 150), 0.25),
+                (lambda: ShapleyPanel(gui, frame, shared.rates), 0.5),
+            )
+            add(tabs.add_tab("What if?"), (lambda: SubsetsPanel(gui, send, frame), 0.5))
+            add(
+                tabs.add_tab("Sees what?"),
+                (lambda: SaliencyPanel(gui, explain, frame), 0.25),
+                (lambda: ForesightPanel(gui, send, frame), 0.5),
+                (lambda: ProjectionPanel(gui, frame, 330 if wide else 170), 0.4),
+            )
         add(tabs.add_tab("Go back"), (lambda: TimelinePanel(gui, send, frame), 0.5))
-        add(
-            tabs.add_tab("Who wins?"),
-            (lambda: ComparisonPanel(gui, send, frame, choices, named), 0.5),
-        )
+        simulated = not frame.world.env.recorded
+        if simulated:
+            add(
+                tabs.add_tab("Who wins?"),
+                (lambda: ComparisonPanel(gui, send, frame, choices, named), 0.5),
+            )
         with tabs.add_tab("More"):
             more = gui.add_tab_group()
-        add(more.add_tab("Audit"), (lambda: AuditPanel(gui, audited, frame, shared.audit), 1.0))
+        audit = (lambda: AuditPanel(gui, audited, frame, shared.audit), 1.0)
+        train = (lambda: TrainingPanel(gui, send, frame, shared.training), 1.0)
+        if simulated:
+            add(more.add_tab("Audit"), audit)
         add(more.add_tab("Failures"), (lambda: FailuresPanel(gui, send, frame), 0.5))
-        add(more.add_tab("Train"), (lambda: TrainingPanel(gui, send, frame, shared.training), 1.0))
+        if simulated:
+            add(more.add_tab("Train"), train)
         add(more.add_tab("Save"), (lambda: SavePanel(gui, self._session.save, frame), 1.0))
         return built
 

@@ -23,6 +23,7 @@ from madviz.app.markup import error_html
 from madviz.app.panel import apply
 from madviz.app.panels.words import Prediction
 from madviz.app.toolkit import window_is_wide
+from madviz.policies.no_policy import NO_POLICY
 from madviz.session.frame import Change, Frame, NoFrame
 from madviz.session.live_session import LiveSession
 
@@ -57,7 +58,7 @@ class Page:
         self._waiting: viser.GuiHtmlHandle | None = None
         self._panels: Panels | None = None
         self._wanted: object = None
-        """The task and cameras whose panels were to be built last."""
+        """Task, cameras, and whether there is no policy, whose panels were to be built last."""
         self._reported = ""
         self._said: float | None = None
         """When the page said that there is no frame."""
@@ -122,7 +123,8 @@ class Page:
         panels = self._panels
         self._panels = None
         if panels is not None:
-            self._measures = panels.success.measures
+            if panels.success is not None:
+                self._measures = panels.success.measures
             panels.remove()
 
     # The page's own thread.
@@ -176,7 +178,8 @@ class Page:
         if self._said is not None and now > self._said + STAYS:
             self._said = None
             self._waiting.content = waiting_html(self._notice) if self._notice else ""
-        wanted = (frame.world.env.task, frame.world.env.cameras)
+        without = frame.world.policy.method == NO_POLICY
+        wanted = (frame.world.env.task, frame.world.env.cameras, without)
         if wanted != self._wanted:  # Once: what cannot be built now cannot at the next frame.
             self._wanted = wanted
             self._build(frame)

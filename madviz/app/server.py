@@ -6,7 +6,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import viser
@@ -32,7 +32,9 @@ from madviz.policies import checkpoint
 from madviz.policies.checkpoint import PolicyName
 from madviz.policies.guarded import is_guarded, unguarded
 from madviz.policies.listing import list_policies
+from madviz.policies.no_policy import NONE_LABEL, is_no_policy, without_policy
 from madviz.policies.sb3 import trust
+from madviz.recorded.known import allow_recording, recordings_of
 from madviz.session.commands import Command, SetCamera
 from madviz.session.live_session import LiveSession
 from madviz.session.process import References, SessionProcess, prepare
@@ -108,6 +110,9 @@ class ExploreConfig:
     third_a=noise:0.5 or third_a.pan=-11."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
+    recording: Path | None = None
+    """Recordings of your own robot, a LeRobot dataset: it plays as it was, and --policy beside
+    it says what it would do."""
 
 
 @dataclass(frozen=True)
@@ -214,6 +219,7 @@ def open_app(config: ExploreConfig) -> App:
     sys.setswitchinterval(0.001)
     allow_task(config.task)
     trust(config.policy, config.trust)
+    config = with_recording(config)
     choices = policy_choices(config.task)
     script, given = saved_episode(config)
     named = with_wire(config.policy or "", config.wire)
@@ -227,7 +233,8 @@ def open_app(config: ExploreConfig) -> App:
     for reference, spec in given.items():
         references.note(reference, spec)
     if name not in [choice.name for choice in choices]:
-        choices = [PolicyChoice(name, checkpoint.shown(name), given[name].task), *choices]
+        label = NONE_LABEL if is_no_policy(name) else checkpoint.shown(name)
+        choices = [PolicyChoice(name, label, given[name].task), *choices]
     make = SessionMaker(
         name,
         named or None,
@@ -237,6 +244,7 @@ def open_app(config: ExploreConfig) -> App:
         trusted=config.trust,
         seed=config.seed,
         begins=beginning(config, given[name]),
+        recording=config.recording,
     )
 
     def new_session() -> SessionProcess:
@@ -261,6 +269,22 @@ def open_app(config: ExploreConfig) -> App:
         Limits(config.visitors, config.watchers),
         light=config.light,
     )
+
+
+def with_recording(config: ExploreConfig) -> ExploreConfig:
+    """``config`` with the task of its recordings, and what stands in where it has no policy. Says
+    which episodes are left out. Raises UserError beside a saved session or another task."""
+    if config.recording is None:
+        return config
+    if config.replay is not None or config.task is not None:
+        raise UserError(
+            "expected --recording without --replay or --task, found one of them; leave it out"
+        )
+    task = allow_recording(config.recording)
+    for line in recordings_of(task).left_out:
+        say(f"madviz: left out: {line}")
+    policy = config.policy or without_policy(task)
+    return replace(config, task=task, policy=policy, seed=config.seed or 0)
 
 
 def gate_for(config: ExploreConfig) -> Gate:

@@ -6,11 +6,13 @@ import gc
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import make_env
 from madviz.policies import checkpoint
 from madviz.policies.sb3 import trust
+from madviz.recorded.known import allow_recording
 from madviz.session.commands import Command
 from madviz.session.process import Noted
 from madviz.session.replay import finder
@@ -48,10 +50,14 @@ class SessionMaker:
     """The first scene; by default the first one of live pages."""
     begins: tuple[Command, ...] = ()
     """The commands that every session gets first."""
+    recording: Path | None = None
+    """Recordings that may be opened."""
 
     def __call__(self, noted: Noted = lambda name, spec: None) -> Session:
         """A session that is not started yet. Raises UserError where a script's policy is gone."""
         allow_task(self.task)
+        if self.recording is not None:
+            allow_recording(self.recording)
         trust(self.typed, self.trusted)
         policies = LoadedPolicies(self._of_script(), noted)
         session = Session(

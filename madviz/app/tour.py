@@ -97,7 +97,9 @@ class Tour:
         self._acting = ""
         """The policy that the tour has asked for last, or found."""
         gui = client.gui
-        options = (HELP_BUTTON,) if send is None else (TOUR_BUTTON, HELP_BUTTON)
+        frame = newest()
+        recorded = isinstance(frame, Frame) and frame.world.env.recorded
+        options = (HELP_BUTTON,) if send is None or recorded else (TOUR_BUTTON, HELP_BUTTON)
         if send is not None and self._other() is not None:
             options = (COMPARE_BUTTON, *options)
         self._row = gui.add_button_group(
@@ -116,8 +118,9 @@ class Tour:
     def _other(self) -> str | None:
         """The policy to compare with, if there is one."""
         frame = self._newest()
-        here = isinstance(frame, Frame)
-        return never_alone(frame.world.policy, self._choices) if here else None
+        if not isinstance(frame, Frame) or frame.world.env.recorded:
+            return None
+        return never_alone(frame.world.policy, self._choices)
 
     def greet(self) -> None:
         """Offers the comparison, if there is a policy to compare with."""

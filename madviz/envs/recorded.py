@@ -15,9 +15,18 @@ import numpy as np
 from madviz.envs.checks import check_action, check_size, resized_cameras
 from madviz.errors import UserError
 from madviz.recorded.known import LABEL, SUITE, recordings_of
+from madviz.recorded.moment import RecordedMoment
 from madviz.recorded.recordings import Recordings
 from madviz.recorded.scaling import Scaling
-from madviz.types import Array, Body, CameraPose, CameraSpec, EnvSpec, RecordedStep, TimeStep, View
+from madviz.types import (
+    Array,
+    Body,
+    CameraPose,
+    CameraSpec,
+    EnvSpec,
+    TimeStep,
+    View,
+)
 
 BESIDE = 1.15
 """Distance from camera to camera: they have no place, so their pictures stand in a row."""
@@ -118,8 +127,9 @@ class RecordedRobot:
     def expert(self) -> Array:
         return np.clip(self._actions[self._row], -1, 1)
 
-    def recorded(self) -> RecordedStep:
-        return RecordedStep(self._actions[self._row], self._episode.index, self._episode.task)
+    def recorded(self) -> RecordedMoment:
+        one = self._episode
+        return RecordedMoment(self._actions[self._row], one.index, one.task, max(one.length - 1, 1))
 
     def close(self) -> None:
         pass

@@ -25,6 +25,7 @@ from madviz.policies import checkpoint
 from madviz.policies.config import check_environment, definition_of
 from madviz.policies.players import player_of
 from madviz.policies.seeds import FIRST_TRY
+from madviz.recorded.known import refuse_recording
 from madviz.subsets import camera_of, name_of
 from madviz.types import Array, Encoded, Environment, Policy, PolicySpec
 from madviz.wire.policy import numbers_outside
@@ -187,6 +188,7 @@ class Runner:
         return self._policies[key]
 
     def _environment(self, policy: Policy) -> Environment:
+        refuse_recording(policy.spec.task, "counting successes")
         key = (policy.spec.task, policy.spec.render_profile, policy.spec.cameras)
         if self._env is None or self._env[0] != key:
             self.close()

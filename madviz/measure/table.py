@@ -21,6 +21,7 @@ from madviz.measure.store import EpisodeResult, ResultKey, Store
 from madviz.measure.workers import Workers, run_anywhere
 from madviz.observation.condition import Condition
 from madviz.policies import checkpoint
+from madviz.recorded.known import refuse_recording
 from madviz.types import Policy, PolicySpec
 
 
@@ -67,6 +68,7 @@ class Table:
         else:
             reference = ""
             loaded = policy
+        refuse_recording(loaded.spec.task, "counting successes")
         table = Table(reference, loaded.spec, store, own)
         table.runner.adopt(reference, loaded)
         return table, loaded

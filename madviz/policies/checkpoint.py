@@ -41,6 +41,7 @@ from madviz.policies.config import (
 )
 from madviz.policies.guarded import fit_command, is_guarded, unguarded
 from madviz.policies.measured import EvaluationFile, as_evaluation
+from madviz.policies.no_policy import NoPolicy, is_no_policy
 from madviz.policies.sb3 import is_sb3, load_sb3, shown_sb3
 from madviz.recorded.known import is_recording
 from madviz.recorded.robot import Robot, read_robot
@@ -183,7 +184,7 @@ def load_policy(policy: str | Path) -> Policy:
     """A policy that can act: from a folder, a name (see ``policy_roots``), ``module:factory``, or
     ``ws://host:port`` of one that is served (``madviz.wire.reference``), or ``sb3:FILE@TASK`` of
     Stable-Baselines3, if that was trusted (``sb3.py``). ``guard:`` before a folder or a name adds a
-    guard (``guarded.py``).
+    guard (``guarded.py``). ``recorded:NAME`` is none (``no_policy.py``).
 
     Raises UserError for anything but a complete, finite policy of a known format.
     """
@@ -193,6 +194,8 @@ def load_policy(policy: str | Path) -> Policy:
         return connect(str(policy))
     if is_sb3(str(policy)):
         return load_sb3(str(policy))
+    if is_no_policy(str(policy)):
+        return NoPolicy(str(policy))
     if not is_folder(policy):
         return _from_factory(str(policy))
     path = find_policy(policy)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -18,22 +17,9 @@ import numpy as np
 
 from madviz.errors import UserError
 from madviz.recorded.films import letterboxed
-from madviz.system.files import cache_folder, replacing
+from madviz.recorded.storage import recordings_cache
+from madviz.system.files import replacing
 from madviz.types import Array
-
-
-def recordings_cache() -> Path:
-    return cache_folder() / "recordings"
-
-
-def cache_bytes() -> int:
-    """The size of all that is cached."""
-    return sum(path.stat().st_size for path in recordings_cache().rglob("*") if path.is_file())
-
-
-def clear_cache() -> None:
-    """Removes all cached pictures; they are decoded anew when they are needed."""
-    shutil.rmtree(recordings_cache(), ignore_errors=True)
 
 
 def packed(

@@ -41,6 +41,7 @@ from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
 from madviz.policies.seeds import FIRST_TRY
+from madviz.recorded.known import refuse_recording
 from madviz.recording.facts import Facts, Writer
 from madviz.recording.frames import frames
 from madviz.session.commands import Play, SetSchedule
@@ -218,6 +219,7 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     find = finder((named,) if named else ())
     policy = find(script.policy) if script else checkpoint.load_policy(named)
     world = script or policy.spec
+    refuse_recording(world.task, "madviz record")
     with closing(make_env(world.task, world.render_profile, world.cameras)) as env, one_thread():
         session = _session(env, policy, config.seed, script, find)
         schedule = _schedule(config, env.spec)
@@ -255,6 +257,7 @@ def run_film(config: RecordConfig) -> dict[str, Any]:
         trust(policy, config.trust)
     named = (with_wire(config.policy or "", config.wire), str(config.vs))
     spec = checkpoint.load_policy(named[0]).spec
+    refuse_recording(spec.task, "madviz record")
     env = env_spec(spec.task, cameras=spec.cameras)
     schedule = _schedule(config, env)
     seeds = range(config.seed, config.seed + config.episodes)
@@ -273,6 +276,7 @@ def run_dataset(config: RecordConfig) -> dict[str, Any]:
     named = _reference(config)
     policy = checkpoint.load_policy(named) if named else None
     spec = policy.spec if policy else None
+    refuse_recording(str(config.expert) if spec is None else spec.task, "madviz record")
     world = env_spec(str(config.expert)) if spec is None else spec
     seeds = range(config.seed, config.seed + config.episodes)
     with closing(make_env(world.task, world.render_profile, world.cameras)) as env, one_thread():

@@ -19,6 +19,7 @@ from madviz.guard.policy import GuardReport
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.observation.condition import Condition
 from madviz.observation.schedule import Schedule
+from madviz.recorded.moment import RecordedMoment
 from madviz.subsets import camera_of, mask_of, modality_of
 from madviz.types import Array, Body, CameraPose, EnvSpec, PolicySpec, View
 
@@ -99,6 +100,7 @@ class TimelinePoint(NamedTuple):
 
     q: float
     reward: float
+    """In a recording: the distance between the policy's action and the recorded one."""
     success: bool
     condition: Condition
     policy: str
@@ -166,6 +168,8 @@ class World:
     """Whether the policy can imagine the decisions to come."""
     guard: GuardReport | None = None
     """The report of the policy's guard on this step; None where it has none."""
+    recorded: RecordedMoment | None = None
+    """The recording at this step; None in a simulator."""
 
 
 @dataclass(frozen=True)
@@ -247,7 +251,13 @@ class Frame:
 
     @property
     def ended(self) -> bool:
-        return self.world.step >= self.world.env.horizon
+        return self.world.step >= self.decisions
+
+    @property
+    def decisions(self) -> int:
+        """Decisions in this episode."""
+        recorded = self.world.recorded
+        return recorded.decisions if recorded else self.world.env.horizon
 
     @property
     def past(self) -> bool:

@@ -30,6 +30,7 @@ from madviz.observation.ablation import Ablation, CameraState
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
+from madviz.recorded.moment import moment_of
 from madviz.session.commands import SetCamera
 from madviz.session.episode_record import EpisodeRecord
 from madviz.session.frame import Change, Outcome, World, untouched
@@ -127,6 +128,7 @@ class Simulation:
             imagined=imagined(self.policy, self._encoded, self.ablation, now.views, self.env.spec),
             foresees=can_foresee(self.policy),
             guard=self._guard,
+            recorded=now.recorded,
         )
 
     def explain(self, live: LiveSaliency, now: float, moving: bool, full_speed: bool) -> bool:
@@ -352,7 +354,8 @@ class Simulation:
             views[camera.name] = env.view(camera.name)  # (H, W, 3)
             between()
         poses = {camera.name: env.pose(camera.name) for camera in env.spec.cameras}
-        return StepData(time_step, step, views, poses, env.bodies(), env.body_poses(), env.hand())
+        scene = (env.bodies(), env.body_poses(), env.hand())
+        return StepData(time_step, step, views, poses, *scene, moment_of(env))
 
     def _arrive(self, data: StepData) -> None:
         self._push(data)

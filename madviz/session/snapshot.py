@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from madviz.analysis.probes import Probe
 from madviz.observation.ablation import Ablation
+from madviz.recorded.moment import RecordedMoment
 from madviz.session.episode_record import EpisodeRecord
 from madviz.session.journal import Mark
 from madviz.session.playing import Look
@@ -23,6 +24,7 @@ class StepData:
     bodies: tuple[Body, ...]
     body_poses: Array
     hand: Array
+    recorded: RecordedMoment | None = None
 
 
 @dataclass(frozen=True)

@@ -247,8 +247,14 @@ class Stage:
 
     def _open_second(self, name: str, ablation: Ablation) -> SecondSimulation:
         """Another B, at the first step of A's seed. Raises UserError as ``compare`` does."""
-        policy = self._loaded(name)
         live = self._live
+        if live.env.spec.recorded:
+            raise UserError(
+                f"expected a task in a simulator to compare two policies in, found "
+                f"{live.env.spec.task}: what was recorded goes on whatever they do; explore one "
+                "after the other"
+            )
+        policy = self._loaded(name)
         if policy.spec.task != live.env.spec.task:
             raise UserError(
                 f"expected a policy for {live.env.spec.task} on B's side, found {name!r} for "

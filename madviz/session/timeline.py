@@ -20,6 +20,7 @@ import numpy as np
 
 from madviz.analysis.probes import Probe
 from madviz.session.frame import Branch, Frame, TimelinePoint
+from madviz.session.open_loop import from_recorded
 from madviz.session.simulation import Snapshot
 
 MOST_ROWS = 16
@@ -40,9 +41,8 @@ class Timeline:
         """``frame``, the newest one, with the history up to it. ``keep``: it replaces its step and
         all after it. A step that is not there yet is taken in either way."""
         world = frame.world
-        now = TimelinePoint(
-            frame.q, world.reward, world.success, frame.condition, world.policy.name
-        )
+        reward = world.reward if world.recorded is None else from_recorded(frame)
+        now = TimelinePoint(frame.q, reward, world.success, frame.condition, world.policy.name)
         history = [*self._history[: world.step], now]
         if keep or world.step >= len(self._history):
             thin = replace(world, probe=_thin(world.probe))

@@ -63,8 +63,9 @@ class BreakPanel(WidgetPanel):
             cells = [Cell(self._sends.handle, 1, 4, "above"), Cell(self._gives.handle, 1, 3)]
             cells += [Cell(close, 4), *(Cell(one, 1 + 2 * (i % 2), 2) for i, one in sliders)]
             place(gui, "breaks", 4, cells)
-            with gui.add_folder("Where it stands"):  # A container has one grid.
-                self.move = MovePanel(gui, send, frame, scene, named)
+            simulated = not frame.world.env.recorded  # Recorded pictures are from one place.
+            with gui.add_folder("Where it stands", visible=simulated):  # A container has one grid.
+                self.move = MovePanel(gui, send, frame, scene if simulated else None, named)
         self.handles = [self._folder]
 
     def _add_slider(self, gui: viser.GuiApi, field: str) -> tuple[int, viser.GuiSliderHandle]:
@@ -97,7 +98,8 @@ class BreakPanel(WidgetPanel):
         if not opened:
             return changes
         state = frame.camera(self.camera)
-        label = f"Break or move {frame.world.env.camera(self.camera).label}"
+        verb = "Break" if frame.world.env.recorded else "Break or move"
+        label = f"{verb} {frame.world.env.camera(self.camera).label}"
         style = self._sends.style(state.occlusion.kind) + self._gives.style(state.input)
         changes += [
             Assign(self._folder, "label", label),

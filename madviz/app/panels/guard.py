@@ -12,6 +12,7 @@ from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import SyncedInput, WidgetPanel, on_value
 from madviz.policies.checkpoint import has_guard, shown
 from madviz.policies.guarded import fit_command, unguarded, with_guard
+from madviz.policies.no_policy import NO_POLICY
 from madviz.session.commands import Compare, Link, SetPolicy
 from madviz.session.frame import Frame
 
@@ -48,9 +49,13 @@ class GuardPanel(WidgetPanel):
         if policy != self._judged[0]:
             self._judged = (policy, has_guard(policy))
         fitted = self._judged[1]
-        note = "" if fitted else f'<div class="mv dim">{escape(no_guard(policy))}</div>'
+        policed = frame.world.policy.method != NO_POLICY
+        note = (
+            "" if fitted or not policed else f'<div class="mv dim">{escape(no_guard(policy))}</div>'
+        )
         return [
             *self._shown.show(frame.world.guard is not None),
+            Assign(self._switch, "visible", policed),
             Assign(self._switch, "disabled", self._send is None or not fitted),
             Assign(self._note, "content", note),
         ]

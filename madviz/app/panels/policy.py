@@ -18,6 +18,8 @@ from madviz.app.toolkit import Cell, Choice, HtmlPanel, SyncedInput, on_press, o
 from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.policies.checkpoint import shown
 from madviz.policies.guarded import unguarded
+from madviz.policies.no_policy import NO_POLICY
+from madviz.recorded.known import LABEL
 from madviz.session.commands import (
     Command,
     Pause,
@@ -149,7 +151,12 @@ class PolicyPanel(HtmlPanel):
             "Decisions per second that are asked for; max is as fast as it goes.",
         )
         seed = gui.add_number(
-            "Seed", frame.world.seed, min=0, max=2**31 - 1, step=1, hint="Which episode to start."
+            "Number" if frame.world.recorded else "Seed",
+            frame.world.seed,
+            min=0,
+            max=2**31 - 1,
+            step=1,
+            hint="Which episode to start.",
         )
         go = gui.add_button("go", hint="Start the episode of this seed.")
         on_press(go, lambda: send(SetSeed(int(seed.value))))
@@ -186,6 +193,8 @@ class PolicyPanel(HtmlPanel):
 
 def policy_words(spec: PolicySpec) -> str:
     """The kind of policy, for somebody who never heard of it."""
+    if spec.method == NO_POLICY:
+        return "No policy: the recording alone."
     if spec.method in METHODS:
         return METHODS[spec.method].page_words
     return f"Method {spec.method}, recipe {spec.recipe}."
@@ -204,6 +213,8 @@ def verdict(frame: Frame) -> tuple[str, str]:
         return "STOPPED", NOTE
     if frame.past:
         return "LOOKING BACK", NOTE
+    if frame.ended and frame.world.recorded:
+        return "END", NOTE
     if frame.ended:
         return ("SUCCESS", GOOD) if frame.world.success else ("FAIL", BAD)
     return ("PAUSED", MUTED) if frame.pace.phase == "paused" else ("RUNNING", "#dfe3e8")
@@ -215,11 +226,14 @@ def status_html(frame: Frame) -> str:
         f'data-episode="{frame.world.episode}" data-step="{frame.world.step}" '
         f'data-phase="{frame.pace.phase}" data-setting="{escape(str(frame.condition))}"'
     )
-    seed = f'<span class="plain num" style="float:right">seed {frame.world.seed}</span>'
+    recorded = frame.world.recorded
+    which = f"episode {recorded.episode}" if recorded else f"seed {frame.world.seed}"
+    seed = f'<span class="plain num" style="float:right">{which}</span>'
+    goal = recorded_html(frame) if recorded else _goal(frame)
     return (
         f'<div class="mv mv-status" {attributes}>'
         f'<div class="dim" style="font-size:12px">{escape(policy_words(frame.world.policy))}</div>'
-        f"{_progress(frame)}{_goal(frame)}<h4>{seed}{_heading(frame)}</h4>"
+        f"{_progress(frame)}{goal}<h4>{seed}{_heading(frame)}</h4>"
         '<div class="mv-action" style="display:flex;gap:8px;align-items:center">'
         f'<div style="flex:1">{_action(frame)}</div>{_value(frame)}</div>'
         f"{_planned(frame)}{_error(frame)}</div>"
@@ -232,6 +246,8 @@ def _has_critic(frame: Frame) -> bool:
 
 
 def _heading(frame: Frame) -> str:
+    if frame.world.policy.method == NO_POLICY:
+        return "Recorded action"
     return "Action and its value Q" if _has_critic(frame) else "Action"
 
 
@@ -262,9 +278,9 @@ def _progress(frame: Frame) -> str:
     return (
         '<div style="margin-top:6px;display:flex;gap:8px;align-items:center;white-space:nowrap">'
         f'<span class="tag mv-verdict" style="{big}">{word}</span>'
-        f'<span class="num">step <b>{frame.world.step}</b>/{frame.world.env.horizon}</span>'
+        f'<span class="num">step <b>{frame.world.step}</b>/{frame.decisions}</span>'
         f'<span class="num" style="margin-left:auto">{_pace(frame)}</span></div>'
-        f"{progress_bar(frame.world.step / frame.world.env.horizon, colour)}"
+        f"{progress_bar(frame.world.step / frame.decisions, colour)}"
     )
 
 
@@ -278,7 +294,18 @@ def _goal(frame: Frame) -> str:
     return f'<div>{met}{ever}</div><div class="dim two-lines" title="{goal}">Goal: {goal}</div>'
 
 
+def recorded_html(frame: Frame) -> str:
+    """The label of all recordings, and the episode's task."""
+    task = escape(frame.world.recorded.task if frame.world.recorded else "")
+    return (
+        f'<div class="mv-recorded"><b style="color:{NOTE}">{LABEL}</b></div>'
+        f'<div class="dim two-lines" title="{task}">Task: {task}</div>'
+    )
+
+
 def _action(frame: Frame) -> str:
+    if frame.world.policy.method == NO_POLICY and frame.world.recorded:
+        return action_bars(np.clip(frame.world.recorded.action, -1, 1))
     if np.isfinite(frame.action).all():
         return action_bars(frame.action)
     if frame.world.probe.waiting[frame.row]:

@@ -68,7 +68,9 @@ class ShapleyPanel(HtmlPanel):
 
 def shapley_html(frame: Frame, rates: SuccessRates) -> str:
     """A row per camera with a signed bar for each game, and what they share in the last row."""
-    columns = [q_column(frame), action_column(frame), success_column(frame, rates)]
+    columns = [q_column(frame), action_column(frame)]
+    simulated = frame.world.recorded is None
+    columns += [success_column(frame, rates)] if simulated else []
     cameras = cameras_of(frame.world.policy.streams)
     heads = "".join(f'<td style="width:27%">{column.title}</td>' for column in columns)
     rows = "".join(_row(frame, camera, i, columns) for i, camera in enumerate(cameras))
@@ -78,7 +80,7 @@ def shapley_html(frame: Frame, rates: SuccessRates) -> str:
         f'<div class="mv mv-shapley"><div>{IDEA}</div><table style="margin:5px 0">'
         f'<tr class="dim"><td></td>{heads}</tr>{rows}'
         f'<tr style="border-top:1px solid {FAINT}"><td class="dim">none → all present</td>{totals}'
-        f'</tr></table>{words}<div style="margin-top:4px">{ARROWS}</div></div>'
+        f'</tr></table>{words}<div style="margin-top:4px">{ARROWS if simulated else ""}</div></div>'
     )
 
 

@@ -133,7 +133,8 @@ def _lane(frame: Frame, name: Literal["reward", "q"], index: int) -> str:
     high = max(high, low + 1e-6, 1e-6)
     top = TOP + index * (LANE + 8) + 4
     lane = Lane(LEFT, WIDTH - 6, top, top + LANE, frame.world.env.horizon, low, high)
-    label = {"reward": "reward", "q": "Q"}[name]
+    first_lane = "reward" if frame.world.recorded is None else "apart"
+    label = {"reward": first_lane, "q": "Q"}[name]
     dashed = 'stroke-dasharray="4 4" stroke-opacity="0.8"'
     return (
         f'{lane.scale(".3g")}<text x="4" y="{top + LANE / 2 + 4}">{label}</text>'
@@ -184,6 +185,8 @@ def _short(text: str) -> str:
 
 def _words(frame: Frame) -> str:
     goal = f'<span style="color:{GOOD}">▂</span> goal met'
+    if frame.world.recorded is not None:
+        goal = "apart: the policy's action from the recorded one"
     if frame.past:
         newest = len(frame.history) - 1
         return (
@@ -205,15 +208,14 @@ def _first(frame: Frame) -> str:
         return ""
     other = frame.branch.frame
     history = frame.branch.history
-    horizon = frame.world.env.horizon
     rows = [
         (
             "original run",
             str(other.condition),
             other.world.total_reward,
-            _outcome(history, horizon),
+            _outcome(history, frame),
         ),
-        ("now", str(frame.condition), frame.world.total_reward, _outcome(frame.history, horizon)),
+        ("now", str(frame.condition), frame.world.total_reward, _outcome(frame.history, frame)),
     ]
     table = "".join(
         f"<tr><td><b>{who}</b></td><td>{escape(_short(what))}</td>"
@@ -229,9 +231,11 @@ def _first(frame: Frame) -> str:
     )
 
 
-def _outcome(history: Sequence[TimelinePoint], horizon: int) -> str:
+def _outcome(history: Sequence[TimelinePoint], frame: Frame) -> str:
     """How a run ended, or how far it came; success counts at the last step."""
-    if len(history) <= horizon:
+    if len(history) <= frame.decisions:
         return f'<span class="dim">up to step {len(history) - 1}</span>'
+    if frame.world.recorded is not None:
+        return "the end"
     word, colour = ("✔ SUCCESS", GOOD) if history[-1].success else ("✘ FAIL", BAD)
     return f'<b style="color:{colour}">{word}</b>'

@@ -15,6 +15,7 @@ from madviz.app.panel import Assign, apply
 from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import HtmlPanel, heard
 from madviz.drawing.colours import NOTE
+from madviz.policies.no_policy import NO_POLICY
 from madviz.session.ending import BOTH, YES_OR_NO, Ending, ending_of, guess_words, side_labels
 from madviz.session.frame import Change, Frame, deed, words
 from madviz.session.guard_words import guard_sentence
@@ -93,7 +94,8 @@ class WordsPanel(HtmlPanel):
     def _content(self, frame: Frame) -> str:
         if frame.world.change is not None:
             self._last = (frame.world.change, frame.world.policy)
-        ending = ending_of(frame, self._rates.best)
+        simulated = frame.world.recorded is None
+        ending = ending_of(frame, self._rates.best) if simulated else None
         prediction = self._prediction
         if prediction.episode not in (None, frame.world.episode):
             prediction.take("")
@@ -131,7 +133,13 @@ def asks_now(frame: Frame, prediction: Prediction) -> bool:
     change = frame.world.change
     dropped = change is not None and frame.camera(change.camera).input == "off"
     over = frame.ended or frame.past
-    return dropped and not over and not prediction.silent and not prediction.guess
+    return (
+        frame.world.recorded is None
+        and dropped
+        and not over
+        and not prediction.silent
+        and not prediction.guess
+    )
 
 
 def ending_html(ending: Ending, frame: Frame, guess: str = "") -> str:
@@ -163,7 +171,11 @@ def both_sides(change: Change, frame: Frame, rates: SuccessRates) -> str:
 def sentence(change: Change, frame: Frame, rates: SuccessRates) -> str:
     """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8; success measured 0.94 → 0.81
     (n=16)``."""
+    if frame.world.policy.method == NO_POLICY:
+        return f"{deed(change, frame.world.env)}."
     line = words(change, frame.world.env)
+    if frame.world.recorded is not None:
+        return line
     if change.condition_before == change.condition_after:
         return line
     before = rates.best(frame.world.policy, change.condition_before)

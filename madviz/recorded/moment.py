@@ -1,0 +1,36 @@
+"""One moment of a recording, beside what any environment says of a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from madviz.types import Array
+
+
+@dataclass(frozen=True)
+class RecordedMoment:
+    """A moment of a recording."""
+
+    action: Array
+    """(A,) float32 the recorded action; beyond [-1, 1] where training has none so large."""
+    episode: int
+    """The episode's number in its dataset."""
+    task: str
+    """The episode's task in words."""
+    decisions: int
+    """Decisions in the episode."""
+
+
+@runtime_checkable
+class PlaysRecording(Protocol):
+    """An environment that shows what was recorded, whatever the actions."""
+
+    def recorded(self) -> RecordedMoment:
+        """The recording at this step."""
+        ...
+
+
+def moment_of(env: object) -> RecordedMoment | None:
+    """The recording at this step; None where ``env`` is a simulator."""
+    return env.recorded() if isinstance(env, PlaysRecording) else None
