@@ -6,6 +6,7 @@ import json
 import os
 import re
 import subprocess
+import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import closing
@@ -17,6 +18,8 @@ import pytest
 
 from madviz.envs.registry import make_env
 from madviz.examples import own_policy
+from madviz.recorded.films import letterboxed
+from madviz.recorded.recordings import open_recordings
 from madviz.serving.serve import PolicyServer
 from madviz.wire.wiring import env_of, read_wiring
 
@@ -174,3 +177,30 @@ SCRIPTS = sorted([*FOLDER.glob("*.sh"), *FOLDER.glob("*/setup.sh")])
 def test_a_setup_script_can_be_read_by_bash(script: Path) -> None:
     assert os.access(script, os.X_OK)
     subprocess.run(["bash", "-n", script], check=True)
+
+
+@pytest.mark.slow
+@needs("lerobot")
+@pytest.mark.parametrize("codec", ["h264", "libsvtav1", "images"])
+def test_recordings_are_read_as_lerobots_own_loader_reads_them(
+    codec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    words = ["check_recordings.py", tmp_path / "set", codec, tmp_path / "there.npz"]
+    ran([python_of("lerobot"), *words], FOLDER / "lerobot")
+    there = np.load(tmp_path / "there.npz")
+    found = open_recordings(tmp_path / "set")
+    assert found.left_out == () and len(found.episodes) == 3
+    began = time.perf_counter()
+    frames = [found.frames(one.index, 84) for one in found.episodes]
+    seconds = time.perf_counter() - began
+    print(f"{codec}: decoded in {seconds:.2f} s, by LeRobot's loader in {there['seconds']:.2f} s")
+    for one, shown in zip(found.episodes, frames, strict=True):
+        rows = there["episode_index"] == one.index
+        states, actions = found.numbers(one.index)
+        np.testing.assert_array_equal(states, there["observation.state"][rows])
+        np.testing.assert_array_equal(actions, there["action"][rows])
+        assert set(there["tasks"][rows]) == {one.task}
+        for number, camera in enumerate(found.cameras):
+            expected = [letterboxed(picture, 84) for picture in there[camera.key][rows]]
+            assert np.abs(shown[:, number].astype(int) - np.array(expected)).max() <= 1
