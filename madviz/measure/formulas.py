@@ -209,3 +209,13 @@ def detectable(n: int, level: float, chance: float = 0.05, power: float = 0.8) -
         middle = (low + high) / 2
         low, high = (low, middle) if found(middle) >= power else (middle, high)
     return high
+
+
+def bootstrap(values: Array, confidence: float = 0.95, times: int = 4000) -> tuple[Array, Array]:
+    """(..., n) -> low and high end (...) of the interval of the mean: the percentiles of the means
+    of ``times`` samples of n, drawn with replacement; the same values give the same interval."""
+    count = values.shape[-1]
+    drawn = np.random.default_rng(0).integers(0, count, (times, count))
+    means = values[..., drawn].mean(axis=-1)  # (..., times)
+    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2], axis=-1)
+    return low, high

@@ -2,6 +2,7 @@
 
 The policy plays intact episodes of training seeds (``policies/seeds.py``) with all cameras. In
 every second one, a fifth of its decisions are random, so that the robot is also seen elsewhere.
+For a policy that learned from recordings, its training episodes play as they were recorded.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from madviz.policies.config import check_environment
 from madviz.policies.guarded import unguarded
 from madviz.policies.players import player_of
 from madviz.policies.seeds import FIRST_TRAINING, seeds_from
+from madviz.recorded.known import allow_recording, recordings_of
+from madviz.recorded.recordings import Recordings
 from madviz.subsets import cameras_of
 from madviz.system.files import written_to
 from madviz.system.numbers import Count
@@ -49,6 +52,8 @@ class GuardConfig:
     """Where to write the values; by default guard.json in the policy's folder."""
     json: str | None = None
     """Where to write what was fitted; - is standard output."""
+    recording: Path | None = None
+    """The recordings, a LeRobot dataset, that the policy learned from."""
 
 
 class FittedFile(TypedDict):
@@ -69,7 +74,11 @@ def run_guard(config: GuardConfig) -> FittedFile:
     reference = unguarded(config.policy)
     if config.episodes < FEWEST:
         raise UserError(f"expected {FEWEST} episodes or more to fit on, found {config.episodes}")
-    seeds = seeds_from(FIRST_SEED, config.episodes)
+    if config.recording is None:
+        seeds = tuple(seeds_from(FIRST_SEED, config.episodes))
+    else:
+        seeds = training_places(recordings_of(allow_recording(config.recording)))
+        seeds = seeds[: config.episodes]
     if config.out is None and not checkpoint.is_folder(reference):
         raise UserError(f"expected --out FILE for {reference!r:.100}, which has no folder; add it")
     out = config.out or checkpoint.find_policy(reference) / FILE
@@ -94,6 +103,12 @@ def run_guard(config: GuardConfig) -> FittedFile:
         "seeds": list(seeds),
         "late": {name: bool(stream.numbers) for name, stream in values.streams.items()},
     }
+
+
+def training_places(recordings: Recordings) -> tuple[int, ...]:
+    """The places, among all episodes, of those for training: the seeds that begin them."""
+    training = set(recordings.training)
+    return tuple(i for i, one in enumerate(recordings.episodes) if one.index in training)
 
 
 def play_intact(policy: Policy, env: Environment, seed: int, random: float) -> SeenEpisode:

@@ -17,6 +17,9 @@ from madviz.policies.again import command_again
 from madviz.policies.config import PolicyConfig, TrainingRecord
 from madviz.policies.measured import EvaluationFile, SubsetRow, seeds_of
 from madviz.policies.seeds import MEASURED
+from madviz.recorded.known import LABEL, is_recording
+from madviz.recorded.robot import FILE as ROBOT
+from madviz.recorded.robot import read_robot
 from madviz.system.files import write_bytes
 from madviz.system.markdown import markdown_table
 from madviz.types import CameraSpec
@@ -36,25 +39,31 @@ def card_text(folder: str | Path) -> str:
     evaluation = checkpoint.own_evaluation(policy) if measured else None
     sections = [
         _head(policy.config),
-        _success(evaluation, policy.spec.name),
-        _inputs(policy.config),
+        _success(evaluation, policy.spec.name, policy.config.task),
+        _inputs(policy.config, policy.path),
         _training(policy.config.training, policy.path.name),
         f"Digest of weights and config: `{policy.spec.digest}`.",
-        "Generated from `config.json` and `evaluation.json` by `madviz eval --card`; not edited.",
+        _source(policy.config.task),
     ]
     return "\n\n".join(sections) + "\n"
 
 
 def _head(config: PolicyConfig) -> str:
+    source = f" --recording {config.task.partition('/')[2]}" if is_recording(config.task) else ""
     return (
         f"# {config.name}\n\n"
         f"Task `{config.task}`, method `{config.method}`, setting `{config.setting}`, "
         f"recipe `{config.recipe}`.\n\n"
-        f"    madviz explore --policy {config.name}"
+        f"    madviz explore{source} --policy {config.name}"
     )
 
 
-def _success(evaluation: EvaluationFile | None, name: str) -> str:
+def _success(evaluation: EvaluationFile | None, name: str, task: str) -> str:
+    if is_recording(task):
+        return (
+            "## Success\n\nNot measured: it imitates recordings, and nothing was played. "
+            "`curve.csv` has its distance from recorded actions in held-out episodes."
+        )
     if evaluation is None:
         return f"## Success\n\nNot measured yet: `madviz eval --policy {name} --card`."
     header = ("present", "success", "95% interval", "any step", "episodes", "")
@@ -96,7 +105,13 @@ def _success_cells(subset: str, row: SubsetRow) -> list[str]:
     ]
 
 
-def _inputs(config: PolicyConfig) -> str:
+def _source(task: str) -> str:
+    if is_recording(task):
+        return f"Generated from `config.json` and `{ROBOT}` by `madviz train`; not edited."
+    return "Generated from `config.json` and `evaluation.json` by `madviz eval --card`; not edited."
+
+
+def _inputs(config: PolicyConfig, folder: Path) -> str:
     networks = config.networks
     lines = [
         "## What it sees",
@@ -106,15 +121,20 @@ def _inputs(config: PolicyConfig) -> str:
         "",
         f"{config.image_size} × {config.image_size} pixels, {networks.frame_stack} frames "
         f"stacked; {networks.state_dim} proprioceptive numbers in, {networks.action_dim} "
-        f"action numbers out. {config.horizon} decisions of {config.action_repeat} simulator "
-        f"steps make an episode. Render profile `{config.render_profile}`.",
-        "",
-        markdown_table(
-            ("camera", "position, m", "orientation wxyz (OpenGL)", "field of view", "rides on"),
-            map(_camera_cells, config.cameras),
-        ),
+        "action numbers out. ",
     ]
-    return "\n".join(lines)
+    if is_recording(config.task):
+        robot = read_robot(folder)
+        lines[-1] += f"{robot.fps:g} decisions a second, {LABEL}."
+        cells = [(c.name, c.key, f"{c.height} × {c.width}") for c in robot.cameras]
+        return "\n".join([*lines, "", markdown_table(("camera", "column", "pixels"), cells)])
+    lines[-1] += (
+        f"{config.horizon} decisions of {config.action_repeat} simulator "
+        f"steps make an episode. Render profile `{config.render_profile}`."
+    )
+    heads = ("camera", "position, m", "orientation wxyz (OpenGL)", "field of view", "rides on")
+    table = markdown_table(heads, map(_camera_cells, config.cameras))
+    return "\n".join([*lines, "", table])
 
 
 def _camera_cells(camera: CameraSpec) -> list[str]:

@@ -22,6 +22,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,6 +43,8 @@ from madviz.policies.guarded import fit_command, is_guarded, unguarded
 from madviz.policies.measured import EvaluationFile, as_evaluation
 from madviz.policies.no_policy import NoPolicy, is_no_policy
 from madviz.policies.sb3 import is_sb3, load_sb3, shown_sb3
+from madviz.recorded.known import is_recording
+from madviz.recorded.robot import Robot, read_robot
 from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.options import Listed
 from madviz.system.plugins import made_by
@@ -206,7 +209,9 @@ def load_policy(policy: str | Path) -> Policy:
     networks = networks_of(config, text, path / CONFIG)
     agent = _agent(path, config, networks, weights)
     spec = config.spec(digest(hashlib.sha256(weights).hexdigest(), text))
-    return TorchPolicy(spec, agent, config.reward_scale)
+    # No rewards were recorded, so the critic has learned nothing: its Q is not shown.
+    scale = nan if is_recording(config.task) else config.reward_scale
+    return TorchPolicy(spec, agent, scale)
 
 
 def has_guard(policy: str) -> bool:
@@ -214,6 +219,15 @@ def has_guard(policy: str) -> bool:
     with suppress(UserError):
         return is_folder(policy) and (find_policy(policy) / FILE).is_file()
     return False
+
+
+def robot_of_policy(policy: str) -> Robot | None:
+    """The robot whose recordings the policy of a folder or a name learned from; None for others.
+    Raises UserError for a policy of recordings without its robot.json."""
+    if not is_folder(unguarded(policy)):
+        return None
+    path = find_policy(unguarded(policy))
+    return read_robot(path) if is_recording(read_config(path / CONFIG)[0].task) else None
 
 
 def _guarded(policy: str) -> GuardedPolicy:

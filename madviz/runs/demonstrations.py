@@ -185,6 +185,10 @@ class Dataset:
             stacks.append(frames.reshape(len(index), 3 * length, *frames.shape[3:]))
         return torch.from_numpy(np.stack(stacks, 1))
 
+    def following(self, index: Array) -> Array:
+        """(B,) the decision after each; the last one of an episode has none and is its own."""
+        return np.minimum(index + 1, index - index % self.horizon + self.horizon - 1)
+
     def usual_views(self, index: Array | None = None) -> Tensor:
         """(B, V, 3, H, W) of about ``USUAL`` evenly spaced decisions of those in ``index``, or of
         all: what is usual there."""

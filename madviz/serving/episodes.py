@@ -9,6 +9,9 @@ The frames of an episode, and the rest of its chunk, must not reach the next one
 when an episode begins and ends. openpi has no word for it, so its clients send ``episode``, a
 number or text that is another one in each episode. Without it, a look is answered only where
 nothing of the past counts.
+
+A policy that learned from recordings is asked in the robot's own units: its pictures have the
+cameras' aspect and get black bars here, states and actions are raw.
 """
 
 from __future__ import annotations
@@ -18,7 +21,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from madviz.guard.policy import GuardedPlayer
 from madviz.policies.players import player_of
+from madviz.recorded.films import letterboxed
+from madviz.recorded.robot import Robot, RobotCamera
 from madviz.subsets import name_of
 from madviz.types import Array, Player, Policy, PolicyWithMemory, TakesPictures
 
@@ -30,9 +36,11 @@ class BadLook(Exception):
 class ServedEpisodes:
     """The episodes of one connection, one after the other."""
 
-    def __init__(self, policy: Policy, state_dim: int) -> None:
-        """``state_dim``: S of the environment it acts in."""
+    def __init__(self, policy: Policy, state_dim: int, robot: Robot | None = None) -> None:
+        """``state_dim``: S of the environment it acts in. ``robot``: the robot whose recordings
+        the policy learned from."""
         self._policy = policy
+        self._robot = robot
         self._spec = policy.spec
         self._state_dim = state_dim
         self._frames: dict[str, list[Array]] = {}
@@ -93,7 +101,13 @@ class ServedEpisodes:
         else:
             stacks = [self._stack(stream, images.get(stream)) for stream in self._spec.streams]
             encoded = self._policy.encode(np.stack(stacks), self._state(state))
-        return np.asarray(self._player.act(encoded, mask), np.float32)
+        action = np.asarray(self._player.act(encoded, mask), np.float32)
+        return self._robot.actions.unscale(action) if self._robot else action
+
+    @property
+    def note(self) -> str:
+        """A guard's sentence on the cameras that failed at the last answer; '' where none did."""
+        return self._player.report.note if isinstance(self._player, GuardedPlayer) else ""
 
     def close(self) -> None:
         """The episode is over, or the connection is gone."""
@@ -130,6 +144,8 @@ class ServedEpisodes:
                 f"expected {stream!r} as (H, W, {depths}) uint8, {height} by {width}, "
                 f"found {what:.60}"
             )
+        if self._robot is not None and shape[:2] != wanted:
+            return _boxed(picture, self._robot.camera(stream), height)
         if shape[0] * width != shape[1] * height:
             other = "square" if height == width else "size of that aspect"
             raise BadLook(
@@ -153,4 +169,17 @@ class ServedEpisodes:
             found = np.zeros((0, 0), np.float32)
         if found.shape != (count,) or not np.isfinite(found).all():
             raise BadLook(f"expected {count} finite numbers as the state, found {np.shape(state)}")
-        return found
+        return self._robot.states.scale(found) if self._robot else found
+
+
+def _boxed(picture: Array, camera: RobotCamera, size: int) -> Array:
+    """(H, W, C) -> (size, size, C) with black bars, as in training. Raises BadLook where the aspect
+    is not that of ``camera``."""
+    height, width = picture.shape[:2]
+    if height * camera.width != width * camera.height:
+        raise BadLook(
+            f"expected {camera.name!r} as {camera.height} by {camera.width} pixels, as it was "
+            f"recorded, or another size of that aspect, found {height} by {width}"
+        )
+    frames = [letterboxed(picture[..., i : i + 3], size) for i in range(0, picture.shape[2], 3)]
+    return np.concatenate(frames, axis=-1)

@@ -10,6 +10,8 @@ and then greets.
 
 One look is answered at a time, on one thread, as evaluations compute: the same look gives the same
 bits.
+
+A policy that learned from recordings (robot.json beside it) is served in its robot's units.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -32,10 +35,12 @@ from madviz.errors import UserError
 from madviz.measure.episodes import one_thread
 from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
+from madviz.recorded.robot import Robot, robot_document
+from madviz.serving.dry_run import dry_run
 from madviz.serving.episodes import BadLook, ServedEpisodes
 from madviz.system.hosts import new_token, port_error, same_token, stays_here, with_token
 from madviz.system.numbers import Port, check_numbers
-from madviz.types import Policy
+from madviz.types import EnvSpec, Policy
 from madviz.wire.codec import MOST_BYTES, BadMessage, pack, unpack
 from madviz.wire.connection import OURS
 from madviz.wire.protocols import OURS as FACTS
@@ -64,19 +69,32 @@ class ServeConfig:
     guard` fits it."""
     token: bool = True
     """Whether clients beyond this machine need the token that is printed."""
+    check: Path | None = None
+    """Serves nothing: answers to every frame of one held-out episode of these recordings, a LeRobot
+    dataset of the policy's robot, and says what a robot would have met."""
 
 
 class PolicyServer:
     """A running server. ``close`` frees the port."""
 
     def __init__(
-        self, policy: Policy, host: str = "127.0.0.1", port: int = 0, token: str | None = None
+        self,
+        policy: Policy,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        token: str | None = None,
+        robot: Robot | None = None,
     ) -> None:
-        """Raises UserError for a place that cannot be served."""
+        """``robot``: the robot whose recordings ``policy`` learned from. Raises UserError for a
+        place that cannot be served."""
         self._policy = policy
         self._token = token
-        self._env = env_spec(policy.spec.task, policy.spec.render_profile)
+        self._robot = robot
+        self._state_dim = len(robot.state_names) if robot else self._env().state_dim
+        self._action_dim = len(robot.action_names) if robot else self._env().action_dim
         self._facts = served(policy)
+        if robot is not None:
+            self._facts["robot"] = robot_document(robot)
         self._computing = threading.Lock()
         self._clients = threading.Semaphore(MOST_CLIENTS)
         try:
@@ -94,6 +112,9 @@ class PolicyServer:
         except (OSError, UnicodeError) as error:
             raise port_error(host, port, error) from error
         self.address = f"ws://{host}:{self._server.socket.getsockname()[1]}"
+
+    def _env(self) -> EnvSpec:
+        return env_spec(self._policy.spec.task, self._policy.spec.render_profile)
 
     def run(self) -> None:
         """Serves until ``close``."""
@@ -123,7 +144,7 @@ class PolicyServer:
         if not self._clients.acquire(blocking=False):
             connection.close(1013, "too many clients")
             return
-        episodes = ServedEpisodes(self._policy, self._env.state_dim)
+        episodes = ServedEpisodes(self._policy, self._state_dim, self._robot)
         try:
             first = _first_words(connection)
             if first is None:
@@ -196,20 +217,26 @@ class PolicyServer:
             connection.send(pack({"actions": action[None]}, "openpi"))
 
     def _greeting(self) -> dict[str, Any]:
-        numbers = {"name": "actions", "dims": self._env.action_dim, "format": "raw"}
-        state = {"name": "state", "dims": self._env.state_dim, "format": "raw"}
+        numbers = {"name": "actions", "dims": self._action_dim, "format": "raw"}
+        state = {"name": "state", "dims": self._state_dim, "format": "raw"}
         return {
             "harness_version": "madviz",
             "protocol_version": VERSION,
             "model_server": self._policy.spec.name,
             "capabilities": {},
-            "action_spec": {"actions": {**numbers, "range": [-1.0, 1.0]}},
+            "action_spec": {"actions": {**numbers, "range": self._range()}},
             "observation_spec": {
                 "images": {"name": "images", "dims": 0, "format": "rgb"},
                 "state": state,
             },
             FACTS: self._facts,
         }
+
+    def _range(self) -> list[float]:
+        """The least and the largest number of an action."""
+        if self._robot is None:
+            return [-1.0, 1.0]
+        return [min(self._robot.actions.low), max(self._robot.actions.high)]
 
 
 def _chosen(connection: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
@@ -231,7 +258,11 @@ def run_serve(config: ServeConfig) -> None:
     check_numbers(config)
     token = new_token() if config.token and not stays_here(config.host) else None
     policy = checkpoint.load_policy(with_guard(config.policy, config.guard))
-    server = PolicyServer(policy, config.host, config.port, token)
+    robot = checkpoint.robot_of_policy(config.policy)
+    if config.check is not None:
+        print("\n".join(dry_run(policy, robot, config.check)))
+        return
+    server = PolicyServer(policy, config.host, config.port, token, robot)
     print(f"{policy.spec.name} is at {with_token(server.address, token)}")
     print("(Ctrl-C ends it)", flush=True)
     try:

@@ -8,6 +8,7 @@ The fields of ``TrainConfig`` are the table of recipes: one line with a recipe's
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +23,7 @@ from madviz.agent.sizes import NetworkConfig, OwnOptions
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import SETTINGS, RenderProfile, TaskName, choose
 from madviz.errors import UserError, unknown
+from madviz.recorded.known import allow_recording, is_recording, recordings_of
 from madviz.runs.drawn_task import DrawnTask
 from madviz.runs.recipe_options import RecipeOptions
 from madviz.runs.run_folder import RunFolder
@@ -29,8 +31,9 @@ from madviz.runs.training_plan import TrainingPlan
 from madviz.subsets import camera_of
 from madviz.system.numbers import Seed, Threads
 from madviz.system.options import OneOf, Only
-from madviz.training.light import LightConfig, train_light
+from madviz.training.light_options import LightConfig
 from madviz.training.paper import PaperConfig, train_paper
+from madviz.training.recorded import imitate
 from madviz.training.vectorised import VectorisedConfig, train_vectorised
 from madviz.types import CameraSpec, EnvSpec, PolicySpec
 from madviz.world_model.mv_mwm_options import MvMwmConfig
@@ -92,7 +95,7 @@ class TrainConfig:
     are split between threads, so another number is another run."""
     own: OwnOptions = field(default_factory=OwnOptions)
     """Options of the method's merge, if it has any."""
-    light: Annotated[LightConfig, Recipe("light", train_light), Only("recipe", "light")] = field(
+    light: Annotated[LightConfig, Recipe("light", imitate), Only("recipe", "light")] = field(
         default_factory=LightConfig
     )
     paper: Annotated[PaperConfig, Recipe("paper", train_paper), Only("recipe", "paper")] = field(
@@ -106,6 +109,9 @@ class TrainConfig:
     mv_mwm: Annotated[MvMwmConfig, Recipe("mv-mwm", train_mv_mwm), Only("recipe", "mv-mwm")] = (
         field(default_factory=MvMwmConfig)
     )
+    recording: Path | None = None
+    """Recordings of your own robot, a LeRobot dataset, to learn from in place of a task: by the
+    recipe ``light``, without a simulator. Nothing is played, so no success is counted."""
 
     @staticmethod
     def renamed_options() -> dict[str, str]:
@@ -160,6 +166,11 @@ def resolve(config: TrainConfig) -> TrainingPlan:
     allow_task(config.task)
     if config.recipe not in RECIPES:
         raise unknown("recipe", config.recipe, list(RECIPES))
+    if is_recording(config.task) and config.recipe != "light":
+        raise UserError(
+            f"expected the recipe light for recordings, found {config.recipe!r}, which learns from "
+            "playing; leave --recipe out"
+        )
     chosen = method(config.method)
     if config.recipe not in chosen.recipes:
         raise UserError(
@@ -232,7 +243,9 @@ def _state_columns(config: TrainConfig, facts: EnvSpec) -> tuple[int, ...]:
 
 def learner_threads(config: TrainConfig) -> int:
     """As asked for, or else as many as the recipe takes on this machine."""
-    return config.threads or options_of(config).threads()
+    # Nothing records beside a training on recordings.
+    recorded = os.cpu_count() if is_recording(config.task) else None
+    return config.threads or recorded or options_of(config).threads()
 
 
 def _one_camera(config: TrainConfig, chosen: Method, known: tuple[str, ...]) -> str:
@@ -264,7 +277,7 @@ def identity(config: TrainConfig, drawn: tuple[CameraSpec, ...]) -> dict[str, An
     its time or room, and other recipes' options. Of the user's cameras, ``drawn``, it is what the
     file says that counts, not where the file is; of the threads, how many they are, not who said
     so."""
-    facts = asdict(replace(config, out=None, resume=False, cameras=None))
+    facts = asdict(replace(config, out=None, resume=False, cameras=None, recording=None))
     # Another key than the option's: older runs have that one, None where nobody said a number.
     del facts["threads"]
     facts["threads_used"] = learner_threads(config)
@@ -274,13 +287,33 @@ def identity(config: TrainConfig, drawn: tuple[CameraSpec, ...]) -> dict[str, An
     for option in options_of(config).ONLY_TIME:
         del facts[RECIPES[config.recipe].options][option]
     facts["cameras"] = [asdict(camera) for camera in drawn] if config.cameras else None
+    if is_recording(config.task):
+        found = recordings_of(config.task)
+        facts["recorded"] = [[one.index, one.length] for one in found.episodes]
+        facts["scalings"] = [scaling.to_json() for scaling in found.scalings()]
     return facts
 
 
-def command(config: TrainConfig) -> str:
-    """The line that trains this policy again."""
+def with_recording(config: TrainConfig) -> TrainConfig:
+    """``config`` with the task of its recordings. Raises UserError beside another task, and for
+    recordings of no use."""
+    if config.recording is None:
+        return config
+    task = allow_recording(config.recording)
+    if config.task not in (TrainConfig.task, task):
+        raise UserError(f"expected --recording without --task, found {config.task}; leave it out")
+    return replace(config, task=task)
+
+
+def command(config: TrainConfig, given_away: bool = True) -> str:
+    """The line that trains this policy again; if it is ``given_away``, with the last part alone of
+    the path of recordings."""
     default = TrainConfig()
-    words = ["madviz", "train", "--task", config.task, "--method", config.method]
+    source = ["--task", config.task]
+    if config.recording is not None:
+        name = config.task.partition("/")[2]
+        source = ["--recording", name if given_away else str(config.recording)]
+    words = ["madviz", "train", *source, "--method", config.method]
     words += ["--recipe", config.recipe]
     if config.cameras:
         words += ["--cameras", str(config.cameras)]

@@ -141,7 +141,7 @@ class LightRun:
                 episode.save(self._episodes / f"{round_index:03d}-{number:02d}.npz")
             self.data.add(episode)
         if round_index == 0:
-            self._look_at_demonstrations()
+            self.look_at(self._demonstrations())
         elif planned and planned[0][0].student is not None:
             drove = [self._place(driver) for driver, _ in planned]
             found = [episode.success for episode in episodes]
@@ -152,10 +152,13 @@ class LightRun:
         assert driver.mask is not None
         return [tuple(mask) for mask in self.driven].index(tuple(driver.mask))
 
-    def _look_at_demonstrations(self) -> None:
-        """Sets what depends on how pictures, states and places vary in the first episodes."""
+    def _demonstrations(self) -> Array:
+        return np.arange(self.config.demonstrations * self.data.horizon)
+
+    def look_at(self, index: Array) -> None:
+        """Sets what depends on how pictures, states and places vary, from the decisions ``index``
+        of the first episodes."""
         config = self.config
-        index = np.arange(self.config.demonstrations * self.data.horizon)
         for agent in (self.agent, self.average):
             if agent.encoder.draws:
                 agent.encoder.set_mean(self.data.usual_views(index))
@@ -232,11 +235,10 @@ class LightRun:
             reward = self.data.column("rewards", index)
             with autocast():
                 return merge.reconstruction_loss(views, reward, generator)
-        horizon = self.data.horizon
         shift = self.config.shift
-        following = np.minimum(index + 1, index - index % horizon + horizon - 1)
         now, then = (
-            random_shift(self.data.views(i), self.rng, pad=shift) for i in (index, following)
+            random_shift(self.data.views(i), self.rng, pad=shift)
+            for i in (index, self.data.following(index))
         )
         positive = int(torch.randint(now.shape[1], (), generator=generator))
         return merge.own_loss(now, then, positive, autocast)
@@ -277,12 +279,16 @@ class LightRun:
     def restore(self, state: dict[str, Any]) -> None:
         """Continues from ``state``; episodes come back from the run folder. Raises UserError for a
         state that an older version saved."""
-        self.round, self.updates, self.seconds = (state[k] for k in ("round", "updates", "seconds"))
-        self.outcomes = state["outcomes"]
-        for round_index in range(self.round + 1):
+        for round_index in range(state["round"] + 1):
             for episode in self.saved(round_index):
                 self.data.add(episode)
-        self._look_at_demonstrations()
+        self.look_at(self._demonstrations())
+        self.load(state)
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Takes everything but the episodes from ``state``."""
+        self.round, self.updates, self.seconds = (state[k] for k in ("round", "updates", "seconds"))
+        self.outcomes = state["outcomes"]
         self.agent.load_state_dict(state["agent"])
         self.average.load_state_dict(state["average"])
         if self.places is not None:

@@ -23,7 +23,15 @@ from madviz.runs.training_plan import TrainingPlan
 from madviz.system.numbers import check_numbers
 from madviz.system.processes import reuse_large_blocks
 from madviz.system.streams import say
-from madviz.training.config import RECIPES, TrainConfig, identity, learner_threads, resolve
+from madviz.training.config import (
+    RECIPES,
+    TrainConfig,
+    command,
+    identity,
+    learner_threads,
+    resolve,
+    with_recording,
+)
 
 
 def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) -> Path:
@@ -41,6 +49,7 @@ def train(config: TrainConfig, listener: Callable[[Event], None] | None = None) 
 
 def _train(config: TrainConfig, listener: Callable[[Event], None] | None) -> Path:
     check_numbers(config)
+    config = with_recording(config)
     plan = resolve(config)
     reuse_large_blocks()
     torch.set_num_threads(learner_threads(config))
@@ -62,7 +71,8 @@ def _work(config: TrainConfig, plan: TrainingPlan, folder: RunFolder) -> None:
         return
     recipe = RECIPES[config.recipe]
     began = time.monotonic()
-    goes_on = f"{plan.command} {shlex.join(['--out', str(folder.path), '--resume'])}"
+    again = command(config, given_away=False)
+    goes_on = f"{again} {shlex.join(['--out', str(folder.path), '--resume'])}"
     try:
         recipe.train(plan, getattr(config, recipe.options), folder)
     except Exception:

@@ -5,6 +5,8 @@ answer: a pass for each subset. Such questions go over a connection of their own
 of an episode, because many servers remember the rest of a chunk for whoever is connected; whoever
 acts in an episode has another connection, and its answers in order (``ServedPlayer``).
 
+Where its task is a recording, states and actions go over the wire in the robot's own units.
+
 A camera that is left out is not sent. Where the server cannot do without (``masks = false``), only
 the whole set is supported, and a failing camera must send something.
 """
@@ -19,6 +21,8 @@ import cv2
 import numpy as np
 
 from madviz.errors import UserError
+from madviz.recorded.known import is_recording, recordings_of
+from madviz.recorded.robot import robot_of
 from madviz.subsets import camera_of, modality_of, name_of
 from madviz.system.address import ServerAddress
 from madviz.types import Array, Encoded, PolicySpec, Readout
@@ -57,6 +61,7 @@ class ServedPolicy:
         self.identity = identity
         self._supported = supported
         self._env = env_of(wiring)
+        self._robot = robot_of(recordings_of(spec.task)) if is_recording(spec.task) else None
         self._connection = PolicyConnection(address, wiring.timeout)
         self._speaker: Speaker | None = None
         self._lock = threading.Lock()
@@ -116,7 +121,8 @@ class ServedPolicy:
     def own_action(self, answer: Array, state: Array) -> Array:
         """A row (A,) of an answer as the task's action (A,), before it is clipped; ``state`` (S,)
         is the one it acts in."""
-        return self.wiring.own_action(answer, state, self._env)
+        action = self.wiring.own_action(answer, state, self._env)
+        return self._robot.actions.scale(action) if self._robot else action
 
     def begun(self, connection: PolicyConnection, seed: int) -> Speaker:
         """Connects ``connection`` and begins an episode on it. Raises UserError where another
@@ -148,7 +154,8 @@ class ServedPolicy:
             if on
         }
         words = self.spec.instruction
-        state = self.wiring.sent_state(encoded.state, self._env)
+        state = encoded.state if self._robot is None else self._robot.states.unscale(encoded.state)
+        state = self.wiring.sent_state(state, self._env)
         message = look(self.wiring, speaker.name, shown_now, state, words, noise)
         connection.answered |= self._warm
         found = speaker.ask(connection, message)

@@ -11,6 +11,10 @@ which policy and seed it began; another one is refused.
 
 asks another question, how much is too much (``along.py``), with the same episodes, and writes
 along.html, along.json, along.md and along.csv.
+
+    madviz audit --recording DATASET --policy my-mad --out audit-mine
+
+asks how much the action owes to each camera, on recordings (``recorded.py``).
 """
 
 from __future__ import annotations
@@ -23,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from madviz.envs.registry import TaskName
+from madviz.envs.registry import TaskName, env_spec
 from madviz.errors import Interrupted, UserError, saving
 from madviz.guard.policy import guard_note
 from madviz.measure.audit.account import account
@@ -34,6 +38,8 @@ from madviz.measure.audit.audited_policy import FILE, check_same_policy
 from madviz.measure.audit.document import AuditFile, audit_document, facts_of
 from madviz.measure.audit.guarded import guarded_rows
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras, How
+from madviz.measure.audit.recorded import RecordedAudit, RecordedAuditFile, recorded_audit
+from madviz.measure.audit.recorded_account import recorded_account, recorded_words
 from madviz.measure.audit.schedule import AuditPlan, Outcomes
 from madviz.measure.audit.sentences import in_words, plan_words, planned
 from madviz.measure.audit.turned import along_pairs, audit_pairs
@@ -47,6 +53,8 @@ from madviz.observation.condition import Condition
 from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
+from madviz.recorded.known import LABEL, allow_recording, recordings_of
+from madviz.recorded.robot import robot_of
 from madviz.system.address import without_secrets
 from madviz.system.files import read_json, write_bytes, write_json, written_to
 from madviz.system.numbers import Count, Range, Seed, ThreadsOrNone
@@ -93,6 +101,9 @@ class AuditConfig:
     again; `madviz guard` fits it."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
+    recording: Path | None = None
+    """Recordings of your own robot, a LeRobot dataset, to answer to in place of playing: no
+    success, but how far the action moves. By default on the held-out episodes."""
 
 
 def audit(
@@ -146,11 +157,13 @@ def audit(
 # --- The command ----------------------------------------------------------------------------
 
 
-def run_audit(config: AuditConfig) -> AuditFile | AlongFile:
+def run_audit(config: AuditConfig) -> AuditFile | AlongFile | RecordedAuditFile:
     """``madviz audit``; progress goes to standard error. Raises Interrupted at Ctrl-C, and
     UserError for a policy of another task, and for a folder whose audit began with another policy
     or seed."""
     trust(config.policy, config.trust)
+    if config.recording is not None:
+        return _audit_recording(config, config.recording)
     plain = with_wire(config.policy, config.wire)
     guarded = with_guard(plain, True) if config.guard else None
     if guarded is not None:
@@ -171,13 +184,7 @@ def run_audit(config: AuditConfig) -> AuditFile | AlongFile:
             document, blocks = _measured(config, reference, guarded, policy, store)
         except KeyboardInterrupt as stopped:
             raise Interrupted(command(config, given_away=False), signal.SIGINT) from stopped
-    name = _name(config)
-    with saving(document, f"--out {config.out}"):
-        write_json(config.out / f"{name}.json", document)
-        write_bytes(config.out / f"{name}.md", markdown(blocks).encode())
-        write_bytes(config.out / f"{name}.html", html(blocks).encode())
-        if "axes" in document:
-            write_bytes(config.out / "along.csv", along_csv(document).encode())
+    _write(config.out, _name(config), document, blocks)
     return document
 
 
@@ -219,6 +226,48 @@ def _measured(
         return found, account(found, again, pair_blocks(pairs, runner))
 
 
+def _audit_recording(config: AuditConfig, folder: Path) -> RecordedAuditFile:
+    """``madviz audit --recording``."""
+    if config.along or config.guard or config.task:
+        raise UserError(
+            "expected --recording without --along, --guard and --task, found one of them; leave "
+            f"it out ({LABEL})"
+        )
+    task = allow_recording(folder)
+    recordings = recordings_of(task)
+    policy = checkpoint.load_policy(with_wire(config.policy, config.wire))
+    robot = checkpoint.robot_of_policy(config.policy)
+    if robot is None and policy.spec.task != task:
+        raise UserError(
+            f"expected a policy for {task}, found {policy.spec.name!r} for {policy.spec.task}; "
+            "train one with madviz train --recording, or say the task in its --wire file"
+        )
+    robot = robot or robot_of(recordings)
+    robot.check(recordings)
+    _check_folder(config, policy)
+    check_same_policy(config.out, policy, config.seed)
+    audited = RecordedAudit(policy, robot, recordings, env_spec(task), config.how)
+    document = recorded_audit(audited, config.episodes, progress=True)
+    shown = ["--recording", recordings.name, "--policy", checkpoint.shown(config.policy)]
+    blocks = recorded_account(document, command(config), shown)
+    _write(config.out, "audit", document, blocks)
+    return document
+
+
+def _write(
+    out: Path,
+    name: str,
+    document: AuditFile | AlongFile | RecordedAuditFile,
+    blocks: list[Block],
+) -> None:
+    with saving(document, f"--out {out}"):
+        write_json(out / f"{name}.json", document)
+        write_bytes(out / f"{name}.md", markdown(blocks).encode())
+        write_bytes(out / f"{name}.html", html(blocks).encode())
+        if "axes" in document:
+            write_bytes(out / "along.csv", along_csv(document).encode())
+
+
 def _name(config: AuditConfig) -> str:
     return "along" if config.along else "audit"
 
@@ -254,6 +303,11 @@ def command(config: AuditConfig, given_away: bool = True) -> str:
     if config.wire:
         words += ["--wire", config.wire.name if given_away else str(config.wire)]
     words += ["--guard"] if config.guard else []
+    if config.recording is not None:
+        words += ["--recording", config.recording.name if given_away else str(config.recording)]
+        words += ["--episodes", str(config.episodes)] if config.episodes else []
+        words += ["--how", *config.how] if config.how != HOWS else []
+        return shlex.join([*words, "--out", out])
     if config.task is not None:
         words += ["--task", config.task]
     most = config.episodes or (ALONG_EPISODES if config.along else MOST)
@@ -265,8 +319,10 @@ def command(config: AuditConfig, given_away: bool = True) -> str:
     return shlex.join([*words, "--out", out])
 
 
-def audit_words(found: AuditFile | AlongFile) -> str:
+def audit_words(found: AuditFile | AlongFile | RecordedAuditFile) -> str:
     """The text that the command prints."""
+    if "label" in found:
+        return "\n".join(recorded_words(found))
     if "axes" in found:
         return "\n".join(along_words(found))
     return "\n".join([*in_words(found), planned(found)])

@@ -1,0 +1,291 @@
+"""``madviz audit --recording DATASET``: what a policy's action owes to each camera, open loop.
+
+The policy answers to every chosen step of recorded episodes, with all cameras and with every camera
+removed, alone and broken. Nobody follows its answers, so there is no success: what is measured is
+how far its action moves from its action with all cameras, and from the recorded one, in spreads of
+the recorded actions (``Robot.distance``).
+
+    change of a condition    mean over steps of |a(condition) - a(all)|
+    interval                 bootstrap over episodes: whole episodes are drawn again and again
+
+Steps of one episode resemble each other, so 5 episodes say as much as 5, not as 500 steps. The
+verdict on a camera rests on the change without it: below ``HARDLY`` with the whole interval, above
+it, or not decided.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypedDict
+
+import numpy as np
+
+from madviz.errors import UserError
+from madviz.measure.audit.lost_cameras import INTACT, AuditRow, Cameras, How, What
+from madviz.measure.episodes import one_thread
+from madviz.measure.formulas import bootstrap
+from madviz.observation.condition import Condition
+from madviz.observation.streams import MeanPictures, StreamStack
+from madviz.recorded.known import LABEL
+from madviz.recorded.recordings import Recordings
+from madviz.recorded.robot import Robot
+from madviz.types import Array, EnvSpec, Policy, View
+
+HARDLY = 0.1
+"""Spreads; an action that changes less hardly changes."""
+STEPS = 100
+"""Steps of an episode at which the policy is asked, evenly spaced."""
+MOMENTS = 3
+"""Steps that are named for each camera, each of another episode."""
+CHANGES = "its action changes without it"
+STAYS = "its action hardly changes without it"
+OPEN = "not decided"
+VERDICTS = {
+    CHANGES: f"the interval of the change without it lies above {HARDLY} spreads",
+    STAYS: f"the interval of the change without it lies below {HARDLY} spreads",
+    OPEN: "the interval holds both, or there is one episode alone: more episodes may tell",
+}
+
+
+class DistanceRow(TypedDict):
+    """A mean distance in spreads, over episodes."""
+
+    mean: float
+    ci95: list[float] | None
+    """By bootstrap over episodes; None for a single one."""
+
+
+class RecordedRow(TypedDict):
+    """One condition."""
+
+    camera: str | None
+    what: What
+    how: How
+    change: DistanceRow
+    """From the action with all cameras."""
+    further: DistanceRow
+    """Its distance from the recorded action, less that with all cameras."""
+
+
+class Moment(TypedDict):
+    """A step at which a camera mattered."""
+
+    camera: str
+    episode: int
+    place: int
+    """Of the episode among all; the page calls it number."""
+    step: int
+    change: float
+
+
+class RecordedAuditFile(TypedDict):
+    """audit.json of recordings."""
+
+    schema: int
+    label: str
+    """``recorded: actions change nothing``."""
+    policy: str
+    task: str
+    digest: str
+    recording: str
+    fps: float
+    labels: dict[str, str]
+    episodes: list[int]
+    trained_on: list[int]
+    """Those among them that are not held out."""
+    steps: int
+    """Answers for each condition."""
+    apart: DistanceRow
+    """From the recorded action, with all cameras."""
+    conditions: list[RecordedRow]
+    verdict: dict[str, str]
+    decided_by: dict[str, How]
+    moments: list[Moment]
+    left_out: list[str]
+
+
+@dataclass(frozen=True)
+class RecordedAudit:
+    """What is asked, and of whom."""
+
+    policy: Policy
+    robot: Robot
+    recordings: Recordings
+    env: EnvSpec
+    how: tuple[How, ...]
+
+    @property
+    def cameras(self) -> Cameras:
+        return Cameras(self.policy.spec.streams, self.policy.supports, self.how)
+
+    @property
+    def conditions(self) -> list[Condition]:
+        """All that are different, the one with all cameras first."""
+        rows = [row.condition for row in self.cameras.rows()]
+        return list(dict.fromkeys([INTACT, *rows]))
+
+    def chosen(self, most: int | None) -> list[int]:
+        """The indices of the episodes to answer to: those held out; with ``most``, that many, and
+        those of training after them."""
+        known = [one.index for one in self.recordings.episodes]
+        held = [index for index in known if index in self.robot.held_out] or known
+        if most is None:
+            return held
+        return [*held, *(index for index in known if index not in held)][:most]
+
+    def means(self) -> MeanPictures:
+        """The mean picture of each stream in the training episodes."""
+        size = self.policy.spec.image_size
+        names = [camera.name for camera in self.recordings.cameras]
+        pictures = []
+        for index in self.recordings.training[:: max(1, len(self.recordings.training) // 8)]:
+            frames = self.recordings.frames(index, size)  # (T, V, H, W, 3)
+            pictures.append(frames[:: max(1, len(frames) // 5)].mean(axis=0))
+        mean = np.round(np.mean(pictures, axis=0)).astype(np.uint8)  # (V, H, W, 3)
+        return {stream: mean[names.index(stream)] for stream in self.policy.spec.streams}
+
+    def answers(self, index: int, steps: Array, means: MeanPictures) -> Array:
+        """(N, T', A) scaled actions under each of ``conditions`` at ``steps`` of an episode."""
+        spec = self.policy.spec
+        names = [camera.name for camera in self.recordings.cameras]
+        frames = self.recordings.frames(index, spec.image_size)  # (T, V, H, W, 3)
+        states = self.robot.states.scale(self.recordings.numbers(index)[0])  # (T, S)
+        groups: dict[object, list[int]] = defaultdict(list)
+        for row, condition in enumerate(self.conditions):
+            groups[condition.occlusions].append(row)
+        width = len(self.robot.action_names)
+        actions = np.zeros((len(self.conditions), len(steps), width), np.float32)
+        place = {int(step): number for number, step in enumerate(steps)}
+        depth = np.ones(frames.shape[2:4], np.float32)  # Nothing looks at it.
+        for rows in groups.values():
+            stack = StreamStack(
+                self.env, spec.streams, spec.frame_stack, spec.image_size, lambda: means
+            )
+            ablation = self.conditions[rows[0]].ablation(spec.streams)
+            masks = np.stack([self.conditions[row].mask(spec.streams) for row in rows])  # (N', V)
+            for step in range(int(steps[-1]) + 1):
+                pictures = np.array(frames[step])
+                views = {name: View(pictures[names.index(name)], depth) for name in spec.streams}
+                stack.push(views, ablation, index, step)
+                if step in place:
+                    encoded = self.policy.encode(stack.views, states[step])
+                    actions[rows, place[step]] = self.policy.read(encoded, masks).action
+        return actions
+
+
+def recorded_audit(
+    audit: RecordedAudit, most: int | None = None, progress: bool = False
+) -> RecordedAuditFile:
+    """The document of ``audit`` on its held-out episodes, or on ``most`` episodes. Raises UserError
+    if the pictures of none can be decoded."""
+    means = audit.means()
+    changes: dict[int, Array] = {}
+    further: dict[int, Array] = {}
+    apart: list[float] = []
+    steps_of: dict[int, Array] = {}
+    left_out = list(audit.recordings.left_out)
+    chosen = audit.chosen(most)
+    for number, index in enumerate(chosen, start=1):
+        recorded = audit.robot.actions.scale(audit.recordings.numbers(index)[1])  # (T, A)
+        steps = np.unique(np.linspace(0, len(recorded) - 1, STEPS).round().astype(int))
+        try:
+            with one_thread():
+                actions = audit.answers(index, steps, means)  # (N, T', A)
+        except UserError as error:
+            left_out.append(f"episode {index}: {error}")
+            continue
+        steps_of[index] = steps
+        changes[index] = audit.robot.distance(actions, actions[:1])  # (N, T')
+        errors = audit.robot.distance(actions, recorded[steps]).mean(axis=1)  # (N,)
+        further[index] = errors - errors[0]
+        apart.append(float(errors[0]))
+        if progress:
+            print(f"{number} of {len(chosen)} episodes", file=sys.stderr)
+    if not changes:
+        raise UserError(f"expected an episode that can be decoded, found none: {left_out[-1]}")
+    return _document(audit, changes, further, apart, steps_of, left_out)
+
+
+def _document(
+    audit: RecordedAudit,
+    changes: dict[int, Array],
+    further: dict[int, Array],
+    apart: list[float],
+    steps_of: dict[int, Array],
+    left_out: list[str],
+) -> RecordedAuditFile:
+    spec = audit.policy.spec
+    place = {condition: row for row, condition in enumerate(audit.conditions)}
+    by_episode = np.stack([one.mean(axis=1) for one in changes.values()], axis=1)  # (N, E)
+    beyond = np.stack(list(further.values()), axis=1)  # (N, E)
+
+    def row(one: AuditRow) -> RecordedRow:
+        at = place[one.condition]
+        change, error = distance_row(by_episode[at]), distance_row(beyond[at])
+        return {
+            "camera": one.camera,
+            "what": one.what,
+            "how": one.how,
+            "change": change,
+            "further": error,
+        }
+
+    deciding = {name: audit.cameras.deciding(name).removed for name in audit.cameras.names}
+    moments: list[Moment] = []
+    known = [one.index for one in audit.recordings.episodes]
+    for name, one in deciding.items():
+        found: list[Moment] = []
+        for index, change in changes.items():
+            best = int(change[place[one.condition]].argmax())
+            found.append(
+                {
+                    "camera": name,
+                    "episode": index,
+                    "place": known.index(index),
+                    "step": int(steps_of[index][best]),
+                    "change": float(change[place[one.condition], best]),
+                }
+            )
+        moments += sorted(found, key=lambda moment: -moment["change"])[:MOMENTS]
+    return {
+        "schema": 1,
+        "label": LABEL,
+        "policy": spec.name,
+        "task": spec.task,
+        "digest": spec.digest,
+        "recording": audit.recordings.name,
+        "fps": audit.recordings.fps,
+        "labels": {name: audit.env.camera(name).label for name in audit.cameras.names},
+        "episodes": list(changes),
+        "trained_on": [index for index in changes if index not in audit.robot.held_out],
+        "steps": sum(map(len, steps_of.values())),
+        "apart": distance_row(np.array(apart)),
+        "conditions": [row(one) for one in audit.cameras.rows()],
+        "verdict": {
+            name: verdict(distance_row(by_episode[place[one.condition]]))
+            for name, one in deciding.items()
+        },
+        "decided_by": {name: one.how for name, one in deciding.items()},
+        "moments": moments,
+        "left_out": left_out,
+    }
+
+
+def distance_row(values: Sequence[float] | Array) -> DistanceRow:
+    """The mean of one number for each episode, with its interval."""
+    values = np.asarray(values, np.float64)
+    if len(values) < 2:
+        return {"mean": float(values.mean()), "ci95": None}
+    low, high = bootstrap(values)
+    return {"mean": float(values.mean()), "ci95": [float(low), float(high)]}
+
+
+def verdict(change: DistanceRow) -> str:
+    """The words for a camera, by the change without it."""
+    if change["ci95"] is None:
+        return OPEN
+    low, high = change["ci95"]
+    return CHANGES if low > HARDLY else STAYS if high < HARDLY else OPEN

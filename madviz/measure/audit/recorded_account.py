@@ -1,0 +1,129 @@
+"""audit.html and audit.md of an audit on recordings, in blocks (``madviz.measure.blocks``)."""
+
+from __future__ import annotations
+
+import shlex
+
+from madviz.measure.audit.recorded import (
+    HARDLY,
+    STEPS,
+    VERDICTS,
+    DistanceRow,
+    Moment,
+    RecordedAuditFile,
+    RecordedRow,
+)
+from madviz.measure.audit.sentences import HOW_WORDS
+from madviz.measure.blocks import Block
+
+FEW = 10
+"""Episodes; intervals of fewer are coarse."""
+HOW_TO_READ = (
+    "Distances are in spreads: the root mean square, over the numbers of an action, of how far two "
+    "actions are apart in standard deviations of the recorded ones.",
+    "Brackets are 95 % intervals by bootstrap over episodes. Those of few episodes are too narrow.",
+    "The episodes went on as they were recorded, whatever the policy answered. A small change at "
+    "every step may add up, and a large one may be put right at the next step: only a robot or a "
+    "simulator tells what comes of either.",
+    "'Further from the recorded action' is the distance from what was recorded, less the same with "
+    "all cameras; below 0 it is nearer.",
+)
+
+
+def recorded_words(found: RecordedAuditFile) -> list[str]:
+    """One sentence for the policy, one for each camera, and what limits them."""
+    count = len(found["episodes"])
+    lines = [
+        f"{found['label'].capitalize()}. On {_episodes(count)} of {found['recording']}, "
+        f"{found['policy']} is {_distance(found['apart'])} spreads from the recorded action with "
+        "all cameras."
+    ]
+    for name, words in found["verdict"].items():
+        how = found["decided_by"][name]
+        row = _row(found, name, how)
+        away = "" if how == "dropped" else f" ({HOW_WORDS[how]} in its place)"
+        lines.append(
+            f"{found['labels'][name]}: {words}{away}: {_distance(row['change'])} spreads; "
+            f"{_distance(row['further'], signed=True)} further from the recorded action."
+        )
+    if found["trained_on"]:
+        lines.append(
+            f"{_episodes(len(found['trained_on']))} of these were not held out: the policy may "
+            "have been trained on them."
+        )
+    if count < FEW:
+        lines.append(f"{_episodes(count).capitalize()} are few: intervals are coarse.")
+    lines += [f"Left out: {line}" for line in found["left_out"]]
+    return lines
+
+
+def recorded_account(found: RecordedAuditFile, command: str, source: list[str]) -> list[Block]:
+    """All blocks; ``command`` makes the audit again, ``source`` are the words that name recordings
+    and policy."""
+    heads = ("cameras", "how", "change of the action", "further from the recorded action")
+    moments = ("camera", "episode", "step", "change", "to see it; then go to the step in Go back")
+    return [
+        Block("h1", [f"Which cameras does {found['policy']} use? ({found['label']})"]),
+        Block("words", recorded_words(found)),
+        Block("h2", ["Verdicts"]),
+        Block("list", [f"{name}: {meaning}." for name, meaning in VERDICTS.items()]),
+        Block("h2", ["Where each camera mattered most"]),
+        Block("table", moments, [_moment(found, one, source) for one in found["moments"]]),
+        Block("h2", ["Every condition"]),
+        Block("table", heads, [_condition(found, row) for row in found["conditions"]]),
+        Block("h2", ["How to read this"]),
+        Block("list", HOW_TO_READ),
+        Block("h2", ["What was measured"]),
+        Block("table", ("", ""), _facts(found)),
+        Block("h2", ["To make it again"]),
+        Block("code", [command]),
+    ]
+
+
+def _row(found: RecordedAuditFile, camera: str, how: str) -> RecordedRow:
+    return next(
+        row
+        for row in found["conditions"]
+        if (row["camera"], row["what"], row["how"]) == (camera, "removed", how)
+    )
+
+
+def _moment(found: RecordedAuditFile, one: Moment, source: list[str]) -> list[str]:
+    words = ["madviz", "explore", *source, "--seed", str(one["place"])]
+    state = "off" if found["decided_by"][one["camera"]] == "dropped" else "mean"
+    return [
+        found["labels"][one["camera"]],
+        str(one["episode"]),
+        str(one["step"]),
+        f"{one['change']:.2f}",
+        shlex.join([*words, "--condition", f"{one['camera']}={state}"]),
+    ]
+
+
+def _condition(found: RecordedAuditFile, row: RecordedRow) -> list[str]:
+    camera = row["camera"]
+    label = "no camera" if camera is None else f"{found['labels'][camera]} {row['what']}"
+    further = _distance(row["further"], signed=True)
+    return [label, HOW_WORDS[row["how"]], _distance(row["change"]), further]
+
+
+def _facts(found: RecordedAuditFile) -> list[tuple[str, str]]:
+    return [
+        ("policy", found["policy"]),
+        ("digest", found["digest"] or "none"),
+        ("recordings", f"{found['recording']}, {found['fps']:g} steps a second"),
+        ("episodes", ", ".join(map(str, found["episodes"]))),
+        ("answers", f"{found['steps']} for each condition, at most {STEPS} of an episode"),
+        ("hardly", f"less than {HARDLY} spreads"),
+    ]
+
+
+def _episodes(count: int) -> str:
+    return f"{count} episode{'' if count == 1 else 's'}"
+
+
+def _distance(row: DistanceRow, signed: bool = False) -> str:
+    ends = [row["mean"], *(row["ci95"] or ())]
+    # No minus before a zero.
+    mean, *interval = (f"{round(end, 2) + 0.0:{'+' if signed else ''}.2f}" for end in ends)
+    return f"{mean} [{', '.join(interval)}]" if interval else mean

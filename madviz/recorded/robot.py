@@ -1,0 +1,176 @@
+"""robot.json of a policy folder: what a policy that learned from recordings needs at the robot.
+
+    {"schema": 1, "fps": 30.0,
+     "cameras": [{"key": "observation.images.top", "name": "top", "height": 480, "width": 640}],
+     "state": {"names": ["shoulder", ...], "low": [...], "high": [...]},
+     "action": {"names": [...], "low": [...], "high": [...], "spread": [...]},
+     "held_out": [9, 19]}
+
+The policy itself reads and says numbers between -1 and 1; ``Robot`` has both scalings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+
+from madviz.errors import UserError
+from madviz.recorded.scaling import Scaling
+from madviz.system.files import read_json, write_json
+from madviz.system.typed import typed
+from madviz.types import Array
+
+if TYPE_CHECKING:
+    from madviz.recorded.recordings import Recordings  # Its libraries take 0.4 s to load.
+
+FILE = "robot.json"
+FIX = "restore the file or train the policy again"
+
+
+@dataclass(frozen=True)
+class RobotCamera:
+    """A camera as it was recorded."""
+
+    key: str
+    """Its column in the dataset."""
+    name: str
+    height: int
+    """Pixels."""
+    width: int
+
+
+class _Numbers(msgspec.Struct):
+    names: list[str]
+    low: list[float]
+    high: list[float]
+    spread: list[float] = []
+
+
+class _File(msgspec.Struct):
+    schema: int
+    fps: float
+    cameras: list[RobotCamera]
+    state: _Numbers
+    action: _Numbers
+    held_out: list[int]
+
+
+@dataclass(frozen=True)
+class Robot:
+    """The facts of a robot that its recordings tell."""
+
+    cameras: tuple[RobotCamera, ...]
+    state_names: tuple[str, ...]
+    action_names: tuple[str, ...]
+    states: Scaling
+    actions: Scaling
+    spread: tuple[float, ...]
+    """(A,) standard deviation of the actions in training, raw units; 1 where it is 0."""
+    fps: float
+    held_out: tuple[int, ...]
+    """The episodes that the policy was not trained on."""
+
+    def camera(self, name: str) -> RobotCamera:
+        """The camera called ``name``, which must be there."""
+        return next(camera for camera in self.cameras if camera.name == name)
+
+    def distance(self, actions: Array, others: Array) -> Array:
+        """(..., A) scaled actions twice -> (...): the root mean square, over their numbers, of how
+        far they are apart in units of the spread."""
+        width = np.array(self.actions.high) - np.array(self.actions.low)
+        # Scaled numbers have another unit than the spread; those that never changed have none.
+        unit = np.where(width > 0, width / 2, 1) / np.array(self.spread)  # (A,)
+        apart = (np.asarray(actions, np.float64) - np.asarray(others, np.float64)) * unit
+        return np.sqrt(np.mean(apart**2, axis=-1))
+
+    def outside(self, states: Array) -> Array:
+        """(..., S) raw -> bool: the numbers outside the range of the recordings in training."""
+        low, high = np.array(self.states.low), np.array(self.states.high)
+        slack = 1e-6 * np.maximum(np.abs(low), np.abs(high))
+        return (states < low - slack) | (states > high + slack)
+
+    def check(self, recordings: Recordings) -> None:
+        """Raises UserError for recordings of a robot with other cameras or numbers."""
+        facts = (
+            ("cameras", [one.name for one in self.cameras], [c.name for c in recordings.cameras]),
+            ("states", list(self.state_names), list(recordings.state_names)),
+            ("actions", list(self.action_names), list(recordings.action_names)),
+        )
+        for what, expected, found in facts:
+            if set(expected) - set(found) or (what != "cameras" and expected != found):
+                raise UserError(
+                    f"{recordings.path}: expected the policy's {what} {', '.join(expected):.200}, "
+                    f"found {', '.join(found):.200}; name recordings of the same robot"
+                )
+
+
+@lru_cache(maxsize=8)
+def robot_of(recordings: Recordings) -> Robot:
+    """The robot of ``recordings``, its scalings from the episodes for training."""
+    states, actions = recordings.scalings()
+    cameras = [RobotCamera(c.key, c.name, c.height, c.width) for c in recordings.cameras]
+    return Robot(
+        tuple(cameras),
+        recordings.state_names,
+        recordings.action_names,
+        states,
+        actions,
+        tuple(recordings.action_spread().tolist()),
+        recordings.fps,
+        recordings.held_out,
+    )
+
+
+def robot_document(robot: Robot) -> dict[str, object]:
+    """The content of robot.json."""
+    return {
+        "schema": 1,
+        "fps": robot.fps,
+        "cameras": [asdict(camera) for camera in robot.cameras],
+        "state": {"names": list(robot.state_names), **robot.states.to_json()},
+        "action": {
+            "names": list(robot.action_names),
+            **robot.actions.to_json(),
+            "spread": list(robot.spread),
+        },
+        "held_out": list(robot.held_out),
+    }
+
+
+def write_robot(folder: Path, robot: Robot) -> None:
+    """Writes robot.json into ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / FILE, robot_document(robot))
+
+
+def read_robot(folder: Path) -> Robot:
+    """Reads robot.json of a policy folder. Raises UserError for one that is not there or wrong."""
+    where = folder / FILE
+    if not where.is_file():
+        raise UserError(f"{where}: expected the robot of the policy, found no such file; {FIX}")
+    file = typed(read_json(where), _File, where, FIX)
+    for what, numbers in (("state", file.state), ("action", file.action)):
+        spread = numbers.spread if what == "action" else numbers.names
+        if not len(numbers.names) == len(numbers.low) == len(numbers.high) == len(spread):
+            raise UserError(f"{where}: expected as many names as numbers in {what!r}; {FIX}")
+        if any(low > high for low, high in zip(numbers.low, numbers.high, strict=True)):
+            raise UserError(f"{where}: expected low below high in {what!r}; {FIX}")
+    if not all(spread > 0 for spread in file.action.spread):
+        raise UserError(f"{where}: expected a spread above 0 for each action number; {FIX}")
+    if not all(0 < n <= 4096 for camera in file.cameras for n in (camera.height, camera.width)):
+        raise UserError(f"{where}: expected cameras of 1 to 4096 pixels; {FIX}")
+    return Robot(
+        tuple(file.cameras),
+        tuple(file.state.names),
+        tuple(file.action.names),
+        Scaling(tuple(file.state.low), tuple(file.state.high)),
+        Scaling(tuple(file.action.low), tuple(file.action.high)),
+        tuple(file.action.spread),
+        file.fps,
+        tuple(file.held_out),
+    )

@@ -1,0 +1,166 @@
+"""An audit on recordings: changes of the action, intervals over episodes, and its own words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from madviz.envs.registry import env_spec
+from madviz.errors import UserError
+from madviz.measure.audit.audit import AuditConfig, audit_words, run_audit
+from madviz.measure.audit.lost_cameras import HOWS
+from madviz.measure.audit.recorded import (
+    CHANGES,
+    OPEN,
+    STAYS,
+    RecordedAudit,
+    distance_row,
+    recorded_audit,
+    verdict,
+)
+from madviz.measure.formulas import bootstrap
+from madviz.measure.guard_fit import GuardConfig, run_guard
+from madviz.policies.checkpoint import load_policy, robot_of_policy
+from madviz.policies.guarded import with_guard
+from madviz.recorded.known import VARIABLE, allow_recording, recordings_of
+from madviz.recorded.robot import robot_of
+from madviz.serving.dry_run import dry_run
+from madviz.training.config import TrainConfig
+from madviz.training.light_options import LightConfig
+from madviz.training.train import train
+from madviz.types import Array, Encoded, PolicySpec, Readout
+from tests.recordings import Small
+
+FEW = LightConfig(rounds=1, updates_per_round=1, batch_size=4, hidden_dim=16)
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A dataset of 20 episodes, of which two are held out."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv(VARIABLE, "")
+    return Small(episodes=20, films=False).write(tmp_path / "bench")
+
+
+@dataclass
+class Looks:
+    """Its action is as bright as the newest picture of ``top``; ``wrist`` it never looks at."""
+
+    spec: PolicySpec
+    droppable: bool = True
+
+    def encode(self, views: Array, state: Array) -> Encoded:
+        bright = views[:, -3:].mean((1, 2, 3)) / 255  # (V,)
+        return Encoded(bright[:, None].astype(np.float32), state)
+
+    def read(self, encoded: Encoded, masks: Array) -> Readout:
+        seen = np.where(masks[:, 0], encoded.features[0, 0], 0)  # (N,)
+        action = np.repeat(seen[:, None], 3, axis=1).astype(np.float32)
+        return Readout(seen[:, None], action, np.full(len(masks), np.nan))
+
+    def supports(self, mask: Array) -> bool:
+        return self.droppable or bool(mask.all())
+
+
+def audit_of(bench: Path, droppable: bool = True) -> RecordedAudit:
+    task = allow_recording(bench)
+    found = recordings_of(task)
+    spec = PolicySpec("looks", task, "own", "three", "own", ("top", "wrist"), ("all",))
+    return RecordedAudit(Looks(spec, droppable), robot_of(found), found, env_spec(task), HOWS)
+
+
+def test_a_camera_that_is_not_looked_at_hardly_changes_the_action(bench: Path) -> None:
+    audit = audit_of(bench)
+    found = recorded_audit(audit)
+    assert found["episodes"] == [9, 19] and found["trained_on"] == []
+    assert found["label"] == "recorded: actions change nothing"
+    assert found["verdict"] == {"top": CHANGES, "wrist": STAYS}
+    rows = {(row["camera"], row["what"], row["how"]): row for row in found["conditions"]}
+    assert len(rows) == 25
+    assert rows["wrist", "removed", "noise"]["change"]["mean"] == 0
+    # Bright pictures of ``top`` once more, from the files, in float64.
+    changes, errors = [], []
+    robot, recordings = audit.robot, audit.recordings
+    unit = (np.array(robot.actions.high) - np.array(robot.actions.low)) / 2 / np.array(robot.spread)
+    for index in (9, 19):
+        bright = recordings.frames(index, 84)[:, 0].astype(np.float64).mean((1, 2, 3)) / 255  # (T,)
+        changes.append(np.sqrt(((bright[:, None] * unit) ** 2).mean(1)).mean())
+        scaled = robot.actions.scale(recordings.numbers(index)[1])
+        errors.append(np.sqrt((((bright[:, None] - scaled) * unit) ** 2).mean(1)).mean())
+    top = rows["top", "removed", "dropped"]["change"]
+    assert top["mean"] == pytest.approx(np.mean(changes), rel=1e-4)
+    assert top["ci95"] == pytest.approx([min(changes), max(changes)], rel=1e-4)
+    assert found["apart"]["mean"] == pytest.approx(np.mean(errors), rel=1e-4)
+    moment = found["moments"][0]
+    assert (moment["camera"], moment["step"]) == ("top", 5)  # Pictures get brighter.
+    assert moment["place"] == moment["episode"]
+
+
+def test_a_policy_that_cannot_drop_is_judged_by_the_mean_picture(bench: Path) -> None:
+    found = recorded_audit(audit_of(bench, droppable=False))
+    assert set(found["decided_by"].values()) == {"mean"}
+
+
+def test_more_episodes_than_are_held_out_are_said(bench: Path) -> None:
+    found = recorded_audit(audit_of(bench), most=4)
+    assert found["episodes"] == [9, 19, 0, 1] and found["trained_on"] == [0, 1]
+    assert any("2 episodes of these were not held out" in line for line in words_of(found))
+
+
+def words_of(found) -> list[str]:
+    return audit_words(found).splitlines()
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [([0.3, 0.4, 0.35], CHANGES), ([0.01, 0.02], STAYS), ([0.0, 0.3, 0.1], OPEN), ([0.5], OPEN)],
+)
+def test_verdicts_follow_their_interval(values: list[float], expected: str) -> None:
+    assert verdict(distance_row(values)) == expected
+
+
+def test_the_interval_is_that_of_drawn_episodes() -> None:
+    values = np.random.default_rng(3).gamma(2.0, 1.0, 30)
+    low, high = bootstrap(values, times=20_000)
+    rng = np.random.default_rng(4)
+    means = sorted(np.mean(rng.choice(values, 30)) for _ in range(20_000))
+    assert low == pytest.approx(means[500], abs=0.03)
+    assert high == pytest.approx(means[-500], abs=0.03)
+    several = np.stack([values, values + 1])
+    assert bootstrap(several, times=20_000)[0] == pytest.approx([low, low + 1])
+
+
+def test_the_command_writes_a_page_that_never_says_success(bench: Path, tmp_path: Path) -> None:
+    train(TrainConfig(recording=bench, out=tmp_path / "mad", light=FEW), lambda _: None)
+    config = AuditConfig(str(tmp_path / "mad"), tmp_path / "a", recording=bench, how=("dropped",))
+    found = run_audit(config)
+    assert "label" in found
+    for ending in ("html", "md", "json"):
+        text = (tmp_path / f"a/audit.{ending}").read_text().lower()
+        assert "recorded: actions change nothing" in text
+        assert not any(word in text for word in ("success", "redundant", str(tmp_path)))
+    page = (tmp_path / "a/audit.html").read_text()
+    command = "madviz explore --recording bench --policy mad --seed 9 --condition top=off"
+    assert command in page
+    assert "2 episodes are few" in audit_words(found).lower()
+    with pytest.raises(UserError, match="without --along, --guard and --task"):
+        run_audit(AuditConfig(str(tmp_path / "mad"), tmp_path / "b", recording=bench, guard=True))
+
+
+def test_a_policy_of_a_simulator_is_refused(bench: Path, tmp_path: Path) -> None:
+    config = AuditConfig("metaworld-hammer-mad-light", tmp_path / "a", recording=bench)
+    with pytest.raises(UserError, match="expected a policy for recording/bench"):
+        run_audit(config)
+
+
+def test_a_guard_is_fitted_on_training_episodes_of_recordings(bench: Path, tmp_path: Path) -> None:
+    train(TrainConfig(recording=bench, out=tmp_path / "mad", light=FEW), lambda _: None)
+    policy = str(tmp_path / "mad")
+    fitted = run_guard(GuardConfig(policy, episodes=20, recording=bench))
+    assert fitted["seeds"] == [number for number in range(20) if number % 10 != 9]
+    guarded = load_policy(with_guard(policy, True))
+    lines = dry_run(guarded, robot_of_policy(policy), bench)
+    assert "no robot moved" in lines[-1]

@@ -1,0 +1,117 @@
+"""A policy that learned from recordings, at the robot: its own units, its own pictures."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from madviz.errors import UserError
+from madviz.policies.checkpoint import load_policy, robot_of_policy
+from madviz.recorded.films import letterboxed
+from madviz.recorded.known import VARIABLE, allow_recording
+from madviz.recorded.recordings import open_recordings
+from madviz.serving.dry_run import dry_run
+from madviz.serving.episodes import BadLook, ServedEpisodes
+from madviz.serving.serve import PolicyServer
+from madviz.training.config import TrainConfig
+from madviz.training.light_options import LightConfig
+from madviz.training.train import train
+from tests.recordings import TOP, Small
+
+FEW = LightConfig(rounds=1, updates_per_round=1, batch_size=4, hidden_dim=16)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Recordings, and a policy that learned from them."""
+    root = tmp_path_factory.mktemp("robot")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(root / "cache"))
+        patch.setenv(VARIABLE, "")
+        bench = Small(episodes=4, films=False).write(root / "bench")
+        train(TrainConfig(recording=bench, out=root / "mad", light=FEW), lambda _: None)
+    return bench, root / "mad"
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that does not know the recordings."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv(VARIABLE, "")
+
+
+def test_the_robots_pictures_and_numbers_are_scaled_where_the_policy_is_served(
+    trained: tuple[Path, Path],
+) -> None:
+    policy = load_policy(trained[1])
+    robot = robot_of_policy(str(trained[1]))
+    assert robot is not None
+    rng = np.random.default_rng(1)
+    images = {
+        "top": rng.integers(0, 255, (48, 64, 3), np.uint8),
+        "wrist": rng.integers(0, 255, (128, 96, 3), np.uint8),  # Twice the recorded size.
+    }
+    state = np.array([0.5, -1.0, 2.0], np.float32)
+    with closing(ServedEpisodes(policy, 3, robot)) as episodes:
+        action = episodes.act(images, state)
+    small = [letterboxed(picture, 84).transpose(2, 0, 1) for picture in images.values()]
+    views = np.stack([np.concatenate([one] * 3) for one in small])  # (V, 9, 84, 84)
+    encoded = policy.encode(views, robot.states.scale(state))
+    expected = policy.read(encoded, np.ones((1, 2), bool)).action[0]
+    assert np.allclose(action, robot.actions.unscale(expected), atol=1e-6)
+    low, high = np.array(robot.actions.low), np.array(robot.actions.high)
+    assert ((action >= low) & (action <= high)).all()
+
+
+def test_a_picture_of_another_aspect_is_refused(trained: tuple[Path, Path]) -> None:
+    policy = load_policy(trained[1])
+    episodes = ServedEpisodes(policy, 3, robot_of_policy(str(trained[1])))
+    images = {"top": np.zeros((64, 64, 3), np.uint8)}
+    with pytest.raises(BadLook, match="'top' as 48 by 64 pixels, as it was recorded"):
+        episodes.act(images, np.zeros(3))
+
+
+def test_a_served_policy_answers_as_the_folder_does(trained: tuple[Path, Path]) -> None:
+    bench, folder = trained
+    policy = load_policy(folder)
+    server = PolicyServer(policy, robot=robot_of_policy(str(folder))).start()  # Without recordings.
+    allow_recording(bench)
+    try:
+        served = load_policy(server.address)
+        rng = np.random.default_rng(0)
+        views = rng.integers(0, 255, (2, 9, 84, 84), np.uint8)
+        state = np.array([0.1, -0.4, 0.9], np.float32)
+        masks = np.array([[True, True], [False, True]])
+        here, there = (each.read(each.encode(views, state), masks) for each in (policy, served))
+        assert np.allclose(here.action, there.action, atol=1e-4)
+    finally:
+        server.close()
+
+
+def test_a_dry_run_says_rate_jump_and_what_was_out_of_range(trained: tuple[Path, Path]) -> None:
+    bench, folder = trained
+    robot = robot_of_policy(str(folder))
+    lines = dry_run(load_policy(folder), robot, bench)
+    assert "6 frames of episode 3 of bench (held out" in lines[0]
+    assert "recorded: actions change nothing" in lines[0]
+    states, _ = open_recordings(bench).numbers(3)
+    assert robot is not None
+    named = [robot.state_names[i] for i in np.flatnonzero(np.any(robot.outside(states), axis=0))]
+    assert all(name in lines[3] for name in named) and ("nothing" in lines[3]) == (not named)
+    assert lines[-1].startswith("On this machine the policy keeps up with the robot's 10 a second")
+    assert "no robot moved" in lines[-1]
+
+
+def test_a_dry_run_refuses_another_robot(trained: tuple[Path, Path], tmp_path: Path) -> None:
+    other = Small(films=False, sizes={TOP: (48, 64)}).write(tmp_path / "other")
+    policy = load_policy(trained[1])
+    with pytest.raises(UserError, match="expected the policy's cameras top, wrist, found top"):
+        dry_run(policy, robot_of_policy(str(trained[1])), other)
+    four = Small(films=False, numbers=4).write(tmp_path / "four")
+    with pytest.raises(UserError, match="expected the policy's states"):
+        dry_run(policy, robot_of_policy(str(trained[1])), four)
+    with pytest.raises(UserError, match="learned from recordings for --check"):
+        dry_run(policy, None, trained[0])
