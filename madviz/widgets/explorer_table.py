@@ -30,7 +30,7 @@ def table_html(frame: Frame) -> str:
     """The present subset, trained ones and others: action, its distance from the present one, Q."""
     probe = frame.world.probe
     streams = frame.world.policy.streams
-    head = "".join(f"<th>{w}</th>" for w in ("cameras", "", "action", "differs by", "Q"))
+    head = "".join(f"<th>{w}</th>" for w in ("cameras", "", "action", "apart", "Q"))
     rows = [
         _subset_row(frame, row, name_of(probe.masks[row], streams)) for row in shown_rows(frame)
     ]

@@ -134,7 +134,7 @@ for camera, feature in zip(policy.spec.streams, encoded.features, strict=True):
 # ## Play
 #
 # Press *Play*. Then switch *Third A* off, and on again; let it send black; let it freeze. Watch
-# the first line of the table (what the policy does now) and how far every other set of cameras
+# the first line of the table (what the policy does now) and how far every other subset of cameras
 # would be from it. Some questions while it runs:
 #
 # 1. Which camera changes most from picture to picture?

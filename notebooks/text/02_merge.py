@@ -56,7 +56,7 @@ every_mask(3).astype(int)
 #
 # Every camera is encoded once. The eight sums cost next to nothing, and they go through the actor
 # together as a batch of eight. So at every time step we know not only what the policy does, but
-# also what it would do with every other set of cameras:
+# also what it would do with every other subset of cameras:
 
 # %%
 masks = every_mask(3)
@@ -158,7 +158,7 @@ table(
 # ## Play
 #
 # Step through an episode with single cameras. In which phase of the episode do the actions of
-# different sets of cameras differ most: on the way to the hammer, or while hitting the nail?
+# different subsets of cameras differ most: on the way to the hammer, or while hitting the nail?
 
 # %%
 explorer = Explorer(policy, seed=2001)

@@ -37,7 +37,7 @@ now = teaching.moment_at(mad, seed=2000, step=20)
 #
 # **Occluded**: the camera still sends pictures, but bad ones: black, noise, the same picture for
 # ever (*freeze*), out of focus (*blur*), with something stuck to the lens (*patch*), with
-# pictures missing now and then (*dropout*), or all of them late (*delay*). The policy gets no
+# pictures missing now and then (*lossy*), or all of them late (*late*). The policy gets no
 # other sign.
 
 # %%
@@ -131,7 +131,7 @@ table(["episodes", "95% interval around 0.8", "width"], rows)
 # Half the width costs four times the episodes. To distinguish 0.8 from 0.9 you need a few hundred
 # of each; for 1.00 and 0.00 you need five.
 #
-# The cards of the included policies were measured on 100 episodes per set of cameras. These
+# The cards of the included policies were measured on 100 episodes per subset of cameras. These
 # numbers are shipped, nothing runs here:
 
 # %%

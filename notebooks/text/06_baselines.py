@@ -214,7 +214,7 @@ guess_robot.compare(f"{leader}, in {teaching.in_words(alone[leader], 50)}")
 #
 # `naive-both` weighs the sum and the single cameras alike. So does MAD here, and with the expert as
 # the only teacher the two are then one and the same training: the rows must be equal, and are.
-# A method without a row was not measured here. All of this is imitation; the paper compares the
+# A method without a row has no measurement. All of this is imitation; the paper compares the
 # methods by reinforcement learning, where a policy also has to find out what to do.
 
 # %% [markdown]

@@ -175,7 +175,7 @@ answers(vib, moment, SUBSETS)
 # %% [markdown]
 # ## Play
 #
-# An untrained MAD moves somehow, with every set of cameras. Put `concat`, `vib` or another method
+# An untrained MAD moves somehow, with every subset. Put `concat`, `vib` or another method
 # in its place, and switch a camera off: which of them go on, and what do the others say?
 
 # %%
