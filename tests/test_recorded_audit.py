@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from madviz.envs.registry import env_spec
+from madviz.envs.registry import env_spec, make_env
 from madviz.errors import UserError
 from madviz.measure.audit.audit import AuditConfig, audit_words, run_audit
 from madviz.measure.audit.lost_cameras import HOWS
@@ -27,7 +28,9 @@ from madviz.policies.checkpoint import load_policy, robot_of_policy
 from madviz.policies.guarded import with_guard
 from madviz.recorded.known import VARIABLE, allow_recording, recordings_of
 from madviz.recorded.robot import robot_of
+from madviz.recording.record import RecordConfig, run_record
 from madviz.serving.dry_run import dry_run
+from madviz.serving.serve import PolicyServer
 from madviz.training.config import TrainConfig
 from madviz.training.light_options import LightConfig
 from madviz.training.train import train
@@ -163,4 +166,35 @@ def test_a_guard_is_fitted_on_training_episodes_of_recordings(bench: Path, tmp_p
     assert fitted["seeds"] == [number for number in range(20) if number % 10 != 9]
     guarded = load_policy(with_guard(policy, True))
     lines = dry_run(guarded, robot_of_policy(policy), bench)
+    assert "no robot moved" in lines[-1]
+
+
+@pytest.mark.slow
+def test_from_our_own_export_to_a_dry_run_with_a_guard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Record, train, explore's environment, audit of the folder and over the wire, guard, dry
+    run."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv(VARIABLE, "")
+    dataset = tmp_path / "exported"
+    run_record(RecordConfig(dataset, format="lerobot", expert="metaworld/hammer", episodes=6))
+    policy = str(tmp_path / "mad")
+    light = LightConfig(rounds=1, updates_per_round=3, batch_size=16, hidden_dim=64)
+    train(TrainConfig(recording=dataset, out=Path(policy), light=light), lambda _: None)
+    with closing(make_env("recording/exported")) as env:
+        first = env.reset(5)
+        assert env.spec.recorded and np.abs(first.state).max() < 1.5
+    folder = run_audit(AuditConfig(policy, tmp_path / "a", recording=dataset, how=("dropped",)))
+    server = PolicyServer(load_policy(policy), robot=robot_of_policy(policy)).start()
+    try:
+        config = AuditConfig(server.address, tmp_path / "b", recording=dataset, how=("dropped",))
+        served = run_audit(config)
+    finally:
+        server.close()
+    assert "label" in folder and "label" in served
+    for here, there in zip(folder["conditions"], served["conditions"], strict=True):
+        assert here["change"]["mean"] == pytest.approx(there["change"]["mean"], abs=1e-3)
+    run_guard(GuardConfig(policy, recording=dataset))
+    lines = dry_run(load_policy(with_guard(policy, True)), robot_of_policy(policy), dataset)
     assert "no robot moved" in lines[-1]

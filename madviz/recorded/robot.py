@@ -90,7 +90,8 @@ class Robot:
 
     def outside(self, states: Array) -> Array:
         """(..., S) raw -> bool: the numbers outside the range of the recordings in training."""
-        low, high = np.array(self.states.low), np.array(self.states.high)
+        low = np.array(self.states.low)
+        high = np.array(self.states.high)
         slack = 1e-6 * np.maximum(np.abs(low), np.abs(high))
         return (states < low - slack) | (states > high + slack)
 

@@ -37,8 +37,12 @@ from madviz.types import Array
 
 UNUSED = (
     *RECORDING,
-    *("demonstrations", "episodes_per_round", "position_weight", "critic_updates"),
-    *("episodes", "workers"),
+    "demonstrations",
+    "episodes_per_round",
+    "position_weight",
+    "critic_updates",
+    "episodes",
+    "workers",
 )
 """Options of the light recipe that have no effect on recordings."""
 MOST = 512

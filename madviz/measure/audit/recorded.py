@@ -70,13 +70,13 @@ class RecordedRow(TypedDict):
     """Its distance from the recorded action, less that with all cameras."""
 
 
-class Moment(TypedDict):
+class CameraStep(TypedDict):
     """A step at which a camera mattered."""
 
     camera: str
     episode: int
     place: int
-    """Of the episode among all; the page calls it number."""
+    """The episode's among all; the page calls it number."""
     step: int
     change: float
 
@@ -103,13 +103,13 @@ class RecordedAuditFile(TypedDict):
     conditions: list[RecordedRow]
     verdict: dict[str, str]
     decided_by: dict[str, How]
-    moments: list[Moment]
+    moments: list[CameraStep]
     left_out: list[str]
 
 
 @dataclass(frozen=True)
 class RecordedAudit:
-    """What is asked, and of whom."""
+    """A policy, and the recordings that it answers to."""
 
     policy: Policy
     robot: Robot
@@ -224,32 +224,15 @@ def _document(
 
     def row(one: AuditRow) -> RecordedRow:
         at = place[one.condition]
-        change, error = distance_row(by_episode[at]), distance_row(beyond[at])
         return {
             "camera": one.camera,
             "what": one.what,
             "how": one.how,
-            "change": change,
-            "further": error,
+            "change": distance_row(by_episode[at]),
+            "further": distance_row(beyond[at]),
         }
 
     deciding = {name: audit.cameras.deciding(name).removed for name in audit.cameras.names}
-    moments: list[Moment] = []
-    known = [one.index for one in audit.recordings.episodes]
-    for name, one in deciding.items():
-        found: list[Moment] = []
-        for index, change in changes.items():
-            best = int(change[place[one.condition]].argmax())
-            found.append(
-                {
-                    "camera": name,
-                    "episode": index,
-                    "place": known.index(index),
-                    "step": int(steps_of[index][best]),
-                    "change": float(change[place[one.condition], best]),
-                }
-            )
-        moments += sorted(found, key=lambda moment: -moment["change"])[:MOMENTS]
     return {
         "schema": 1,
         "label": LABEL,
@@ -269,9 +252,33 @@ def _document(
             for name, one in deciding.items()
         },
         "decided_by": {name: one.how for name, one in deciding.items()},
-        "moments": moments,
+        "moments": _moments(audit, changes, steps_of),
         "left_out": left_out,
     }
+
+
+def _moments(
+    audit: RecordedAudit, changes: dict[int, Array], steps_of: dict[int, Array]
+) -> list[CameraStep]:
+    """For each camera, the steps at which the action changes most without it."""
+    known = [one.index for one in audit.recordings.episodes]
+    moments: list[CameraStep] = []
+    for name in audit.cameras.names:
+        row = audit.conditions.index(audit.cameras.deciding(name).removed.condition)
+        found: list[CameraStep] = []
+        for index, change in changes.items():
+            best = int(change[row].argmax())
+            found.append(
+                {
+                    "camera": name,
+                    "episode": index,
+                    "place": known.index(index),
+                    "step": int(steps_of[index][best]),
+                    "change": float(change[row, best]),
+                }
+            )
+        moments += sorted(found, key=lambda moment: -moment["change"])[:MOMENTS]
+    return moments
 
 
 def distance_row(values: Sequence[float] | Array) -> DistanceRow:

@@ -8,8 +8,8 @@ from madviz.measure.audit.recorded import (
     HARDLY,
     STEPS,
     VERDICTS,
+    CameraStep,
     DistanceRow,
-    Moment,
     RecordedAuditFile,
     RecordedRow,
 )
@@ -88,7 +88,7 @@ def _row(found: RecordedAuditFile, camera: str, how: str) -> RecordedRow:
     )
 
 
-def _moment(found: RecordedAuditFile, one: Moment, source: list[str]) -> list[str]:
+def _moment(found: RecordedAuditFile, one: CameraStep, source: list[str]) -> list[str]:
     words = ["madviz", "explore", *source, "--seed", str(one["place"])]
     state = "off" if found["decided_by"][one["camera"]] == "dropped" else "mean"
     return [
