@@ -72,7 +72,7 @@ def make_looker():
 def test_it_finds_the_camera_that_is_used_and_the_one_that_is_not(tmp_path):
     config = AuditConfig("tests.test_audit:make_looker", tmp_path, episodes=16, workers=0)
     found = run_audit(config)
-    assert "verdict" in found
+    assert "shapley" in found
     assert found["verdict"] == {"first": "no use shown", "third_b": "needed"}
     rows = {(row["camera"], row["what"], row["how"]): row for row in found["conditions"]}
     assert len(rows) == 5 * 5

@@ -19,6 +19,7 @@ from madviz.errors import UserError
 from madviz.recorded import films
 from madviz.recorded.films import letterboxed
 from madviz.recorded.recordings import open_recordings
+from madviz.recorded.robot import robot_of
 from madviz.recorded.scaling import Scaling
 from madviz.recorded.split import held_out
 from madviz.recorded.storage import cache_bytes, clear_cache, recordings_cache
@@ -177,6 +178,17 @@ def test_scalings_are_those_of_the_episodes_for_training(tmp_path: Path) -> None
     np.testing.assert_allclose(states.high, written.states[:12].max(0))
     np.testing.assert_allclose(actions.low, written.actions[:12].min(0))
     np.testing.assert_allclose(found.action_spread(), written.actions[:12].std(0), rtol=1e-5)
+
+
+def test_recordings_in_other_units_are_refused_for_a_policy(tmp_path: Path) -> None:
+    written = Small()
+    found = open_recordings(written.write(tmp_path / "mine"))
+    robot_of(found).check_units(found)
+    written.states[0] = 1000
+    written.rows["observation.state"] = list(written.states)
+    other = open_recordings(written.write(tmp_path / "other"))
+    with pytest.raises(UserError, match="found states or actions of another range"):
+        robot_of(found).check_units(other)
 
 
 def test_names_of_cameras_are_words_of_subsets(tmp_path: Path) -> None:

@@ -128,7 +128,8 @@ def test_what_counts_successes_is_refused_for_recordings(folder: Path, tmp_path:
 def test_the_option_names_a_task_and_begins_with_its_first_episode(folder: Path, capsys) -> None:
     config = with_recording(ExploreConfig(recording=folder))
     assert (config.task, config.policy, config.seed) == ("recording/mine", "recorded:mine", 0)
-    assert with_recording(ExploreConfig(policy="my-mad", recording=folder)).policy == "my-mad"
+    own = "tests.recorded_policy:make"
+    assert with_recording(ExploreConfig(policy=own, recording=folder)).policy == own
     with pytest.raises(UserError, match="--recording without --replay or --task"):
         with_recording(ExploreConfig(task="toy/reach", recording=folder))
     assert capsys.readouterr().err == ""

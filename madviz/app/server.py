@@ -283,6 +283,9 @@ def with_recording(config: ExploreConfig) -> ExploreConfig:
     task = allow_recording(config.recording)
     for line in recordings_of(task).left_out:
         say(f"madviz: left out: {line}")
+    robot = checkpoint.robot_of_policy(config.policy) if config.policy else None
+    if robot is not None:
+        robot.check_units(recordings_of(task))
     policy = config.policy or without_policy(task)
     return replace(config, task=task, policy=policy, seed=config.seed or 0)
 

@@ -109,6 +109,16 @@ class Robot:
                     f"found {', '.join(found):.200}; name recordings of the same robot"
                 )
 
+    def check_units(self, recordings: Recordings) -> None:
+        """Raises UserError for recordings of another robot, and for those whose numbers have
+        another range: the explorer shows them in units of the recordings."""
+        self.check(recordings)
+        if (self.states, self.actions) != recordings.scalings():
+            raise UserError(
+                f"{recordings.path}: expected the recordings that the policy learned from, found "
+                "states or actions of another range; `madviz audit --recording` converts them"
+            )
+
 
 @lru_cache(maxsize=8)
 def robot_of(recordings: Recordings) -> Robot:
