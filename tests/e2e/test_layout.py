@@ -81,6 +81,7 @@ def test_the_question_has_its_place_before_it_is_asked(browser, app: App):
     page = visitor.page
     visitor.dismiss()
     tab = page.get_by_role("tab", name="What counts?")
+    page.get_by_text("merged: their sum", exact=True).first.wait_for(timeout=PATIENCE)
     before = tab.bounding_box()
     visitor.press("1")  # An episode of 25 s: at the end of one, nobody is asked.
     visitor.press("again")
