@@ -92,7 +92,7 @@ class EnvSpec:
 
     @property
     def recorded(self) -> bool:
-        """Whether its episodes were recorded, so that actions change nothing."""
+        """True where its episodes were recorded, so that actions change nothing."""
         return bool(self.action_spread)
 
     def camera(self, name: str) -> CameraSpec:

@@ -18,7 +18,7 @@ SIDE = 8
 
 
 def is_no_policy(policy: str) -> bool:
-    """Whether the name means recordings without a policy."""
+    """True for the name that stands for recordings without a policy."""
     return policy.startswith(PREFIX)
 
 

@@ -24,7 +24,7 @@ LABEL = "recorded: actions change nothing"
 
 
 def is_recording(task: str) -> bool:
-    """Whether the name means recordings, known here or not."""
+    """True for the name of recordings, known here or not."""
     return task.partition("/")[0] == SUITE
 
 

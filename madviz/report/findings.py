@@ -50,7 +50,7 @@ class Finding:
     paper: str
     expected: Literal["ahead", "alike"] = "ahead"
     headline: bool = False
-    """Whether README says it in a sentence above the table."""
+    """True where README has a sentence of it above the table."""
 
 
 @dataclass(frozen=True)
