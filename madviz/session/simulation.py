@@ -30,7 +30,6 @@ from madviz.observation.ablation import Ablation, CameraState
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
-from madviz.recorded.moment import moment_of
 from madviz.session.commands import SetCamera
 from madviz.session.episode_record import EpisodeRecord
 from madviz.session.frame import Change, Outcome, World, untouched
@@ -39,7 +38,7 @@ from madviz.session.playing import Playing
 from madviz.session.snapshot import Snapshot, StepData
 from madviz.session.waiting import PolicyWait
 from madviz.subsets import every_mask, row_of
-from madviz.types import Array, Encoded, Environment, Policy, ResetsInPieces, TimeStep, View
+from madviz.types import Array, Encoded, Environment, Policy, ResetsInPieces
 
 Reading = tuple[Condition, Array, float]
 """A condition, and the action (A,) and Q under it."""
@@ -154,7 +153,7 @@ class Simulation:
             time_step = self.env.reset_in_pieces(seed, pause)
         else:
             time_step = self.env.reset(seed)
-        first = self._seen(time_step, 0, pause)
+        first = StepData.drawn(self.env, time_step, 0, pause)
         # The new episode begins here: until now a command met the old one.
         self.episode += 1
         self.seed = seed
@@ -182,7 +181,7 @@ class Simulation:
         self.journal.decided(self.now.step, action, time_step)
         self.record.note(self.policy.spec, self.condition, self.ablation)
         self.record.arrived(time_step)
-        self._arrive(self._seen(time_step, self.now.step + 1, between))
+        self._arrive(StepData.drawn(self.env, time_step, self.now.step + 1, between))
         if time_step.last:
             ended = (self.seed, time_step.success, self.env.spec.cameras)
             self.outcomes.append(self.record.outcome(self.policy.spec, *ended))
@@ -344,18 +343,6 @@ class Simulation:
         spec = self.env.spec.camera(camera)
         to = self.ablation.moves.get(camera)
         self.env.move_camera(camera, to.placed(spec) if to else None)
-
-    def _seen(self, time_step: TimeStep, step: int, between: Callable[[], None]) -> StepData:
-        """All that ``env`` has to show of a step, with every camera, always: one that comes back
-        needs its past frames."""
-        env = self.env
-        views = dict[str, View]()
-        for camera in env.spec.cameras:
-            views[camera.name] = env.view(camera.name)  # (H, W, 3)
-            between()
-        poses = {camera.name: env.pose(camera.name) for camera in env.spec.cameras}
-        scene = (env.bodies(), env.body_poses(), env.hand())
-        return StepData(time_step, step, views, poses, *scene, moment_of(env))
 
     def _arrive(self, data: StepData) -> None:
         self._push(data)

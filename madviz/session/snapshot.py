@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from madviz.analysis.probes import Probe
 from madviz.observation.ablation import Ablation
-from madviz.recorded.moment import RecordedMoment
+from madviz.recorded.moment import RecordedMoment, moment_of
 from madviz.session.episode_record import EpisodeRecord
 from madviz.session.journal import Mark
 from madviz.session.playing import Look
-from madviz.types import Array, Body, CameraPose, Encoded, Policy, TimeStep, View
+from madviz.types import (
+    Array,
+    Body,
+    CameraPose,
+    Encoded,
+    Environment,
+    Policy,
+    TimeStep,
+    View,
+)
 
 
 @dataclass(frozen=True)
@@ -25,6 +35,20 @@ class StepData:
     body_poses: Array
     hand: Array
     recorded: RecordedMoment | None = None
+
+    @classmethod
+    def drawn(
+        cls, env: Environment, time: TimeStep, step: int, between: Callable[[], None]
+    ) -> StepData:
+        """All that ``env`` has to show of a step, with every camera, always: one that comes back
+        needs its past frames. ``between`` is called after every camera."""
+        views = dict[str, View]()
+        for camera in env.spec.cameras:
+            views[camera.name] = env.view(camera.name)  # (H, W, 3)
+            between()
+        poses = {camera.name: env.pose(camera.name) for camera in env.spec.cameras}
+        scene = (env.bodies(), env.body_poses(), env.hand())
+        return cls(time, step, views, poses, *scene, moment_of(env))
 
 
 @dataclass(frozen=True)

@@ -263,7 +263,7 @@ table(["Third A", "steps", "alarms"], [[k, len(r) - 1, alarms(frozen, r)] for k,
 #
 # ## Exercise 4: frozen, or still?
 #
-# Mend the test: which second condition makes an unchanged picture a fault?
+# Repair the test: which second condition makes an unchanged picture a fault?
 
 
 # %% tags=["answer"]
