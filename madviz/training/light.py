@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import copy
 import time
+from collections.abc import Mapping
 from concurrent.futures import Future
 from contextlib import closing
 from pathlib import Path
@@ -338,7 +339,8 @@ def run_rounds(run: LightRun, folder: RunFolder, recorder: Recorder) -> None:
             run.seconds = time.monotonic() - began
             # In this order: a row without its state is dropped and comes again, a state without
             # its row would never have one.
-            _report(run, folder, loss, episodes)
+            rate = float(np.mean([e.success for e in episodes])) if episodes else float("nan")
+            report_round(run, folder, loss, {"student_success": round(rate, 3)})
             folder.save_state(run.state())
             if run.round < config.all_rounds:
                 _save(run, folder, final=False)
@@ -373,9 +375,12 @@ def _save(run: LightRun, folder: RunFolder, final: bool) -> None:
     plan.save(folder, run.average, record, REWARD_SCALE)
 
 
-def _report(run: LightRun, folder: RunFolder, loss: float, episodes: list[Episode]) -> None:
+def report_round(
+    run: LightRun, folder: RunFolder, loss: float, measured: Mapping[str, float]
+) -> None:
+    """Adds a row to the run's curve: its progress in rounds, updates and seconds, its loss, and
+    what was ``measured`` in this round."""
     done = run.round / run.config.all_rounds
-    rate = float(np.mean([e.success for e in episodes])) if episodes else float("nan")
     folder.report(
         "curve",
         round=run.round,
@@ -384,5 +389,5 @@ def _report(run: LightRun, folder: RunFolder, loss: float, episodes: list[Episod
         seconds=round(run.seconds, 1),
         seconds_left=round(run.seconds * (1 - done) / done, 1),
         loss=round(loss, 5),
-        student_success=round(rate, 3),
+        **measured,
     )

@@ -31,7 +31,7 @@ from madviz.runs.run_folder import RunFolder, interruptible
 from madviz.runs.training_plan import TrainingPlan
 from madviz.subsets import every_mask, name_of
 from madviz.system.files import write_bytes
-from madviz.training.light import LightRun, train_light
+from madviz.training.light import LightRun, report_round, train_light
 from madviz.training.light_options import RECORDING, LightConfig
 from madviz.types import Array
 
@@ -220,17 +220,8 @@ def _save(run: RecordedRun, folder: RunFolder) -> None:
 
 
 def _report(run: RecordedRun, folder: RunFolder, loss: float, errors: dict[str, float]) -> None:
-    done = run.round / run.config.all_rounds
-    folder.report(
-        "curve",
-        round=run.round,
-        updates=run.updates,
-        episodes=run.data.episodes,
-        seconds=round(run.seconds, 1),
-        seconds_left=round(run.seconds * (1 - done) / done, 1),
-        loss=round(loss, 5),
-        **{ERROR + name: round(error, 4) for name, error in errors.items()},
-    )
+    measured = {ERROR + name: round(error, 4) for name, error in errors.items()}
+    report_round(run, folder, loss, measured)
     _draw_curve(folder.path, run.config.all_rounds)
 
 
