@@ -65,7 +65,7 @@ class Row(NamedTuple):
 
 def main() -> None:
     out = Path(sys.argv[1])
-    for seed, task, level in itertools.product(SEEDS, TASKS, LEVELS):
+    for task, seed, level in itertools.product(TASKS, SEEDS, LEVELS):
         folder = out / f"{task.replace('/', '-')}-{level}-seed{seed}"
         left = [loss for loss in LOSSES if (task, level, seed, *loss) not in done()]
         for loss in left:
