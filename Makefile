@@ -88,15 +88,15 @@ pictures: setup-dev
 	$(BIN)/python tools/fill_figures.py
 
 bench: setup-dev
-	$(BIN)/python -m benchmarks render --json results/bench/render.json
-	$(BIN)/python -m benchmarks render --suite maniskill --json results/bench/render-maniskill.json
-	$(BIN)/python -m benchmarks live --json results/bench/live.json
-	$(BIN)/python -m benchmarks live --training --json results/bench/live-training.json
-	$(BIN)/python -m benchmarks live --policy toy-reach-mv-mwm-mv-mwm --workers 0 --json results/bench/live-imagined.json
-	$(BIN)/python -m benchmarks crowd --json results/bench/crowd.json
-	$(BIN)/python -m benchmarks update --json results/bench/update.json
-	$(BIN)/python -m benchmarks buffer --json results/bench/buffer.json
-	$(BIN)/python -m benchmarks evaluate --workers 2 --json results/bench/evaluate.json
+	$(BIN)/python -m benchmarks render --json results/archive/bench/render.json
+	$(BIN)/python -m benchmarks render --suite maniskill --json results/archive/bench/render-maniskill.json
+	$(BIN)/python -m benchmarks live --json results/archive/bench/live.json
+	$(BIN)/python -m benchmarks live --training --json results/archive/bench/live-training.json
+	$(BIN)/python -m benchmarks live --policy toy-reach-mv-mwm-mv-mwm --workers 0 --json results/archive/bench/live-imagined.json
+	$(BIN)/python -m benchmarks crowd --json results/archive/bench/crowd.json
+	$(BIN)/python -m benchmarks update --json results/archive/bench/update.json
+	$(BIN)/python -m benchmarks buffer --json results/archive/bench/buffer.json
+	$(BIN)/python -m benchmarks evaluate --workers 2 --json results/archive/bench/evaluate.json
 	$(BIN)/python tools/fill_figures.py
 
 clean:

@@ -123,7 +123,7 @@ def test_pictures_of_the_page_are_all_shown_and_small() -> None:
 
 
 def test_what_was_tried_is_said_of_tasks() -> None:
-    file = ROOT / "results" / "tried.json"
+    file = ROOT / "results" / "archive" / "tried.json"
     found = typed(json.loads(file.read_text()), dict[str, list[str]], file, "")
     assert found.keys() <= set(TWENTY)
 

@@ -95,6 +95,12 @@ def test_the_words_of_a_run_are_words_that_the_command_line_knows(
             "expected other options",
         ),
         (
+            '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\nname = "low"\n'
+            "[grid.train]\nlight.alpha = [0.1, 0.2]\n",
+            "expected one value for each option of the grid named 'low', found a list for "
+            "light.alpha",
+        ),
+        (
             '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[eval]\nepisodes = "many"\n',
             "expected 'eval.episodes' to be a whole number or nothing, found 'many'",
         ),
@@ -116,7 +122,8 @@ def test_a_missing_file_and_no_jobs_at_all_are_mistakes(tmp_path: Path) -> None:
 
 
 RESULTS = Path(__file__).resolve().parent.parent / "results"
-SHIPPED = [*sorted(RESULTS.glob("sweeps/*.toml")), RESULTS / "pilots" / "pilots.toml"]
+PILOTS = RESULTS / "archive" / "pilots"
+SHIPPED = [*sorted(RESULTS.glob("sweeps/*.toml")), PILOTS / "pilots.toml"]
 
 
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
@@ -128,8 +135,8 @@ def test_the_sweeps_that_ship_ask_for_what_exists(file: Path, tmp_path: Path) ->
 
 
 def test_a_finished_pilot_is_not_trained_again(tmp_path: Path) -> None:
-    pilots = RESULTS / "pilots"
-    shutil.copytree(pilots, tmp_path / "out")
-    found = run_sweep(SweepConfig(str(pilots / "pilots.toml"), out=tmp_path / "out", dry_run=True))
-    kept = [folder.name for folder in pilots.iterdir() if folder.is_dir()]
+    shutil.copytree(PILOTS, tmp_path / "out")
+    found = run_sweep(SweepConfig(str(PILOTS / "pilots.toml"), out=tmp_path / "out", dry_run=True))
+    kept = [folder.name for folder in PILOTS.iterdir() if folder.is_dir()]
+    assert all(len(name) <= 60 for name in kept)
     assert found["finished"] == len(kept) >= 1

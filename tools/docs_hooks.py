@@ -3,7 +3,7 @@
     command-line.md   ``--help`` of every command
     api.md            what ``import madviz`` offers, madviz.types and the examples
     results.md        results/RESULTS.md with its pictures
-    tried.md          results/tried.json: what was tried and did not help
+    tried.md          results/archive/tried.json: what was tried and did not help
 
 architecture.md also gets the list of files, under its last heading. None of this is written to
 docs/, so it cannot go stale there.
@@ -121,17 +121,17 @@ def api() -> str:
 def results() -> str:
     """RESULTS.md; its pictures and its CSV file are beside the page."""
     text = (RESULTS / "RESULTS.md").read_text()
-    return text.replace("[tried.json](tried.json)", "[What was tried](tried.md)")
+    return text.replace("[tried.json](archive/tried.json)", "[What was tried](tried.md)")
 
 
 def tried() -> str:
-    """The entries of results/tried.json, a section for each task."""
+    """The entries of results/archive/tried.json, a section for each task."""
     parts = [
         "# What was tried",
         "Changes to the light recipe that were measured, taken or not, by task, as they were "
         "written down then. Success rates are on development seeds.",
     ]
-    for task, entries in json.loads((RESULTS / "tried.json").read_text()).items():
+    for task, entries in json.loads((RESULTS / "archive" / "tried.json").read_text()).items():
         parts.append(f"## {task}\n")
         parts += [
             f"- {entry if isinstance(entry, str) else json.dumps(entry)}" for entry in entries

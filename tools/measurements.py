@@ -19,7 +19,7 @@ from madviz.soak.soak import growth_an_hour
 from madviz.system.markdown import markdown_table
 
 CLASS_RUNS = ("lessons", "pages", "alone")
-"""Files of ``python -m tests.e2e.class_server`` in results/class."""
+"""Files of ``python -m tests.e2e.class_server`` in results/archive/class."""
 MEASURED = ("kernel", "all")
 """Two parts of a lesson's memory: its kernel, and all that the student runs."""
 ABLATION = "imagine/ablation/toy"
@@ -97,7 +97,7 @@ BENCHMARKS = (
         "the simulator's own rendering {stock:.2f} ({ratio_stock:.0f} times)",
     ),
 )
-"""A file of results/bench, the part of it that is meant, its command, a sentence about it."""
+"""A file of results/archive/bench, the part of it that is meant, its command, a sentence about it."""
 
 
 def read(name: str) -> dict[str, Any]:
@@ -118,18 +118,18 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], machine: str 
 
 
 def benchmarks() -> str:
-    """Results of benchmarks, from results/bench: a row for each of ``BENCHMARKS``."""
+    """Results of benchmarks, from results/archive/bench: a row for each of ``BENCHMARKS``."""
     rows = []
     for name, part, command, sentence in BENCHMARKS:
-        result = read(f"bench/{name}")
+        result = read(f"archive/bench/{name}")
         measured = sentence.format(**(result[part] if part else result))
         rows.append((f"`python -m benchmarks {command}`", re.sub(r"[][]", "", measured)))
-    return table(("benchmark", "measured"), rows, read("bench/machine")["machine"])
+    return table(("benchmark", "measured"), rows, read("archive/bench/machine")["machine"])
 
 
 def priorities() -> str:
     """The page beside other work, before that had a lower priority and now, in alternation."""
-    result = read("bench/priorities")
+    result = read("archive/bench/priorities")
     parts = ("alone", "with_workers", "with_training")
     rows = [
         (
@@ -143,9 +143,9 @@ def priorities() -> str:
 
 
 def class_server() -> str:
-    """The times and the memory of students on a class server, from results/class, and the
+    """The times and the memory of students on a class server, from results/archive/class, and the
     machine that more students need."""
-    lessons, pages, alone = (read(f"class/{run}") for run in CLASS_RUNS)
+    lessons, pages, alone = (read(f"archive/class/{run}") for run in CLASS_RUNS)
     students = list(lessons["each"].values())
     cores = lessons["cores"]
     logins = [student["login_s"] for student in students]
@@ -198,8 +198,8 @@ def _slowest(students: Sequence[dict[str, Any]], number: str) -> list[Any]:
 
 
 def grading() -> str:
-    """How long a class's copies took to grade, from results/class/grading.json."""
-    result = read("class/grading")
+    """How long a class's copies took to grade, from results/archive/class/grading.json."""
+    result = read("archive/class/grading")
     return (
         f"{result['copies']} copies of lesson {int(result['lesson'][:2])} took "
         f"{result['seconds'] / 60:.0f} minutes with {result['workers']} workers on two cores: "
@@ -209,8 +209,8 @@ def grading() -> str:
 
 
 def kernel_memory() -> str:
-    """Where the memory of a lesson's kernel goes, from results/class/kernel.json."""
-    result = read("class/kernel")
+    """Where the memory of a lesson's kernel goes, from results/archive/class/kernel.json."""
+    result = read("archive/class/kernel")
     rows = [(step["after"], step["pss_mb"], step["own_mb"]) for step in result["steps"]]
     measured = table(("after", "MB (proportional)", "of them, nobody can share"), rows)
     return f"{measured}\ntorch {result['torch']}, one kernel alone.\n"
@@ -303,7 +303,7 @@ def places() -> str:
 def soak() -> str:
     """Memory and threads of the page's server before and after each piece of `madviz soak`."""
     rows = []
-    for result in read_all("soak/*").values():
+    for result in read_all("archive/soak/*").values():
         memory = result["memory_mb"]
         threads = result["threads"]
         rows.append(

@@ -81,7 +81,7 @@ def page(
         "it in the column *first*. Rounds and updates differ between tasks and "
         "tables: each card has its command. A dash is what was not measured or cannot be. All "
         "rates but the means, a line each, are in [rates.csv](rates.csv). What was tried, taken "
-        "or not, is in [tried.json](tried.json).",
+        "or not, is in [tried.json](archive/tried.json).",
         "The paper's sentences are about reinforcement learning, five trainings for each row. They "
         "stand beside our differences. We judge a sentence of the paper only from rows with three "
         "or more trainings by reinforcement learning."

@@ -17,8 +17,10 @@
     subsets = ["all", "first"]            # left out: what says most about each policy
 
 is 2 x 2 x 2 x 3 = 24 runs, named ``metaworld-hammer-mad-light-alpha0.2-seed1`` and so on. A name
-says everything that varies, so that it stays the same whatever else is added to the file. Every
-unknown word, task or method is an error before anything runs.
+says everything that varies, so that it stays the same whatever else is added to the file. A grid
+whose options have one value each may say ``name = "wide"``: its runs are named
+``metaworld-hammer-mad-light-wide-seed1``. Every unknown word, task or method is an error before
+anything runs.
 """
 
 from __future__ import annotations
@@ -55,6 +57,8 @@ class Grid(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """The seeds of training."""
     train: Table = {}
     """More options of ``madviz train``; a list is one more axis."""
+    name: str = ""
+    """A word in the names of runs whose options have one value each."""
 
 
 class EvalOptions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
@@ -108,6 +112,11 @@ def _expand(path: Path, grid: Grid, evaluation: tuple[str, ...]) -> list[Run]:
         )
     _check(grid)
     varied = {key: value for key, value in options.items() if isinstance(value, list)}
+    if grid.name and varied:
+        raise UserError(
+            f"{path}: expected one value for each option of the grid named {grid.name!r}, found a "
+            f"list for {', '.join(varied)}; leave its name out, or write a grid for each value"
+        )
     axes = product(grid.tasks, grid.methods, grid.settings, grid.recipes, grid.seeds)
     runs = []
     for task, name, where, recipe, seed in axes:
@@ -115,7 +124,9 @@ def _expand(path: Path, grid: Grid, evaluation: tuple[str, ...]) -> list[Run]:
             chosen = dict(zip(varied, values, strict=True))
             train = ["--task", task, "--method", name, "--setting", where, "--recipe", recipe]
             train += ["--seed", str(seed), *_options({**options, **chosen})]
-            label = _name(task, name, where, recipe, chosen, seed)
+            words = [f"{key.split('.')[-1]}{value}" for key, value in chosen.items()]
+            words += [grid.name] if grid.name else []
+            label = _name(task, name, where, recipe, words, seed)
             runs.append(Run(label, tuple(train), evaluation))
     return runs
 
@@ -156,9 +167,7 @@ def _options(options: Table) -> list[str]:
     return arguments
 
 
-def _name(task: str, name: str, where: str, recipe: str, chosen: Table, seed: int) -> str:
+def _name(task: str, name: str, where: str, recipe: str, words: list[str], seed: int) -> str:
     parts = [task.replace("/", "-"), name]
     parts += [] if where == "three" else [where]
-    parts += [recipe]
-    parts += [f"{key.split('.')[-1]}{value}" for key, value in chosen.items()]
-    return re.sub(r"[^\w.+-]", "_", "-".join([*parts, f"seed{seed}"]))
+    return re.sub(r"[^\w.+-]", "_", "-".join([*parts, recipe, *words, f"seed{seed}"]))

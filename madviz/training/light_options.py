@@ -1,7 +1,7 @@
 """The options of the light recipe, each with what it changes.
 
 No included policy has the defaults alone: most had more rounds and another alpha, and some the
-options below, which are off. What else was tried is in ``results/tried.json``, with its rates.
+options below, which are off. What else was tried is in ``results/archive/tried.json``.
 """
 
 from __future__ import annotations
