@@ -195,8 +195,29 @@ def test_a_built_page_fetches_nothing_from_elsewhere(site: Path) -> None:
         assert [url for url in fetched if "canonical" not in url] == [], page.name
 
 
-def test_readme_links_lead_somewhere() -> None:
-    for page in PAGES:
-        for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#]+)", page.read_text()):
-            generated = target in ("api.md", "command-line.md", "results.md", "tried.md")
-            assert generated or (page.parent / target).exists(), f"{page.name}: {target}"
+def headings(page: Path) -> set[str]:
+    """The anchors of a page's headings, as MkDocs and Git hosts make them."""
+    found = re.findall(r"^#+ (.*)", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading).lower().replace(" ", "-") for heading in found}
+
+
+LINKED = (*PAGES, *ROOT.glob("*/README.md"), *ROOT.glob("results/*.md"))
+
+
+@pytest.mark.parametrize("page", LINKED, ids=lambda page: f"{page.parent.name}/{page.name}")
+def test_links_of_the_repository_lead_somewhere(page: Path) -> None:
+    for target, anchor in re.findall(
+        r"\]\((?!https?:|mailto:)([^)#\s]*)#?([^)\s]*)\)", page.read_text()
+    ):
+        if target in ("api.md", "command-line.md", "lessons.md", "results.md", "tried.md"):
+            continue
+        linked = page.parent / target if target else page
+        assert linked.exists(), target
+        assert not anchor or anchor in headings(linked), f"{target}#{anchor}"
+
+
+def test_links_of_the_static_site_lead_somewhere() -> None:
+    web = ROOT / "madviz" / "site" / "web"
+    for page in web.glob("*.html"):
+        for target in re.findall(r"(?:href|src)=\"(?!https?:|data:|#)([^\"#?]+)", page.read_text()):
+            assert target in ("./", "licences.txt") or (web / target).exists(), target

@@ -4,6 +4,7 @@
     api.md            what ``import madviz`` offers, madviz.types and the examples
     results.md        results/RESULTS.md with its pictures
     tried.md          results/archive/tried.json: what was tried and did not help
+    lessons.md        notebooks/README.md: the lessons, one by one
 
 architecture.md also gets the list of files, under its last heading. None of this is written to
 docs/, so it cannot go stale there.
@@ -38,6 +39,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "api.md": api(),
         "results.md": results(),
         "tried.md": tried(),
+        "lessons.md": lessons(),
     }
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
@@ -122,6 +124,12 @@ def results() -> str:
     """RESULTS.md; its pictures and its CSV file are beside the page."""
     text = (RESULTS / "RESULTS.md").read_text()
     return text.replace("[tried.json](archive/tried.json)", "[What was tried](tried.md)")
+
+
+def lessons() -> str:
+    """notebooks/README.md; the notebooks themselves are not in these pages."""
+    text = (ROOT / "notebooks" / "README.md").read_text().replace("](../docs/", "](")
+    return re.sub(r"\[([^\]]*)\]\(\w+\.ipynb\)", r"\1", text)
 
 
 def tried() -> str:

@@ -36,7 +36,9 @@ def findings_figure() -> str:
 def soak_figure() -> str:
     """SVG text: the server's memory after each round of each piece, when nobody visited, against
     what it was after the warm-up; the rounds of that are left out."""
-    series = {stem: _changes(soak["memory_mb"]) for stem, soak in read_all("archive/soak/*").items()}
+    series = {
+        stem: _changes(soak["memory_mb"]) for stem, soak in read_all("archive/soak/*").items()
+    }
     colours = {name: style.colour for name, style in styles(list(series)).items()}
     last = max(len(rounds) for rounds in series.values()) - 1
     title = "Change of memory since the warm-up, while nobody visits (MB)"

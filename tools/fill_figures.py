@@ -50,7 +50,7 @@ def weak() -> str:
             label += LACKING.get((task, camera), "")
             named.setdefault(count(verdict.row), []).append(label)
     return ". ".join(
-        f"Below {WEAK:.2f} alone (MAD, recipe `light`, {measured}): {'; '.join(labels)}"
+        f"Rates below {WEAK:.2f} of MAD with one camera ({measured}): {'; '.join(labels)}"
         for measured, labels in named.items()
     )
 
@@ -59,7 +59,7 @@ def findings() -> str:
     """The table of RESULTS.md, and two findings that are no difference of two rows."""
     return (
         f"{findings_table(every_table()).rstrip()}\n\n"
-        f"- **A camera alone has to see what decides.** {weak()}.\n"
+        f"- **One camera is enough only where it sees what decides.** {weak()}.\n"
         f"- **{holding_still()}\n"
     )
 
@@ -70,7 +70,7 @@ def headlines() -> str:
     counts = Counter(one.verdict for one in found)
     said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     sentences = [one.sentence for one in found if one.finding.headline]
-    return "".join(f"- {one}\n" for one in [*sentences, f"Of {len(found)} claims: {said}."])
+    return "".join(f"- {one}\n" for one in [*sentences, f"Of {len(found)} rows below: {said}."])
 
 
 def holding_still() -> str:
@@ -80,9 +80,10 @@ def holding_still() -> str:
     last = [subset["success"] for subset in subsets]
     ever = [subset["success_any"] for subset in subsets]
     return (
-        "From rewards alone, MAD reaches the goal from every camera and does not hold still.** "
-        f"PushCube, on all cameras and each alone: at the last step {min(last):.2f} to "
-        f"{max(last):.2f}, at any step {min(ever):.2f} to {max(ever):.2f} (one training, n = 100)."
+        "Trained by rewards, MAD reaches the goal from every camera and does not hold still.** "
+        f"PushCube, one training, n = 100, all cameras and each one only. At the last step its "
+        f"success is {min(last):.2f} to {max(last):.2f}, at any step {min(ever):.2f} to "
+        f"{max(ever):.2f}."
     )
 
 

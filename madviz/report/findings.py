@@ -77,7 +77,7 @@ class Judged:
 
 FINDINGS = (
     Finding(
-        "On a single camera, MAD is ahead of training on the sum alone",
+        "On a single camera, MAD succeeds more often than Merged Only",
         PUSH,
         ("overall", "mad"),
         ("overall", "merged-only"),
@@ -86,7 +86,7 @@ FINDINGS = (
         headline=True,
     ),
     Finding(
-        "On a single camera, MAD is ahead of training on the sum alone",
+        "On a single camera, MAD succeeds more often than Merged Only",
         CUBE,
         ("overall", "mad"),
         ("overall", "merged-only"),
@@ -94,7 +94,7 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "Trained on MAD's episodes, the sum's loss is ahead of the same loss on its own episodes",
+        "On First person, Merged Only's loss succeeds more often with MAD's episodes than with its own",
         PUSH,
         ("alpha", "alpha 1"),
         ("overall", "merged-only"),
@@ -102,7 +102,7 @@ FINDINGS = (
         "not asked",
     ),
     Finding(
-        "With all cameras, MAD is as good as training on the sum alone",
+        "With all cameras, MAD succeeds as often as Merged Only",
         PUSH,
         ("overall", "mad"),
         ("overall", "merged-only"),
@@ -112,7 +112,7 @@ FINDINGS = (
         headline=True,
     ),
     Finding(
-        "On a single camera, MAD is ahead of one policy for each camera, alpha 0.25",
+        "On a single camera, MAD succeeds more often than a policy of that camera only, alpha 0.25",
         PUSH,
         ("overall", "mad"),
         ("overall", "single"),
@@ -120,7 +120,7 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "On a single camera, MAD is ahead of one policy for each camera, alpha 0.8",
+        "On a single camera, MAD succeeds more often than a policy of that camera only, alpha 0.8",
         PUSH,
         ("alpha", "alpha 0.8"),
         ("overall", "single"),
@@ -128,7 +128,7 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "On a single camera, MAD is ahead of one policy for each camera, alpha 0.25",
+        "On a single camera, MAD succeeds more often than a policy of that camera only, alpha 0.25",
         CUBE,
         ("overall", "mad"),
         ("overall", "single"),
@@ -136,7 +136,7 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "From rewards alone, on Third A, MAD is as good as a policy of that camera",
+        "Trained by rewards, MAD on Third A succeeds as often as a policy of Third A only",
         CUBE,
         ("scratch", "mad, paper-vectorised"),
         ("scratch", "single, paper-vectorised"),
@@ -145,7 +145,7 @@ FINDINGS = (
         "alike",
     ),
     Finding(
-        "With two cameras turned away, MAD is as good as the camera that is left",
+        "With two cameras turned away, MAD succeeds as often as a policy of the third camera only",
         CUBE,
         ("occlusion", "mad"),
         ("occlusion", "single"),
@@ -155,7 +155,7 @@ FINDINGS = (
         headline=True,
     ),
     Finding(
-        "With two cameras turned away, MAD is as good as the camera that is left, alpha 0.8",
+        "With two cameras turned away, MAD succeeds as often as a policy of the third camera only, alpha 0.8",
         CUBE,
         ("occlusion", "mad, alpha 0.8"),
         ("occlusion", "single"),
@@ -164,7 +164,7 @@ FINDINGS = (
         "alike",
     ),
     Finding(
-        "Colour and depth: MAD is as good as a policy of both",
+        "With colour and depth, MAD succeeds as often as a policy that always has both",
         CUBE,
         ("modality", "mad, one-rgbd"),
         ("modality", "single, one-rgbd"),
@@ -173,7 +173,7 @@ FINDINGS = (
         "alike",
     ),
     Finding(
-        "Pictures of several sizes cost nothing",
+        "With pictures of several sizes, MAD succeeds as often as with one size",
         CUBE,
         ("resolution", "mad"),
         ("resolution", "mad, one size"),
