@@ -97,7 +97,7 @@ BENCHMARKS = (
         "the simulator's own rendering {stock:.2f} ({ratio_stock:.0f} times)",
     ),
 )
-"""A file of results/archive/bench, the part of it that is meant, its command, a sentence about it."""
+"""A file of results/archive/bench, the part that is meant, its command, a sentence about it."""
 
 
 def read(name: str) -> dict[str, Any]:

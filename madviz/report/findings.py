@@ -94,7 +94,7 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "On First person, Merged Only's loss succeeds more often with MAD's episodes than with its own",
+        "On First person, Merged Only succeeds more often with MAD's episodes than with its own",
         PUSH,
         ("alpha", "alpha 1"),
         ("overall", "merged-only"),
@@ -145,7 +145,7 @@ FINDINGS = (
         "alike",
     ),
     Finding(
-        "With two cameras turned away, MAD succeeds as often as a policy of the third camera only",
+        "With two cameras turned away, MAD succeeds as often as a policy of the third",
         CUBE,
         ("occlusion", "mad"),
         ("occlusion", "single"),
@@ -155,7 +155,7 @@ FINDINGS = (
         headline=True,
     ),
     Finding(
-        "With two cameras turned away, MAD succeeds as often as a policy of the third camera only, alpha 0.8",
+        "With two cameras turned away, MAD succeeds as often as a policy of the third, alpha 0.8",
         CUBE,
         ("occlusion", "mad, alpha 0.8"),
         ("occlusion", "single"),
