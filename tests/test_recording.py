@@ -10,8 +10,8 @@ from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 
+import av
 import cv2
-import imageio.v2 as imageio
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
@@ -178,9 +178,8 @@ def test_depth_that_a_policy_takes_is_in_a_rerun_file(tmp_path: Path) -> None:
 def test_a_film_has_every_step_and_holds_the_last(tmp_path: Path) -> None:
     path = tmp_path / "x.mp4"
     episode = written(path)
-    film = imageio.get_reader(path)
-    pictures = [np.asarray(picture) for picture in film]  # type: ignore[union-attr]
-    film.close()
+    with av.open(str(path)) as film:
+        pictures = [picture.to_ndarray(format="rgb24") for picture in film.decode(video=0)]
     assert len(pictures) == len(episode) + 15
     height, width = pictures[0].shape[:2]
     assert height % 2 == width % 2 == 0 and width >= 3 * 252

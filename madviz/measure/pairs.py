@@ -11,17 +11,15 @@ of the spread of the first episode's actions. Up to there both robots do the sam
 from __future__ import annotations
 
 import shlex
-import tempfile
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from html import escape
+from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import cv2
-import imageio.v2 as imageio
 import numpy as np
 
 from madviz.measure.attention import places_html
@@ -33,6 +31,7 @@ from madviz.plots.figures import curves
 from madviz.policies import checkpoint
 from madviz.subsets import camera_of, cameras_of
 from madviz.system.files import write_bytes
+from madviz.system.mp4 import Mp4
 from madviz.types import Array, Encoded, Environment
 
 MOST = 12
@@ -157,24 +156,19 @@ def film(shown: ShownPair) -> bytes:
     rows = shown.first.pictures, shown.second.pictures
     steps = max(map(len, rows))
     width = rows[0][0].shape[1]
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "pair.mp4"
-        options = ["-crf", str(RATE), "-threads", "1", "-map_metadata", "-1"]
-        settings = {"fps": FPS, "codec": "libx264", "quality": None, "macro_block_size": 2}
-        writer: Any = imageio.get_writer(
-            file, output_params=options, ffmpeg_log_level="error", **settings
-        )
-        with writer:
-            for step in range(steps):
-                line = np.full((BAR, width, 3), 60, np.uint8)
-                line[:, : round(width * (step + 1) / steps)] = 150
-                if shown.parts is not None:
-                    place = round((width - 4) * shown.parts / steps)
-                    line[:, place : place + 4] = MARK
-                above, below = (row[min(step, len(row) - 1)] for row in rows)
-                gap = np.full((GAP, width, 3), 40, np.uint8)
-                writer.append_data(np.concatenate([line, above, gap, below]))
-        return file.read_bytes()
+    file = BytesIO()
+    written = Mp4(file, FPS, RATE, repeatable=True)  # An audit that goes on gives the same page.
+    for step in range(steps):
+        line = np.full((BAR, width, 3), 60, np.uint8)
+        line[:, : round(width * (step + 1) / steps)] = 150
+        if shown.parts is not None:
+            place = round((width - 4) * shown.parts / steps)
+            line[:, place : place + 4] = MARK
+        above, below = (row[min(step, len(row) - 1)] for row in rows)
+        gap = np.full((GAP, width, 3), 40, np.uint8)
+        written.add(np.concatenate([line, above, gap, below]))
+    written.close()
+    return file.getvalue()
 
 
 # --- On a page ---

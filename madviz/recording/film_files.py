@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
 import tempfile
 from pathlib import Path
 from typing import Protocol
 
-import imageio.v2 as imageio
-import imageio_ffmpeg
 from PIL import Image
 
+from madviz.system.mp4 import Mp4, with_chapters
 from madviz.types import Array
 
 SMALL_WIDTH = 880
@@ -42,43 +40,21 @@ class LargeFilm:
         self.seconds = 0.0
         self._folder = tempfile.TemporaryDirectory()
         self._plain = Path(self._folder.name) / "film.mp4"
-        self._film = imageio.get_writer(
-            self._plain,
-            fps=fps,
-            codec="libx264",
-            quality=7,
-            macro_block_size=2,
-            ffmpeg_log_level="error",
-        )
+        self._film = Mp4(self._plain, fps)
 
     def add(self, picture: Array, seconds: float) -> None:
         """Writes a picture as often as its time asks for; see ``Film``."""
         for _ in range(max(1, round(seconds * self._fps))):
-            self._film.append_data(picture)
+            self._film.add(picture)
         self.seconds += seconds
 
     def close(self, titles: list[tuple[float, str]]) -> None:
         """Writes the chapters, whose times are known only now; see ``Film``."""
         self._film.close()
         ends = [*(start for start, _ in titles[1:]), self.seconds]
-        described = [";FFMETADATA1"]
-        for (start, title), end in zip(titles, ends, strict=True):
-            times = f"START={round(1000 * start)}\nEND={round(1000 * end)}"
-            described.append(f"[CHAPTER]\nTIMEBASE=1/1000\n{times}\ntitle={_escaped(title)}")
-        subprocess.run(
-            [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", "-i", self._plain]
-            + ["-f", "ffmetadata", "-i", "-", "-map_metadata", "1", "-codec", "copy"]
-            + ["-movflags", "+faststart", "-f", "mp4", self._path],
-            input="\n".join(described),
-            text=True,
-            check=True,
-        )
+        chapters = [(start, end, title) for (start, title), end in zip(titles, ends, strict=True)]
+        with_chapters(self._plain, self._path, chapters)
         self._folder.cleanup()
-
-
-def _escaped(title: str) -> str:
-    """``title`` for ffmpeg's file of metadata."""
-    return "".join(f"\\{letter}" if letter in "=;#\\" else letter for letter in title)
 
 
 class SmallFilm:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import imageio.v2 as imageio
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
@@ -18,6 +17,7 @@ from madviz.drawing.colours import BAD, FAINT, GOOD, INK, MUTED, NOTE, rgb
 from madviz.drawing.mosaic import mosaic
 from madviz.recording.facts import Facts, condition_words, headline, verdict
 from madviz.session.frame import Frame
+from madviz.system.mp4 import Mp4
 from madviz.types import Array
 
 CAPTION = 52
@@ -34,7 +34,7 @@ class VideoWriter:
     def __init__(self, path: Path, facts: Facts) -> None:
         self._path = path
         self._facts = facts
-        self._film: Any = None
+        self._film: Mp4 | None = None
         self._q: list[float] = []
         self._marks: list[int] = []
         self._setting: object = None
@@ -42,20 +42,13 @@ class VideoWriter:
 
     def add(self, frame: Frame) -> None:
         if self._film is None:
-            self._film = imageio.get_writer(
-                self._path,
-                fps=self._facts.fps,
-                codec="libx264",
-                quality=7,
-                macro_block_size=2,
-                ffmpeg_log_level="error",
-            )
+            self._film = Mp4(self._path, self._facts.fps)
         if self._setting not in (None, frame.condition):
             self._marks.append(frame.world.step)
         self._setting = frame.condition
         self._q.append(frame.q)
         self._last = self._picture(frame)
-        self._film.append_data(self._last)
+        self._film.add(self._last)
 
     def close(self) -> None:
         if self._film is None or self._last is None:
@@ -63,7 +56,7 @@ class VideoWriter:
         film = self._film
         self._film = None
         for _ in range(round(HOLD * self._facts.fps)):
-            film.append_data(self._last)
+            film.add(self._last)
         film.close()
 
     def _picture(self, frame: Frame) -> Array:
