@@ -17,7 +17,7 @@ from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.cameras import CamerasPanel, switched
 from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel, status_html
-from madviz.app.panels.subsets import SubsetsPanel, distances, presence, subset_label, subsets_html
+from madviz.app.panels.subsets import SubsetsPanel, distances, presence, subsets_html
 from madviz.app.panels.success import SuccessPanel
 from madviz.app.panels.words import Prediction, WordsPanel
 from madviz.app.scene.scene import ScenePanel
@@ -31,6 +31,7 @@ from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import Compare, Link, Pause, Scrub, SetCamera, SetPolicy, StepOnce
 from madviz.session.frame import Frame
 from madviz.session.session import Session
+from madviz.session.stream_words import subset_label
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import browser, recorded, use
 from tests.sessions import OFF, Recorder, frame_with, with_world

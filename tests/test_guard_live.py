@@ -21,6 +21,7 @@ from madviz.guard.policy import GuardedPolicy
 from madviz.measure.guard_fit import play_intact
 from madviz.observation.ablation import CameraState
 from madviz.policies.guarded import reference_to
+from madviz.recording.facts import condition_words
 from madviz.session.commands import Compare, Fork, Link, Scrub, SetCamera, SetPolicy
 from madviz.session.guard_words import failing, guard_sentence
 from madviz.session.replay import replay_episode
@@ -59,6 +60,7 @@ def test_a_camera_that_fails_is_left_out_of_what_is_shown(session: Recorder) -> 
     assert whole.mask.all() and failing(whole) == {}
     black = session.ask(SetCamera("first", BLACK))
     assert black.mask.tolist() == [False, True, True] and not black.uses("first")
+    assert condition_words(black) == "all, First person sends black and is left out"
     noticed = failing(black)["first"]
     assert (noticed.kind, noticed.since, noticed.left_out) == ("black", 3, True)
     assert noticed.badge == "BLACK · left out since step 3"

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from madviz.session.frame import Frame
+from madviz.session.guard_words import failing
+from madviz.session.stream_words import subset_label
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,16 @@ def headline(frame: Frame, facts: Facts) -> str:
 
 
 def condition_words(frame: Frame) -> str:
-    """Which streams count and which cameras fail how: ``first+third_b, First person is frozen``."""
-    parts = [frame.condition.subset]
+    """Which cameras count, and which fail how: ``First person + Third B, First person is frozen``;
+    with a guard, ``all, Third A sends black and is left out``."""
+    failed = failing(frame)
+    parts = [subset_label(frame, frame.condition.subset)]
     for name, occlusion in sorted(frame.world.ablation.occlusions().items()):
+        said = f"{frame.world.env.camera(name).label} {occlusion.predicate}"
         if frame.uses(name):
-            parts.append(f"{frame.world.env.camera(name).label} {occlusion.predicate}")
+            parts.append(said)
+        elif name in failed:
+            parts.append(f"{said} and is left out")
     return ", ".join(parts)
 
 

@@ -41,7 +41,8 @@ class Mp4:
         if not self._count:
             self._stream.height, self._stream.width = picture.shape[:2]
         frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
-        frame.pts, frame.time_base = self._count, 1 / self._fps
+        frame.pts = self._count
+        frame.time_base = 1 / self._fps
         self._count += 1
         self._file.mux(self._stream.encode(frame))
 
