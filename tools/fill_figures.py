@@ -125,6 +125,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "imagine": measurements.imagine,
     "view-masking": measurements.view_masking,
     "places": measurements.places,
+    "audits": measurements.audits,
     "soak": measurements.soak,
     "site-speed": measurements.site_speed,
     "site-success": measurements.site_success,
