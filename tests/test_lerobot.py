@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -18,8 +19,10 @@ from PIL import Image
 
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
+from madviz.recorded.recordings import open_recordings
 from madviz.recording import lerobot
 from madviz.recording import record as recording
+from madviz.recording.dataset_films import DatasetFilms
 from madviz.recording.lerobot import Decision, expert_decisions, policy_decisions, write_dataset
 from madviz.recording.record import RecordConfig, record_words, run_record
 from tests.fakes import FakePolicy, NanPolicy, policies
@@ -156,6 +159,7 @@ def test_a_camera_that_a_policy_cannot_do_without_is_named_with_its_step() -> No
             "expected an expert to need no cameras",
         ),
         (("--format", "lerobot", "--policy", "toy-mad", "--out", "a/x"), "make a first"),
+        (("--policy", "toy-mad", "--video", "--out", "x.mp4"), "expected --format lerobot beside"),
     ],
 )
 def test_a_mistake_is_one_line(
@@ -198,6 +202,41 @@ def test_depth_says_that_it_is_depth_in_which_unit_and_range(tmp_path: Path) -> 
     assert np.shape(found["mean"]) == (1, 1, 1)
     np.testing.assert_allclose(np.ravel(found["mean"]), every.mean(), rtol=1e-6)
     np.testing.assert_allclose(np.ravel(found["std"]), every.std(), rtol=1e-6)
+
+
+def test_films_of_a_dataset_hold_its_pictures_and_depth_stays_exact(tmp_path: Path) -> None:
+    _, rows = recorded(tmp_path / "exact", policy="toy-rgbd", seed=3, episodes=2)
+    recorded(tmp_path / "films", policy="toy-rgbd", seed=3, episodes=2, video=True)
+    film = tmp_path / "films/videos/observation.images.first.rgb/chunk-000/file-000.mp4"
+    with av.open(str(film)) as read:
+        shown = [frame.to_ndarray(format="rgb24") for frame in read.decode(video=0)]
+    assert len(shown) == len(rows) == 50
+    for row, frame in zip(rows, shown, strict=True):
+        assert np.abs(picture(row, "first.rgb").astype(int) - frame).mean() < 3
+    (file,) = (tmp_path / "films" / "data").rglob("*.parquet")
+    columns = pq.read_table(file).column_names
+    assert (
+        "observation.images.first.depth" in columns
+        and "observation.images.first.rgb" not in columns
+    )
+
+
+def test_a_dataset_of_films_is_read_again(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    _, rows = recorded(tmp_path / "exact", policy="toy-mad", seed=3, episodes=2)
+    recorded(tmp_path / "films", policy="toy-mad", seed=3, episodes=2, video=True)
+    found = open_recordings(tmp_path / "films")
+    assert len(found.episodes) == 2 and not found.left_out
+    frames = found.frames(1, 84)  # (T, V, H, W, C), the second episode's.
+    expected = np.array([[picture(row, camera) for camera in CAMERAS] for row in rows[25:]])
+    assert np.abs(frames.astype(int) - expected).mean() < 3
+
+
+def test_a_picture_with_odd_sides_cannot_be_a_film(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="even sides, found 63 x 84 in observation.images.first"):
+        DatasetFilms(tmp_path, 10.0).add(
+            "observation.images.first", [np.zeros((63, 84, 3), np.uint8)]
+        )
 
 
 def test_a_depth_that_millimetres_cannot_say_is_refused() -> None:
@@ -246,8 +285,11 @@ def test_lerobots_own_loader_reads_depth_in_millimetres(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not PYTHON.exists(), reason="integrations/lerobot/setup.sh makes it")
-def test_lerobots_own_loader_reads_it(tmp_path: Path) -> None:
-    _, rows = recorded(tmp_path / "set", policy="toy-mad", episodes=2, drop=("third_a@3",))
+@pytest.mark.parametrize("video", [False, True])
+def test_lerobots_own_loader_reads_it(video: bool, tmp_path: Path) -> None:
+    played = {"policy": "toy-mad", "episodes": 2, "drop": ("third_a@3",)}
+    _, rows = recorded(tmp_path / "exact", **played)
+    recorded(tmp_path / "set", **played, video=video)
     program = (
         "import json, sys; from lerobot.datasets.lerobot_dataset import LeRobotDataset\n"
         "d = LeRobotDataset('madviz/toy', root=sys.argv[1], "
@@ -261,5 +303,7 @@ def test_lerobots_own_loader_reads_it(tmp_path: Path) -> None:
     count, episodes, padded, mask, task, mean, action = found
     assert (count, episodes, padded) == (50, 2, [False, True, True])
     assert mask == [True, False, True] and task == "Go to the orange target."
-    assert mean == pytest.approx(picture(rows[24], "first").mean() / 255, abs=1e-5)
+    assert mean == pytest.approx(
+        picture(rows[24], "first").mean() / 255, abs=5e-3 if video else 1e-5
+    )
     np.testing.assert_allclose(action, np.mean([row["action"] for row in rows], 0), atol=1e-6)

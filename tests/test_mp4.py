@@ -8,13 +8,13 @@ from pathlib import Path
 import av
 import numpy as np
 
-from madviz.system.mp4 import Mp4, with_chapters
+from madviz.system.mp4 import REPEATABLE, Mp4, with_chapters
 
 
 def film() -> bytes:
     """Twenty pictures that move; memory is filled with other numbers in between."""
     out = BytesIO()
-    written = Mp4(out, fps=10, rate_factor=30, repeatable=True)
+    written = Mp4(out, fps=10, rate_factor=30, options=REPEATABLE)
     picture = np.random.default_rng(0).integers(0, 255, (348, 340, 3), np.uint8)
     for step in range(20):
         used = np.full(10_000 * (id(written) % 7 + step), step, np.uint8)

@@ -31,7 +31,7 @@ from madviz.plots.figures import curves
 from madviz.policies import checkpoint
 from madviz.subsets import camera_of, cameras_of
 from madviz.system.files import write_bytes
-from madviz.system.mp4 import Mp4
+from madviz.system.mp4 import REPEATABLE, Mp4
 from madviz.types import Array, Encoded, Environment
 
 MOST = 12
@@ -157,7 +157,7 @@ def film(shown: ShownPair) -> bytes:
     steps = max(map(len, rows))
     width = rows[0][0].shape[1]
     file = BytesIO()
-    written = Mp4(file, FPS, RATE, repeatable=True)  # An audit that goes on gives the same page.
+    written = Mp4(file, FPS, RATE, REPEATABLE)  # An audit that goes on gives the same page.
     for step in range(steps):
         line = np.full((BAR, width, 3), 60, np.uint8)
         line[:, : round(width * (step + 1) / steps)] = 150

@@ -7,6 +7,7 @@ format is written here; a slow test reads it with LeRobot's own loader, in its o
     meta/tasks.parquet               the task in words
     meta/episodes/…/file-000.parquet where each episode stands, and its own statistics
     data/chunk-000/file-000.parquet  a row for each decision; pictures as PNG, depth as TIFF
+    videos/…/file-000.mp4            with ``--video`` the colour pictures, in place of those rows
 
 A row is a decision: what every camera sent (``observation.images.first``), the state, the action,
 and ``camera_mask``, 1 for each camera that the policy was given. A dropped camera still has its
@@ -41,6 +42,7 @@ from madviz.observation.ablation import Ablation
 from madviz.observation.schedule import Schedule, reached
 from madviz.observation.streams import StreamStack
 from madviz.policies.players import player_of
+from madviz.recording.dataset_films import FILMS, DatasetFilms, film_feature
 from madviz.recording.dataset_statistics import described, described_pictures, tally
 from madviz.runs.demonstrations import slow_noise
 from madviz.session.frame import untouched
@@ -123,15 +125,19 @@ def policy_decisions(
 
 
 def write_dataset(
-    out: Path, env: EnvSpec, fps: float, episodes: Iterator[Iterator[Decision]]
+    out: Path,
+    env: EnvSpec,
+    fps: float,
+    episodes: Iterator[Iterator[Decision]],
+    video: bool = False,
 ) -> list[bool]:
     """Writes all of ``episodes`` in ``env`` to the folder ``out``; whether each ended in success.
-    The folder appears when it is complete. Raises UserError for a folder that is there already, and
-    for a depth that does not fit."""
+    The folder appears when it is complete. Raises UserError for a folder that is there already, for
+    a depth that does not fit, and for pictures that no film can hold."""
     check_folder(out)
     try:
         with new_folder(out) as part:
-            dataset = LeRobotFolder(part, env, fps)
+            dataset = LeRobotFolder(part, env, fps, video)
             ends = [dataset.add(list(episode)) for episode in episodes]
             dataset.close()
     except OSError as error:
@@ -157,8 +163,9 @@ def check_folder(out: Path) -> None:
 class LeRobotFolder:
     """The folder, episode by episode. ``close`` completes it."""
 
-    def __init__(self, folder: Path, env: EnvSpec, fps: float) -> None:
+    def __init__(self, folder: Path, env: EnvSpec, fps: float, video: bool) -> None:
         self._folder = folder
+        self._films = DatasetFilms(folder, fps) if video else None
         self._task = env.instruction or env.task
         self._env = env
         self._fps = fps
@@ -176,15 +183,20 @@ class LeRobotFolder:
         pictures = list(decisions[0].pictures)
         ranges = {name: depth_range_of(name, self._env) for name in pictures}
         if not self._features:
-            self._features = features(decisions[0], columns, ranges)
+            fps = self._fps if self._films else None
+            self._features = features(decisions[0], columns, ranges, fps)
         stats = {name: described(column) for name, column in columns.items()}
         data: dict[str, pa.Array] = {}
+        filmed: dict[str, float] = {}
         for name in pictures:
             frames = [one.pictures[name] for one in decisions]
             span = ranges[name]
             if span:
                 frames = [frame[..., :1] for frame in frames]  # Three equal channels, if three.
-            data[_key(name)] = _picture_column(frames, span)
+            if self._films and not span:
+                filmed |= self._films.add(_key(name), frames)
+            else:
+                data[_key(name)] = _picture_column(frames, span)
             tallied = tally(frames)
             stats[_key(name)] = described_pictures(tallied, len(frames), span)
             self._tallies[name] = self._tallies.get(name, 0) + tallied
@@ -203,6 +215,7 @@ class LeRobotFolder:
                 "data/file_index": place,
                 "dataset_from_index": first,
                 "dataset_to_index": self._frames,
+                **filmed,
                 **{f"stats/{k}/{what}": v for k, each in stats.items() for what, v in each.items()},
                 "meta/episodes/chunk_index": 0,
                 "meta/episodes/file_index": 0,
@@ -214,10 +227,11 @@ class LeRobotFolder:
         """Writes what holds for all episodes."""
         if self._writer is not None:
             self._writer.close()
+        if self._films:
+            self._films.close()
         count = len(self._episodes)
-        write_json(
-            self._made("meta/info.json"), info(self._features, count, self._frames, self._fps)
-        )
+        described_by = info(self._features, count, self._frames, self._fps)
+        write_json(self._made("meta/info.json"), described_by)
         whole = {name: described(np.concatenate(each)) for name, each in self._columns.items()}
         for name, tallied in self._tallies.items():
             span = depth_range_of(name, self._env)
@@ -284,12 +298,18 @@ def depth_range_of(stream: str, env: EnvSpec) -> tuple[float, float] | None:
 
 
 def features(
-    one: Decision, columns: dict[str, Array], ranges: Mapping[str, tuple[float, float] | None]
+    one: Decision,
+    columns: dict[str, Array],
+    ranges: Mapping[str, tuple[float, float] | None],
+    film_fps: float | None,
 ) -> dict[str, dict[str, Any]]:
-    """LeRobot's description of every column."""
+    """LeRobot's description of every column; ``film_fps``: where colour stands in films."""
     table: dict[str, dict[str, Any]] = {}
     for name, picture in one.pictures.items():
         span = ranges[name]
+        if film_fps and not span:
+            table[_key(name)] = film_feature(picture, film_fps)
+            continue
         shape = [*picture.shape[:2], 1 if span else 3]
         axes = ["height", "width", "channels"]
         table[_key(name)] = {"dtype": "image", "shape": shape, "names": axes}
@@ -315,7 +335,7 @@ def info(features: dict[str, Any], episodes: int, frames: int, fps: float) -> di
         "data_files_size_in_mb": FILE_BYTES >> 20,
         "video_files_size_in_mb": 200,
         "data_path": DATA,
-        "video_path": None,
+        "video_path": FILMS if any(one["dtype"] == "video" for one in features.values()) else None,
         "robot_type": None,
         "splits": {"train": f"0:{episodes}"},
     }

@@ -91,14 +91,11 @@ class RecordConfig:
     keep: Path | None = None
     """Also write the episode as a saved session, for `madviz replay`."""
     json: str | None = None
-    """Write what was recorded to this file; ``-`` is standard output, and nothing else goes there.
-    """
+    """Write what was recorded to this file; ``-``: to standard output, and nothing else there."""
     wire: Path | None = None
-    """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
-    itself."""
+    """A served policy's names and shapes, a TOML file; madviz serve says them itself."""
     guard: bool = False
-    """A camera that the guard finds failing is left out until it works again; `madviz
-    guard` fits it."""
+    """A camera that fails is left out until it works again; `madviz guard` fits what notices."""
     trust: bool = False
     """Whether the file of sb3:FILE@TASK may be loaded, which runs what is in it."""
     format: Literal["lerobot"] | None = None
@@ -114,6 +111,8 @@ class RecordConfig:
     """A second policy on the same episodes, for a film of both."""
     acts: bool = False
     """With --vs: every seed thrice: all cameras, with the failures, and with the guard as well."""
+    video: bool = False
+    """With --format: colour pictures as films, which are smaller and not exact."""
 
 
 def check(config: RecordConfig) -> None:
@@ -127,10 +126,11 @@ def check(config: RecordConfig) -> None:
         return check_dataset(config)
     if config.vs is not None:
         return check_film(config)
-    if config.expert is not None or config.episodes > 1 or config.noise or config.acts:
+    of_dataset = config.expert is not None or config.noise or config.video
+    if of_dataset or config.episodes > 1 or config.acts:
         raise UserError(
-            "expected --format lerobot beside --expert or --noise, --vs beside --acts, one of both "
-            "beside --episodes, found none; add it"
+            "expected --format lerobot beside --expert, --noise or --video, --vs beside --acts, "
+            "one of both beside --episodes, found none; add it"
         )
     if config.replay is None and config.policy is None:
         raise UserError("expected --policy NAME or --replay FILE, found neither; give one")
@@ -288,7 +288,7 @@ def run_dataset(config: RecordConfig) -> dict[str, Any]:
             else lerobot.expert_decisions(env, streams, config.noise, seed)
             for seed in seeds
         )
-        ends = lerobot.write_dataset(config.out, env.spec, config.fps, played)
+        ends = lerobot.write_dataset(config.out, env.spec, config.fps, played, config.video)
         decisions = len(ends) * env.spec.horizon
     return {
         "schema": 1,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import IO, Any
@@ -14,25 +14,31 @@ from madviz.types import Array
 FAST = {"movflags": "+faststart"}
 """The table of contents stands first, so that a browser shows a film while it loads."""
 REPEATABLE = {"threads": "1", "x264-params": "rc-lookahead=0:mbtree=0:bframes=0:scenecut=0"}
-"""x264 without its look at later pictures: its costs there differ from run to run (of 20 films of
-the same pictures, 16 had bytes of their own)."""
+"""The same pictures give the same bytes, in a larger file. x264 does not look at later pictures
+then: its costs there differ from run to run (of 20 films of the same pictures, 16 were different).
+"""
+SEEKABLE = {"g": "2"}
+"""Every second picture stands for itself, so that any is found at once, as LeRobot has it."""
 
 
 class Mp4:
     """A film of pictures of one size with even sides. ``close`` completes the file."""
 
     def __init__(
-        self, out: Path | IO[bytes], fps: float, rate_factor: int = 18, repeatable: bool = False
+        self,
+        out: Path | IO[bytes],
+        fps: float,
+        rate_factor: int = 18,
+        options: Mapping[str, str] | None = None,
     ) -> None:
-        """``rate_factor``: x264's crf; larger is smaller and worse. ``repeatable``: the same
-        pictures give the same bytes, in a larger file."""
+        """``rate_factor``: x264's crf; larger is smaller and worse. ``options``: more of x264's."""
         if isinstance(out, Path):
             self._file = av.open(str(out), "w", format="mp4", options=FAST)
         else:
             self._file = av.open(out, "w", format="mp4")
         self._fps = Fraction(fps).limit_denominator(1000)
-        options = {"crf": str(rate_factor)} | (REPEATABLE if repeatable else {})
-        self._stream: Any = self._file.add_stream("libx264", rate=self._fps, options=options)
+        coded = {"crf": str(rate_factor), **(options or {})}
+        self._stream: Any = self._file.add_stream("libx264", rate=self._fps, options=coded)
         self._stream.pix_fmt = "yuv420p"
         self._count = 0
 
