@@ -30,7 +30,7 @@ from madviz.system.markdown import markdown_table
 
 MARGIN = 0.1
 """Differences within this either way count as none."""
-HEADER = ("claim", "measured", "result, in points", "the paper", "verdict")
+HEADER = ("our claim", "measured", "result, in points", "the paper", "verdict")
 ALONE = THREE[1:]
 PUSH = "metaworld/push"
 CUBE = "maniskill/push-cube"
@@ -94,7 +94,7 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "On First person, Merged Only succeeds more often with MAD's episodes than with its own",
+        "On First person, Merged Only succeeds more often with MAD's recorded episodes",
         PUSH,
         ("alpha", "alpha 1"),
         ("overall", "merged-only"),
@@ -145,7 +145,7 @@ FINDINGS = (
         "alike",
     ),
     Finding(
-        "With two cameras turned away, MAD succeeds as often as a policy of the third",
+        "With two cameras turned away, MAD succeeds as often as the third's own policy",
         CUBE,
         ("occlusion", "mad"),
         ("occlusion", "single"),
@@ -155,7 +155,7 @@ FINDINGS = (
         headline=True,
     ),
     Finding(
-        "With two cameras turned away, MAD succeeds as often as a policy of the third, alpha 0.8",
+        "With two cameras turned away, MAD succeeds as often as the third's own policy, alpha 0.8",
         CUBE,
         ("occlusion", "mad, alpha 0.8"),
         ("occlusion", "single"),
