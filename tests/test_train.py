@@ -54,6 +54,12 @@ def test_names_follow_the_scheme() -> None:
     assert resolve(rgbd).spec.name == "metaworld-hammer-mad-three-rgbd-light"
 
 
+def test_a_state_without_where_the_cube_began_is_read_in_part_and_stands_in_the_command() -> None:
+    plan = resolve(TrainConfig("maniskill/pull-cube", state="no-start"))
+    assert plan.networks.state_columns == tuple(range(25)) and plan.networks.state_dim == 28
+    assert "--state no-start" in plan.command
+
+
 def test_the_command_on_the_card_says_what_was_not_default() -> None:
     config = TrainConfig(task="toy/reach", light=LightConfig(rounds=3, alpha=0.8))
     words = command(config)
@@ -213,6 +219,10 @@ def test_a_run_that_broke_before_it_began_stands_in_nobodys_way(
         (
             {"state": "paper", "light": TINY},
             "a task with fewer numbers .* toy/reach, which has none; leave",
+        ),
+        (
+            {"state": "no-start", "light": TINY},
+            "whose state tells where the object began .* found toy/reach; leave",
         ),
     ],
 )
