@@ -89,6 +89,8 @@ class EnvSpec:
     """The task in words, for a policy that takes language."""
     action_spread: tuple[float, ...] = ()
     """Standard deviation of each number of the recorded actions. Only recordings have it."""
+    start_state: tuple[int, ...] = ()
+    """The state numbers that tell where the object began, whatever the cameras show."""
 
     @property
     def recorded(self) -> bool:

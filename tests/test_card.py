@@ -46,6 +46,26 @@ def test_a_card_filled_in_several_goes_says_how_many_seeds_each_row_has(folder):
     assert "Development seeds 5000 to 5049, the same for every row; render" in card_text(folder)
 
 
+def test_a_card_says_that_a_policy_was_chosen_and_its_digest_stays(folder):
+    measure(folder, ROWS)
+    before, digest = card_text(folder), describe(folder).spec.digest
+    for trainings, words in ((2, "the better of two trainings"), (3, "the best of 3 trainings")):
+        (folder / "choice.json").write_text(f'{{"best_of": {trainings}}}')
+        text = card_text(folder)
+        assert f"\n- chosen: {words}\n" in text and digest in text
+        source = "`config.json`, `choice.json` and `evaluation.json`"
+        assert (
+            text.replace(f"- chosen: {words}\n", "").replace(
+                source, "`config.json` and `evaluation.json`"
+            )
+            == before
+        )
+    for wrong in ('{"best_of": 1}', "{}", '{"best_of": 2, "of": 3}'):
+        (folder / "choice.json").write_text(wrong)
+        with pytest.raises(UserError, match="choice.json: .*restore the file, or remove it"):
+            card_text(folder)
+
+
 def test_a_card_without_an_evaluation_says_so(folder):
     assert "Not measured yet: `madviz eval --policy toy-reach-mad-light --card`" in card_text(
         folder

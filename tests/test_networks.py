@@ -113,7 +113,18 @@ def test_a_shift_moves_and_repeats_the_edge() -> None:
 def test_both_ways_to_shift_agree() -> None:
     pictures = images(6, 3, 9, 84, 84)
     shifts = np.random.default_rng(0).integers(-4, 5, (6, 3, 2))
-    assert torch.equal(shift(pictures, shifts), _shift_by_index(pictures, torch.from_numpy(shifts)))
+    moved = shift(pictures, shifts)
+    assert torch.equal(moved, _shift_by_index(pictures, torch.from_numpy(shifts)))
+
+
+def test_pixels_centred_by_the_shift_give_the_same_features_to_the_bit() -> None:
+    pictures, shifts = images(2, 1, 9, 84, 84), np.array([[[3, -2]], [[0, 4]]])
+    moved, centred = shift(pictures, shifts), shift(pictures, shifts, centred=True)
+    assert centred.dtype == torch.int8 and torch.equal(centred.int(), moved.int() - 128)
+    encoder = Encoder(3)
+    for low in (False, True):
+        with torch.autocast("cpu", torch.bfloat16, enabled=low):
+            assert torch.equal(encoder(centred[:, 0]), encoder(moved[:, 0]))
 
 
 @pytest.mark.parametrize("same", [True, False])

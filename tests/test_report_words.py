@@ -53,6 +53,14 @@ def test_the_threshold_is_for_twenty_tasks_and_the_page_counts_them(tmp_path: Pa
     assert "with a camera below 0.70**: none." in text
 
 
+def test_a_policy_that_was_chosen_among_several_trainings_is_named(tmp_path: Path) -> None:
+    folder = write_policy(tmp_path, GOOD)
+    assert "**Chosen among several trainings**: none.\n" in report(tmp_path)[1]
+    (folder / "choice.json").write_text('{"best_of": 2}')
+    said = "**Chosen among several trainings**: metaworld/hammer is the better of two trainings.\n"
+    assert said in report(tmp_path)[1]
+
+
 def test_what_is_accepted_with_a_weak_camera_is_named(tmp_path: Path) -> None:
     write_policy(tmp_path, rates(1.0, 0.5, 1.0, 1.0))
     write_policy(tmp_path, rates(0.5, 0.5, 1.0, 1.0), task="metaworld/push")

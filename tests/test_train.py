@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from madviz import cli
 from madviz.errors import UserError
@@ -52,6 +53,12 @@ def test_names_follow_the_scheme() -> None:
     assert resolve(TrainConfig()).spec.name == "metaworld-hammer-mad-light"
     rgbd = TrainConfig(setting="three-rgbd")
     assert resolve(rgbd).spec.name == "metaworld-hammer-mad-three-rgbd-light"
+
+
+def test_a_state_without_where_the_cube_began_is_read_in_part_and_stands_in_the_command() -> None:
+    plan = resolve(TrainConfig("maniskill/pull-cube", state="no-start"))
+    assert plan.networks.state_columns == tuple(range(25)) and plan.networks.state_dim == 28
+    assert "--state no-start" in plan.command
 
 
 def test_the_command_on_the_card_says_what_was_not_default() -> None:
@@ -214,6 +221,10 @@ def test_a_run_that_broke_before_it_began_stands_in_nobodys_way(
             {"state": "paper", "light": TINY},
             "a task with fewer numbers .* toy/reach, which has none; leave",
         ),
+        (
+            {"state": "no-start", "light": TINY},
+            "whose state tells where the object began .* found toy/reach; leave",
+        ),
     ],
 )
 def test_options_that_cannot_be_carried_out_cost_nothing(
@@ -249,7 +260,7 @@ def test_the_threads_of_the_learner_may_not_change(monkeypatch: pytest.MonkeyPat
     assert identity(light, ()) == identity(replace(light, threads=1), ()), "what it takes anyway"
     lanes = TrainConfig("toy/reach", recipe="paper-vectorised")
     fewer = replace(lanes, vectorised=replace(lanes.vectorised, workers=2))
-    assert changes(identity(lanes, ()), identity(fewer, ())) == ["threads_used 4 -> 6"]
+    assert changes(identity(lanes, ()), identity(fewer, ())) == ["threads_used 7 -> 6"]
     older = {name: each for name, each in identity(lanes, ()).items() if name != "threads_used"}
     assert changes({**older, "threads": None}, identity(fewer, ())) == []
 
@@ -263,6 +274,20 @@ def test_the_learner_takes_the_cores_that_are_left(monkeypatch: pytest.MonkeyPat
     assert replace(config.mv_mwm, workers=9).threads() == 1
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     assert config.vectorised.processes() == 1 and config.vectorised.threads() == 2
+
+
+@pytest.mark.parametrize(
+    ("cores", "on_cuda", "workers", "threads"),
+    [(4, False, 1, 3), (8, False, 1, 7), (32, False, 4, 28), (16, True, 8, 8), (4, True, 3, 1)],
+)
+def test_workers_are_few_beside_a_cpu_that_learns_and_many_beside_a_gpu(
+    monkeypatch: pytest.MonkeyPatch, cores: int, on_cuda: bool, workers: int, threads: int
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: on_cuda)
+    for lanes in (TrainConfig().vectorised, TrainConfig().mv_mwm):
+        assert lanes.environments == 8
+        assert (lanes.processes(), lanes.threads()) == (workers, threads)
 
 
 @pytest.mark.slow

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 import torch
 
+from madviz.agent.agent import TorchPolicy
+from madviz.agent.networks import NetworkConfig
 from madviz.envs.toy import CAMERAS, ToyReach
 from madviz.errors import UserError
 from madviz.measure.episodes import Stopped, run_episode
@@ -24,8 +26,9 @@ from madviz.runs.drawn_task import DrawnTask
 from madviz.runs.run_folder import Event
 from madviz.runs.vector_envs import Board, VectorEnvs
 from madviz.training.config import TrainConfig, resolve
+from madviz.training.paper import ShiftingPolicy
 from madviz.training.vectorised import VectorisedConfig
-from tests.fakes import FakePolicy
+from tests.fakes import FakePolicy, random_policy
 from tests.recipe_runs import last_state
 
 STREAMS = ("first.rgb", "first.depth", "third_b.rgb")
@@ -93,7 +96,7 @@ def test_lanes_in_processes_are_the_environments_themselves() -> None:
                 for lane, env in enumerate(alone):
                     now = env.step(actions[lane])
                     np.testing.assert_array_equal(envs.board["state"][lane], now.state)
-                    assert envs.board["reward"][lane] == np.float32(now.reward)
+                    assert envs.board["reward"][lane] == now.reward
                     assert envs.board["last"][lane] == (step == 24)
                     first, depth, third = envs.frames(lane)
                     np.testing.assert_array_equal(first, env.view("first").rgb)
@@ -191,27 +194,48 @@ def test_updates_are_made_while_the_lanes_step(
     monkeypatch.setattr(
         "madviz.agent.update.Learner.step", lambda learner, batch: log.append("update")
     )
-    run(tmp_path / "run", replace(TINY, update_ratio=1.0, steps=48))
+    run(tmp_path / "run", replace(TINY, update_ratio=1.0, steps=48, eval_episodes=0))
     assert log[:40] == ["send", "receive"] * 20, "exploration"
     assert log[40:] == ["send", "receive", *["send", "update", "update", "receive"] * 3]
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_lanes_play_episodes_as_evaluations_do_and_stop_when_asked(workers: int) -> None:
-    policy, mask = FakePolicy(), np.array([1, 0, 1], bool)
-    jobs = [(mask, seed) for seed in range(1000, 1005)]
-    expected = [run_episode(policy, ToyReach(), mask, Ablation(), seed) for _, seed in jobs]
-    streams = policy.spec.streams
-    own = Board(3, streams, state_dim=6, action_dim=2)
-    envs = VectorEnvs(replace(TASK, streams=streams), own, lanes=3, workers=workers)
+@pytest.mark.parametrize("shifts", [False, True])
+def test_lanes_play_together_what_evaluations_play_one_at_a_time(
+    workers: int, shifts: bool
+) -> None:
+    spec = replace(FakePolicy().spec, streams=STREAMS)
+    agent = random_policy(spec, NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8)).agent
+    policy = ShiftingPolicy(spec, agent, True) if shifts else TorchPolicy(spec, agent)
+    subsets = np.array([[1, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1]], bool)
+    jobs = list(zip(subsets, range(1000, 1005), strict=True))
+    expected = [run_episode(policy, ToyReach(), mask, Ablation(), seed) for mask, seed in jobs]
+    envs = VectorEnvs(TASK, board(3), lanes=3, workers=workers)
     try:
-        asked = iter([False] * (2 if workers else 30))
-        with pytest.raises(Stopped):  # While episodes are played.
+        asked = iter([False] * 30)
+        with pytest.raises(Stopped):  # While the last two are played.
             envs.play(policy, jobs, lambda: next(asked, True))
-        assert envs.play(policy, jobs, lambda: False) == expected
-        envs.reset([1, 2, 3])  # No answer was left in a pipe.
+        for one, alone in zip(envs.play(policy, jobs, lambda: False), expected, strict=True):
+            assert one.total_reward == pytest.approx(alone.total_reward, rel=1e-5)
+            assert replace(one, total_reward=alone.total_reward) == alone
+        envs.reset([1, 2, 3])  # No answer was left in a pipe, and every camera is drawn again.
+        assert all(frame.any() for lane in range(3) for frame in envs.frames(lane))
     finally:
         envs.close()
+
+
+def test_lanes_draw_only_what_an_episode_sees(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[str] = []
+    view = ToyReach.view
+    monkeypatch.setattr(
+        ToyReach, "view", lambda self, camera: drawn.append(camera) or view(self, camera)
+    )
+    spec = replace(FakePolicy().spec, streams=STREAMS)
+    policy = random_policy(spec, NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8))
+    envs = VectorEnvs(TASK, board(3), lanes=3, workers=0)
+    assert envs.play(policy, [(np.array([0, 0, 1], bool), 1000)], lambda: False)
+    envs.close()
+    assert drawn == ["third_b"] * 26, "and lanes without an episode draw nothing"
 
 
 def test_cuda_is_refused_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -96,6 +96,26 @@ class TorchPolicy:
         q = torch.minimum(*self.agent.critic(rows, state, action)) / self._reward_scale
         return Readout(merge.merged_feature(rows).numpy(), action.numpy(), q.numpy())
 
+    @torch.inference_mode()
+    def act_together(
+        self,
+        views: UInt8[Array, "B V C H W"],
+        state: Float[Array, "B S"],
+        masks: Bool[Array, "B V"],
+    ) -> Float[Array, "B A"]:
+        """The actions of B episodes, each read on its own subset: those of ``encode`` and ``read``,
+        but for rounding, with one pass through the networks and no Q."""
+        merge = self.agent.encoder
+        pictures = torch.from_numpy(views)
+        present = torch.from_numpy(masks)
+        features = merge.encode_to_act(pictures)
+        each = [slice(i, i + 1) for i in range(len(views))]  # A merge's noise is one episode's.
+        rows = [
+            merge.rows(features[i], present[i], merge.noise_to_act(pictures[i]))[0] for i in each
+        ]
+        mean, _ = self.agent.actor(torch.cat(rows), torch.from_numpy(state))  # (B, A)
+        return torch.tanh(mean).numpy()
+
     @property
     def imagines(self) -> bool:
         """Whether it can draw what a missing camera would see."""

@@ -1,7 +1,8 @@
 """DrQ's random shift: replicate-pad by 4 pixels, crop at a random integer offset.
 
 Bilinear sampling at integer offsets only copies pixels, so this copies them: on a CPU one slice per
-image, 2.5 ms for 192 images of 9x84x84 where ``grid_sample`` takes 34.
+image, 2.5 ms for 192 images of 9x84x84 where ``grid_sample`` takes 34. The same pass can centre
+them for the encoder (``networks.py``).
 
 The paper shifts all views of a sample alike; its code draws a shift for every (sample, view). The
 switch is ``same_for_views``; the default is the paper's words.
@@ -19,10 +20,15 @@ PAD = 4
 
 
 def random_shift(
-    views: Tensor, rng: np.random.Generator, same_for_views: bool = True, pad: int = PAD
+    views: Tensor,
+    rng: np.random.Generator,
+    same_for_views: bool = True,
+    pad: int = PAD,
+    centred: bool = False,
 ) -> Tensor:
-    """(B, V, C, H, W) uint8 -> the same, each image moved by up to ``pad`` pixels both ways."""
-    return shift(views, draw_shifts(rng, tuple(views.shape[:2]), same_for_views, pad))
+    """(B, V, C, H, W) uint8 -> the same, each image moved by up to ``pad`` pixels both ways, or
+    ``centred`` as in ``shift``."""
+    return shift(views, draw_shifts(rng, tuple(views.shape[:2]), same_for_views, pad), centred)
 
 
 def draw_shifts(
@@ -35,24 +41,28 @@ def draw_shifts(
     return np.repeat(shifts, count // shifts.shape[-2], axis=-2)
 
 
-def shift(views: Tensor, shifts: Array | Tensor) -> Tensor:
-    """Moves view (b, v) so that pixel (y, x) shows what was at (y + shifts[..., 0], x + ...[1])."""
+def shift(views: Tensor, shifts: Array | Tensor, centred: bool = False) -> Tensor:
+    """Moves view (b, v) so that pixel (y, x) shows what was at (y + shifts[..., 0], x + ...[1]).
+    ``centred``: int8, which are the bytes minus 128, as the encoder reads them."""
+    flipped = 128 if centred else 0  # The top bit; flipping none is a copy.
     if views.device.type != "cpu":
-        return _shift_by_index(views, torch.as_tensor(shifts, device=views.device))
+        moved = _shift_by_index(views, torch.as_tensor(shifts, device=views.device))
+        return (moved ^ flipped).view(torch.int8) if centred else moved
     source = views.numpy().reshape(-1, *views.shape[2:])
-    moved = np.empty_like(source)
-    for image, out, (dy, dx) in zip(source, moved, shifts.reshape(-1, 2).tolist(), strict=True):
-        _shift_image(image, out, dy, dx)
-    return torch.from_numpy(moved).view(views.shape)
+    pixels = np.empty_like(source)
+    for image, out, (dy, dx) in zip(source, pixels, shifts.reshape(-1, 2).tolist(), strict=True):
+        _shift_image(image, out, dy, dx, flipped)
+    return torch.from_numpy(pixels.view(np.int8) if centred else pixels).view(views.shape)
 
 
-def _shift_image(image: Array, out: Array, dy: int, dx: int) -> None:
+def _shift_image(image: Array, out: Array, dy: int, dx: int, flipped: int) -> None:
     height, width = image.shape[1:]
     top = max(-dy, 0)
     bottom = height - max(dy, 0)
     left = max(-dx, 0)
     right = width - max(dx, 0)
-    out[:, top:bottom, left:right] = image[:, top + dy : bottom + dy, left + dx : right + dx]
+    shown = image[:, top + dy : bottom + dy, left + dx : right + dx]
+    np.bitwise_xor(shown, np.uint8(flipped), out=out[:, top:bottom, left:right])
     # The edges repeat the outermost row and column; columns come second and fill the corners.
     out[:, :top] = out[:, top : top + 1]
     out[:, bottom:] = out[:, bottom - 1 : bottom]

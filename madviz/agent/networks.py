@@ -39,11 +39,15 @@ class Encoder(nn.Module):
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """(B, C, H, W) uint8 -> (B, Z) non-negative features. Pixels may also be floating, 0 to
-        255: bytes have no gradient, and saliency asks for one."""
+        """(B, C, H, W) uint8 -> (B, Z) non-negative features. Pixels may also be int8, which are
+        centred already, or floating, 0 to 255: bytes have no gradient, and saliency asks for
+        one."""
         low = torch.is_autocast_enabled(pixels.device.type)
         x = pixels.contiguous(memory_format=torch.channels_last)
-        x = x - 128 if x.is_floating_point() else (x ^ 128).view(torch.int8)
+        if x.is_floating_point():
+            x = x - 128
+        elif x.dtype == torch.uint8:
+            x = (x ^ 128).view(torch.int8)
         x = x.to(torch.bfloat16 if low else self.conv1.weight.dtype)
         weight = self.conv1.weight / 255
         assert self.conv1.bias is not None

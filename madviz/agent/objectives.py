@@ -24,7 +24,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Integer
 from torch import Tensor
 
 from madviz.agent.agent import Agent
@@ -33,16 +33,17 @@ from madviz.agent.networks import squash
 
 @dataclass(frozen=True)
 class Batch:
-    """Transitions, as the replay buffer gives them."""
+    """Transitions, as the replay buffer gives them: pixels are bytes, or int8 once ``shift`` has
+    centred them."""
 
-    views: UInt8[Tensor, "B V C H W"]
+    views: Integer[Tensor, "B V C H W"]
     state: Float[Tensor, "B S"]
     action: Float[Tensor, "B A"]
     """In [-1, 1]."""
     reward: Float[Tensor, " B"]
     discount: Float[Tensor, " B"]
     """Gamma, or 0 where nothing follows that may be bootstrapped from."""
-    next_views: UInt8[Tensor, "B V C H W"]
+    next_views: Integer[Tensor, "B V C H W"]
     next_state: Float[Tensor, "B S"]
 
 

@@ -202,7 +202,7 @@ class Learner:
 
     def _shifted(self, batch: Batch, both: Array) -> Batch:
         moved = {
-            name: shift(getattr(batch, name).to(self._device), shifts)
+            name: shift(getattr(batch, name).to(self._device), shifts, centred=True)
             for name, shifts in zip(("views", "next_views"), both, strict=True)
         }
         numbers = {

@@ -1,4 +1,5 @@
-"""card.md of a policy folder: generated from config.json and evaluation.json, never typed by hand.
+"""card.md of a policy folder: generated from config.json, evaluation.json and, where there is one,
+choice.json; never typed by hand.
 
 A card is shown beside the weights by every code host, so it says first what a reader needs: what
 the policy does, from which cameras it was trained to do it, and how often it succeeds, with
@@ -14,6 +15,7 @@ import msgspec
 
 from madviz.policies import checkpoint
 from madviz.policies.again import command_again
+from madviz.policies.choice import CHOICE, BestOf, choice_of
 from madviz.policies.config import PolicyConfig, TrainingRecord
 from madviz.policies.measured import EvaluationFile, SubsetRow, seeds_of
 from madviz.policies.seeds import MEASURED
@@ -37,13 +39,14 @@ def card_text(folder: str | Path) -> str:
     policy = checkpoint.describe(folder)
     measured = (policy.path / checkpoint.EVALUATION).is_file()
     evaluation = checkpoint.own_evaluation(policy) if measured else None
+    choice = choice_of(policy.path)
     sections = [
         _head(policy.config),
         _success(evaluation, policy.spec.name, policy.config.task),
         _inputs(policy.config, policy.path),
-        _training(policy.config.training, policy.path.name),
+        _training(policy.config.training, policy.path.name, choice),
         f"Digest of weights and config: `{policy.spec.digest}`.",
-        _source(policy.config.task),
+        _source(policy.config.task, choice),
     ]
     return "\n\n".join(sections) + "\n"
 
@@ -105,10 +108,11 @@ def _success_cells(subset: str, row: SubsetRow) -> list[str]:
     ]
 
 
-def _source(task: str) -> str:
+def _source(task: str, choice: BestOf | None) -> str:
     if is_recording(task):
         return f"Generated from `config.json` and `{ROBOT}` by `madviz train`; not edited."
-    return "Generated from `config.json` and `evaluation.json` by `madviz eval --card`; not edited."
+    first = f"`config.json`, `{CHOICE}`" if choice else "`config.json`"
+    return f"Generated from {first} and `evaluation.json` by `madviz eval --card`; not edited."
 
 
 def _inputs(config: PolicyConfig, folder: Path) -> str:
@@ -147,7 +151,7 @@ def _camera_cells(camera: CameraSpec) -> list[str]:
     ]
 
 
-def _training(training: TrainingRecord, name: str) -> str:
+def _training(training: TrainingRecord, name: str, choice: BestOf | None) -> str:
     """Whatever the recipe wrote down; the command first, alone on its line, to be copied."""
     lines = ["## How it was trained", ""]
     if training.command is not None:
@@ -155,6 +159,8 @@ def _training(training: TrainingRecord, name: str) -> str:
     for key, value in msgspec.to_builtins(training).items():
         if key != "command":
             lines.append(f"- {_title(key)}: {_plain(value)}")
+    if choice:
+        lines.append(f"- chosen: {choice}")
     return "\n".join(lines)
 
 

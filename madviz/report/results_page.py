@@ -10,6 +10,7 @@ from madviz.measure.evidence import Evidence
 from madviz.measure.readings import readings, times_read
 from madviz.measure.statistics import SuccessRate
 from madviz.policies.checkpoint import WEIGHTS
+from madviz.policies.choice import choice_of
 from madviz.policies.seeds import (
     DEVELOPMENT,
     FIRST_READ,
@@ -196,11 +197,24 @@ def _threshold_section(verdicts: Sequence[Verdict], sweep: str) -> str:
             "",
             f"**Accepted with a camera below {WEAK:.2f}**: {'; '.join(weak) or 'none'}.",
             "",
+            f"**Chosen among several trainings**: {_chosen(verdicts) or 'none'}.",
+            "",
             markdown_table(("task", *THREE, "mean", "seeds", "threshold"), rows),
             "",
             _again(sweep),
         ]
     )
+
+
+def _chosen(verdicts: Sequence[Verdict]) -> str:
+    """The policies that a person chose among trainings with one command."""
+    found = [
+        f"{verdict.task} is {choice}"
+        for verdict in verdicts
+        for each in (verdict.row.evidence if verdict.row else ())
+        if (choice := choice_of(each.path))
+    ]
+    return "; ".join(found)
 
 
 def _suites(verdicts: Sequence[Verdict]) -> list[Row]:

@@ -34,7 +34,8 @@ class LanesConfig(RunConfig):
     environments: Count = 8
     """That step together; a decision of all of them counts as so many decisions."""
     workers: ThreadsOrNone | None = None
-    """Processes that step them; 0: none but this one. By default one for every second core. With
+    """Processes that step them; 0: none but this one. By default one for every eighth core where
+    updates take the CPU, and one for all cores but one where they take a CUDA device. With
     ``--threads`` given their number changes nothing but the time; else the learner takes the cores
     that they leave, on two cores both, and its number of threads makes another run."""
     update_ratio: Weight = 0.5
@@ -43,10 +44,14 @@ class LanesConfig(RunConfig):
     ONLY_TIME = (*RunConfig.ONLY_TIME, "workers")
 
     def processes(self) -> int:
-        """Worker processes to start."""
+        """Worker processes to start. On a CPU an update of 256 takes as long as 32 steps of
+        push-cube, and one is made for every second step: a worker in eight cores keeps up. Beside a
+        CUDA device steps are what takes long."""
         if self.workers is not None:
             return self.workers
-        return min(self.environments, max(1, (os.cpu_count() or 1) // 2))
+        cores = os.cpu_count() or 1
+        spare = cores - 1 if self.torch_device() == "cuda" else cores // 8
+        return min(self.environments, max(1, spare))
 
     def threads(self) -> int:
         """One for each core that no worker has. On two cores both: updates take far longer than

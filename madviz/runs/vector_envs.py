@@ -11,31 +11,30 @@ every step. All lanes step together and their episodes are equally long, so what
 seeds and actions alone, and not on how many processes share the work: with 0 workers this process
 does it all, and the numbers are the same.
 
-The same processes play a policy's evaluations, an episode each at a time, while nothing is learned.
+A policy's evaluations are played in the same lanes, an episode in each, while nothing is learned:
+the learner's process encodes all of them at once, and only cameras that an episode sees are drawn.
 """
 
 from __future__ import annotations
 
+import itertools
 import multiprocessing
-import pickle
 import traceback
 from collections.abc import Callable, Sequence
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 
+from madviz.agent.agent import TorchPolicy
 from madviz.errors import UserError
-from madviz.measure.episodes import Stopped, one_thread, run_episode
+from madviz.measure.episodes import Stopped, one_thread
 from madviz.measure.store import EpisodeResult
-from madviz.observation.ablation import Ablation
-from madviz.observation.streams import IMAGE_SIZE, channels_of
+from madviz.observation.streams import IMAGE_SIZE, channels_of, to_channels
 from madviz.runs.drawn_task import DrawnTask, newest_frames
+from madviz.subsets import camera_of, name_of
 from madviz.system.processes import set_up_worker
-from madviz.types import Array, Environment, Policy, TimeStep
-
-LISTEN_SECONDS = 0.5
-"""How often a stop is looked for while episodes are played; those that have begun are finished."""
+from madviz.types import Array, Environment, TimeStep
 
 
 class Board:
@@ -45,8 +44,9 @@ class Board:
         numbers = [
             ("action", "f4", (action_dim,)),
             ("state", "f4", (state_dim,)),
-            ("reward", "f4"),
+            ("reward", "f8"),
             ("last", "?"),
+            ("success", "?"),
         ]
         size = (IMAGE_SIZE, IMAGE_SIZE)
         frames = [(stream, "u1", (*size, channels_of(stream))) for stream in streams]
@@ -67,50 +67,54 @@ class Lanes:
         self._board = board
         self._places = places
         self._envs = [drawn_task.build() for _ in places]
-        self._policy: Policy | None = None
+        self._shown: list[tuple[str, ...]] = []
 
-    def reset(self, seeds: Sequence[int]) -> None:
-        """A new episode in every lane; ``seeds`` are all lanes', here and elsewhere."""
-        for place, env in zip(self._places, self._envs, strict=True):
+    def reset(self, seeds: Sequence[int], masks: Array) -> None:
+        """A new episode in each of the first lanes, as many as there are ``seeds``: all lanes',
+        here and elsewhere. Cameras without a stream in ``masks`` (L, V) are not drawn."""
+        self._shown = [self._drawn(mask) for mask in masks]
+        for place, env in self._running():
             self._show(place, env, env.reset(seeds[place]))
 
     def step(self) -> None:
         """The actions on the board."""
         actions = self._board["action"]
-        for place, env in zip(self._places, self._envs, strict=True):
+        for place, env in self._running():
             self._show(place, env, env.step(actions[place]))
 
     def repeat(self, seeds: Sequence[int], actions: Array) -> None:
         """Episodes again up to where they were; ``actions`` is (age, L, A). Draws nothing."""
-        for place, env in zip(self._places, self._envs, strict=True):
+        self._shown = [self._streams] * len(seeds)
+        for place, env in self._running():
             env.reset(seeds[place])
             for action in actions[:, place]:
                 env.step(action)
 
-    def load(self, pickled: bytes) -> None:
-        """The policy that ``play`` plays. As bytes, because a pipe would put its weights into
-        memory that is shared with whoever learns."""
-        self._policy = pickle.loads(pickled)
-
-    def play(
-        self, mask: Array, seed: int, stop: Callable[[], bool] = lambda: False
-    ) -> EpisodeResult:
-        """An episode in the first lane, whose own must be over."""
-        assert self._policy is not None
-        with one_thread():
-            return run_episode(self._policy, self._envs[0], mask, Ablation(), seed, stop)
-
     def close(self) -> None:
         for env in self._envs:
             env.close()
+
+    def _running(self) -> list[tuple[int, Environment]]:
+        """The lanes with an episode."""
+        lanes = zip(self._places, self._envs, strict=True)
+        return [(place, env) for place, env in lanes if place < len(self._shown)]
+
+    def _drawn(self, mask: Array) -> tuple[str, ...]:
+        """All streams of the cameras that have one in ``mask`` (V,)."""
+        cameras = {camera_of(stream) for stream in itertools.compress(self._streams, mask)}
+        return tuple(stream for stream in self._streams if camera_of(stream) in cameras)
 
     def _show(self, place: int, env: Environment, now: TimeStep) -> None:
         board = self._board
         board["state"][place] = now.state
         board["reward"][place] = now.reward
         board["last"][place] = now.last
-        frames = newest_frames(env, self._streams)
-        for stream, frame in zip(self._streams, frames, strict=True):
+        board["success"][place] = now.success
+        shown = self._shown[place]
+        for stream in self._streams:
+            if stream not in shown:
+                board[stream][place] = 0
+        for stream, frame in zip(shown, newest_frames(env, shown), strict=True):
             board[stream][place] = frame
 
 
@@ -123,8 +127,9 @@ class VectorEnvs:
         self.lanes = lanes
         self._streams = drawn_task.streams
         self._here = None if workers else Lanes(drawn_task, board, range(lanes))
-        shares = [s.tolist() for s in np.array_split(np.arange(lanes), min(workers or 1, lanes))]
-        self._workers = [_Worker(drawn_task, board, share) for share in shares] if workers else []
+        # In turn, so that each has its share also where fewer lanes are played.
+        shares = [range(lanes)[first::workers] for first in range(min(workers, lanes))]
+        self._workers = [_Worker(drawn_task, board, share) for share in shares]
         try:
             self._wait()
         except BaseException:
@@ -133,12 +138,12 @@ class VectorEnvs:
 
     def reset(self, seeds: list[int]) -> None:
         """A new episode in every lane; returns when all have begun."""
-        self._order("reset", seeds)
+        self._order("reset", seeds, np.ones((len(seeds), len(self._streams)), bool))
         self._wait()
 
     def send(self, actions: Array) -> None:
-        """Starts a step with ``actions`` (L, A); ``receive`` must follow."""
-        self.board["action"][:] = actions
+        """Starts a step with ``actions`` (L, A) of the lanes that run; ``receive`` must follow."""
+        self.board["action"][: len(actions)] = actions
         self._order("step")
 
     def receive(self) -> None:
@@ -151,33 +156,51 @@ class VectorEnvs:
         self._wait()
 
     def play(
-        self, policy: Policy, jobs: Sequence[tuple[Array, int]], stop: Callable[[], bool]
+        self, policy: TorchPolicy, jobs: Sequence[tuple[Array, int]], stop: Callable[[], bool]
     ) -> list[EpisodeResult]:
-        """An episode of ``policy`` for each of ``jobs``, a mask (V,) and a seed. No lane may be in
-        mid-episode. Raises Stopped if ``stop`` says so."""
-        self._order("load", pickle.dumps(policy))
+        """An episode of ``policy`` for each of ``jobs``, a mask (V,) that it supports and a seed:
+        those of ``run_episode``, but for rounding. No lane may be in mid-episode. Raises Stopped if
+        ``stop`` says so between two decisions."""
+        together = [jobs[i : i + self.lanes] for i in range(0, len(jobs), self.lanes)]
+        with one_thread():
+            return [result for some in together for result in self._play(policy, some, stop)]
+
+    def _play(
+        self, policy: TorchPolicy, jobs: Sequence[tuple[Array, int]], stop: Callable[[], bool]
+    ) -> list[EpisodeResult]:
+        """At most as many as there are lanes."""
+        count = len(jobs)
+        board = self.board
+        masks = np.stack([mask for mask, _ in jobs])  # (L, V)
+        self._order("reset", [seed for _, seed in jobs], masks)
         self._wait()
-        if self._here is not None:
-            return [self._here.play(mask, seed, stop) for mask, seed in jobs]
-        left = list(range(len(jobs)))
-        results = dict[int, EpisodeResult]()
-        playing: dict[Connection, tuple[_Worker, int]] = {}
-        try:
-            while left or playing:
-                if stop():
-                    raise Stopped
-                for worker in self._workers:
-                    if left and worker.connection not in playing:
-                        playing[worker.connection] = worker, left.pop(0)
-                        worker.send(("play", *jobs[playing[worker.connection][1]]))
-                for answered in wait(list(playing), LISTEN_SECONDS):
-                    assert isinstance(answered, Connection)
-                    worker, job = playing.pop(answered)
-                    results[job] = worker.wait()
-        finally:
-            for worker, _ in playing.values():
-                worker.wait()  # No answer may be left in a pipe.
-        return [results[job] for job in range(len(jobs))]
+        # An episode's first frame stands for those before it.
+        views = np.tile(self._newest(count), (1, 1, policy.spec.frame_stack, 1, 1))
+        success_any = np.zeros(count, bool)
+        total = np.zeros(count)
+        while not board["last"][:count].all():
+            if stop():
+                raise Stopped
+            self.send(policy.act_together(views, board["state"][:count], masks))
+            self.receive()
+            views = np.concatenate([views[:, :, 3:], self._newest(count)], 2)
+            success_any |= board["success"][:count]
+            total += board["reward"][:count]
+        return [
+            EpisodeResult(
+                name_of(mask, self._streams),
+                seed,
+                success=bool(board["success"][lane]),
+                success_any=bool(success_any[lane]),
+                total_reward=float(total[lane]),
+            )
+            for lane, (mask, seed) in enumerate(jobs)
+        ]
+
+    def _newest(self, count: int) -> Array:
+        """(L, V, 3, H, W): the newest frames of the first ``count`` lanes."""
+        lanes = [np.stack(list(map(to_channels, self.frames(lane)))) for lane in range(count)]
+        return np.stack(lanes)
 
     def frames(self, lane: int) -> list[Array]:
         """The newest frame (H, W, C) of every stream; it changes with the next step."""

@@ -81,9 +81,10 @@ class TrainConfig:
     """The run's folder; runs/NAME if not given."""
     seed: Seed = 1
     """Seeds networks, data and noise; the same seed repeats a run."""
-    state: Literal["code", "paper"] = "code"
+    state: Literal["code", "paper", "no-start"] = "code"
     """Proprioception: ``code`` is all the environment gives (Meta-World: 24 numbers, as in the
-    paper's code), ``paper`` the 4 of its table, which other suites have not."""
+    paper's code), ``paper`` the 4 of its table, which other suites have not, ``no-start`` all but
+    those that tell where PushCube's or PullCube's cube began."""
     render_profile: Annotated[str, OneOf("render profile", get_args(RenderProfile))] = "fast"
     """How pictures are drawn, in training and later: ``fast`` has no shadows and reflections,
     ``full`` is the simulator's own way."""
@@ -233,6 +234,13 @@ def _state_columns(config: TrainConfig, facts: EnvSpec) -> tuple[int, ...]:
     """The state numbers that are read; empty for all of them."""
     if config.state == "code":
         return ()
+    if config.state == "no-start":
+        if not facts.start_state:
+            raise UserError(
+                "expected --state no-start with a task whose state tells where the object began "
+                f"(maniskill/push-cube, maniskill/pull-cube), found {config.task}; leave it out"
+            )
+        return tuple(n for n in range(facts.state_dim) if n not in facts.start_state)
     if not facts.paper_state:
         raise UserError(
             "expected --state paper with a task with fewer numbers in the paper's table, found "

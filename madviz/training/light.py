@@ -192,7 +192,8 @@ class LightRun:
         generator = torch.Generator().manual_seed(self.plan.seed * 1_000_003 + self.updates)
         merge = self.agent.encoder
         noise = merge.noise(config.batch_size, generator)
-        views = random_shift(self.data.views(index), self.rng, pad=config.shift)  # (B, V, C, H, W)
+        pixels = self.data.views(index)  # (B, V, C, H, W)
+        views = random_shift(pixels, self.rng, pad=config.shift, centred=not merge.draws)
         state = self.data.column("states", index)  # (B, S)
         label = self.data.column("labels", index)  # (B, A)
         with autocast():

@@ -144,7 +144,7 @@ def evaluated(run: RewardRun[Learner, Reinforcement]) -> TorchPolicy:
     spec = run.plan.spec
     agent = run.acting_agent()
     if run.config.shift_when_acting:
-        return _ShiftingPolicy(spec, agent, run.config.same_shift_for_views)
+        return ShiftingPolicy(spec, agent, run.config.same_shift_for_views)
     return TorchPolicy(spec, agent)
 
 
@@ -165,7 +165,7 @@ def repeat(env: Environment, seeds: list[int], actions: Array) -> None:
         env.step(action)
 
 
-class _ShiftingPolicy(TorchPolicy):
+class ShiftingPolicy(TorchPolicy):
     """The code's policy, in evaluations while it trains: every view it acts on is shifted.
     ``same``: all views of a time step by the same pixels."""
 
@@ -174,7 +174,15 @@ class _ShiftingPolicy(TorchPolicy):
         self._same = same
 
     def encode(self, views: Array, state: Array) -> Encoded:
-        # Drawn from the picture itself, so that an episode stays a function of its seed.
+        return super().encode(self._moved(views), state)
+
+    def act_together(self, views: Array, state: Array, masks: Array) -> Array:
+        moved = np.stack([self._moved(each) for each in views])
+        return super().act_together(moved, state, masks)
+
+    def _moved(self, views: Array) -> Array:
+        """(V, C, H, W), by pixels drawn from the pictures themselves, so that an episode stays a
+        function of its seed."""
         rng = np.random.default_rng(int(views.sum(dtype=np.int64)))
         moved = random_shift(torch.from_numpy(views)[None], rng, self._same)
-        return super().encode(moved[0].numpy(), state)
+        return moved[0].numpy()

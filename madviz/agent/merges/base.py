@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Shaped, UInt8
+from jaxtyping import Float, Integer, Shaped, UInt8
 from torch import Tensor, nn
 
 from madviz.agent.networks import Actor, ActorHead, Critic, CriticHead, Encoder, NetworkConfig
@@ -64,8 +64,9 @@ class Merge(nn.Module):
         """Actor and critic for this merge's rows."""
         return Actor(config), Critic(config)
 
-    def encode(self, views: UInt8[Tensor, "B V C H W"]) -> Float[Tensor, "B ..."]:
-        """Pixels to features: (B, V, Z) for a sum, else the merge's own layout."""
+    def encode(self, views: Integer[Tensor, "B V C H W"]) -> Float[Tensor, "B ..."]:
+        """Pixels to features: (B, V, Z) for a sum, else the merge's own layout. Pixels are uint8;
+        in learning, unless the merge ``draws``, int8 that ``shift`` has centred."""
         raise NotImplementedError
 
     def rows(
@@ -75,7 +76,7 @@ class Merge(nn.Module):
         raise NotImplementedError
 
     def encode_and_merge(
-        self, views: UInt8[Tensor, "B V C H W"], masks: Shaped[Tensor, "N V"], noise: Noise = None
+        self, views: Integer[Tensor, "B V C H W"], masks: Shaped[Tensor, "N V"], noise: Noise = None
     ) -> tuple[Tensor, Float[Tensor, "N B ..."]]:
         """``encode`` and ``rows`` in one, for learning: features, and the rows from them. A merge
         that draws its views at random encodes no others, and its rows are all the features."""

@@ -91,6 +91,7 @@ class ManiSkill(PlacedCameras):
             render_profile=render_profile,
             success=MANISKILL_SUCCESS[task],
             instruction=INSTRUCTIONS[f"maniskill/{task}"],
+            start_state=(25, 26, 27) if task in ("push-cube", "pull-cube") else (),
         )
 
     def __init__(

@@ -17,7 +17,8 @@ The state is joint positions (9), joint speeds (9) and what the task adds, 28 or
 
 The last one is called goal in the paper's code and in ManiSkill, but it is privileged: it shows a
 policy where the peg is, whatever its cameras show. It stays, to be comparable. PushCube's target
-is where the cube started plus 0.2 m, and PullCube's minus 0.2 m, so they show that as well.
+is where the cube started plus 0.2 m, and PullCube's minus 0.2 m, so they show that as well, except
+to policies trained with ``--state no-start``.
 """
 
 from __future__ import annotations
