@@ -21,7 +21,7 @@ TASKS += [f"maniskill/{task}" for task in MANISKILL_TASKS]
 
 APART = {"maniskill/poke-cube": 0.2}
 """The largest relative difference of returns: where bodies touch, last bits grow (17.2 and 14.4 in
-one episode of PokeCube, both without success at the last step or both with it)."""
+one episode of PokeCube, with success in both)."""
 
 
 class InOnePass:

@@ -152,7 +152,9 @@ def class_server() -> str:
     logins = [student["login_s"] for student in students]
     numbers = sorted({name[:2] for student in students for name in student if name[:2].isdigit()})
     slowest = [_slowest(students, number) for number in numbers]
-    whole = max(row[-1] for row in slowest)
+    single = [size for student in alone["each"].values() for size in student["memory_mb"].items()]
+    largest = max(size for name, size in single if name.endswith(" all"))
+    whole = max(largest, *(row[-1] for row in slowest))
     machines = [
         (count, -(-count * cores // len(students)), f"{math.ceil(2 + count * whole / 1024)} GB")
         for count in (4, 10, 20, 30)
@@ -176,13 +178,15 @@ def class_server() -> str:
             f"{min(logins):.0f} to {max(logins):.0f} s. Of each lesson the slowest, and the "
             "largest memory:\n",
             table((*times_header, *memory_header), slowest),
-            "Memory is proportional: what several processes share counts once. So, with as many "
+            "Memory is proportional: what several processes share counts once. The largest lesson "
+            f"took {largest} MB, measured with one student. Computed from these, with as many "
             "students for each core, one kernel each, and 2 GB for the system:\n",
             table(("students", "cores", "memory"), machines),
             f"With {len(shown)} live pages at once, whose browsers hardly drew the 3D scene, each "
             f"had its first numbers after {max(page['shown_s'] for page in shown):.0f} s at most, "
             f"then at least {min(page['messages_a_second'] for page in shown):.0f} messages a "
-            f"second, and took {more} MB more at most.\n",
+            f"second, and took {more} MB more at most. Lesson 9 opens one for each student: add "
+            "that.\n",
             f"With one student on the machine ({len(timed)} lessons), a lesson was open after "
             f"{min(opened):.0f} to {max(opened):.0f} s, and a new kernel answered after "
             f"{max(kernels):.1f} s at most.\n",
