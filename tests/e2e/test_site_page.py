@@ -128,13 +128,13 @@ def test_one_switch_is_the_guard(visit, fitted, address):
     assert f"madviz guard --policy {MAD} does it." in without.locator(".guard").inner_text()
 
 
-def test_a_switch_acts_on_both_sides_until_they_are_unlinked(visit, address):
+def test_a_switch_acts_on_both_sides_until_each_has_its_own(visit, address):
     page = visit(address + LINK)
     page.wait_for_function("() => document.querySelectorAll('.view.off').length === 2")
     switch(page, "third_b", "off")
     page.wait_for_function("() => document.querySelectorAll('.view.off').length === 4")
     until(page, "Merged Only: Third B is off: action changed by 0.83", "#line")
-    page.get_by_role("button", name="Switches act on both sides: unlink").click()
+    page.get_by_role("button", name="one side").click()
     switch(page, "third_b", "both", board=1)
     page.wait_for_function("() => document.querySelectorAll('.view.off').length === 3")
     assert tags(page, "third_b") == ["off", ""]
