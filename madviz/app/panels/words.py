@@ -112,9 +112,9 @@ class WordsPanel(HtmlPanel):
         else:
             said = escape(both_sides(self._last[0], frame, self._rates))
             if asks_now(frame, prediction):
-                said += f" <b>{ASKS[1 if frame.second is None else 2]}</b>"
+                said += f". <b>{ASKS[1 if frame.second is None else 2]}</b>"
             elif prediction.guess:
-                said += f" <b>You say {escape(prediction.guess)}.</b>"
+                said += f". <b>You say {escape(prediction.guess)}.</b>"
         sides = [frame] if frame.second is None else [frame, frame.second]
         for noticed in dict.fromkeys(map(guard_sentence, sides)):  # Once where both notice alike.
             if noticed:

@@ -311,7 +311,8 @@ export class Explorer {
     const said = [changes.join('. '), guard].filter(Boolean).join('. ');
     const asked = !this.asks ? guess && ` You say ${guess}.`
       : worlds.length > 1 ? ' Which will still do it?' : ' Will it still do it?';
-    return tell(line, [document.createTextNode(said || hint), ...asked ? [make('b', {}, asked)] : []]);
+    const stop = asked && /[^.]$/.test(said) ? '.' : '';
+    return tell(line, [document.createTextNode(said ? said + stop : hint), ...asked ? [make('b', {}, asked)] : []]);
   }
 
   /** What is played now, for a link. @returns {import('./link.js').LinkState | null} */
