@@ -226,7 +226,7 @@ def test_a_camera_that_gives_nothing_the_policy_knows_is_as_good_as_dropped():
     assert outcome.cameras == {"first": "off", "third_a": "", "third_b": ""}
     assert "first off" in strip_html(frame) and "all cameras worked" not in strip_html(frame)
     assert [frame.uses(name) for name in outcome.cameras] == [False, True, True]
-    assert condition_words(frame) == "third_a+third_b"
+    assert condition_words(frame) == "Third A + Third B"
     dropped = frame_with(SetCamera("first", OFF))
     assert np.array_equal(picture(frame_with(only_depth), "first"), picture(dropped, "first"))
     both = frame_with(only_depth, policy=FakePolicy("toy-rgbd", "three-rgbd"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from madviz.session.camera_names import subset_label
 from madviz.session.frame import Frame
 
 
@@ -41,8 +42,9 @@ def headline(frame: Frame, facts: Facts) -> str:
 
 
 def condition_words(frame: Frame) -> str:
-    """Which streams count and which cameras fail how: ``first+third_b, First person is frozen``."""
-    parts = [frame.condition.subset]
+    """Which streams count and which cameras fail how: ``First person + Third B, First
+    person is frozen``."""
+    parts = [subset_label(frame, frame.condition.subset)]
     for name, occlusion in sorted(frame.world.ablation.occlusions().items()):
         if frame.uses(name):
             parts.append(f"{frame.world.env.camera(name).label} {occlusion.predicate}")

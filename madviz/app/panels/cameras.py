@@ -13,11 +13,11 @@ from madviz.app.panel import Assign, apply
 from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.patch import HINT, attributes, field_style, parse_box, patched
 from madviz.app.panels.policy import policy_words, verdict
-from madviz.app.panels.subsets import MODALITY_WORDS
 from madviz.app.screen import Screen
 from madviz.app.toolkit import Cell, Choice, WidgetPanel, on_press, on_value, place
 from madviz.drawing.mosaic import GAP, Dropped, mosaic
 from madviz.observation.displacement import MoveCamera
+from madviz.session.camera_names import MODALITY_WORDS
 from madviz.session.commands import Compare, Link, SetCamera
 from madviz.session.frame import Frame, untouched
 from madviz.subsets import modality_of

@@ -21,9 +21,9 @@ from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import METHODS
 from madviz.app.markup import dot, term
 from madviz.app.panel import Assign
-from madviz.app.panels.subsets import stream_label
 from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import MERGED, camera_colours, heat
+from madviz.session.camera_names import stream_label
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array

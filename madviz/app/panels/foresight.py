@@ -18,10 +18,10 @@ import viser
 from madviz.analysis.foresight import DECISIONS, Foresight, mean_psnr
 from madviz.app.chart import Lane, chart
 from madviz.app.panel import Assign
-from madviz.app.panels.subsets import stream_label
 from madviz.app.toolkit import HtmlPanel, on_press
 from madviz.drawing.colours import INK, MUTED, NOTE
 from madviz.drawing.jpeg import jpeg_url
+from madviz.session.camera_names import stream_label
 from madviz.session.commands import Command, Foresee
 from madviz.session.frame import Frame
 from madviz.types import Array

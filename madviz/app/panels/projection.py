@@ -19,9 +19,9 @@ from madviz.analysis.projection import DECISIONS, Basis, FeatureMaps
 from madviz.app.chart import chart, polyline
 from madviz.app.markup import progress_bar
 from madviz.app.panels.features import NO_VIEWS
-from madviz.app.panels.subsets import stream_label
 from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import MERGED, MUTED, camera_colours
+from madviz.session.camera_names import stream_label
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, PolicySpec

@@ -23,11 +23,11 @@ from madviz.analysis.shapley import (
     success_shapley,
 )
 from madviz.app.markup import band, dot, track
-from madviz.app.panels.subsets import subset_label
 from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import FAINT, MUTED, NOTE, camera_colours
 from madviz.observation.condition import Condition
+from madviz.session.camera_names import subset_label
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array

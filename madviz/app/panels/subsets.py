@@ -13,11 +13,11 @@ from madviz.app.markup import band, term, track
 from madviz.app.panel import Assign, apply
 from madviz.app.toolkit import HtmlPanel, SyncedInput, on_value
 from madviz.drawing.colours import NOTE, camera_colours
+from madviz.session.camera_names import subset_label
 from madviz.session.commands import Command, ReadSubsets
 from madviz.session.frame import Frame
-from madviz.subsets import camera_of, modality_of, name_of
+from madviz.subsets import camera_of, name_of
 
-MODALITY_WORDS = {"rgb": "colour", "depth": "depth"}
 MIDDLE = 50
 """Percent of an action cell's width where 0 is."""
 
@@ -147,29 +147,6 @@ def presence(frame: Frame, mask: np.ndarray) -> str:
             f'background:linear-gradient(90deg,{left} 50%,{right} 50%)"></span>'
         )
     return squares
-
-
-def subset_label(frame: Frame, subset: str, short: bool = False) -> str:
-    """``First person + Third B depth`` for ``first+third_b.depth``; ``short``: ``First + Third B
-    depth``, where the first word tells one camera from the others."""
-    special = {"all": "all", "none": "no camera", "rgb": "all colour", "depth": "all depth"}
-    if subset in special:
-        return special[subset]
-    labels = [stream_label(frame, stream, "." in stream) for stream in subset.split("+")]
-    if short:
-        firsts = [camera.label.split()[0] for camera in frame.world.env.cameras]
-        for camera, first in zip(frame.world.env.cameras, firsts, strict=True):
-            if firsts.count(first) == 1:
-                labels = [label.replace(camera.label, first) for label in labels]
-    return " + ".join(labels)
-
-
-def stream_label(frame: Frame, stream: str, with_modality: bool | None = None) -> str:
-    """``Third A``, or ``Third A depth`` where a policy has both modalities, or as it is asked."""
-    if with_modality is None:
-        with_modality = len(set(map(modality_of, frame.world.policy.streams))) > 1
-    label = frame.world.env.camera(camera_of(stream)).label
-    return f"{label} {MODALITY_WORDS[modality_of(stream)]}" if with_modality else label
 
 
 def action_bars(action: np.ndarray) -> str:

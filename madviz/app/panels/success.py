@@ -13,12 +13,13 @@ from viser import uplot
 from madviz.app.markup import band, dot, term, track
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_POINTS, small_axes
-from madviz.app.panels.subsets import presence, subset_label
+from madviz.app.panels.subsets import presence
 from madviz.app.success_rates import NOTHING, SuccessRates, side_b
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.measure.statistics import SuccessRate
 from madviz.observation.condition import Condition
+from madviz.session.camera_names import subset_label
 from madviz.session.frame import Frame, Outcome
 from madviz.subsets import mask_of, name_of, single_streams
 from madviz.types import PolicySpec
