@@ -159,7 +159,8 @@ def ending_html(ending: Ending, frame: Frame, guess: str = "") -> str:
     goes_on = "" if frame.pace.speed is None or not frame.pace.auto_next else " The next one soon."
     return (
         f'<div class="mv-ending" role="status">{" ".join(filter(None, parts))}'
-        f'<span class="dim">{goes_on} R: again. N: the next start.</span></div>'
+        f'<span class="dim">{goes_on}<span class="mv-keys"> R: again. N: the next start.</span>'
+        "</span></div>"
     )
 
 
