@@ -28,10 +28,10 @@ from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, MoveCamera
+from madviz.session.camera_names import subset_label
 from madviz.session.commands import Compare, Link, Pause, Scrub, SetCamera, SetPolicy, StepOnce
 from madviz.session.frame import Frame
 from madviz.session.session import Session
-from madviz.session.stream_words import subset_label
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import browser, recorded, use
 from tests.sessions import OFF, Recorder, frame_with, with_world
@@ -216,7 +216,7 @@ def test_a_dropped_camera_is_a_question_until_it_is_answered_or_silenced(server)
     assert not answers.visible
     apply(panel.update(session.ask(SetCamera("first", OFF))))
     assert answers.visible and answers.options == ("yes", "no", "just show me")
-    assert "Will it still do it?" in gui.html
+    assert ". <b>Will it still do it?" in gui.html
     use(answers, "no")
     assert not answers.visible and "You say no." in gui.html
     apply(panel.update(session.steps(24)))
@@ -317,6 +317,8 @@ def test_labels_and_squares():
     frame = frame_with(policy=policies("toy-rgbd"))
     assert subset_label(frame, "first+third_b.depth") == "First person + Third B depth"
     assert subset_label(frame, "depth") == "all depth"
+    assert subset_label(frame, "first+third_a", short=True) == "First + Third A"
+    assert subset_label(frame, "third_a+third_b", short=True) == "Third A + B"
     half = presence(frame, np.array([True, False] + [False] * 4))
     assert "linear-gradient(90deg,#E69F00 50%,transparent 50%)" in half
 

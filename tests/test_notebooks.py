@@ -9,8 +9,10 @@ from __future__ import annotations
 import ast
 import importlib
 import json
+import re
 import runpy
 import tempfile
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +75,29 @@ def test_widgets_have_html_where_there_is_no_kernel(name: str) -> None:
     widgets = [data for data in shown if "application/vnd.jupyter.widget-view+json" in data]
     assert widgets and all(len(data["text/html"]) > 50 for data in widgets)
     assert str(ROOT) not in json.dumps(notebook), "a path of the machine that built it"
+
+
+KEY = re.compile(r"""(?<![\w#&='"])(?:third_[a-z]|first[+.]\w)""")
+"""A camera's key where no code is: in quotes, or in a link, it is one that a student writes."""
+
+
+def read(output: nbformat.NotebookNode) -> list[str]:
+    """The texts of an output that a person reads; Markdown has code."""
+    data = output.get("data", {"text/plain": output.get("text", "")})
+    texts = [] if "text/markdown" in data else map(str, data.values())
+    return [re.sub(r"base64,[\w+/=]+", "", unescape(text)) for text in texts]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_output_has_the_key_of_a_camera(name: str) -> None:
+    outputs = [output for cell in saved(name).cells for output in cell.get("outputs", [])]
+    found = [
+        text[max(key.start() - 30, 0) : key.end() + 30]
+        for output in outputs
+        for text in read(output)
+        for key in KEY.finditer(text)
+    ]
+    assert not found, "say teaching.named(key)"
 
 
 def test_the_folder_is_small() -> None:
@@ -206,7 +231,7 @@ def test_the_hammer_switch_trains_takes_cameras_away_and_compares(
         compared = next(
             one for one in shown if getattr(one, "head", ())[-1:] == ("mad - merged-only",)
         )
-        assert [row[0] for row in compared.rows] == ["first", "third_a", "third_b"]
+        assert [row[0] for row in compared.rows] == ["First person", "Third A", "Third B"]
         assert all(row[-1].endswith("n=2") for row in compared.rows), "the same two scenes"
     finally:
         names["hammer_explorer"].close()

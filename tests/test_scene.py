@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from io import BytesIO
 from types import SimpleNamespace
 
@@ -22,7 +23,7 @@ from madviz.envs import shapes
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Pause, SetCamera, SetSpeed, StepOnce
-from madviz.session.frame import Frame
+from madviz.session.frame import Frame, HandPaths
 from madviz.session.session import Session
 from madviz.types import Body, CameraPose
 from tests.fakes import FakePolicy, policies
@@ -241,3 +242,12 @@ def test_the_first_place_has_cameras_apart_and_pictures_the_right_way_round():
         looks = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
         assert looks @ ahead > 0.2 * np.linalg.norm(ahead), name
     env.close()
+
+
+def test_no_name_of_a_camera_covers_the_path_of_the_hand_it_rides_on(server) -> None:
+    stage = Stage(server)
+    riding, standing = (stage.nodes.find(f"/cameras/{n}/label") for n in ("first", "third_a"))
+    path = np.zeros((2, 3), np.float32)
+    for paths, seen in ((None, True), (HandPaths(3, path, path), False), (None, True)):
+        apply(stage.panel.update(replace(stage.frame, paths=paths)))
+        assert (riding.visible, standing.visible) == (seen, True)

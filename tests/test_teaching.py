@@ -153,7 +153,7 @@ def test_every_method_answers_untrained_or_says_why_not(name: str) -> None:
     rows = {row[0]: row[1] for row in answers(policy, moment, ["all", "first+third_b"]).rows}
     assert not rows["all"].startswith("refuses")
     row = {r[0]: r for r in support_table().rows}[name]
-    assert (row[3] == "🟩") == (not rows["first+third_b"].startswith("refuses"))
+    assert (row[3] == "🟩") == (not rows["First person + Third B"].startswith("refuses"))
 
 
 def test_the_subset_table_has_a_row_for_every_set() -> None:
@@ -244,5 +244,20 @@ def test_a_training_that_was_stopped_is_resumed(
 def test_two_policies_are_compared_on_the_seeds_that_both_have() -> None:
     ours, theirs = {1: True, 2: True, 3: False}, {2: False, 3: False, 4: True}
     row = teaching.paired_table(("a", "b"), {"first": (ours, theirs)}).rows[0]
-    assert row[:5] == ("first", "0", "1", "0", "1") and row[5].startswith("+0.50 [")
+    assert row[:5] == ("First person", "0", "1", "0", "1") and row[5].startswith("+0.50 [")
     assert row[5].endswith("n=2")
+
+
+@pytest.mark.parametrize(
+    "key, words",
+    [
+        ("first+third_b.depth", "First person + Third B depth"),
+        ("only third_a", "only Third A"),
+        ("third_a.rgb", "Third A colour"),
+        ("none", "no camera"),
+        ("all", "all"),
+        ("firsthand", "firsthand"),
+    ],
+)
+def test_a_person_reads_the_names_of_cameras(key: str, words: str) -> None:
+    assert teaching.named(key) == words

@@ -123,14 +123,16 @@ def shares(name: str, subset: str) -> dict[str, list[float]]:
 def test_no_view_attends_to_a_dropped_camera() -> None:
     for name in ("vit", "attention"):
         left = shares(name, "first+third_b")
-        assert list(left) == ["first", "third_b"]
+        assert list(left) == ["First person", "Third B"]
         assert all(
             given[1] == 0 and sum(given) == pytest.approx(1, abs=0.02) for given in left.values()
         )
-        assert all(given[1] > 0.1 for who, given in shares(name, "all").items() if who != "third_a")
-    assert shares("attention", "first+third_b")["first"] == [0, 0, 1], "it asks the others only"
-    assert shares("attention", "first") == {"first": [0, 0, 0]}
-    assert shares("vit", "first") == {"first": [1, 0, 0]}
+        assert all(given[1] > 0.1 for who, given in shares(name, "all").items() if who != "Third A")
+    assert shares("attention", "first+third_b")["First person"] == [0, 0, 1], (
+        "it asks the others only"
+    )
+    assert shares("attention", "first") == {"First person": [0, 0, 0]}
+    assert shares("vit", "first") == {"First person": [1, 0, 0]}
     with pytest.raises(UserError, match="attends"):
         shares("mad", "all")
 

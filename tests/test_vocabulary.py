@@ -19,6 +19,7 @@ SECOND_WORDS = {
     "dropout": "lossy",
     "set of cameras": "subset",
     "differs by": "apart",
+    "unlink": "switches act on",
 }
 """Words that visitors met beside the one that stays. Commands and keys of JSON keep theirs."""
 NAMES = re.compile(r"^[\w.:{}/-]*$")

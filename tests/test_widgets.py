@@ -77,7 +77,7 @@ def test_a_click_takes_a_camera_away_in_the_same_picture(explorer: Explorer) -> 
     assert (
         np.ptp(tile, axis=2).mean() < 8 < np.ptp(before[60:90, third + 20 :].astype(int), 2).mean()
     )
-    assert ">first+third_b<" in explorer.table.value
+    assert ">First person + Third B<" in explorer.table.value
 
 
 def test_an_occluded_camera_stays_in_the_mask(explorer: Explorer) -> None:
@@ -134,7 +134,7 @@ def test_a_set_that_was_not_read_is_not_one_that_it_cannot_act_on() -> None:
     assert html.count("not read") == 7 and "cannot act" not in html
     assert "nan" not in html and "<td>–</td>" in html
     now, trained, *rest = html.split("<tr>")[2:]
-    assert "not trained" not in now + trained and "third_a+third_b" in trained
+    assert "not trained" not in now + trained and "Third A + Third B" in trained
     assert all("not trained" in row for row in rest)
 
 

@@ -170,8 +170,8 @@ def comparison_steps(frame: Frame, other: str, named: Reference = own_name) -> l
         ),
         Step(
             "Your turn",
-            "Nothing fails by itself now. Press off or break under any picture: they act "
-            "on both sides, and 'A only' unlinks them. Which cameras does each policy need?",
+            "Nothing fails by itself now. Press off or break under any picture: the switches "
+            "act on A and B, until you choose 'A only'. Which cameras does each policy need?",
             (SetSchedule(()), *unbroken, Reset(), Play()),
             go="keep comparing",
             leave="explore one policy",

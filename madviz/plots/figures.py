@@ -71,7 +71,8 @@ def bars(
 ) -> str:
     """SVG text; ``series`` has a bar, or None where nothing was measured, for each group.
     ``hatched`` gives each series a pattern of its own, for print without colours."""
-    group = max(BAR * (len(series) + 2), 60, *(7 * len(name) for name in groups))
+    widest = max((len(line) for name in groups for line in name.splitlines()), default=0)
+    group = max(BAR * (len(series) + 2), 60, 7 * widest)
     with _style(title):
         figure = _figure(_width(60 + group * len(groups), title, series), 250)
         axes = figure.subplots()

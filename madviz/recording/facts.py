@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from madviz.session.camera_names import subset_label
 from madviz.session.frame import Frame
 from madviz.session.guard_words import failing
-from madviz.session.stream_words import subset_label
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from madviz.drawing.jpeg import jpeg_url
 from madviz.drawing.mosaic import mosaic
 from madviz.plots.figures import curves
 from madviz.recording.facts import Facts, condition_words
+from madviz.session.camera_names import stream_label
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of
 from madviz.system.files import write_bytes
@@ -112,7 +113,9 @@ class HtmlWriter:
     def _curves(self, last: Frame) -> str:
         streams = last.world.policy.streams
         own = colours_on_white(last.world.env.cameras)
-        colours = {stream: own[camera_of(stream)] for stream in streams}
+        labels = [stream_label(last, stream) for stream in streams]
+        pairs = zip(labels, streams, strict=True)
+        colours = {label: own[camera_of(stream)] for label, stream in pairs}
         colours |= {"merged": MERGED_ON_WHITE, "Q": "#0b6e99", "reward": "#5c8a3a"}
         hands = [f"a{index}" for index in range(last.world.env.action_dim)]
         colours |= {
@@ -124,9 +127,9 @@ class HtmlWriter:
             ("Q of the next action", self._series("q", ["Q"])),
             (
                 "Norms of the features",
-                self._series("norms", list(streams)) | self._series("merged", ["merged"]),
+                self._series("norms", labels) | self._series("merged", ["merged"]),
             ),
-            ("Cosine to the merged feature", self._series("cosines", list(streams))),
+            ("Cosine to the merged feature", self._series("cosines", labels)),
             ("Action", self._series("action", hands)),
             ("Reward", self._series("reward", ["reward"])),
         ]

@@ -24,6 +24,7 @@ from madviz.teaching.episode import frames_of as frames_of
 from madviz.teaching.episode import moment_at as moment_at
 from madviz.teaching.episode import moments as moments
 from madviz.teaching.episode import occluded as occluded
+from madviz.teaching.names import named as named
 from madviz.teaching.small_runs import SmallRun as SmallRun
 from madviz.teaching.small_runs import train_light as train_light
 from madviz.teaching.small_runs import train_small as train_small

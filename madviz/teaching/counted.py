@@ -8,6 +8,7 @@ from typing import Any
 from madviz.errors import UserError
 from madviz.measure.statistics import SuccessRate, pair
 from madviz.policies import checkpoint
+from madviz.teaching.names import named
 from madviz.teaching.show import Figure, TextTable, Words, bars, table
 
 
@@ -49,7 +50,8 @@ def success_table(measured: Mapping[str, Mapping[str, tuple[int, int]]]) -> Text
     rows = []
     for name in names:
         found = [one.get(name) for one in measured.values()]
-        rows.append([name, *(str(SuccessRate.of(*f)) if f else "not measured" for f in found)])
+        rates = [str(SuccessRate.of(*f)) if f else "not measured" for f in found]
+        rows.append([named(name), *rates])
     return table(["cameras", *measured], rows)
 
 
@@ -58,7 +60,7 @@ def success_bars(title: str, measured: Mapping[str, Mapping[str, tuple[int, int]
     first, *others = measured.values()
     groups = [name for name in first if all(name in other for other in others)]
     series = {name: [one[group] for group in groups] for name, one in measured.items()}
-    return bars(title, groups, series)
+    return bars(title, [named(group) for group in groups], series)
 
 
 def paired_table(
@@ -72,6 +74,6 @@ def paired_table(
         low, high = paired.interval()
         difference = f"{paired.difference:+.2f} [{low:+.2f}, {high:+.2f}] n={paired.n}"
         counted = (paired.both, paired.first_only, paired.second_only, paired.neither)
-        rows.append([subset, *counted, difference])
+        rows.append([named(subset), *counted, difference])
     only = [f"only {name}" for name in names]
     return table(["cameras", "both", *only, "neither", " - ".join(names)], rows)

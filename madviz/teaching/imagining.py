@@ -16,6 +16,7 @@ from madviz.errors import UserError
 from madviz.observation.condition import Condition
 from madviz.subsets import mask_of
 from madviz.teaching.episode import Moment
+from madviz.teaching.names import named
 from madviz.teaching.show import Picture, sheet
 from madviz.types import Imagines
 
@@ -36,8 +37,8 @@ def imagined_sheet(moment: Moment, subset: str, size: int = 168) -> Picture:
     """Every stream that is not in ``subset``: what it shows, and what is imagined."""
     shown = {}
     for name, one in imagined_at(moment, subset).items():
-        shown[name] = moment.arrived[name]
-        shown[f"{name}, imagined: {one.psnr:.0f} dB"] = one.picture
+        shown[named(name)] = moment.arrived[name]
+        shown[f"{named(name)}, imagined: {one.psnr:.0f} dB"] = one.picture
     return sheet(shown, size)
 
 

@@ -23,6 +23,7 @@ from madviz.plots.figures import curves
 from madviz.recording.record import RecordConfig, run_record
 from madviz.subsets import camera_of, mask_of
 from madviz.teaching import Moment, frames_of
+from madviz.teaching.names import named
 from madviz.teaching.show import Figure, Picture, TextTable, sheet, table
 
 
@@ -44,7 +45,7 @@ def saliency_sheet(
         strength = np.sqrt(maps[index])  # (H, W); the root lets weak places show.
         weight = 0.15 + 0.85 * strength[..., None]  # (H, W, 1)
         mixed = weight * heat(strength) + (1 - weight) * 0.5 * grey  # (H, W, 3)
-        pictures[stream] = mixed.astype(np.uint8)
+        pictures[named(stream)] = mixed.astype(np.uint8)
     return sheet(pictures, size)
 
 
@@ -69,8 +70,9 @@ def shapley_curves(episode: Sequence[Moment]) -> Figure:
 
 def _drawn(title: str, series: Mapping[str, Sequence[float]], episode: Sequence[Moment]) -> Figure:
     own = colours_on_white(episode[0].env.cameras)
-    colours = {name: own.get(camera_of(name), MERGED_ON_WHITE) for name in series}
-    return Figure(curves(title, series, colours, {}, episode[-1].step, height=180), title)
+    colours = {named(name): own.get(camera_of(name), MERGED_ON_WHITE) for name in series}
+    lines = {named(name): values for name, values in series.items()}
+    return Figure(curves(title, lines, colours, {}, episode[-1].step, height=180), title)
 
 
 def success_shapley(
@@ -88,7 +90,7 @@ def success_shapley(
     low, high = success_interval(bounded, streams)
     cameras = dict.fromkeys(map(camera_of, streams))
     rows = [
-        [name, f"{values.cameras[i]:+.2f}", f"[{low[i]:+.2f}, {high[i]:+.2f}]"]
+        [named(name), f"{values.cameras[i]:+.2f}", f"[{low[i]:+.2f}, {high[i]:+.2f}]"]
         for i, name in enumerate(cameras)
     ]
     rows.append(["together", f"{float(values.cameras.sum()):+.2f}", ""])

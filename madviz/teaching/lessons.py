@@ -22,7 +22,8 @@ from madviz.observation.ablation import KINDS, Occlusion, noise_generator
 from madviz.subsets import every_mask, name_of
 from madviz.system.depth import depth_code
 from madviz.teaching import Moment, frames_of
-from madviz.teaching.show import MARK, Figure, Picture, TextTable, bars, presence, sheet, table
+from madviz.teaching.names import named
+from madviz.teaching.show import MARK, Figure, Picture, TextTable, bars, sheet, table
 from madviz.types import Array, Policy, PolicySpec
 
 # The input of a policy.
@@ -47,11 +48,11 @@ def feature_sheet(moment: Moment, size: int = 168) -> Picture:
     top = float(np.quantile(features, 0.995)) or 1.0
     squares = features.reshape(-1, side, side) / top
     names = moment.policy.spec.streams
-    return sheet({n: heat(np.sqrt(s)) for n, s in zip(names, squares, strict=True)}, size)
+    return sheet({named(n): heat(np.sqrt(s)) for n, s in zip(names, squares, strict=True)}, size)
 
 
 def occlusion_sheet(moment: Moment, camera: str = "first", size: int = 140) -> Picture:
-    """One camera under every occlusion; ``freeze``, ``dropout`` and ``delay`` show the oldest frame
+    """One camera under every occlusion; those that send an older picture show the oldest frame
     of the stack, which differs a little where something moves."""
     frame = moment.views[camera].rgb
     before = frames_of(moment.stack, moment.policy.spec.streams.index(camera))[0]
@@ -62,7 +63,7 @@ def occlusion_sheet(moment: Moment, camera: str = "first", size: int = 140) -> P
         seen = before if occlusion.late else frame
         if kind == "mean":
             seen = mean_pictures(moment.env, moment.policy.spec.streams)[camera]
-        shown[kind] = occlusion.apply(seen, before, rng)
+        shown[KINDS[kind].button] = occlusion.apply(seen, before, rng)
     return sheet(shown, size, columns=4)
 
 
@@ -81,7 +82,7 @@ def subset_table(moment: Moment, every: bool = True) -> TextTable:
             trained = name in spec.trained_subsets
             merged = probe.merged_norm(row)
             q = float(probe.readout.q[row])
-            rows.append([name, int(mask.sum()), trained, merged, action, q])
+            rows.append([named(name), int(mask.sum()), trained, merged, action, q])
     return table(["cameras", "views", "trained", "norm of M", "action", "Q"], rows)
 
 
@@ -126,12 +127,13 @@ def support_table(streams: tuple[str, ...] = ("first", "third_a", "third_b")) ->
     for name, chosen in METHODS.items():
         if chosen.one_camera:
             marks = [MARK[0] if mask.sum() == 0 or not mask[0] else MARK[1] for mask in masks]
-            rows.append([name, *marks, "its one camera (here first) and nothing else"])
+            rows.append([name, *marks, "its one camera (here First person) and nothing else"])
         else:
             allowed = MERGES[chosen.merge].support.allows
             marks = [MARK[int(allowed(mask))] for mask in masks]
             rows.append([name, *marks, chosen.summary])
-    return table(["method", *(presence(mask, streams) for mask in masks), "what it is"], rows)
+    subsets = [named(name_of(mask, streams)) for mask in masks]
+    return table(["method", *subsets, "what it is"], rows)
 
 
 def answers(policy: Policy, moment: Moment, subsets: Sequence[str]) -> TextTable:
@@ -143,7 +145,7 @@ def answers(policy: Policy, moment: Moment, subsets: Sequence[str]) -> TextTable
         mask = np.ones_like(mask) if name == "all" else mask
         try:
             action: Array = policy.read(encoded, mask[None]).action[0]
-            rows.append([name, " ".join(f"{a:+.2f}" for a in action)])
+            rows.append([named(name), " ".join(f"{a:+.2f}" for a in action)])
         except UserError as error:
-            rows.append([name, f"refuses: {error}"])
+            rows.append([named(name), f"refuses: {named(str(error))}"])
     return table(["cameras", "answer"], rows)

@@ -11,6 +11,7 @@ from madviz.agent.merges.vit import ViewTransformer
 from madviz.errors import UserError
 from madviz.subsets import mask_of
 from madviz.teaching import Moment
+from madviz.teaching.names import named
 from madviz.teaching.show import TextTable, table
 from madviz.types import Array
 
@@ -36,8 +37,8 @@ def attention_shares(policy: TorchPolicy, moment: Moment, subset: str) -> TextTa
     for hook in hooks:
         hook.remove()
     shares = _shares(outputs["query"], outputs["key"], mask, isinstance(net, ViewTransformer))
-    rows = [[name, *shares[i]] for i, name in enumerate(streams) if mask[i]]
-    return table(["attends to", *streams], rows)
+    rows = [[named(name), *shares[i]] for i, name in enumerate(streams) if mask[i]]
+    return table(["attends to", *map(named, streams)], rows)
 
 
 def _shares(query: torch.Tensor, key: torch.Tensor, mask: Array, itself: bool) -> Array:

@@ -24,6 +24,7 @@ from pathlib import Path
 from madviz.measure.statistics import SuccessRate
 from madviz.policies.seeds import FIRST_DEVELOPMENT
 from madviz.system.files import read_json, write_json
+from madviz.teaching.names import named
 from madviz.teaching.show import Figure, TextTable, bars, table
 
 SHIPPED = Path(__file__).with_name("baselines.json")
@@ -111,12 +112,11 @@ def outcome_table(
         found = [outcomes.get(name, "") for name in names]
         cells = [str(SuccessRate.of(o.count("1"), len(o))) if o else missing for o in found]
         rows.append([method, *cells])
-    return table(["method", *names], rows)
+    return table(["method", *map(named, names)], rows)
 
 
 def outcome_bars(title: str, measured: Mapping[str, Outcomes], names: Sequence[str]) -> Figure:
     """Success by method with a bar for each case; no bar where the method refuses."""
     counts = {name: counted(measured, name) for name in names}
-    return bars(
-        title, list(measured), {name: [counts[name].get(m) for m in measured] for name in names}
-    )
+    series = {named(name): [found.get(m) for m in measured] for name, found in counts.items()}
+    return bars(title, list(measured), series)

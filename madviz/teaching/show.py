@@ -169,7 +169,8 @@ def bars(
     """Bars in groups. A pair (successes, n) becomes a rate with its Wilson interval; a number in
     [0, 1] stands for itself; where there is None there is no bar."""
     made = {name: [_bar(value) for value in values] for name, values in series.items()}
-    return Figure(figures.bars(title, list(groups), made, hatched=True), f"bars: {title}")
+    lines = [group.replace(" + ", " +\n") for group in groups]
+    return Figure(figures.bars(title, lines, made, hatched=True), f"bars: {title}")
 
 
 def _bar(value: float | tuple[int, int] | None) -> figures.Bar | None:
@@ -189,11 +190,6 @@ def curves(title: str, x_label: str, lines: Mapping[str, tuple[Sequence[float], 
         scaled = [value / top for value in y]
         panel[name] = figures.Line(list(x), scaled, scaled, scaled)
     return Figure(figures.lines(title, x_label, {"": panel}), f"curves: {title}")
-
-
-def presence(mask: Array, streams: Sequence[str]) -> str:
-    """Which streams are there: ``first · third_b``, or ``no camera``."""
-    return " · ".join(s for s, on in zip(streams, mask, strict=True) if on) or "no camera"
 
 
 def png(pixels: Array) -> bytes:

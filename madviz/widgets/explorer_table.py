@@ -6,6 +6,7 @@ from html import escape
 
 import numpy as np
 
+from madviz.session.camera_names import subset_label
 from madviz.session.frame import Frame, words
 from madviz.subsets import name_of
 from madviz.types import Array
@@ -32,7 +33,8 @@ def table_html(frame: Frame) -> str:
     streams = frame.world.policy.streams
     head = "".join(f"<th>{w}</th>" for w in ("cameras", "", "action", "apart", "Q"))
     rows = [
-        _subset_row(frame, row, name_of(probe.masks[row], streams)) for row in shown_rows(frame)
+        _subset_row(frame, row, subset_label(frame, name_of(probe.masks[row], streams)))
+        for row in shown_rows(frame)
     ]
     return f"<table><tr>{head}</tr>{''.join(rows)}</table>"
 

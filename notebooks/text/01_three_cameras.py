@@ -41,7 +41,7 @@ now = teaching.moment_at(policy, seed=2000, step=20)
 # the network gets no more. `sheet` draws pictures side by side, enlarged.
 
 # %%
-sheet({camera: view.rgb for camera, view in now.views.items()})
+sheet({teaching.named(camera): view.rgb for camera, view in now.views.items()})
 
 # %% [markdown]
 # The simulator also knows how far away every pixel is, in metres. Below, dark is near and bright is
@@ -51,9 +51,9 @@ sheet({camera: view.rgb for camera, view in now.views.items()})
 # %%
 shown = {}
 for camera, view in now.views.items():
-    near, far = now.env.camera(camera).depth_range
-    print(f"{camera:8} dark is {near:.2f} m, bright is {far:.2f} m or more")
-    shown[camera] = heat((view.depth - near) / (far - near))
+    (near, far), label = now.env.camera(camera).depth_range, teaching.named(camera)
+    print(f"{label:12} dark is {near:.2f} m, bright is {far:.2f} m or more")
+    shown[label] = heat((view.depth - near) / (far - near))
 sheet(shown)
 
 # %% [markdown]
@@ -128,7 +128,7 @@ source(Encoder)
 # %%
 for camera, feature in zip(policy.spec.streams, encoded.features, strict=True):
     zeros = (feature == 0).mean()
-    print(f"{camera:8} norm {np.linalg.norm(feature):.1f}, zeros {zeros:.0%}")
+    print(f"{teaching.named(camera):12} norm {np.linalg.norm(feature):.1f}, zeros {zeros:.0%}")
 
 # %% [markdown]
 # ## Play

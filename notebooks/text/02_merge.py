@@ -66,7 +66,7 @@ read = policy.read(encoded, masks)
 norms = np.linalg.norm(read.merged, axis=1)
 trained = [name in policy.spec.trained_subsets for name in names]
 actions = [" ".join(f"{a:+.2f}" for a in action) for action in read.action]
-columns = zip(names, trained, norms, actions, read.q, strict=True)
+columns = zip(map(teaching.named, names), trained, norms, actions, read.q, strict=True)
 table(["cameras", "trained", "norm of M", "action", "Q"], list(columns))
 
 # %% [markdown]
@@ -90,7 +90,11 @@ guess = Predict(
 guess
 
 # %%
-bars("norm of M, largest = 1", names, {"this time step": list(norms / norms.max())})
+bars(
+    "norm of M, largest = 1",
+    [*map(teaching.named, names)],
+    {"this time step": list(norms / norms.max())},
+)
 
 # %% [markdown]
 # Features have no negative numbers (the encoder cuts them off), so they cannot cancel out: the
@@ -208,7 +212,7 @@ teaching.check("02.mean", mean)
 
 # %% tags=["solution"]
 rows = [
-    [name_of(mask, policy.spec.streams)]
+    [teaching.named(name_of(mask, policy.spec.streams))]
     + [float(np.linalg.norm(merged(now.probe.features, mask))) for merged in (merge, mean)]
     for mask in every_mask(3)
 ]

@@ -49,7 +49,7 @@ HAMMER_TASK, HAMMER_SIZE, HAMMER_EPISODES = "metaworld/hammer", light.LightConfi
 # %%
 streams = ("first", "third_a", "third_b")
 table(
-    ["method", *method("mad").rows(streams)],
+    ["method", *map(teaching.named, method("mad").rows(streams))],
     [
         ["mad, alpha 0.5", *method("mad").row_weights(streams, 0.5)],
         ["merged-only", *method("merged-only").row_weights(streams, 0.5), "", "", ""],
@@ -100,7 +100,7 @@ print(f"\nMerged Only: {merged_only.seconds:.0f} s")
 
 # %%
 start = teaching.moment_at(mad.policy, step=0)
-sheet({camera: view.rgb for camera, view in start.views.items()})
+sheet({teaching.named(camera): view.rgb for camera, view in start.views.items()})
 
 # %%
 curves(
@@ -141,10 +141,15 @@ teaching.success_table(measured)
 # %%
 third = [measured["merged-only"][name] for name in ("third_a", "third_b")]
 number = teaching.in_words(sum(s for s, _ in third), sum(n for _, n in third))
-print("Merged Only on first alone:          ", teaching.in_words(*measured["merged-only"]["first"]))
+print(
+    "Merged Only on First person alone:    ", teaching.in_words(*measured["merged-only"]["first"])
+)
 print("Merged Only on Third A, or on Third B:", number)
 guess.compare(
-    ", ".join(f"{s} of {n} with {name}" for name, (s, n) in measured["merged-only"].items())
+    ", ".join(
+        f"{s} of {n} with {teaching.named(name)}"
+        for name, (s, n) in measured["merged-only"].items()
+    )
 )
 
 # %% [markdown]

@@ -57,7 +57,7 @@ guess
 black = {"third_a": Occlusion("black")}
 blacked = teaching.occluded(now, black)
 rows = [
-    [camera, now.probe.norms[i], blacked.probe.norms[i]]
+    [teaching.named(camera), now.probe.norms[i], blacked.probe.norms[i]]
     for i, camera in enumerate(mad.spec.streams)
 ]
 table(["camera", "norm of its feature", "when Third A sends black"], rows)
@@ -150,7 +150,7 @@ teaching.success_table(shipped)
 
 # %% tags=["prediction"]
 guess_pair = Predict(
-    "Above, merged-only is behind mad on first+third_b. Could that be chance?",
+    "Above, merged-only is behind mad without Third A. Could that be chance?",
     ["Yes, 100 episodes are too few", "Hardly"],
 )
 guess_pair

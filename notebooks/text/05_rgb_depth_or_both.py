@@ -83,7 +83,7 @@ gaps = {
 top = max(gaps.values())
 bars(
     f"mean distance of actions to those on all streams; 1.0 = {top:.2f}",
-    list(gaps),
+    [*map(teaching.named, gaps)],
     {"one episode": [gap / top for gap in gaps.values()]},
 )
 
@@ -114,7 +114,7 @@ print("depth only:", teaching.in_words(*shipped["depth"]))
 # %%
 few = madviz.evaluate(policy, ["third_a.depth", "third_a.rgb"], episodes=3, seed=5000)
 for name, counted in teaching.counts(few.rows).items():
-    print(f"{name:14}", teaching.in_words(*counted))
+    print(f"{teaching.named(name):14}", teaching.in_words(*counted))
 
 # %% [markdown]
 # ## Play

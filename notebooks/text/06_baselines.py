@@ -241,10 +241,10 @@ teaching.check("06.lost", lost)
 # Which camera would you spare? Without it, the methods of this lesson lose:
 
 # %%
-print(" " * 12, *CAMERAS)
+print(" " * 12, *map(teaching.named, CAMERAS), sep="  ")
 for name, outcomes in best.items():
     losses = [lost(outcomes["all"], outcomes[f"{camera} missing"]) for camera in CAMERAS]
-    print(f"{name:12}", *(f"{value:+.2f}" for value in losses))
+    print(f"{name:12}  {losses[0]:+12.2f}  {losses[1]:+7.2f}  {losses[2]:+7.2f}")
 
 # %% [markdown]
 # ## Exercise 2: who does without First person

@@ -166,8 +166,8 @@ third_a = np.array([[False, True, False]])
 alone = vib.read(vib.encode(moment.stack, moment.state), third_a).action[0]
 thrice = vib.encode(moment.stack[[1, 1, 1]], moment.state)
 everywhere = vib.read(thrice, np.ones((1, 3), bool)).action[0]
-print("only third_a:        ", alone.round(2))
-print("three times third_a: ", everywhere.round(2))
+print("only Third A:        ", alone.round(2))
+print("three times Third A: ", everywhere.round(2))
 
 # %%
 answers(vib, moment, SUBSETS)

@@ -80,7 +80,7 @@ guess
 
 # %%
 now = episode[20]
-sheet({camera: view.rgb for camera, view in now.views.items()})
+sheet({teaching.named(camera): view.rgb for camera, view in now.views.items()})
 
 # %%
 saliency_sheet(now)
@@ -90,8 +90,8 @@ everything = np.ones(3, bool)
 maps = [saliency(merged_only, m.stack, m.state, everything, "action") for m in episode[::20]]
 sums = np.array(maps).sum((2, 3))  # One row per time step, one column per camera.
 shares = (sums / sums.sum(1, keepdims=True)).mean(0)
-named = zip(merged_only.spec.streams, shares, strict=True)
-guess.compare(", ".join(f"{name} {share:.2f}" for name, share in named))
+cameras = [teaching.named(name) for name in merged_only.spec.streams]
+guess.compare(", ".join(f"{n} {s:.2f}" for n, s in zip(cameras, shares, strict=True)))
 
 # %% [markdown]
 # In the saved run it falls almost evenly on all three. Keep that in mind for the next part. And
@@ -131,7 +131,7 @@ guess_share
 # %%
 streams = mad.spec.streams
 values, shown = success_shapley(teaching.shipped(MAD), streams)
-guess_share.compare(", ".join(f"{n} {w:.2f}" for n, w in zip(streams, values.cameras, strict=True)))
+guess_share.compare(", ".join(f"{n} {w:.2f}" for n, w in zip(cameras, values.cameras, strict=True)))
 
 # %%
 shown
@@ -147,7 +147,7 @@ shown
 print("First person alone:", teaching.in_words(*teaching.shipped(MERGED_ONLY)["first"]))
 print("without First person:", teaching.in_words(*teaching.shipped(MERGED_ONLY)["third_a+third_b"]))
 gaps = [np.linalg.norm(moment.action("first") - moment.action("all")) for moment in episode]
-print(f"mean distance of its actions on first alone: {np.mean(gaps):.2f}")
+print(f"mean distance of its actions on First person alone: {np.mean(gaps):.2f}")
 
 # %% [markdown]
 # Read the two lines together: First person alone has next to no success, and yet it has the
@@ -207,7 +207,10 @@ guess_camera
 # %%
 others = ("first", "third_b", "first+third_b")
 guess_camera.compare(
-    "; ".join(f"from {names} {imagined_psnr(reach, 'third_a', names):.1f} dB" for names in others)
+    "; ".join(
+        f"from {teaching.named(names)} {imagined_psnr(reach, 'third_a', names):.1f} dB"
+        for names in others
+    )
 )
 
 # %% [markdown]
@@ -268,8 +271,9 @@ def shapley(rate, camera, cameras):
 teaching.check("08.shapley", shapley)
 
 # %%
-for camera, value in zip(streams, values.cameras, strict=True):
-    print(f"{camera:8} by hand {shapley(rate, camera, streams):.3f}, success_shapley {value:.3f}")
+for camera, label, value in zip(streams, cameras, values.cameras, strict=True):
+    by_hand = shapley(rate, camera, streams)
+    print(f"{label:12} by hand {by_hand:.3f}, success_shapley {value:.3f}")
 
 # %% [markdown]
 # ## Exercise 2: what "success without it" hides

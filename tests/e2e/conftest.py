@@ -138,14 +138,14 @@ class Visitor:
 
     def dismiss(self) -> None:
         """Closes the notices that lie over the scene, viser's own among them."""
-        notices = self.page.locator(".mantine-Notification-root")
-        while notices.count():
-            before = notices.count()
-            notices.first.get_by_role("button").click(force=True)
-            self.page.wait_for_function(
-                f"() => document.querySelectorAll('.mantine-Notification-root').length < {before}",
-                timeout=PATIENCE,
-            )
+        self.page.wait_for_function(
+            """() => {
+              const notices = [...document.querySelectorAll('.mantine-Notification-root')];
+              notices.forEach(one => one.querySelector('button')?.click());
+              return !notices.length;
+            }""",  # Some go by themselves, also while they are about to be clicked.
+            timeout=PATIENCE,
+        )
 
     def tile(self, camera: int) -> list[list[int]]:
         """The RGB pixels of one camera's tile, as the browser shows it, 20 rows of 20."""

@@ -146,7 +146,7 @@ def test_a_lesson_runs_and_a_click_takes_a_camera_away(browser, lab: str) -> Non
         )
         page.get_by_role("button", name="off", exact=True).nth(1).click()
         page.get_by_text("Third A dropped: action changed by").wait_for()
-        page.get_by_role("cell", name="first+third_b").last.wait_for()
+        page.get_by_role("cell", name="First person + Third B").last.wait_for()
         page.locator("select").filter(has_text="as fast as it goes").select_option(
             label="as fast as it goes"
         )

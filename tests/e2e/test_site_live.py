@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -57,13 +58,18 @@ def page(browser) -> Iterator[Any]:
     assert errors == []
 
 
-def test_a_camera_goes_off_and_one_of_two_policies_succeeds(page, address) -> None:
+def test_a_camera_goes_black_and_with_the_guard_one_of_two_policies_succeeds(page, address) -> None:
     asked: list[str] = []
     page.context.on("request", lambda request: asked.append(request.url))
     page.goto(address)
+    until(page, "MAD and Merged Only both drove the nail in.", "#line")
+    page.get_by_role("button", name="Next: First person goes black").click()
     until(page, "Which policy will still do it?", "#line")
     page.get_by_role("button", name="Just show me").click()
-    until(page, "Step 15: First person is off.", "#line")
+    until(page, "Step 15: First person sends black.", "#line")
+    until(page, "First person sent black from step 15.", "#line")
+    page.get_by_role("button", name="Next: the same with the guard").click()
+    until(page, "Guard: First person sends black since step 15", "#line")
     until(page, "MAD drove the nail in, Merged Only did not.", "#line")
     assert any("runtime/mujoco.wasm" in url for url in asked), "the worker's requests count, too"
     others = [
@@ -77,18 +83,33 @@ def test_a_camera_goes_off_and_one_of_two_policies_succeeds(page, address) -> No
     page.wait_for_function(f"before => ({picture})() !== before", arg=before)
 
 
+STROKES = """
+const {drawImage, stroke} = CanvasRenderingContext2D.prototype;
+Object.assign(CanvasRenderingContext2D.prototype, {
+  drawImage(...what) { this.canvas.lines = []; return drawImage.apply(this, what); },
+  stroke(...what) { this.canvas.lines?.push(this.strokeStyle); return stroke.apply(this, what); },
+});
+"""
+"""Runs in a page before its own scripts: a canvas keeps the colours of lines over its picture."""
+PATHS = """() => ['#ffd166', '#ffffff'].map(
+  colour => document.querySelector('.scene canvas').lines.includes(colour)).join()"""
+"""True for the hand's path, and for its path with all cameras, where the scene has it."""
+
+
 def test_an_episode_ends_with_the_hands_path_beside_the_one_with_all_cameras(page, address) -> None:
+    page.add_init_script(STROKES)
     page.goto(f"{address}#policy={MERGED_ONLY}&seed=5001&first=off@15")
     page.wait_for_selector("body[data-ready]")
     page.locator("#speed").select_option("")
     until(page, "Merged Only did not drive the nail in.", "#line")
-    before = page.evaluate("() => document.querySelector('.scene canvas').toDataURL()")
+    assert page.evaluate(PATHS) == "false,false", "known before it was played once more"
     until(page, " cm from its path with all cameras, and 1 cm for the first time at step", "#line")
-    page.wait_for_function(
-        "before => document.querySelector('.scene canvas').toDataURL() !== before", arg=before
-    )
+    said = page.locator("#line").inner_text()
+    assert float(re.findall(r"up to ([0-9.]+) cm from its path", said)[0]) > 1
+    page.wait_for_function(f"() => ({PATHS})() === 'true,true'")
     page.get_by_role("button", name="Again", exact=True).click()
     page.wait_for_function("() => !document.querySelector('#line').innerText.includes(' cm ')")
+    page.wait_for_function(f"() => ({PATHS})() === 'false,false'")
 
 
 def origin(address: str) -> str:

@@ -44,6 +44,8 @@ test('an episode ends in words where something was done, with what is known of i
   const ending = endingOf([world], [entry], new Tally());
   assert.equal(words(ending),
     'First person was dropped from the start. MAD did it. Over 100 episodes: 0.90 [0.83, 0.94].');
+  const touchedSince = {...world, condition: {subset: 'none', occlusions: ''}, decided: world.condition};
+  assert.equal(words(endingOf([touchedSince], [entry], new Tally())), words(ending));
   assert.equal(endingOf([{...world, events: []}], [entry], new Tally()), null);
   assert.equal(endingOf([{...world, ended: false}], [entry], new Tally()), null);
 });

@@ -17,9 +17,9 @@ from madviz.app.screen import Screen
 from madviz.app.toolkit import Cell, Choice, WidgetPanel, on_press, on_value, place
 from madviz.drawing.mosaic import GAP, Dropped, mosaic
 from madviz.observation.displacement import MoveCamera
+from madviz.session.camera_names import MODALITY_WORDS
 from madviz.session.commands import Compare, Link, SetCamera
 from madviz.session.frame import Frame, untouched
-from madviz.session.stream_words import MODALITY_WORDS
 from madviz.subsets import modality_of
 
 SWITCH = {"on": "on", "off": "off", "break": "break …"}

@@ -19,7 +19,7 @@ from madviz.session.frame import Frame
 INTRODUCTION = (
     "A is the page. <b>Start B</b> puts a second policy beside it, on the same seeds: the one you "
     "choose here, with the cameras as they are now. Its pictures appear under A's. The switches "
-    "act on both, until you choose <b>A only</b>."
+    "act on A and B, until you choose <b>A only</b>."
 )
 CHANCE = (
     "p: how often two equal sides come to look as different as this, if somebody looks after every "

@@ -23,8 +23,8 @@ from madviz.app.markup import dot, term
 from madviz.app.panel import Assign
 from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import MERGED, camera_colours, heat
+from madviz.session.camera_names import stream_label
 from madviz.session.frame import Frame
-from madviz.session.stream_words import stream_label
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array
 
@@ -39,11 +39,15 @@ NO_FEATURES = "This policy does not show what it makes of single cameras."
 NO_POINTS = uplot.Series_Points(show=False)
 
 
+WHOLE = tuple(part * 10**power for power in range(5) for part in (1, 2, 5))
+"""Distances of the numbers on an axis of steps or episodes."""
+
+
 def small_axes(width: int) -> tuple[uplot.Axis, uplot.Axis]:
     """Axes for a chart that has little room; ``width`` in pixels of the numbers on the left."""
     ticks = uplot.Axis_Ticks(size=4)
     return (
-        uplot.Axis(size=22, font="11px sans-serif", gap=3, ticks=ticks),
+        uplot.Axis(size=22, font="11px sans-serif", gap=3, ticks=ticks, incrs=WHOLE),
         uplot.Axis(size=width, font="11px sans-serif", gap=3, ticks=ticks),
     )
 

@@ -21,9 +21,9 @@ from madviz.app.panel import Assign
 from madviz.app.toolkit import HtmlPanel, on_press
 from madviz.drawing.colours import INK, MUTED, NOTE
 from madviz.drawing.jpeg import jpeg_url
+from madviz.session.camera_names import stream_label
 from madviz.session.commands import Command, Foresee
 from madviz.session.frame import Frame
-from madviz.session.stream_words import stream_label
 from madviz.types import Array
 
 SHOWN = (1, 2, 3, 4, 5, 7, 9, 11, 13, 15)

@@ -21,8 +21,8 @@ from madviz.app.markup import progress_bar
 from madviz.app.panels.features import NO_VIEWS
 from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import MERGED, MUTED, camera_colours
+from madviz.session.camera_names import stream_label
 from madviz.session.frame import Frame
-from madviz.session.stream_words import stream_label
 from madviz.subsets import camera_of, modality_of
 from madviz.types import Array, PolicySpec
 

@@ -27,8 +27,8 @@ from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import FAINT, MUTED, NOTE, camera_colours
 from madviz.observation.condition import Condition
+from madviz.session.camera_names import subset_label
 from madviz.session.frame import Frame
-from madviz.session.stream_words import subset_label
 from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.types import Array
 

@@ -13,9 +13,9 @@ from madviz.app.markup import band, term, track
 from madviz.app.panel import Assign, apply
 from madviz.app.toolkit import HtmlPanel, SyncedInput, on_value
 from madviz.drawing.colours import NOTE, camera_colours
+from madviz.session.camera_names import subset_label
 from madviz.session.commands import Command, ReadSubsets
 from madviz.session.frame import Frame
-from madviz.session.stream_words import subset_label
 from madviz.subsets import camera_of, name_of
 
 MIDDLE = 50

@@ -19,8 +19,8 @@ from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.measure.statistics import SuccessRate
 from madviz.observation.condition import Condition
+from madviz.session.camera_names import subset_label
 from madviz.session.frame import Frame, Outcome
-from madviz.session.stream_words import subset_label
 from madviz.subsets import mask_of, name_of, single_streams
 from madviz.types import PolicySpec
 

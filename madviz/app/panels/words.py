@@ -112,9 +112,9 @@ class WordsPanel(HtmlPanel):
         else:
             said = escape(both_sides(self._last[0], frame, self._rates))
             if asks_now(frame, prediction):
-                said += f" <b>{ASKS[1 if frame.second is None else 2]}</b>"
+                said += f". <b>{ASKS[1 if frame.second is None else 2]}</b>"
             elif prediction.guess:
-                said += f" <b>You say {escape(prediction.guess)}.</b>"
+                said += f". <b>You say {escape(prediction.guess)}.</b>"
         sides = [frame] if frame.second is None else [frame, frame.second]
         for noticed in dict.fromkeys(map(guard_sentence, sides)):  # Once where both notice alike.
             if noticed:
@@ -159,7 +159,8 @@ def ending_html(ending: Ending, frame: Frame, guess: str = "") -> str:
     goes_on = "" if frame.pace.speed is None or not frame.pace.auto_next else " The next one soon."
     return (
         f'<div class="mv-ending" role="status">{" ".join(filter(None, parts))}'
-        f'<span class="dim">{goes_on} R: again. N: the next start.</span></div>'
+        f'<span class="dim">{goes_on}<span class="mv-keys"> R: again. N: the next start.</span>'
+        "</span></div>"
     )
 
 

@@ -65,6 +65,8 @@ class ScenePanel(Panel):
         self._frusta: dict[str, viser.CameraFrustumHandle] = {}
         self._placed = dict(frame.world.poses)
         self._nodes: list = []
+        self._on_hand: list[viser.LabelHandle] = []
+        """The labels of cameras that ride on the hand; they would cover its path."""
         self._colours = colours = camera_colours(frame.world.env.cameras)
         self._size = extent(frame)
         with client.atomic():
@@ -86,6 +88,8 @@ class ScenePanel(Panel):
         for name, handle in self._frusta.items():
             colour = rgb(self._colours[name]) if frame.uses(name) else OFF
             changes.append(Assign(handle, "color", colour))
+        ended = [side.paths for side in (frame, frame.second) if side is not None and side.paths]
+        changes += [Assign(label, "visible", not ended) for label in self._on_hand]
         if frame.pace.phase != "playing" or now - self._moved >= (
             MOVE_AT_FULL_SPEED if full_speed else MOVE
         ):
@@ -190,6 +194,8 @@ class ScenePanel(Panel):
         )
         self._frusta[name] = frustum
         self._nodes += [label, frustum]
+        if frame.world.env.camera(name).body is not None:
+            self._on_hand.append(label)
 
 
 def _same(pose: CameraPose, before: CameraPose) -> bool:

@@ -108,13 +108,13 @@ export function departureOf(paths) {
 }
 
 /**
- * What is known of the condition at the end: what was measured before, or counted here.
+ * What is known of the condition of the last decision: what was measured before, or counted here.
  * @param {World} world
  * @param {import('./catalogue.js').Entry} entry
  * @param {import('./statistics.js').Tally} tally
  * @returns {Rate}
  */
-function rateOf({policy, condition}, entry, tally) {
+function rateOf({policy, condition: now, decided: condition = now}, entry, tally) {
   const {successes, n} = tally.count(policy, condition);
   const known = condition.occlusions ? undefined : entry.measured[condition.subset];
   if (known && known.n > n) return {value: known.success, interval: known.ci95, n: known.n};

@@ -59,7 +59,10 @@ export class Explorer {
     this.transport = new Transport(catalogue, send, onChoice);
     byId('choose').replaceChildren(this.transport.element);
     this.many = new RunMany(EPISODES, send);
-    this.link = make('button', {type: 'button', onclick: () => this.setLinked(!this.linked)});
+    this.linkButtons = [true, false].map(linked => make('button', {type: 'button',
+      onclick: () => this.setLinked(linked)}, linked ? 'A and B' : 'one side'));
+    this.link = make('div', {class: 'field', role: 'group', 'aria-label': 'Switches act on'},
+      make('span', {}, 'Switches act on'), ...this.linkButtons);
     this.guard = make('input', {type: 'checkbox', onchange: () =>
       this.send({kind: 'SetGuard', on: this.guard.checked})});
     this.drawn = 0;
@@ -199,7 +202,7 @@ export class Explorer {
     this.boards = linked || !two ? [new SwitchBoard(entry, 'both', this.send)]
       : this.entries.map((one, index) =>
         new SwitchBoard(one, index === 0 ? 'first' : 'second', this.send));
-    say(this.link, linked ? 'Switches act on both sides: unlink' : 'Link the switches of A and B');
+    this.linkButtons.forEach((button, i) => button.setAttribute('aria-pressed', String(linked === !i)));
     const titles = this.boards.map((board, index) => linked || !two ? [board.element]
       : [make('h3', {}, `Side ${'AB'[index]}: ${this.entries[index].label}`), board.element]);
     byId('controls').replaceChildren(make('div', {class: 'heading'}, make('h2', {}, 'Cameras'),
@@ -308,7 +311,8 @@ export class Explorer {
     const said = [changes.join('. '), guard].filter(Boolean).join('. ');
     const asked = !this.asks ? guess && ` You say ${guess}.`
       : worlds.length > 1 ? ' Which will still do it?' : ' Will it still do it?';
-    return tell(line, [document.createTextNode(said || hint), ...asked ? [make('b', {}, asked)] : []]);
+    const stop = asked && /[^.]$/.test(said) ? '.' : '';
+    return tell(line, [document.createTextNode(said ? said + stop : hint), ...asked ? [make('b', {}, asked)] : []]);
   }
 
   /** What is played now, for a link. @returns {import('./link.js').LinkState | null} */

@@ -226,6 +226,7 @@
  * @property {Record<string, CameraState>} cameras The switches of every camera.
  * @property {Record<string, Displacement>} moves The cameras that do not stand where they did.
  * @property {Condition} condition
+ * @property {Condition} [decided] The condition of the last decision.
  * @property {Record<string, Picture>} views By camera, what it really sees.
  * @property {Record<string, Picture>} arrived By stream, what reached the policy.
  * @property {Record<string, CameraPose>} poses By camera.

@@ -21,7 +21,7 @@ const LEAST = 40; // Milliseconds from one drawing to the next.
 const SHARE = 4; // Times as long as a drawing takes, nothing is drawn.
 const LENGTH = 0.12; // Metres of a frustum; one on the hand is shorter.
 const TAKEN = [['#000a', 6], ['#ffd166', 4]]; // The hand's path: colours, and pixels wide.
-const INTACT = [['#fff', 1.5]]; // Its path with all cameras.
+const INTACT = [['#000a', 3.5], ['#fff', 2]]; // Its path with all cameras.
 const WIDEST = 900; // Pixels.
 const WIDEST_SLOW = 360; // Where OpenGL runs on the CPU.
 
@@ -157,7 +157,7 @@ export class SceneView {
         }
         context.stroke();
       }
-      const at = places[0];
+      const at = world.paths && camera.body ? null : places[0]; // It would cover the paths.
       if (at && at[0] > 0 && at[0] < width && at[1] > 0 && at[1] < height) {
         name(context, off ? `${camera.label}: off` : camera.label, at, scale);
       }

@@ -66,6 +66,8 @@ export class Simulation {
     this.paths = null;
     /** @type {Set<string>} */
     this.conditions = new Set();
+    /** That of the last decision. @type {import('./messages.js').Condition | undefined} */
+    this.decided = undefined;
     /** @type {import('./messages.js').Change | null} */
     this.change = null;
     /** @type {Readout | null} */
@@ -118,6 +120,7 @@ export class Simulation {
     this.hands = [];
     this.changedAt = this.paths = null;
     this.conditions.clear();
+    this.decided = undefined;
     this.watch(this.guard !== null);
     this.guardEvents = [];
     this.beganGuarded = this.guard !== null;
@@ -166,7 +169,7 @@ export class Simulation {
 
   /** One decision. */
   async advance() {
-    const {subset, occlusions, guarded} = this.condition();
+    const {subset, occlusions, guarded} = this.decided = this.condition();
     if (subset !== 'all' || occlusions) this.changedAt ??= this.step;
     this.conditions.add(JSON.stringify([this.policy.spec.name, subset, occlusions, guarded]));
     this.actions.push(this.action);
@@ -324,6 +327,7 @@ export class Simulation {
       cameras: structuredClone(this.cameras),
       moves: structuredClone(this.moves),
       condition: this.condition(),
+      decided: this.decided,
       views: opaque(this.views),
       arrived: this.stack.newest(),
       poses: Object.fromEntries(poses),

@@ -110,12 +110,12 @@ export class SwitchBoard {
       card.state = world.cameras[name] ?? intact();
       element.classList.toggle('off', card.state.input === 'off');
       switches.update(card.state);
-      failure.update(card.state);
       move.update(world.moves[name]);
       const how = [card.state.occlusion.kind === 'none' ? '' : stateWords({...card.state,
         input: 'both'}), world.moves[name] ? moveWords(world.moves[name]) : ''].filter(Boolean);
       more.setAttribute('aria-pressed', String(how.length > 0));
       say(state, how.join(', '));
+      failure.update(card.state);
     }};
     return card;
   }
@@ -171,6 +171,7 @@ export class SwitchBoard {
         sliders = this.sliders(camera, label, kind);
         box.replaceChildren(...[...sliders.values()].map(one =>
           make('label', {}, make('span', {}, one.dataset.words ?? ''), one)));
+        if (this.drawer.contains(box)) this.drawer.scrollIntoView({block: 'nearest'});
       }
       for (const [name, slider] of sliders) {
         if (document.activeElement !== slider) {

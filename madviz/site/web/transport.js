@@ -49,7 +49,7 @@ export class Transport {
     this.who.value = entry.name;
     this.rival.replaceChildren(make('option', {value: ''}, 'nobody'),
       ...this.catalogue.rivals(entry).map(one =>
-        make('option', {value: one.name}, nameOf(one))));
+        make('option', {value: one.name}, one.label)));
     this.rival.value = rival?.name ?? '';
     this.rival.disabled = this.rival.options.length < 2;
     this.seed.replaceChildren(...entry.seeds.map(seed =>
