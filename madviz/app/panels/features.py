@@ -10,7 +10,6 @@ only of a sum may the page say that it is one, and only a sum has shares.
 from __future__ import annotations
 
 from base64 import b64encode
-from collections import deque
 
 import cv2
 import numpy as np
@@ -29,41 +28,39 @@ from madviz.subsets import camera_of, modality_of
 from madviz.types import Array
 
 BINS = 128
-HISTORY = 150
-"""Columns of a strip; decisions a curve goes back."""
+"""Columns of a strip."""
+FONT = "11px sans-serif"
 NO_VIEWS = (
     "This policy puts the pictures of all cameras on top of each other before anything else. No "
     "camera has a feature of its own, so there is only one row here, and no camera can be left out."
 )
 NO_FEATURES = "This policy does not show what it makes of single cameras."
 NO_POINTS = uplot.Series_Points(show=False)
-
-
 WHOLE = tuple(part * 10**power for power in range(5) for part in (1, 2, 5))
 """Distances of the numbers on an axis of steps or episodes."""
 
 
-def small_axes(width: int) -> tuple[uplot.Axis, uplot.Axis]:
-    """Axes for a chart that has little room; ``width`` in pixels of the numbers on the left."""
+def small_axes(width: int, label: str = "") -> tuple[uplot.Axis, uplot.Axis]:
+    """Axes for a chart that has little room; ``width`` in pixels of the numbers on the left,
+    ``label`` under the lower axis."""
     ticks = uplot.Axis_Ticks(size=4)
-    return (
-        uplot.Axis(size=22, font="11px sans-serif", gap=3, ticks=ticks, incrs=WHOLE),
-        uplot.Axis(size=width, font="11px sans-serif", gap=3, ticks=ticks),
-    )
+    below = uplot.Axis(size=22, font=FONT, gap=3, ticks=ticks, incrs=WHOLE)
+    if label:
+        below |= uplot.Axis(label=label, labelFont=FONT, labelSize=16, labelGap=2)
+    return below, uplot.Axis(size=width, font=FONT, gap=3, ticks=ticks)
 
 
 class FeaturesPanel(HtmlPanel):
-    """Curves of norms and, below them, a table: strip, norm and cosine of every stream."""
+    """Curves of norms over this episode and, below them, a table: strip, norm and cosine of every
+    stream."""
 
     def __init__(self, gui: viser.GuiApi, frame: Frame, height: int = 150) -> None:
         self._gui = gui
         self._height = height
         self._streams: tuple[str, ...] = ()
         self._plot: viser.GuiUplotHandle
-        self._history: deque[tuple[float, ...]] = deque(maxlen=HISTORY)
-        self._last = (0, 0)
-        self._time = 0
-        """Episode and step of the newest point; decisions seen in all."""
+        self._history: list[tuple[float, ...]] = []
+        self._episode = 0
         self._holder = gui.add_folder(None)
         self._rebuild(frame)
         self.handles = [self._holder]
@@ -83,15 +80,12 @@ class FeaturesPanel(HtmlPanel):
         already."""
         if frame.past or frame.world.policy.streams != self._streams:
             return
-        episode, step = self._last
-        if (frame.world.episode, frame.world.step) == (episode, step) and self._history:
+        if frame.world.episode != self._episode:
+            self._episode = frame.world.episode
+            self._history.clear()
+        if self._history and self._history[-1][0] == frame.world.step:
             self._history.pop()  # The same time step, perhaps under another condition.
-        elif frame.world.episode == episode:
-            self._time += max(1, frame.world.step - step)
-        else:
-            self._time += 1 + frame.world.step
-        self._last = (frame.world.episode, frame.world.step)
-        self._history.append((self._time, *curve_point(frame)))
+        self._history.append((frame.world.step, *curve_point(frame)))
 
     def _rebuild(self, frame: Frame) -> None:
         """Another policy may have other streams, and with them other curves."""
@@ -105,7 +99,7 @@ class FeaturesPanel(HtmlPanel):
                 tuple(np.array([0.0, 1.0]) if i == 0 else np.zeros(2) for i in range(count)),
                 curve_series(frame),
                 scales={"x": uplot.Scale(time=False)},
-                axes=small_axes(42),
+                axes=small_axes(42, "step of this episode"),
                 legend=uplot.Legend(show=False),
                 height=self._height - 12 * max(0, len(self._streams) - 3),
                 padding=(8, 12, 0, 0),
@@ -115,7 +109,7 @@ class FeaturesPanel(HtmlPanel):
 def curve_series(frame: Frame) -> tuple[uplot.Series, ...]:
     """One line per stream in its camera's colour, depth dashed, the merged feature in white."""
     colours = camera_colours(frame.world.env.cameras)
-    series: list[uplot.Series] = [uplot.Series(label="decision")]
+    series: list[uplot.Series] = [uplot.Series(label="step")]
     for stream in frame.world.policy.streams:
         line = uplot.Series(
             label=stream_label(frame, stream),
