@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from madviz.envs.registry import make_env
@@ -27,7 +26,7 @@ class DrawnTask:
         return make_env(self.task, self.render_profile, self.cameras)
 
 
-def newest_frames(env: Environment, streams: Sequence[str]) -> list[Array]:
+def newest_frames(env: Environment, streams: tuple[str, ...]) -> list[Array]:
     """The present frame (H, W, C) uint8 of every stream; no other camera is drawn."""
     views = {camera: env.view(camera) for camera in cameras_of(streams)}
     return [stream_frame(views[camera_of(stream)], stream, env.spec) for stream in streams]
