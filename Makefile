@@ -1,14 +1,16 @@
+# make setup   system libraries and packages; make setup-dev: those of tests and docs, too
 # make demo    set everything up and serve the page at http://127.0.0.1:8080
 # make site    write the explorer as static files to build/site, and serve it at http://127.0.0.1:8000
 # make notebooks   the lessons in JupyterLab (notebooks/README.md)
 # make student-copies   copies of the lessons without outputs and solutions, in build/class
 # make test    set up the same, then the fast and the real-browser tests; lists the slowest twenty
+# make test-slow   trainings and long evaluations, hours
 # make style   formatting, import rules and types, in about a minute
 # make check   the same, and the documentation's links
 # make docs    the documentation as a site in build/docs
 # make dist    a wheel and a source archive in dist/
-# make release REPOSITORY=ADDRESS   writes the address into README and the package's data, then makes
-#               wheel, documentation and site, and tries the wheel in a clean environment
+# make release REPOSITORY=ADDRESS   writes the address into four files, then makes wheel, documentation
+#               and site, and tries the wheel in a clean environment
 # make figures  evaluate every policy on the reporting seeds (hours; goes on where it was stopped),
 #               then make pictures
 # make bench   every benchmark, into docs/benchmarks.md (20 minutes on an idle machine)

@@ -1,0 +1,177 @@
+"""Trains and evaluates two designs of results/designs.md, one run at a time:
+
+    python tools/designs.py crossed runs/crossed    Loss and episodes, on two robot tasks
+    python tools/designs.py rewards runs/rewards    Reinforcement learning, toy/reach
+
+Each evaluated training becomes rows of results/NAME.csv at once, so a command that was stopped goes
+on where it was. In *crossed*, for each task, training seed and level of episodes, one MAD run
+records, and every loss learns from its episodes. A set of them, 0.7 GB, is removed after its last
+training.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from policy_files import ROOT
+
+TASKS = ("metaworld/push", "maniskill/push-cube")
+LEVELS = ("turns", "all")
+SEEDS = (1, 2, 3)
+CAMERAS = ("first", "third_a", "third_b")
+FIRST_SEED = 30_000
+
+
+class Loss(NamedTuple):
+    """A row of a design: a method, MAD's alpha, and the camera of Single Camera."""
+
+    method: str
+    alpha: float = 0.25
+    camera: str = ""
+
+    @property
+    def name(self) -> str:
+        """The folder of a training."""
+        parts = [self.method, str(self.alpha), *([self.camera] if self.camera else [])]
+        return "-".join(parts)
+
+
+RECORDS = Loss("mad")
+LOSSES = (
+    RECORDS,
+    Loss("mad", 0.8),
+    Loss("merged-only"),
+    Loss("singular-only"),
+    *(Loss("single", camera=camera) for camera in CAMERAS),
+)
+FROM_REWARDS = (
+    Loss("mad", 0.8),
+    Loss("merged-only", 0.8),
+    Loss("singular-only", 0.8),
+    Loss("naive-both", 0.8),
+    Loss("single", 0.8, "third_a"),
+)
+REWARDS = (
+    "--recipe paper-vectorised --vectorised.steps 6000 --vectorised.batch-size 64 "
+    "--vectorised.discount 0.9 --vectorised.hidden-dim 512 --vectorised.workers 0 "
+    "--vectorised.eval-every 6000 --threads 1"
+).split()
+"""As the earlier training on toy/reach; alpha is the recipe's, 0.8."""
+
+
+class Row(NamedTuple):
+    """One subset of one training; outcomes are a digit for each episode, 1 for a success."""
+
+    task: str
+    episodes: str
+    seed: int
+    method: str
+    alpha: float
+    camera: str
+    subset: str
+    first_seed: int
+    at_last_step: str
+    at_any_step: str
+
+
+def crossed(out: Path) -> None:
+    """*Loss and episodes*."""
+    table = ROOT / "results" / "crossed.csv"
+    for task, seed, level in itertools.product(TASKS, SEEDS, LEVELS):
+        folder = out / f"{task.replace('/', '-')}-{level}-seed{seed}"
+        left = [loss for loss in LOSSES if (task, level, seed, *loss) not in done(table)]
+        for loss in left:
+            recorded = folder / RECORDS.name
+            if loss != RECORDS and not (recorded / "episodes").is_dir():
+                _train(recorded, task, seed, RECORDS, _imitation(RECORDS, _recording(level)))
+            options = _recording(level) if loss == RECORDS else ["--light.episodes", str(recorded)]
+            _train(folder / loss.name, task, seed, loss, _imitation(loss, options))
+            _add(table, _evaluated(folder / loss.name, (task, level, seed), loss, 50))
+        if folder.exists():
+            shutil.rmtree(folder)
+
+
+def rewards(out: Path) -> None:
+    """*Reinforcement learning*, the part on toy/reach."""
+    table = ROOT / "results" / "rewards.csv"
+    for seed, loss in itertools.product(range(1, 6), FROM_REWARDS):
+        place = ("toy/reach", "its own", seed)
+        if (*place, *loss) in done(table):
+            continue
+        folder = out / f"{loss.name}-seed{seed}"
+        _train(folder, "toy/reach", seed, loss, REWARDS)
+        _add(table, _evaluated(folder, place, loss, 100))
+
+
+def done(table: Path) -> set[tuple]:
+    """The trainings that ``table`` has."""
+    if not table.exists():
+        return set()
+    with table.open(newline="") as file:
+        return {
+            (r["task"], r["episodes"], int(r["seed"]), r["method"], float(r["alpha"]), r["camera"])
+            for r in csv.DictReader(file)
+        }
+
+
+def _recording(level: str) -> list[str]:
+    return ["--light.keep-episodes", "--light.drivers", level]
+
+
+def _imitation(loss: Loss, options: Iterable[str]) -> list[str]:
+    return ["--light.alpha", str(loss.alpha), "--light.critic-updates", "0", *options]
+
+
+def _train(out: Path, task: str, seed: int, loss: Loss, options: Iterable[str]) -> None:
+    words = ["train", "--task", task, "--method", loss.method, "--seed", str(seed)]
+    words += ["--out", str(out), *(["--camera", loss.camera] if loss.camera else [])]
+    words += ["--resume"] if (out / "resume" / "run.json").exists() else []
+    _madviz(*words, *options)
+
+
+def _evaluated(policy: Path, place: tuple[str, str, int], loss: Loss, count: int) -> list[Row]:
+    subsets = ["all"] if loss.camera else ["all", *CAMERAS]
+    file = policy / "rates.json"
+    words = ["--episodes", str(count), "--seed", str(FIRST_SEED), "--workers", "1"]
+    _madviz("eval", "--policy", str(policy), "--subsets", *subsets, *words, "--json", str(file))
+    episodes = json.loads(file.read_text())["episodes"]
+    rows = []
+    for subset in subsets:
+        played = sorted((e for e in episodes if e["subset"] == subset), key=lambda e: e["seed"])
+        last, ever = (
+            "".join(str(int(episode[key])) for episode in played)
+            for key in ("success", "success_any")
+        )
+        rows.append(Row(*place, *loss, subset, FIRST_SEED, last, ever))
+    return rows
+
+
+def _add(table: Path, rows: list[Row]) -> None:
+    new = not table.exists()
+    with table.open("a", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerows(([Row._fields] if new else []) + rows)
+
+
+def _madviz(*words: str) -> None:
+    subprocess.run([sys.executable, "-m", "madviz", *words], check=True)
+
+
+DESIGNS = {"crossed": crossed, "rewards": rewards}
+
+
+def main(words: Sequence[str]) -> None:
+    name, out = words
+    DESIGNS[name](Path(out))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
