@@ -90,7 +90,9 @@ def test_every_comparison_ends_in_words(session: Recorder) -> None:
     frame = session.steps(25)
     words = ending_of(frame, measured)
     assert words is not None and words.done == ""
-    assert words.measured == "Over 100 episodes: 0.70 [0.60, 0.78] and 0.70 [0.60, 0.78]."
+    assert words.measured == (
+        "Over 100 episodes: MAD 0.70 [0.60, 0.78] and Merged Only 0.70 [0.60, 0.78]."
+    )
     session.at(session.time + HOLD)
     assert session.frames[-1].ended
 

@@ -217,7 +217,11 @@ def test_evaluations_in_training_use_selection_scenes(
         return EpisodeResult("all", seed, True, True, 1.0)
 
     monkeypatch.setattr("madviz.training.paper.run_episode", run_episode)
-    monkeypatch.setattr("madviz.runs.vector_envs.run_episode", run_episode)
+
+    def play(lanes: Any, policy: Any, jobs: list[tuple[Array, int]], stop: Any) -> list[Any]:
+        return [run_episode(policy, lanes, mask, None, seed) for mask, seed in jobs]
+
+    monkeypatch.setattr("madviz.runs.vector_envs.VectorEnvs.play", play)
     vectorised = VectorisedConfig(**SHORT, environments=2, workers=0)
     config = TrainConfig(
         "toy/reach", "mad", recipe, out=tmp_path / "run", threads=1,

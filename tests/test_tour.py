@@ -196,7 +196,7 @@ def test_a_guess_is_heard_and_leads_on(table: Table, server: viser.ViserServer):
         client, table.session.send, lambda: table.frame, CHOICES, [], guessed=guesses.append
     )
     tour.greet()
-    assert client.gui.find("Your guess").options == ("MAD", "Merged Only", "both")
+    assert client.gui.find("Your guess").options == ("MAD", "Merged Only", "both", "neither")
     use(client.gui.find("Your guess"), "both")
     assert guesses == ["both"] and table.tick().second is not None
     labels = [getattr(handle, "label", "") for handle in client.gui.present]

@@ -36,7 +36,7 @@ from madviz.session.commands import (
     SetSeed,
     SetSpeed,
 )
-from madviz.session.ending import BOTH
+from madviz.session.ending import BOTH, NEITHER
 from madviz.session.frame import Frame, untouched
 from madviz.types import PolicySpec
 
@@ -144,7 +144,7 @@ def comparison_steps(frame: Frame, other: str, named: Reference = own_name) -> l
             f"{GOES_AT}, {camera.label} is dropped on both sides. Which will still do it?",
             go="just show me",
             leave="explore one policy",
-            guesses=("MAD", "Merged Only", BOTH),
+            guesses=("MAD", "Merged Only", BOTH, NEITHER),
         ),
         Step(
             "The same episode, twice",
@@ -204,7 +204,7 @@ def acts(frame: Frame, other: str, named: Reference = own_name) -> list[Step]:
             (*intact, SetSpeed(10.0), Compare(other), Link(True), SetSchedule(()), *again),
             go="just show me",
             leave="explore one policy",
-            guesses=("MAD", "Merged Only", BOTH),
+            guesses=("MAD", "Merged Only", BOTH, NEITHER),
         ),
         Step(
             f"{camera.label} goes black",

@@ -2,8 +2,8 @@
 
     First person was dropped at step 15. MAD drove the nail in, Merged Only did not. MAD's hand was
     up to 0.6 cm from its path with all cameras; Merged Only's up to 12.3 cm, and 1 cm for the first
-    time at step 23. Without it from the start, over 100 episodes: 1.00 [0.96, 1.00] and 0.00 [0.00,
-    0.04].
+    time at step 23. Without it from the start, over 100 episodes: MAD 1.00 [0.96, 1.00] and
+    Merged Only 0.00 [0.00, 0.04].
 
 They say what was done, who succeeded, what came of it, and what was measured. Page, film and
 lessons have them from here; the site says the same in ``site/web/ending.js``, and one table of
@@ -99,20 +99,22 @@ def ending(sides: Sequence[EndedSide], done: tuple[str, str]) -> Ending:
 
 
 BOTH = "both"
+NEITHER = "neither"
 YES_OR_NO = ("yes", "no")
 """The answers to the question whether the only policy will succeed."""
 
 
 def guess_words(guess: str, winners: Sequence[str]) -> str:
-    """``You said both, and it was MAD alone.`` A guess is a label, ``BOTH``, or one of
-    ``YES_OR_NO``."""
+    """``You said both, and it was MAD alone.`` A guess is a label, ``BOTH``, ``NEITHER``, or
+    one of ``YES_OR_NO``."""
     if guess in YES_OR_NO:
         right = (guess == "yes") == bool(winners)
         came = "it did" if winners else "it did not"
         return f"You said {guess}, and so it was." if right else f"You said {guess}, but {came}."
-    came = {0: "neither", 1: f"{next(iter(winners), '')} alone"}.get(len(winners), BOTH)
-    right = guess == BOTH if len(winners) == 2 else list(winners) == [guess]
-    return f"You said {guess}, and so it was." if right else f"You said {guess}, and it was {came}."
+    if list(winners) == [guess] or guess == {0: NEITHER, 2: BOTH}.get(len(winners)):
+        return f"You said {guess}, and so it was."
+    came = {0: NEITHER, 2: BOTH}.get(len(winners), f"{next(iter(winners), '')} alone")
+    return f"You said {guess}, and it was {came}."
 
 
 def _what_was_done(sides: Sequence[EndedSide]) -> str:
@@ -176,9 +178,16 @@ def _what_was_measured(sides: Sequence[EndedSide]) -> str:
     lead = _lead(sides)
     if len(counts) == 1:
         over = f"{lead}, over" if lead else "Over"
-        return f"{over} {counts.pop()} episodes: {_listed([_rate(rate) for rate in rates])}."
-    measured = _listed([f"{_rate(r)} (n = {r.n})" if r.n else "not measured" for r in rates])
-    return f"{lead or 'Measured'}: {measured}."
+        return f"{over} {counts.pop()} episodes: {_listed(_named(sides, list(map(_rate, rates))))}."
+    measured = [f"{_rate(r)} (n = {r.n})" if r.n else "not measured" for r in rates]
+    return f"{lead or 'Measured'}: {_listed(_named(sides, measured))}."
+
+
+def _named(sides: Sequence[EndedSide], said: list[str]) -> list[str]:
+    """``MAD 1.00 [0.96, 1.00]`` for each of two sides; one needs no name."""
+    if len(sides) == 1:
+        return said
+    return [f"{side.label} {words}" for side, words in zip(sides, said, strict=True)]
 
 
 def _lead(sides: Sequence[EndedSide]) -> str:

@@ -346,7 +346,7 @@ def _deed(before: CameraState, after: CameraState) -> str:
     if before.input == after.input:
         return after.occlusion.predicate
     if before.input == "off":
-        return "is back"
+        return "is back" if after.occlusion.kind == "none" else after.occlusion.predicate
     return {"rgb": "gives colour", "depth": "gives depth", "both": "gives colour and depth"}[
         after.input
     ]

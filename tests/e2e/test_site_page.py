@@ -78,7 +78,7 @@ def test_the_opening_tells_what_happens_and_hands_over_the_switches(visit, addre
     words = until(page, "MAD drove the nail in, Merged Only did not.", "#line")
     assert "First person was dropped at step 15." in words
     assert "You said both, and it was MAD alone." in words
-    assert "over 100 episodes: 1.00 [0.96, 1.00] and 0.00 [0.00, 0.04]." in words
+    assert "over 100 episodes: MAD 1.00 [0.96, 1.00] and Merged Only 0.00 [0.00, 0.04]." in words
     page.get_by_role("button", name="Your turn").click()
     until(page, "Cameras", "#controls")
     page.wait_for_function("() => !document.querySelector('.view.off')")

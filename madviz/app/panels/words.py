@@ -16,7 +16,15 @@ from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import HtmlPanel, heard
 from madviz.drawing.colours import NOTE
 from madviz.policies.no_policy import NO_POLICY
-from madviz.session.ending import BOTH, YES_OR_NO, Ending, ending_of, guess_words, side_labels
+from madviz.session.ending import (
+    BOTH,
+    NEITHER,
+    YES_OR_NO,
+    Ending,
+    ending_of,
+    guess_words,
+    side_labels,
+)
 from madviz.session.frame import Change, Frame, deed, words
 from madviz.session.guard_words import guard_sentence
 from madviz.types import PolicySpec
@@ -130,7 +138,7 @@ def answers(frame: Frame) -> tuple[str, ...]:
     """The answers to the question who will succeed."""
     if frame.second is None:
         return YES_OR_NO
-    return (*side_labels([frame.world.policy, frame.second.world.policy]), BOTH)
+    return (*side_labels([frame.world.policy, frame.second.world.policy]), BOTH, NEITHER)
 
 
 def asks_now(frame: Frame, prediction: Prediction) -> bool:

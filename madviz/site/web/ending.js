@@ -3,8 +3,8 @@
  *
  *     First person was dropped at step 15. MAD drove the nail in, Merged Only did not. MAD's hand was
  *     up to 0.6 cm from its path with all cameras; Merged Only's up to 12.3 cm, and 1 cm for the first
- *     time at step 23. Without it from the start, over 100 episodes: 1.00 [0.96, 1.00] and 0.00
- *     [0.00, 0.04].
+ *     time at step 23. Without it from the start, over 100 episodes: MAD 1.00 [0.96, 1.00] and
+ *     Merged Only 0.00 [0.00, 0.04].
  *
  * The same as `madviz/session/ending.py`; one table of cases tests both.
  */
@@ -133,6 +133,7 @@ export function endingParts(sides, done) {
 }
 
 export const BOTH = 'both';
+const NEITHER = 'neither';
 const YES_OR_NO = ['yes', 'no'];
 
 /**
@@ -140,7 +141,7 @@ const YES_OR_NO = ['yes', 'no'];
  * @param {import('./catalogue.js').Entry[]} entries
  */
 export function answersFor(entries) {
-  return entries.length > 1 ? [...sideLabels(entries), BOTH] : YES_OR_NO;
+  return entries.length > 1 ? [...sideLabels(entries), BOTH, NEITHER] : YES_OR_NO;
 }
 
 /** @param {import('./catalogue.js').Entry[]} entries */
@@ -160,8 +161,8 @@ export function guessWords(guess, winners) {
     return `You said ${guess}, ${right ? 'and so it was'
       : `but it ${winners.length ? 'did' : 'did not'}`}.`;
   }
-  const came = ['neither', `${winners[0]} alone`, BOTH][winners.length];
-  const right = guess === (winners.length === 2 ? BOTH : winners[0]);
+  const came = [NEITHER, `${winners[0]} alone`, BOTH][winners.length];
+  const right = guess === [NEITHER, winners[0], BOTH][winners.length];
   return `You said ${guess}, and ${right ? 'so it was' : `it was ${came}`}.`;
 }
 
@@ -219,10 +220,16 @@ function whatWasMeasured(sides) {
   const lead = measuredUnder(sides);
   if (counts.size === 1) {
     return `${lead ? `${lead}, over` : 'Over'} ${rates[0].n} episodes: ${
-      listed(rates.map(inWords))}.`;
+      listed(named(sides, rates.map(inWords)))}.`;
   }
-  return `${lead || 'Measured'}: ${listed(rates.map(rate =>
-    rate.n ? `${inWords(rate)} (n = ${rate.n})` : 'not measured'))}.`;
+  return `${lead || 'Measured'}: ${listed(named(sides, rates.map(rate =>
+    rate.n ? `${inWords(rate)} (n = ${rate.n})` : 'not measured')))}.`;
+}
+
+/** `MAD 1.00 [0.96, 1.00]` for each of two sides; one needs no name.
+ * @param {EndedSide[]} sides @param {string[]} said */
+function named(sides, said) {
+  return sides.length === 1 ? said : said.map((words, i) => `${sides[i].label} ${words}`);
 }
 
 /** The condition that was measured, where it did not hold all the time. @param {EndedSide[]} sides */

@@ -312,7 +312,8 @@ export class Explorer {
     const asked = !this.asks ? guess && ` You say ${guess}.`
       : worlds.length > 1 ? ' Which will still do it?' : ' Will it still do it?';
     const stop = asked && /[^.]$/.test(said) ? '.' : '';
-    return tell(line, [document.createTextNode(said ? said + stop : hint), ...asked ? [make('b', {}, asked)] : []]);
+    const nodes = [document.createTextNode(said ? said + stop : hint)];
+    return tell(line, asked ? [...nodes, make('b', {}, asked)] : nodes);
   }
 
   /** What is played now, for a link. @returns {import('./link.js').LinkState | null} */

@@ -74,7 +74,8 @@ export function story(frame, {entries, step, camera: name}, tally, {asks, guess}
   if (frame.first.ended) {
     return [...endingNodes(endingOf(worlds, entries, tally), guess), text(noticed && ` ${noticed}`)];
   }
-  const event = how === 'off' ? `${camera} goes off` : `${camera} goes black, and stays in the sum`;
+  const event = how === 'off' ? `${camera} goes off`
+    : `${camera} goes black${guard ? '' : ', and stays in the sum'}`;
   if (asks && frame.first.step === 0) {
     return [strong(`${task_label}. `), text(`At step ${step}, ${event}, on both sides. `
       + 'Which policy will still do it?')];

@@ -110,7 +110,11 @@ class Page {
       case 'Run':
         answer.outcomes.forEach(outcome => explorer.tally.add(outcome));
         return explorer.many.update(answer);
-      case 'Saved': return download(answer.text);
+      case 'Saved':
+        if (explorer.entries.length > 1) {
+          notice('The file has the episodes of side A. Copy link keeps both sides.');
+        }
+        return download(answer.text);
       case 'Problem': return this.problem(answer);
       default: return undefined;
     }

@@ -122,7 +122,8 @@ export function moveWords(move) {
  */
 export function changeWords(change, cameras) {
   const label = labelOf(change.camera, cameras);
-  const back = change.before.input === 'off' && change.after.input !== 'off';
+  const back = change.before.input === 'off' && change.after.input !== 'off'
+    && change.after.occlusion.kind === 'none';
   const deed = change.moved ? 'has another place' : back ? 'is back' : stateWords(change.after);
   return `${label} ${deed}: ${effectWords(change)}`;
 }
