@@ -215,7 +215,8 @@ class Simulation:
                 self._stack.replace_last(self._settled)
         elif self._guard is not None:  # It judges the cameras that are present.
             self._probe()
-        self._note_change(command.camera, before, command.state, reading)
+        if command.state != self._state_in(before, command.camera):
+            self._note_change(command.camera, before, command.state, reading)
         if not preview:
             self._settled = self.ablation
         self.journal.camera(self.now.step + preview, command)

@@ -26,6 +26,7 @@ export class Success {
     this.note = make('p', {class: 'soft'});
     const columns = ['the policy gets', 'measured', ...(entry.recorded ? [] : ['counted here'])];
     this.element = make('section', {class: 'panel'}, make('h3', {}, term('success', 'Success')),
+      make('p', {}, needsWords(entry)),
       make('div', {class: 'scroll'}, make('table', {class: 'success'},
         make('thead', {}, make('tr', {}, ...columns.map(words =>
           make('th', {scope: 'col'}, term(words))))), this.body)),
@@ -65,6 +66,29 @@ export class Success {
     }
     return rows;
   }
+}
+
+/**
+ * Which cameras a policy needs, from what was measured without each: `Merged Only needs First person:
+ * without it, 0.00 [0.00, 0.04] n=100.` A camera is needed where the interval lies below half of the
+ * success with all; '' where that is not decided.
+ * @param {Pick<Entry, 'label' | 'cameras' | 'measured'>} entry
+ */
+export function needsWords({label, cameras, measured}) {
+  const {all} = measured;
+  const without = cameras.flatMap(({name, label: camera}) => {
+    const rate = measured[cameras.filter(one => one.name !== name).map(one => one.name).join('+')];
+    return rate ? [{camera, rate, words: rateWords(rate.success, rate.ci95, rate.n)}] : [];
+  });
+  if (!all || cameras.length < 3 || without.length < cameras.length) return '';
+  const needed = without.filter(({rate}) => rate.ci95[1] < all.success / 2);
+  if (needed.length) {
+    return `${label} needs ${needed.map(({camera}) => camera).join(' and ')}: without it, ${
+      needed.map(({words}) => words).join(' and ')}.`;
+  }
+  if (without.some(({rate}) => rate.ci95[0] <= all.success / 2)) return '';
+  const worst = without.reduce((one, other) => other.rate.success < one.rate.success ? other : one);
+  return `${label} needs no single camera: without any one, ${worst.words} or more.`;
 }
 
 /** @param {Condition} one @param {Condition} other */
