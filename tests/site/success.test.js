@@ -22,7 +22,7 @@ test('a policy needs a camera without which at most half of its success is left'
     'P needs First person: without it, 0.00 [0.00, 0.04] n=100.');
   assert.match(needsWords(entry(100, 0, 10, 100)), /^P needs First person and Third A: without it, 0.00/);
   assert.equal(needsWords(entry(99, 100, 98, 99)),
-    'P needs no single camera: without any one, 0.98 [0.93, 0.99] n=100 or more.');
+    'P needs no single camera: without any one, at least 0.98 [0.93, 0.99] n=100.');
 });
 
 test('what is not decided, or was not measured, is not said', () => {

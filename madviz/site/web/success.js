@@ -88,7 +88,7 @@ export function needsWords({label, cameras, measured}) {
   }
   if (without.some(({rate}) => rate.ci95[0] <= all.success / 2)) return '';
   const worst = without.reduce((one, other) => other.rate.success < one.rate.success ? other : one);
-  return `${label} needs no single camera: without any one, ${worst.words} or more.`;
+  return `${label} needs no single camera: without any one, at least ${worst.words}.`;
 }
 
 /** @param {Condition} one @param {Condition} other */
