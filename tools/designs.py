@@ -64,7 +64,7 @@ REWARDS = (
     "--vectorised.discount 0.9 --vectorised.hidden-dim 512 --vectorised.workers 0 "
     "--vectorised.eval-every 6000 --threads 1"
 ).split()
-"""As the earlier training on toy/reach; alpha is the recipe's, 0.8."""
+"""The options of an earlier training on toy/reach; alpha is the recipe's, 0.8."""
 
 
 class Row(NamedTuple):
