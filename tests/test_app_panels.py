@@ -29,7 +29,16 @@ from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.camera_names import subset_label
-from madviz.session.commands import Compare, Link, Pause, Scrub, SetCamera, SetPolicy, StepOnce
+from madviz.session.commands import (
+    Compare,
+    Fork,
+    Link,
+    Pause,
+    Scrub,
+    SetCamera,
+    SetPolicy,
+    StepOnce,
+)
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
@@ -169,6 +178,21 @@ def test_looking_back_leaves_the_curves_as_they_are(server):
     for step in (2, 4, 1):
         apply(panel.update(session.ask(Scrub(step))))
     np.testing.assert_array_equal(gui.of("GuiUplotHandle")[0].data, before)
+    panel.remove()
+
+
+def test_curves_go_on_from_an_earlier_step(server):
+    session = Recorder()
+    session.at(0.0)
+    gui = recorded(server.gui)
+    panel = FeaturesPanel(gui, frame_with())
+    for _ in range(8):
+        apply(panel.update(session.steps(1)))
+    for command in (Scrub(2), Fork()):
+        apply(panel.update(session.ask(command)))
+    apply(panel.update(session.steps(2)))
+    steps = list(gui.of("GuiUplotHandle")[0].data[0])
+    assert steps == sorted(set(steps)) and steps[-1] == session.frames[-1].world.step < 8
     panel.remove()
 
 

@@ -19,9 +19,9 @@ SEEDS = (5000, 5001)
 TASKS = [f"metaworld/{task}" for task in METAWORLD_TASKS]
 TASKS += [f"maniskill/{task}" for task in MANISKILL_TASKS]
 
-APART = {"maniskill/poke-cube": 0.2}
-"""The largest relative difference of returns: where bodies touch, last bits grow (17.2 and 14.4 in
-one episode of PokeCube, with success in both)."""
+CHAOTIC = {"maniskill/poke-cube"}
+"""Here bodies touch hard and last bits grow: returns of one episode are 14.4 and 17.2, with success
+in both. The bound is not met, and the test says so."""
 
 
 class InOnePass:
@@ -48,11 +48,14 @@ def test_success_is_the_same_in_one_pass_and_in_one_row(task: str) -> None:
     assert isinstance(together, Policy)
     spec = policy.spec
     mask = np.ones(len(spec.streams), bool)
+    returns = []
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
         for seed in SEEDS:
             alone = run_episode(policy, env, mask, Ablation(), seed)
             beside = run_episode(together, env, mask, Ablation(), seed)
             assert beside.success == alone.success
-            assert beside.total_reward == pytest.approx(
-                alone.total_reward, rel=APART.get(task, 0.05)
-            )
+            if beside.total_reward != pytest.approx(alone.total_reward, rel=0.05):
+                returns.append((seed, alone.total_reward, beside.total_reward))
+    if returns and task in CHAOTIC:
+        pytest.xfail(f"returns differ by more than 5 %: {returns}")
+    assert returns == []

@@ -136,6 +136,20 @@ def test_what_was_done_to_a_dropped_camera_is_said(session: Recorder):
     assert said == ["dropped", "dropped", "sends black", "is back"]
 
 
+def test_a_camera_that_is_set_as_it_is_makes_no_change(session: Recorder) -> None:
+    session.steps(2)
+    assert session.ask(SetCamera("first", CameraState("rgb"))).world.change is None
+    off = session.ask(SetCamera("first", OFF)).world.change
+    assert off is not None and session.ask(SetCamera("first", OFF)).world.change is off
+
+
+def test_a_camera_that_comes_back_broken_is_not_back(session: Recorder) -> None:
+    session.ask(SetCamera("first", OFF))
+    frame = session.ask(SetCamera("first", BLACK))
+    assert frame.world.change is not None
+    assert deed(frame.world.change, frame.world.env) == "First person sends black"
+
+
 def test_black_is_not_dropped(session: Recorder):
     dropped = session.ask(SetCamera("third_a", OFF))
     session.ask(SetCamera("third_a", CameraState("rgb")))

@@ -36,6 +36,8 @@ test('a change says what was done and what came of it', () => {
     action_change: 0.312, q_before: 12.14, q_after: 9.81};
   assert.equal(changeWords(change, CAMERAS), 'Third A is off: action changed by 0.31, Q 12.1 → 9.8');
   assert.match(changeWords({...change, before: off, after: intact()}, CAMERAS), /^Third A is back:/);
+  const black = {...intact(), occlusion: {...noOcclusion(), kind: 'black'}};
+  assert.match(changeWords({...change, before: off, after: black}, CAMERAS), /^Third A sends black:/);
   assert.match(changeWords({...change, action_change: NaN}, CAMERAS), /cannot act on that$/);
 });
 

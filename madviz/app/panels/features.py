@@ -83,8 +83,9 @@ class FeaturesPanel(HtmlPanel):
         if frame.world.episode != self._episode:
             self._episode = frame.world.episode
             self._history.clear()
-        if self._history and self._history[-1][0] == frame.world.step:
-            self._history.pop()  # The same time step, perhaps under another condition.
+        # The same time step, perhaps under another condition, or what came after it before.
+        while self._history and self._history[-1][0] >= frame.world.step:
+            self._history.pop()
         self._history.append((frame.world.step, *curve_point(frame)))
 
     def _rebuild(self, frame: Frame) -> None:
