@@ -6,6 +6,7 @@ import contextlib
 import socket
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import msgspec.msgpack
@@ -17,6 +18,7 @@ import zstandard
 from madviz.app.layout import Shared
 from madviz.app.page import Page
 from madviz.app.panel import Assign, Panel
+from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.policy import PolicyChoice
 from madviz.app.panels.training import TrainingPanel
 from madviz.app.refresh import AFTER, FASTEST, Refresh, TimedPanel
@@ -265,6 +267,28 @@ def test_a_training_is_followed_while_the_episode_stands_still(monkeypatch):
         await_that(lambda: len(looks) >= 6 and looks[-1] == looks[-2] == looks[-3])
 
 
+def test_a_click_is_kept_that_comes_while_the_page_is_drawn(monkeypatch):
+    real = BreakPanel.update
+    clicked: list[BreakPanel] = []
+    later: list[BreakPanel] = []
+
+    def update(panel: BreakPanel, frame: Frame):
+        changes = real(panel, frame)
+        if clicked:
+            later.append(panel)
+        elif frame.pace.phase == "paused":
+            panel.show([Assign(panel._folder, "visible", True)])  # As a click's own thread does.
+            panel.camera = "first"
+            clicked.append(panel)
+        return changes
+
+    monkeypatch.setattr(BreakPanel, "update", update)
+    with users(cap=1) as (_, lobby, made):
+        lobby.come(1)
+        made[0].send(Pause())
+        await_that(lambda: bool(later) and later[0]._folder.visible)
+
+
 class Counted(Panel):
     """A panel that counts its updates and the frames it is given."""
 
@@ -297,6 +321,28 @@ def test_tables_make_way_for_somebody_who_has_touched_a_camera():
     refresh.update(frame, 11.0, lambda: False)
     assert (picture.updates, table.updates) == (2, 2)
     assert (picture.noted, table.noted) == (4, 4), "every frame goes to every panel of the list"
+
+
+class Interrupted(Counted):
+    """A panel whose first update is interrupted by a click, as the click's thread does it."""
+
+    click: Callable[[], None]
+
+    def update(self, frame: Frame) -> list[Assign]:
+        changes = super().update(frame)
+        if self.updates == 1:
+            self.click()
+        return changes
+
+
+def test_a_click_during_an_update_brings_one_more():
+    panel, frame = Interrupted(), frame_with(Pause())
+    refresh = Refresh([TimedPanel(panel, FASTEST)])
+    panel.click = refresh.again
+    refresh.update(frame, 10.0, lambda: False)
+    assert refresh.wait(frame, 10.0) is not None
+    refresh.update(frame, 11.0, lambda: False)
+    assert panel.updates == 2 and refresh.wait(frame, 11.0) is None
 
 
 def newest(session: Session) -> Frame:

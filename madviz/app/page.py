@@ -206,6 +206,7 @@ class Page:
                 self._shared,
                 frame,
                 lambda: self._newest,
+                self.poke,
                 wide=self._wide,
                 readonly=self._readonly,
                 greet=greet,

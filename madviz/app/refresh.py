@@ -73,11 +73,11 @@ class Refresh:
                 continue
             if interrupted() and not urgent:
                 break
-            changes += timed.panel.update(frame)
             timed.updated = now
-            # A panel that is not finished shows the same frame again when it is due.
-            unfinished = getattr(timed.panel, "unsettled", False)
-            timed.number = 0 if unfinished else frame.pace.number
+            timed.number = frame.pace.number  # Before its update: ``again`` may come during it.
+            changes += timed.panel.update(frame)
+            if getattr(timed.panel, "unsettled", False):
+                timed.number = 0  # It shows the same frame again when it is due.
         return changes
 
     def _hasten(self, frame: Frame, now: float) -> None:

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import viser
 
 from madviz.app.connection import MISTAKES, is_downloading, note
-from madviz.app.panel import Assign, Panel
+from madviz.app.panel import Assign, Panel, apply
 from madviz.errors import UserError
 from madviz.session.frame import Frame
 
@@ -268,6 +268,15 @@ class WidgetPanel(Panel):
     """Base of a panel that is made of widgets: whatever is in ``handles`` is taken off the page."""
 
     handles: Sequence[Any] = ()
+    again: Callable[[], None] = staticmethod(lambda: None)
+    """Asks for one more ``update`` with the newest frame; the page puts in its own."""
+
+    def show(self, changes: list[Assign]) -> None:
+        """Assigns at once what a visitor has chosen. The page's thread may be about to assign what
+        it computed before that, and while an episode is paused no frame would correct it, so this
+        also asks for one more update."""
+        apply(changes)
+        self.again()
 
     def remove(self) -> None:
         """See ``panel.Panel``."""

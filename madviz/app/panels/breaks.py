@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import viser
 
-from madviz.app.panel import Assign, apply
+from madviz.app.panel import Assign
 from madviz.app.panels.move import MovePanel
 from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
@@ -58,7 +58,7 @@ class BreakPanel(WidgetPanel):
             self._sends = Choice(gui, "Sends", buttons, self._break, HINTS["sends"])
             self._gives = Choice(gui, "Gives", GIVES, self._give, HINTS["gives"])
             close = gui.add_button("close", color="gray", hint=HINTS["close"])
-            on_press(close, lambda: apply(self.turn(self.camera)))
+            on_press(close, lambda: self.show(self.turn(self.camera)))
             sliders = [self._add_slider(gui, field) for field in SLIDERS]
             cells = [Cell(self._sends.handle, 1, 4, "above"), Cell(self._gives.handle, 1, 3)]
             cells += [Cell(close, 4), *(Cell(one, 1 + 2 * (i % 2), 2) for i, one in sliders)]
@@ -66,6 +66,7 @@ class BreakPanel(WidgetPanel):
             simulated = not frame.world.env.recorded  # Recorded pictures are from one place.
             with gui.add_folder("Where it stands", visible=simulated):  # A container has one grid.
                 self.move = MovePanel(gui, send, frame, scene if simulated else None, named)
+        self.move.again = lambda: self.again()  # It is brought up to date with this panel.
         self.handles = [self._folder]
 
     def _add_slider(self, gui: viser.GuiApi, field: str) -> tuple[int, viser.GuiSliderHandle]:
@@ -93,13 +94,13 @@ class BreakPanel(WidgetPanel):
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
-        opened = bool(self.camera)
-        changes = [Assign(self._folder, "visible", opened), *self.move.update(frame)]
-        if not opened:
+        camera = self.camera  # Read once: a click in another thread may change it meanwhile.
+        changes = [Assign(self._folder, "visible", bool(camera)), *self.move.update(frame)]
+        if not camera:
             return changes
-        state = frame.camera(self.camera)
+        state = frame.camera(camera)
         verb = "Break" if frame.world.env.recorded else "Break or move"
-        label = f"{verb} {frame.world.env.camera(self.camera).label}"
+        label = f"{verb} {frame.world.env.camera(camera).label}"
         style = self._sends.style(state.occlusion.kind) + self._gives.style(state.input)
         changes += [
             Assign(self._folder, "label", label),

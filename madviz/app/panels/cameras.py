@@ -9,7 +9,7 @@ from html import escape
 
 import viser
 
-from madviz.app.panel import Assign, apply
+from madviz.app.panel import Assign
 from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.patch import HINT, attributes, field_style, parse_box, patched
 from madviz.app.panels.policy import policy_words, verdict
@@ -133,7 +133,7 @@ class CamerasPanel(WidgetPanel):
             if name in self._frame.world.ablation.moves:
                 self._send(MoveCamera(name, None))
         elif self.breaks is not None:
-            apply([*self.breaks.turn(name), self._marks(self._frame)])
+            self.show([*self.breaks.turn(name), self._marks(self._frame)])
 
     def _pictures(self, frame: Frame) -> list[Assign]:
         changes = []
@@ -147,7 +147,7 @@ class CamerasPanel(WidgetPanel):
 
     def _choose_dropped(self, _: viser.ClientHandle, value: str) -> None:
         self._dropped = value  # type: ignore[assignment]
-        apply([*self._pictures(self._frame), self._marks(self._frame)])
+        self.show([*self._pictures(self._frame), self._marks(self._frame)])
 
     def _marks(self, frame: Frame) -> Assign:
         """CSS that marks the active buttons and hides the field."""

@@ -115,7 +115,7 @@ class MovePanel(HtmlPanel):
     def _show_arrows(self, on: bool) -> None:
         assert self._gizmo is not None
         self._gizmo.camera = self._camera if on else ""
-        apply(self._gizmo.update(self._frame))
+        self.show(self._gizmo.update(self._frame))
 
     def _release(self) -> None:
         for shown in self._shown.values():

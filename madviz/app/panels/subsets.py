@@ -10,7 +10,7 @@ import viser
 
 from madviz.analysis.shapley import camera_masks
 from madviz.app.markup import band, term, track
-from madviz.app.panel import Assign, apply
+from madviz.app.panel import Assign
 from madviz.app.toolkit import HtmlPanel, SyncedInput, on_value
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.session.camera_names import subset_label
@@ -50,7 +50,7 @@ class SubsetsPanel(HtmlPanel):
         self._everything.visible = len(frame.world.probe.masks) > FEW
         self.handles = [self._read, self._everything]
         super().__init__(gui, frame, self._content)
-        on_value(self._everything, lambda *_: apply(self.update(self._frame)))
+        on_value(self._everything, lambda *_: self.show(self.update(self._frame)))
 
     def _content(self, frame: Frame) -> str:
         return subsets_html(frame, bool(self._everything.value))

@@ -11,7 +11,7 @@ from html import escape
 
 import viser
 
-from madviz.app.panel import Assign, apply
+from madviz.app.panel import Assign
 from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import HtmlPanel, heard
 from madviz.drawing.colours import NOTE
@@ -93,7 +93,7 @@ class WordsPanel(HtmlPanel):
 
     def _answer(self, answer: str) -> None:
         self._prediction.take(answer, self._frame.world.episode)
-        apply(self.update(self._frame))
+        self.show(self.update(self._frame))
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
