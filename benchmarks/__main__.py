@@ -27,6 +27,13 @@ BENCHMARKS: dict[str, Command] = {
         work="benchmarks.live:bench_live",
         words=PRETTY,
     ),
+    "waits": Command(
+        "What a visitor waits for: the first picture, another task, one visitor more.",
+        "waits --suite metaworld --rounds 3",
+        config="benchmarks.waits:WaitsConfig",
+        work="benchmarks.waits:bench_waits",
+        words=PRETTY,
+    ),
     "crowd": Command(
         "Visitors with a simulation each: decisions a second, cores, memory.",
         "crowd --visitors 1 4 8",

@@ -86,6 +86,8 @@ def run(words: Sequence[str], commands: Mapping[str, Command], prog: str) -> int
         raise unknown("command", first, list(commands))
     command = commands[first]
     try:
+        if command.first:
+            named(command.first)(rest)
         config = parse(first, rest, commands, prog)
         work = named(command.work)
         in_words = named(command.words) if command.words else None

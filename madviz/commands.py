@@ -32,6 +32,8 @@ class Command:
     default: str = ""
     """The function that makes a ``config`` of the words after the command: the values of options
     that are not given, and the class of each group of options. '' takes the class's own."""
+    first: str = ""
+    """The function that gets the words after the command before anything else is imported."""
 
 
 COMMANDS: dict[str, Command] = {
@@ -40,6 +42,7 @@ COMMANDS: dict[str, Command] = {
         "explore --policy metaworld-hammer-mad-light --port 8080",
         config="madviz.app.server:ExploreConfig",
         work="madviz.app.server:explore",
+        first="madviz.app.forking:prepare_for",
     ),
     "train": Command(
         "Trains a policy by a recipe and prints its folder; can be stopped and resumed.",

@@ -20,6 +20,7 @@ from stable_baselines3.common.save_util import load_from_zip_file, save_to_zip_f
 from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize, VecTransposeImage
 
 import madviz.policies.sb3
+from madviz.app.forking import prepare
 from madviz.app.session_maker import SessionMaker
 from madviz.cli import main
 from madviz.envs.gymnasium_env import MadvizEnv
@@ -33,7 +34,7 @@ from madviz.policies.players import Reader, player_of
 from madviz.policies.sb3 import VARIABLE, shown_sb3, trust
 from madviz.policies.sb3_policy import Sb3Policy
 from madviz.session.frame import Frame, NoFrame
-from madviz.session.process import SessionProcess, prepare
+from madviz.session.process import SessionProcess
 from madviz.types import PolicyWithMemory
 from tests.sessions import Recorder
 
@@ -99,7 +100,7 @@ def test_it_is_watched_and_measured_as_any_other(model, capsys):
 @pytest.mark.parametrize("trusted", [True, False])
 def test_a_visitors_simulation_knows_whether_it_is_trusted(model, trusted):
     """The process that it is forked from was there before anybody said so."""
-    prepare("madviz.app.session_maker")
+    prepare()
     name, news = f"sb3:{model[1]}@toy/reach", Queue()
     made = SessionMaker(name, typed=name, trusted=trusted)
     session = SessionProcess(made)

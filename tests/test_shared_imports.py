@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from importlib.util import find_spec
 
 import pytest
 
-from madviz.app import server
+from madviz import cli
+from madviz.app import forking, server
+from madviz.app.forking import prepare_for, shared_imports
 from madviz.app.server import ExploreConfig, open_app
-from madviz.envs.registry import shared_imports
+from madviz.commands import COMMANDS
+from madviz.envs.registry import SUITES
 
 
-def test_a_task_names_modules_that_are_there_and_another_none() -> None:
+def test_a_task_names_modules_that_are_there_and_another_none():
     assert all(map(find_spec, shared_imports("maniskill/push-cube")))
+    assert all(map(find_spec, shared_imports("metaworld/hammer")))
     assert shared_imports("maniskill/push-cube")
-    assert shared_imports("metaworld/hammer") == shared_imports("mine:make") == ()
+    assert shared_imports("toy/reach") == shared_imports("mine:make") == ()
+    assert forking.SHARED.keys() <= SUITES.keys()
 
 
 class Prepared(Exception):
@@ -24,11 +31,64 @@ class Prepared(Exception):
 @pytest.mark.parametrize("task", ["maniskill/push-cube", "metaworld/hammer"])
 def test_the_fork_server_imports_the_simulator_of_the_first_policy(
     task: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def prepare(*modules: str) -> None:
-        raise Prepared(*modules)
+):
+    def prepare(task: str) -> None:
+        raise Prepared(task)
 
     monkeypatch.setattr(server, "prepare", prepare)
     with pytest.raises(Prepared) as started:
         open_app(ExploreConfig(policy=f"{task.replace('/', '-')}-mad-light", workers=0))
-    assert started.value.args == ("madviz.app.session_maker", *shared_imports(task))
+    assert started.value.args == (task,)
+
+
+@pytest.mark.parametrize(
+    ("words", "suites"),
+    [
+        ("", ["metaworld"]),
+        ("--port 8081", ["metaworld"]),
+        ("--task maniskill/push-cube", ["maniskill"]),
+        ("--policy=maniskill-push-cube-mad-light", ["maniskill"]),
+        ("--policy runs/toy-reach-mad-light/", ["toy"]),
+        ("--policy sb3:model.zip@toy/reach", ["toy"]),
+        ("--policy runs/mine", []),
+        ("--policy ws://127.0.0.1:8000", []),
+        ("--policy ws://127.0.0.1:8000 --task maniskill/push-cube", ["maniskill"]),
+        ("--replay session.json", []),
+        ("--recording data", []),
+        ("--help", []),
+    ],
+)
+def test_words_say_early_what_will_be_simulated(words, suites, monkeypatch):
+    begun: list[str] = []
+    monkeypatch.setattr(forking, "prepare", begun.append)
+    prepare_for(words.split())
+    assert begun == suites
+
+
+def test_explore_begins_it_before_its_own_modules_are_imported(monkeypatch):
+    def prepare(words: list[str]) -> None:
+        raise Prepared(*words)
+
+    monkeypatch.setattr(forking, "prepare_for", prepare)
+    monkeypatch.setattr(cli, "parse", lambda *_: pytest.fail("its modules came first"))
+    with pytest.raises(Prepared, match="--port"):
+        cli.run(["explore", "--port", "1"], COMMANDS, "madviz")
+
+
+CTRL_C = """
+from multiprocessing import forkserver
+from pathlib import Path
+from madviz.app.forking import prepare
+
+prepare("toy/reach")
+for pid in (forkserver._forkserver._forkserver_pid, "self"):
+    status = Path(f"/proc/{pid}/status").read_text()
+    print(int(status.split("SigBlk:")[1].split()[0], 16) >> 1 & 1)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what a process blocks stands in /proc")
+def test_ctrl_c_is_for_the_page_alone():
+    """In the fork server it would be a traceback in the middle of an import."""
+    done = subprocess.run([sys.executable, "-c", CTRL_C], capture_output=True, text=True)
+    assert (done.stdout.split(), done.stderr) == (["1", "0"], "")

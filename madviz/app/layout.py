@@ -43,7 +43,7 @@ from madviz.app.scene.paths import PathsPanel
 from madviz.app.scene.recorded import PicturesPanel
 from madviz.app.scene.scene import ScenePanel, extent
 from madviz.app.success_rates import SuccessRates
-from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, WidgetPanel, commands, dock
+from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
 from madviz.app.tour import Tour
 from madviz.policies.no_policy import NO_POLICY
 from madviz.session.commands import SetSaliency
@@ -87,7 +87,6 @@ class Panels:
         shared: Shared,
         frame: Frame,
         newest: Callable[[], Frame | NoFrame | None],
-        again: Callable[[], None],
         *,
         wide: bool,
         readonly: bool,
@@ -95,9 +94,9 @@ class Panels:
         measures: bool,
         prediction: Prediction,
     ) -> None:
-        """``newest`` is what the page shows last, ``again`` shows it once more; ``wide`` windows
-        have more room; who is ``readonly`` watches somebody else's session; ``greet`` offers a
-        comparison; ``measures`` is as in ``SuccessPanel``; ``prediction`` is the visitor's."""
+        """``newest`` is what the page shows last; ``wide`` windows have more room; who is
+        ``readonly`` watches somebody else's session; ``greet`` offers a comparison; ``measures``
+        is as in ``SuccessPanel``; ``prediction`` is the visitor's."""
         self._client = client
         self._session = session
         self._shared = shared
@@ -115,7 +114,7 @@ class Panels:
         recorded = frame.world.env.recorded
         self.success = None if recorded else SuccessPanel(gui, frame, rates, own, measures)
         dockable = dock(client, wide)
-        with dockable.add_tab("Cameras", viser.Icon.CAMERA):
+        with dockable.add_tab("Cameras"):
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
             cameras = CamerasPanel(gui, self._send, frame, width, PAIRED_WIDE if wide else PAIRED)
             guard = GuardPanel(gui, self._send, frame, named)
@@ -137,9 +136,6 @@ class Panels:
             TimedPanel(self.success or RecordedPanel(gui, frame), 0.5),
             *scene,
         ]
-        for timed in self.panels:
-            if isinstance(timed.panel, WidgetPanel):
-                timed.panel.again = again
         self.refresh = Refresh(self.panels)
         if greet:
             tour.greet()

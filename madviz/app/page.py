@@ -22,7 +22,7 @@ from madviz.app.layout import Panels, Shared
 from madviz.app.markup import error_html
 from madviz.app.panel import apply
 from madviz.app.panels.words import Prediction
-from madviz.app.toolkit import window_is_wide
+from madviz.app.toolkit import WidgetPanel, window_is_wide
 from madviz.policies.no_policy import NO_POLICY
 from madviz.session.frame import Change, Frame, NoFrame
 from madviz.session.live_session import LiveSession
@@ -206,13 +206,15 @@ class Page:
                 self._shared,
                 frame,
                 lambda: self._newest,
-                self.poke,
                 wide=self._wide,
                 readonly=self._readonly,
                 greet=greet,
                 measures=self._measures,
                 prediction=self._prediction,
             )
+        for timed in self._panels.panels:
+            if isinstance(timed.panel, WidgetPanel):
+                timed.panel.again = self.poke
 
 
 def waiting_html(text: str, error: str = "") -> str:

@@ -13,6 +13,7 @@ import viser
 
 from madviz.app.access import Gate
 from madviz.app.connection import guard
+from madviz.app.forking import DEFAULT_POLICY, prepare
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice, purpose
 from madviz.app.session_maker import SessionMaker
@@ -21,7 +22,7 @@ from madviz.app.toolkit import theme
 from madviz.app.users import MOST_WAITING, Limits, Users
 from madviz.app.viser_patches import patch_sender
 from madviz.envs.custom import allow_task
-from madviz.envs.registry import TaskName, check_task, shared_imports
+from madviz.envs.registry import TaskName, check_task
 from madviz.errors import UserError
 from madviz.measure.live import Evaluator, Tally
 from madviz.measure.store import Store
@@ -37,7 +38,7 @@ from madviz.policies.sb3 import trust
 from madviz.recorded.known import allow_recording, recordings_of
 from madviz.session.commands import Command, SetCamera
 from madviz.session.live_session import LiveSession
-from madviz.session.process import References, SessionProcess, prepare
+from madviz.session.process import References, SessionProcess
 from madviz.session.replay import check_policies, differences, finder
 from madviz.session.session_file import SavedEpisode
 from madviz.session.session_reader import read_session
@@ -63,8 +64,6 @@ from madviz.system.processes import limit_heaps
 from madviz.system.streams import say, telling
 from madviz.types import PolicySpec
 from madviz.wire.reference import with_wire
-
-DEFAULT_POLICY = "metaworld-hammer-mad-light"
 
 
 @dataclass(frozen=True)
@@ -227,7 +226,7 @@ def open_app(config: ExploreConfig) -> App:
     if not given and checkpoint.is_folder(name):
         given = {name: described(name)}
     # A policy of one's own takes its time to load; the fork server starts beside it.
-    prepare("madviz.app.session_maker", *(shared_imports(given[name].task) if given else ()))
+    prepare(given[name].task if given else "")
     given = given or {name: described(name)}
     references = References()
     for reference, spec in given.items():

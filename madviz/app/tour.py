@@ -149,7 +149,7 @@ class Tour:
         self._panel = gui.add_panel()
         self._panel.float(x=10, y=10, width=WIDTH)
         self._panel.expand()  # On a phone it would begin closed.
-        self._tab = self._panel.add_tab("Tour", viser.Icon.ROUTE)
+        self._tab = self._panel.add_tab("Tour")
         with self._tab:
             # Above the words, whose length differs: a button stays where it was pressed last.
             self._next = gui.add_button("next step", hint="Goes on.")

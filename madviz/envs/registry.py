@@ -58,20 +58,13 @@ class Suite:
     tasks: tuple[str, ...]
     environment: str
     """``module:class`` of its ``SuiteEnvironment``."""
-    shared: tuple[str, ...] = ()
-    """Modules that take seconds to import and open no device, so that a process can be forked after
-    it; simulations then share them."""
     listed: bool = True
     """True where lists name its tasks; those that are there for policies of others are left out."""
 
 
 SUITES = {
     "metaworld": Suite(METAWORLD_TASKS, "madviz.envs.metaworld.environment:MetaWorld"),
-    "maniskill": Suite(
-        MANISKILL_TASKS,
-        "madviz.envs.maniskill.environment:ManiSkill",
-        shared=("mani_skill.envs.tasks.tabletop",),
-    ),
+    "maniskill": Suite(MANISKILL_TASKS, "madviz.envs.maniskill.environment:ManiSkill"),
     "toy": Suite(("reach",), "madviz.envs.toy:ToyReach"),
     "lerobot": Suite(
         METAWORLD_TASKS, "madviz.envs.metaworld.lerobot:LeRobotMetaWorld", listed=False
@@ -251,9 +244,3 @@ def make_env(
         return custom.make_own(task, render_profile, cameras)
     environment, name = _suite(task)
     return environment(name, render_profile, cameras)
-
-
-def shared_imports(task: str) -> tuple[str, ...]:
-    """The modules that processes that simulate ``task`` can share, see ``Suite.shared``."""
-    suite = SUITES.get(task.partition("/")[0])
-    return suite.shared if suite else ()

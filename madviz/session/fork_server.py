@@ -2,8 +2,8 @@
 
 Importing this module is its whole purpose. ``SHARED`` is all that a simulation needs, with what
 torch and its simulator import late: two seconds and 360 MB that each would have for itself. No
-simulator is among it, as OpenGL does not survive a fork; ``Suite.shared`` names what of one does,
-and ``prepare`` imports it before this. Garbage collection leaves the objects of before the fork
+simulator is among it, as OpenGL does not survive a fork; ``app/forking.py`` says what of one does
+and has it imported before this. Garbage collection leaves the objects of before the fork
 alone from then on: going through them writes into each, and memory that was written to is not
 shared any more (64 MB).
 """
@@ -16,11 +16,11 @@ SHARED = (
     "gymnasium",
     "imageio",
     "madviz.agent.agent",
+    "madviz.envs.shapes",
     "madviz.policies.checkpoint",
     "madviz.session.process",
     "safetensors.torch",
     "scipy.spatial.transform",
-    "sympy",
     "torch._meta_registrations",
 )
 

@@ -74,7 +74,6 @@ Noted = Callable[[str, PolicySpec], None]
 """Called with a policy's reference and what it is, whenever a session has loaded one."""
 MakeSession = Callable[[Noted], Session]
 """Makes a session that is not started yet, in the process where it shall live. Picklable."""
-PRELOADED = "madviz.session.fork_server"
 MOST_ENDS = 3
 """Times that a process may end within ``ENDS_WITHIN`` seconds and is started again."""
 ENDS_WITHIN = 60.0
@@ -281,14 +280,6 @@ class SessionProcess(LiveSession):
                 self._references.note(*what)
             elif kind == "saved":
                 self._saved.put(what)
-
-
-def prepare(*modules: str) -> None:
-    """Starts the fork server, which imports ``modules``, too, without waiting for it."""
-    from multiprocessing.forkserver import ensure_running
-
-    _CONTEXT.set_forkserver_preload([*modules, PRELOADED])
-    ensure_running()
 
 
 def _how(code: int | None) -> str:

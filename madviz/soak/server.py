@@ -10,6 +10,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import IO
 
 from madviz.errors import UserError
@@ -17,15 +18,16 @@ from madviz.errors import UserError
 
 @contextmanager
 def serving(
-    words: Sequence[str], log: IO[str] | None = None
+    words: Sequence[str], log: IO[str] | None = None, root: Path | None = None
 ) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """``madviz explore`` with ``words``, on a free port: its address once it answers, and its
-    process. What it writes to standard error goes to ``log``."""
+    process. What it writes to standard error goes to ``log``. ``root`` is another checkout of
+    madviz, which is run in place of this one."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     command = [sys.executable, "-m", "madviz", "explore", "--port", str(port), *words]
-    process = subprocess.Popen(command, stdout=sys.stderr, stderr=log)
+    process = subprocess.Popen(command, stdout=sys.stderr, stderr=log, cwd=root)
     url = f"http://127.0.0.1:{port}"
     try:
         await_answer(url, process)
@@ -50,5 +52,5 @@ def await_answer(url: str, process: subprocess.Popen[bytes], patience: float = 6
         except urllib.error.HTTPError:
             return
         except (urllib.error.URLError, OSError):
-            time.sleep(0.1)
+            time.sleep(0.02)
     raise UserError("the page did not start; try: madviz explore")

@@ -46,7 +46,7 @@ class FailuresPanel(HtmlPanel):
         names = [*(one.name for one in SCENARIOS), OWN]
         self._choice = gui.add_dropdown("Scenario", names, hint=HINTS["scenario"])
         self._own = gui.add_text("My own", f"{self._env.cameras[0].name}@10-20", hint=HINTS["own"])
-        run = gui.add_button("run scenario", icon=viser.Icon.PLAYER_PLAY, hint=HINTS["run"])
+        run = gui.add_button("run scenario", hint=HINTS["run"])
         end = gui.add_button("end it", hint=HINTS["end"])
         on_press(run, self.run)
         on_press(end, self.end)

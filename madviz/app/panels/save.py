@@ -26,7 +26,7 @@ class SavePanel(HtmlPanel):
     ) -> None:
         """``keep(present_only)`` saves; see ``LiveSession.save``."""
         self._keep = keep
-        one = gui.add_button("save this episode", icon=viser.Icon.DOWNLOAD, hint=HINTS["one"])
+        one = gui.add_button("save this episode", hint=HINTS["one"])
         several = gui.add_button("save the last 20", hint=HINTS["all"])
         one.on_click(one_at_a_time(lambda event: self._download(event.client, True)))
         several.on_click(one_at_a_time(lambda event: self._download(event.client, False)))
