@@ -118,6 +118,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "beside-imagining": measurements.beside_imagining,
     "packages": package_tree.packages,
     "benchmarks": measurements.benchmarks,
+    "waits": measurements.waits,
     "priorities": measurements.priorities,
     "class-server": measurements.class_server,
     "grading": measurements.grading,

@@ -128,6 +128,31 @@ def benchmarks() -> str:
     return table(("benchmark", "measured"), rows, read("archive/bench/machine")["machine"])
 
 
+WAITS = (
+    ("first_picture_s", "{}: from the command to the first picture", "s"),
+    ("task_switch_s", "{}: another task", "s"),
+    ("one_more_s", "{}: one visitor more, until the picture", "s"),
+    ("one_more_mb", "{}: one visitor more, memory", "MB"),
+)
+"""A number of `benchmarks waits`, its sentence, its unit."""
+
+
+def waits() -> str:
+    """Results of `benchmarks waits`, for each suite: now, before, and what nothing avoids."""
+    rows = []
+    for suite, name in (("metaworld", "hammer"), ("maniskill", "push-cube")):
+        result = read(f"archive/bench/waits-{suite}")
+        now, before = result["now"], result["before"]
+        for key, sentence, unit in WAITS:
+            floor = f"{now['floor_s']:.1f} s" if key == "first_picture_s" else ""
+            ours, theirs = (
+                f"{one[key]:.{1 if unit == 's' else 0}f} {unit}" for one in (now, before)
+            )
+            ratio = f"{now[key] / before[key]:.2f}"
+            rows.append((sentence.format(name), floor, ours, theirs, ratio))
+    return table(("wait", "imports alone", "now", "before", "ratio"), rows)
+
+
 def priorities() -> str:
     """The page beside other work, before that had a lower priority and now, in alternation."""
     result = read("archive/bench/priorities")

@@ -37,9 +37,12 @@ UNTURNED = 0.002
 class Bodies:
     """The bodies of one visitor's scene."""
 
-    def __init__(self, client: viser.ClientHandle, frame: Frame) -> None:
+    def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
-        self._show(frame)
+        self._shown: tuple[Body, ...] = ()
+        self._handles: list[viser.GlbHandle] = []
+        """None before the first update: the cameras' pictures come first."""
+        self._poses: Array = np.zeros((0, 7))
 
     def update(self, frame: Frame) -> list[Assign]:
         """The changes by which the bodies stand where ``frame`` has them."""
@@ -65,7 +68,7 @@ class Bodies:
 
     def _show(self, frame: Frame) -> None:
         """Sends all bodies of ``frame`` to the page."""
-        self._shown: tuple[Body, ...] = frame.world.bodies
+        self._shown = frame.world.bodies
         self._poses = frame.world.body_poses.copy()  # (N, 7): x y z, then a quaternion w x y z
         self._handles = [
             self._add(body, pose.astype(float))

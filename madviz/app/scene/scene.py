@@ -69,9 +69,9 @@ class ScenePanel(Panel):
         """The labels of cameras that ride on the hand; they would cover its path."""
         self._colours = colours = camera_colours(frame.world.env.cameras)
         self._size = extent(frame)
+        self._bodies = Bodies(client)
         with client.atomic():
             self._light(client)
-            self._bodies = Bodies(client, frame)
             for camera in frame.world.env.cameras:
                 self._add(client, frame, camera.name, colours[camera.name], on_click)
         self._view = FittedView(client.camera, *first_view(frame))
