@@ -230,11 +230,16 @@ def test_two_simulators_that_open_at_once_do_not_mix_their_meshes(
         return vertices, faces[:100]
 
     monkeypatch.setattr(decimation.fast_simplification, "simplify", simplify)
+    monkeypatch.setattr(decimation, "_DONE", {})
     ball = trimesh.creation.icosphere(4)
     with ThreadPoolExecutor(3) as pool:
-        made = [pool.submit(decimation.decimate, ball.vertices, ball.faces) for _ in "abc"]
+        made = [pool.submit(decimation.decimate, ball.vertices * k, ball.faces) for k in (1, 2, 3)]
         assert all(len(one.result()[1]) == 100 for one in made)
     assert most == [1, 1, 1]
+    _, again = decimation.decimate(ball.vertices * 2, ball.faces)
+    assert np.array_equal(again, made[1].result()[1]) and most == [1, 1, 1], "it is known"
+    again[:] = 0
+    assert decimation.decimate(ball.vertices * 2, ball.faces)[1].any()
 
 
 def test_a_level_textured_rectangle_becomes_two_triangles() -> None:
