@@ -59,6 +59,15 @@ def test_a_policy_without_a_critic_has_no_value():
     assert "nan" not in status_html(frame) + subsets_html(frame)
 
 
+def test_the_bars_end_in_a_sentence_on_the_cameras_that_are_needed():
+    rates = {"all": 1.0, "third_a+third_b": 0.0, "first+third_b": 0.98, "first+third_a": 1.0}
+    shipped = {subset: {"success": rate, "n": 100} for subset, rate in rates.items()}
+    html = bars_html(frame_with(), SuccessRates(lambda spec: shipped))
+    assert "MAD needs First person: without it, 0.00 [0.00, 0.04] n=100." in html
+    del shipped["first+third_a"]
+    assert "needs" not in bars_html(frame_with(), SuccessRates(lambda spec: shipped))
+
+
 def test_success_bars_tell_shipped_from_measured(server):
     rates = SuccessRates(lambda spec: {"all": {"success": 0.94, "n": 100}})
     frame = frame_with(SetCamera("third_a", OFF))

@@ -15,7 +15,7 @@ from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import Compare, Scrub, SetCamera, SetSpeed
-from madviz.session.ending import EndedSide, ending, ending_of, guess_words
+from madviz.session.ending import EndedSide, ending, ending_of, guess_words, needs_words
 from madviz.session.frame import Deed
 from madviz.session.pace import HOLD, HOLD_TO_READ
 from madviz.types import PolicySpec
@@ -43,6 +43,19 @@ def test_the_words_are_those_of_the_table(case: dict[str, Any]) -> None:
     assert str(words) == case["words"]
     if "guess" in case:
         assert guess_words(case["guess"], words.winners) == case["guess_words"]
+
+
+NEEDS = json.loads((Path(__file__).parent / "site" / "needs.json").read_text())
+LABELS = ("First person", "Third A", "Third B")
+
+
+@pytest.mark.parametrize("case", NEEDS, ids=[str(case["wins"]) for case in NEEDS])
+def test_which_cameras_a_policy_needs_is_said_where_it_is_decided(case: dict[str, Any]) -> None:
+    rates = [SuccessRate.of(won, 100) for won in case["wins"]]
+    rates += [SuccessRate.of(0, 0)] * (4 - len(rates))
+    without = dict(zip(LABELS, rates[1:], strict=True))
+    assert needs_words("P", rates[0], without) == case["words"]
+    assert needs_words("P", rates[0], dict(list(without.items())[:2])) == ""
 
 
 def test_every_task_says_what_was_done() -> None:

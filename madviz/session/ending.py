@@ -7,12 +7,12 @@
 
 They say what was done, who succeeded, what came of it, and what was measured. Page, film and
 lessons have them from here; the site says the same in ``site/web/ending.js``, and one table of
-cases tests both.
+cases tests both. So it is with ``needs_words``, what success without each camera comes to.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from madviz.agent.methods import label_of
@@ -115,6 +115,24 @@ def guess_words(guess: str, winners: Sequence[str]) -> str:
         return f"You said {guess}, and so it was."
     came = {0: NEITHER, 2: BOTH}.get(len(winners), f"{next(iter(winners), '')} alone")
     return f"You said {guess}, and it was {came}."
+
+
+def needs_words(label: str, all_cameras: SuccessRate, without: Mapping[str, SuccessRate]) -> str:
+    """``Merged Only needs First person: without it, 0.00 [0.00, 0.04] n=100.`` ``without``: a rate
+    for each of three cameras or more, by its label. A camera is needed where the interval lies
+    below half of the success with all; '' where that is not decided for every one."""
+    half = all_cameras.value / 2
+    if len(without) < 3 or not all(rate.n for rate in (all_cameras, *without.values())):
+        return ""
+    needed = {camera: rate for camera, rate in without.items() if rate.interval[1] < half}
+    if needed:
+        rates = _listed([f"{_rate(rate)} n={rate.n}" for rate in needed.values()])
+        return f"{label} needs {_listed(list(needed))}: without it, {rates}."
+    if any(rate.interval[0] <= half for rate in without.values()):
+        return ""
+    worst = min(without.values(), key=lambda rate: rate.value)
+    lowest = f"{_rate(worst)} n={worst.n}"
+    return f"{label} needs no single camera: without any one, at least {lowest}."
 
 
 def _what_was_done(sides: Sequence[EndedSide]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 import viser
 from viser import uplot
 
+from madviz.agent.methods import label_of
 from madviz.app.markup import band, dot, term, track
 from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_POINTS, small_axes
@@ -20,8 +21,9 @@ from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.measure.statistics import SuccessRate
 from madviz.observation.condition import Condition
 from madviz.session.camera_names import subset_label
+from madviz.session.ending import needs_words
 from madviz.session.frame import Frame, Outcome
-from madviz.subsets import mask_of, name_of, single_streams
+from madviz.subsets import camera_of, cameras_of, mask_of, name_of, single_streams
 from madviz.types import PolicySpec
 
 MEASURE_HINT = (
@@ -228,12 +230,24 @@ def bars_html(frame: Frame, rates: SuccessRates) -> str:
         f'{term("not trained on")} · <b style="color:{NOTE}">▸</b> now'
     )
     troubles = {rates.error(side.world.policy, side.condition): None for side in sides}
+    needs = "".join(f"<div>{escape(needs_of(side, rates))}</div>" for side in sides)
     return (
-        f'<div class="mv"><h4>{term("success", "Success")} at the last step</h4>'
+        f'<div class="mv"><h4>{term("success", "Success")} at the last step</h4>{needs}'
         f'<div class="dim">{key}</div>'
         f"{''.join(rows)}{''.join(_trouble('not measured', one) for one in troubles)}"
         f"{_trouble('not stored', rates.trouble)}</div>"
     )
+
+
+def needs_of(frame: Frame, rates: SuccessRates) -> str:
+    """The sentence on the cameras that the policy of ``frame`` needs; '' where that is open."""
+    spec = frame.world.policy
+    without = {}
+    for name in cameras_of(spec.streams):
+        others = np.array([camera_of(stream) != name for stream in spec.streams])  # (V,) bool
+        subset = Condition(name_of(others, spec.streams))
+        without[frame.world.env.camera(name).label] = rates.best(spec, subset)
+    return needs_words(label_of(spec), rates.best(spec, Condition("all")), without)
 
 
 def _bar_row(

@@ -189,7 +189,7 @@ function deedWords(deeds) {
 }
 
 /** `a`, `a and b`, `a, b and c`. @param {string[]} parts */
-function listed(parts) {
+export function listed(parts) {
   const last = parts.slice(-1);
   return [...(parts.length > 1 ? [parts.slice(0, -1).join(', ')] : []), ...last].join(' and ');
 }

@@ -6,6 +6,7 @@
  */
 
 import {make, say, term} from './dom.js';
+import {listed} from './ending.js';
 import {rateWords, wilson} from './statistics.js';
 import {conditionWords} from './words.js';
 
@@ -83,8 +84,8 @@ export function needsWords({label, cameras, measured}) {
   if (!all || cameras.length < 3 || without.length < cameras.length) return '';
   const needed = without.filter(({rate}) => rate.ci95[1] < all.success / 2);
   if (needed.length) {
-    return `${label} needs ${needed.map(({camera}) => camera).join(' and ')}: without it, ${
-      needed.map(({words}) => words).join(' and ')}.`;
+    return `${label} needs ${listed(needed.map(({camera}) => camera))}: without it, ${
+      listed(needed.map(({words}) => words))}.`;
   }
   if (without.some(({rate}) => rate.ci95[0] <= all.success / 2)) return '';
   const worst = without.reduce((one, other) => other.rate.success < one.rate.success ? other : one);
