@@ -1,8 +1,8 @@
 """When the process begins from which simulations are forked (``session/fork_server.py``).
 
 It imports torch, which takes longer than all else at a start and needs nothing of the page. So
-``madviz explore`` starts it before its own modules are imported; both then import at the same time,
-and the first picture comes 1.4 of 6.5 seconds earlier (two cores).
+``madviz explore`` starts it before its own modules are imported. Both import at the same time then,
+and the first picture comes a second earlier (two cores).
 
     madviz explore   reads words ─► prepare_for ─► imports viser ─► serves ─► asks for a simulation
     fork server                          └───────► imports torch, simulator ─────────────┴► forks it
