@@ -46,7 +46,7 @@ def test_the_words_are_those_of_the_table(case: dict[str, Any]) -> None:
 
 
 NEEDS = json.loads((Path(__file__).parent / "site" / "needs.json").read_text())
-LABELS = ("First person", "Third A", "Third B")
+LABELS: tuple[str, ...] = ("First person", "Third A", "Third B")
 
 
 @pytest.mark.parametrize("case", NEEDS, ids=[str(case["wins"]) for case in NEEDS])
