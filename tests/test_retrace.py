@@ -22,6 +22,7 @@ from madviz.session.commands import (
 )
 from madviz.session.ending import ending_of
 from madviz.session.frame import APART, HandPaths
+from madviz.session.pace import HOLD_TO_READ
 from madviz.session.retrace import Retrace
 from madviz.session.session import Session
 from madviz.session.transfer import FrameDecoder, FrameEncoder
@@ -120,6 +121,17 @@ def once(session: Recorder, *commands: Command) -> float | None:
     for command in commands:
         session.send(command)
     return Session.tick(session, session.time)
+
+
+def test_the_end_stays_from_its_last_word_on() -> None:
+    session = in_mid_replay(SetCamera("first", OFF))
+    session.time += HOLD_TO_READ - 1.0  # The replay took that long.
+    session.tick(session.time)
+    assert session.frames[-1].paths is not None
+    session.at(session.time + HOLD_TO_READ - 0.1)
+    assert session.frames[-1].ended
+    session.at(session.time + 0.2)
+    assert not session.frames[-1].ended
 
 
 def test_a_command_in_mid_replay_is_carried_out_and_the_replay_goes_on() -> None:

@@ -253,6 +253,24 @@ def test_one_click_leads_past_the_comparison_and_leaves_all_as_it_is(
     assert buttons(client) == []
 
 
+def test_a_button_does_what_it_says_whatever_is_open(table: Table, server: viser.ViserServer):
+    client = browser(server)
+    tour = Tour(client, table.session.send, lambda: table.frame, CHOICES, [])
+    tour.greet()
+    use(client.gui.find("New?"), "compare")
+    assert table.tick().second is not None, "it was offered already"
+    assert buttons(client) == ["next step", "explore one policy"]
+    use(client.gui.find("New?"), "compare")
+    assert buttons(client) == ["next step", "explore one policy"] and table.tick().linked
+    use(client.gui.find("New?"), "tour")
+    assert buttons(client) == ["next step", "end the tour"] and "What you see" in client.gui.html
+    assert table.tick().second is None
+    use(client.gui.find("New?"), "tour")
+    assert buttons(client) == ["next step", "end the tour"]
+    use(client.gui.find("New?"), "compare")
+    assert buttons(client) == ["just show me", "explore one policy"]
+
+
 def test_whenever_the_comparison_is_left_all_is_as_before(table: Table, server: viser.ViserServer):
     table.session.send(SetCamera("third_a", CameraState("off")))
     before = table.tick()

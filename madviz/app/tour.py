@@ -44,6 +44,10 @@ COMPARE_BUTTON = "compare"
 TOUR_BUTTON = "tour"
 HELP_BUTTON = "help, keys"
 
+HINT = (
+    "Compare: two policies side by side. Tour: the page, step by step, in two minutes. Help: what "
+    "words and keys (?) mean."
+)
 HELP = """
 **What this is.** A robot works at a task. Several cameras watch it; a *policy*, a trained network,
 gets their pictures and says how the hand moves next. You may take cameras away while it works.
@@ -102,18 +106,24 @@ class Tour:
         options = (HELP_BUTTON,) if send is None or recorded else (TOUR_BUTTON, HELP_BUTTON)
         if send is not None and self._other() is not None:
             options = (COMPARE_BUTTON, *options)
-        self._row = gui.add_button_group(
-            "New?", options, hint="What there is to try; what words and keys (?) mean."
-        )
+        self._row = gui.add_button_group("New?", options, hint=HINT)
         self._row.on_click(heard(lambda event: self._pressed(event.target.value)))
 
     def _pressed(self, button: str) -> None:
+        if button == HELP_BUTTON:
+            return self.help()
+        # Whoever asks for what is offered already wants it done.
+        compared = any(map(compares, self._steps))
+        if self._panel is not None and (button == COMPARE_BUTTON) == compared:
+            self._panel.expand()
+            if compared and self._at == 0:
+                self._go()
+            return
+        self.end()
         if button == COMPARE_BUTTON:
             self.greet()
         elif button == TOUR_BUTTON:
             self.begin()
-        elif button == HELP_BUTTON:
-            self.help()
 
     def _other(self) -> str | None:
         """The policy to compare with, if there is one."""
@@ -243,6 +253,8 @@ class Tour:
             self._help.close()  # A browser that shows none of them could ask for thousands.
         modal = self._help = gui.add_modal("Help and keys")
         with modal:
+            # Above the words, whose end a low window cuts.
+            gui.add_button("close").on_click(heard(lambda _: modal.close()))
             gui.add_markdown(HELP)
             if self._keys:
                 gui.add_markdown(keys_table(self._keys))
@@ -250,7 +262,6 @@ class Tour:
                 "This page", ("dark", "light"), hint="Only here; other visitors choose theirs."
             )
             shade.on_click(heard(lambda event: theme(gui, event.target.value == "light")))
-            gui.add_button("close").on_click(heard(lambda _: modal.close()))
 
     def remove(self) -> None:
         """Takes all of it off the page, without touching the simulation."""

@@ -208,9 +208,9 @@ def acts(frame: Frame, other: str, named: Reference = own_name) -> list[Step]:
         ),
         Step(
             f"{camera.label} goes black",
-            f"At step {GOES_AT} {camera.label} sends black on both sides. Both policies could act "
-            "without it, but nobody tells them that it is broken. The line under the pictures says "
-            "how it ended.",
+            f"At step {GOES_AT} {camera.label} sends black on both sides. Black is not dropped: "
+            "the black picture is added to the others, and nobody tells the policies that it is "
+            "broken. The line under the pictures says how it ended.",
             (black, *again),
             leave="explore one policy",
         ),

@@ -204,7 +204,7 @@ class Session(LiveSession):
     def _retrace(self, now: float) -> None:
         """One decision of the ended episode's replay with all cameras; its end is to be read."""
         if self._stage.retrace():
-            self._pace.due = max(self._pace.due, now + HOLD_TO_READ / 2)
+            self._pace.due = max(self._pace.due, now + HOLD_TO_READ)
             self._emit()
 
     def _explain(self, now: float) -> None:

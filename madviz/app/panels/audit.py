@@ -84,7 +84,9 @@ def audit_html(frame: Frame, status: AuditStatus, measures: bool = True) -> str:
     """The question, the progress, the verdicts and the rates so far."""
     lines = [f"<div>{IDEA}</div>"]
     if not measures:
-        lines.append(f'<div style="color:{NOTE}">Nothing is measured: --workers is 0.</div>')
+        lines.append(
+            f'<div style="color:{NOTE}">No episodes are played here: --workers is 0.</div>'
+        )
     if status.plan is not None and status.policy is not None:
         lines += [_state(status), _sentences(status), _table(frame, status)]
     return f'<div class="mv mv-audit" data-state="{status.state}">{"".join(lines)}</div>'

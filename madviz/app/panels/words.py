@@ -164,7 +164,11 @@ def ending_html(ending: Ending, frame: Frame, guess: str = "") -> str:
         thick = "Thick line: its path" if frame.second is None else "Yellow: A's path; violet: B's"
         came_of_it += f'<span class="dim"> {thick}; thin: with all cameras.</span>'
     parts = (escape(ending.done), result, guessed, came_of_it, escape(ending.measured))
-    goes_on = "" if frame.pace.speed is None or not frame.pace.auto_next else " The next one soon."
+    goes_on = (
+        ""
+        if frame.pace.speed is None or not frame.pace.auto_next
+        else " The next one soon; pause keeps this one."
+    )
     return (
         f'<div class="mv-ending" role="status">{" ".join(filter(None, parts))}'
         f'<span class="dim">{goes_on}<span class="mv-keys"> R: again. N: the next start.</span>'

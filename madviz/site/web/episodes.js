@@ -112,7 +112,10 @@ export class Episodes {
       next.leave();
       throw error;
     }
-    if (this.retraces.every(one => one.done)) this.show();
+    if (this.retraces.every(one => one.done)) {
+      this.endedAt = performance.now(); // The words are all there now, and take their time to read.
+      this.show();
+    }
     return true;
   }
 
