@@ -272,12 +272,10 @@ def positions(side: int, width: int) -> Float[Tensor, "T W"]:
     """Fixed marks of ``side`` x ``side`` places: sines and cosines of row and of column, a quarter
     of ``width`` each, with wave lengths from 2 pi to 20,000 pi."""
     quarter = width // 4
-    with torch.device("cpu"):  # On the meta device, a power would load torch's compiler: 1.5 s.
-        rates = 10_000 ** (-torch.arange(quarter) / quarter)
-        row, column = torch.meshgrid(torch.arange(side), torch.arange(side), indexing="ij")
-        angles = [place.flatten()[:, None] * rates for place in (row, column)]
-        marks = torch.cat([wave(angle) for angle in angles for wave in (torch.sin, torch.cos)], 1)
-    return marks.to(torch.get_default_device())
+    rates = 10_000 ** (-torch.arange(quarter) / quarter)
+    row, column = torch.meshgrid(torch.arange(side), torch.arange(side), indexing="ij")
+    angles = [place.flatten()[:, None] * rates for place in (row, column)]
+    return torch.cat([wave(angle) for angle in angles for wave in (torch.sin, torch.cos)], 1)
 
 
 def squares_of(views: Shaped[Tensor, "B V C H W"], patch: int) -> Shaped[Tensor, "B M P S"]:
