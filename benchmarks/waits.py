@@ -110,7 +110,7 @@ def measured(suite: str, root: Path | None) -> dict[str, float]:
 
 
 def stands_at(visitor: Visitor, task: str) -> bool:
-    """Whether a choice of tasks on the page stands at ``task``."""
+    """True where a choice of tasks on the page stands at ``task``."""
     return any(visitor.controls[one]["value"] == task for one in visitor.find("Task"))
 
 

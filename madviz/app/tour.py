@@ -112,7 +112,7 @@ class Tour:
     def _pressed(self, button: str) -> None:
         if button == HELP_BUTTON:
             return self.help()
-        # Whoever asks for what is offered already wants it done.
+        # What is offered already is begun, not offered again.
         compared = any(map(compares, self._steps))
         if self._panel is not None and (button == COMPARE_BUTTON) == compared:
             self._panel.expand()
