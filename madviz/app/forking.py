@@ -39,11 +39,11 @@ def prepare(task: str = "") -> None:
     get_context("forkserver").set_forkserver_preload(modules)
     resource_tracker.ensure_running()  # Here, as it ends the blocking of signals.
     # Ctrl-C is for the page's process, which ends its children; among imports it is a traceback.
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         forkserver.ensure_running()
     finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def prepare_for(words: Sequence[str]) -> None:

@@ -120,7 +120,8 @@ def guess_words(guess: str, winners: Sequence[str]) -> str:
 def needs_words(label: str, all_cameras: SuccessRate, without: Mapping[str, SuccessRate]) -> str:
     """``Merged Only needs First person: without it, 0.00 [0.00, 0.04] n=100.`` ``without``: a rate
     for each of three cameras or more, by its label. A camera is needed where the interval lies
-    below half of the success with all; '' where that is not decided for every one."""
+    below half of the success with all; that none is needed is said where every interval lies above
+    it. '' where neither is decided."""
     half = all_cameras.value / 2
     if len(without) < 3 or not all(rate.n for rate in (all_cameras, *without.values())):
         return ""
