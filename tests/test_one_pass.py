@@ -21,7 +21,7 @@ TASKS += [f"maniskill/{task}" for task in MANISKILL_TASKS]
 
 CHAOTIC = {"maniskill/poke-cube"}
 """Here bodies touch hard and last bits grow: returns of one episode were 14.4 and 17.2 on one
-machine, 16.2 and 7.7 on another, with success in all. The bound is not met, and the test says so."""
+machine, 16.2 and 7.7 on another, with success in all. The bound is not met; the test says so."""
 
 
 class InOnePass:
