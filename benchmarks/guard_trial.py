@@ -1,13 +1,15 @@
 """``benchmarks guard-trial``: success with a guard and without, over policies and failures.
 
-Every camera of every policy fails in every way of ``WAYS``, and the same seeds are played with the
-camera broken, broken with a guard, and dropped; and intact, with the guard and without. Episodes
-are kept in episodes.sqlite of --out as they finish, so that a run that was stopped goes on.
-trial.json of --out has for each policy, camera and way the three rates, and when it was noticed.
+Every camera of every policy fails in every way of --ways. The same seeds are played with the camera
+broken, broken with a guard, and dropped; and intact, with the guard and without. An intact episode
+in which the guard notices nothing is the same without it, and is played once. Episodes are kept in
+episodes.sqlite of --out as they finish, so that a run that was stopped goes on. trial.json of --out
+has for each policy, camera and way the three rates, and when it was noticed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from typing import TypedDict
@@ -15,7 +17,7 @@ from typing import TypedDict
 from benchmarks.guard_alarms import GuardAlarmsConfig
 from madviz.measure.audit.guarded import alarms_words, noticed_words
 from madviz.measure.statistics import SuccessRate
-from madviz.measure.store import Store
+from madviz.measure.store import EpisodeResult, Store
 from madviz.measure.table import Table
 from madviz.observation.condition import Condition
 from madviz.observation.grammar import parse_condition
@@ -47,6 +49,8 @@ class TrialRow(TypedDict):
 class GuardTrialConfig(GuardAlarmsConfig):
     """The policies, which have fitted guards, and the episodes of each condition."""
 
+    ways: tuple[str, ...] = WAYS
+    """How each camera fails; none: intact episodes alone."""
     workers: ThreadsOrNone | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
 
@@ -66,7 +70,7 @@ def guard_trial(config: GuardTrialConfig) -> GuardTrialFile:
     result: GuardTrialFile = {"schema": 1, "seeds": list(seeds), "rows": []}
     with closing(Store(config.out / "episodes.sqlite")) as store:
         for name in config.policies:
-            result["rows"] += _of_policy(name, seeds, store, config.workers)
+            result["rows"] += _of_policy(name, seeds, store, config)
             write_json(config.out / "trial.json", result)
     return result
 
@@ -82,44 +86,48 @@ def trial_words(result: GuardTrialFile) -> str:
     return "\n".join(lines)
 
 
-def _of_policy(name: str, seeds: range, store: Store, workers: int | None) -> list[TrialRow]:
+def _of_policy(
+    name: str, seeds: range, store: Store, config: GuardTrialConfig
+) -> Iterator[TrialRow]:
     bare, policy = Table.opened(name, store, own=True)
     guarded, _ = Table.opened(with_guard(name, True), store, own=True)
     streams = policy.spec.streams
     cameras = cameras_of(streams)
+
+    def played(
+        table: Table, condition: Condition, which: Iterable[int]
+    ) -> dict[int, EpisodeResult]:
+        which = list(which)
+        table.play([(condition, seed) for seed in which], config.workers, progress=True)
+        results = table.results(condition)
+        return {seed: results[seed] for seed in which}
+
+    def row(camera: str, way: str, *results: dict[int, EpisodeResult]) -> TrialRow:
+        broken, with_it, dropped = (
+            SuccessRate.counted(result.success for result in each.values()).value
+            for each in results
+        )
+        noticed = [result.noticed for result in results[1].values()]
+        return TrialRow(
+            policy=name,
+            camera=camera,
+            way=way,
+            broken=broken,
+            guarded=with_it,
+            dropped=dropped,
+            n=len(seeds),
+            noticed=noticed,
+        )
+
     intact = Condition("all").noticed(streams)
-    rows = [_row(name, ("", ""), (bare, intact), (guarded, intact), (bare, intact), seeds, workers)]
+    watched = played(guarded, intact, seeds)
+    alarmed = [seed for seed, result in watched.items() if result.noticed is not None]
+    without = watched | played(bare, intact, alarmed)
+    yield row("", "", without, watched, without)
     for camera in cameras:
         rest = Condition("+".join(one for one in cameras if one != camera) or "none")
-        for way in WAYS:
+        for way in config.ways:
             fails = parse_condition(f"{camera}={way}", cameras).noticed(streams)
-            dropped = bare, rest.noticed(streams)
-            what = camera, way
-            rows.append(_row(name, what, (bare, fails), (guarded, fails), dropped, seeds, workers))
-    return rows
-
-
-def _row(
-    name: str,
-    what: tuple[str, str],
-    broken: tuple[Table, Condition],
-    guarded: tuple[Table, Condition],
-    dropped: tuple[Table, Condition],
-    seeds: range,
-    workers: int | None,
-) -> TrialRow:
-    rates = []
-    for table, condition in (broken, guarded, dropped):
-        table.play([(condition, seed) for seed in seeds], workers, progress=True)
-        known = table.outcomes(condition)
-        rates.append(SuccessRate.counted(known[seed] for seed in seeds))
-    return {
-        "policy": name,
-        "camera": what[0],
-        "way": what[1],
-        "broken": rates[0].value,
-        "guarded": rates[1].value,
-        "dropped": rates[2].value,
-        "n": len(seeds),
-        "noticed": [guarded[0].results(guarded[1])[seed].noticed for seed in seeds],
-    }
+            dropped = played(bare, rest.noticed(streams), seeds)
+            broken = played(bare, fails, seeds)
+            yield row(camera, way, broken, played(guarded, fails, seeds), dropped)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -180,3 +181,5 @@ def test_a_trial_plays_what_is_missing(guarded, tmp_path) -> None:
     assert "no false alarm in 1 intact episode" in trial_words(result)
     assert next(row for row in result["rows"] if row["way"] == "black")["noticed"] == [0]
     assert guard_trial(config) == result
+    intact = guard_trial(replace(config, ways=()))["rows"]
+    assert intact == [row for row in result["rows"] if not row["camera"]]

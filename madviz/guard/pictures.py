@@ -6,8 +6,8 @@ and colours. Every fourth row of the middle colour channel gives the differences
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,7 @@ EDGE = 16
 """Two neighbours that differ by this or more are an edge."""
 
 
-@dataclass(frozen=True, eq=False)
-class PictureSums:
+class PictureSums(NamedTuple):
     """The numbers of one picture."""
 
     cells: Array
@@ -56,36 +55,46 @@ def sums_of(picture: Array) -> PictureSums:
         )
     if shape[2] == 1:
         picture = np.broadcast_to(picture, (*shape[:2], 3))  # (H, W, 3)
-    grey = picture[..., 0].astype(np.float32)
-    grey += picture[..., 1]
-    grey += picture[..., 2]  # (H, W)
-    by_row = _membership(shape[0])  # (21, H)
-    by_column = _membership(shape[1])  # (21, W)
+    colours = picture.astype(np.float32)
+    grey = colours[..., 0] + colours[..., 1]
+    grey += colours[..., 2]  # (H, W)
+    grid = _grid(shape[0], shape[1])
     # Whole numbers below 2^24 are exact in float32, and its products are the fastest.
-    cells = (by_row @ grey @ by_column.T).ravel().astype(np.float64)  # (441,)
+    cells = (grid.by_row @ grey @ grid.by_column).ravel().astype(np.float64)  # (441,)
     total = float(cells.sum())
     square = float(cells @ cells)
-    lines = picture[::ROWS, :, 1]
-    steps = np.maximum(lines[:, 1:], lines[:, :-1])  # (H / 4, W - 1)
-    steps -= np.minimum(lines[:, 1:], lines[:, :-1])
+    lines = picture[::ROWS, :, 1].astype(np.int16)
+    steps = lines[:, 1:] - lines[:, :-1]  # (H / 4, W - 1)
+    np.abs(steps, out=steps)
     return PictureSums(
         cells=cells,
         spread=max(len(cells) * square - total * total, 0) ** 0.5 / len(cells),
-        dark=int(np.count_nonzero(cells <= _darkest(shape[0], shape[1]))),
+        dark=int(np.count_nonzero(cells <= grid.darkest)),
         rough=int(steps.sum(dtype=np.int64)),
         edges=int(np.count_nonzero(steps >= EDGE)),
     )
 
 
+class _Grid(NamedTuple):
+    """The cells of pictures of one size."""
+
+    by_row: Array
+    """(21, H) float32: 1 where a row belongs to a row of cells."""
+    by_column: Array
+    """(W, 21) float32: likewise, of columns."""
+    darkest: Array
+    """(441,): the largest sum of each dark cell."""
+
+
 @lru_cache(maxsize=16)
+def _grid(rows: int, columns: int) -> _Grid:
+    by_row = _membership(rows)  # (21, H)
+    by_column = np.ascontiguousarray(_membership(columns).T)  # (W, 21)
+    sizes = np.multiply.outer(by_row.sum(1), by_column.sum(0))  # (21, 21)
+    return _Grid(by_row, by_column, 3 * DARK * sizes.ravel())
+
+
 def _membership(count: int) -> Array:
     """(21, count) float32: 1 where a row, or column, belongs to a cell."""
     cell = np.searchsorted(np.arange(CELLS) * count // CELLS, np.arange(count), side="right") - 1
     return (np.arange(CELLS)[:, None] == cell).astype(np.float32)
-
-
-@lru_cache(maxsize=16)
-def _darkest(rows: int, columns: int) -> Array:
-    """(441,): the largest sum of each dark cell."""
-    sizes = np.multiply.outer(_membership(rows).sum(1), _membership(columns).sum(1))
-    return 3 * DARK * sizes.ravel()
