@@ -28,7 +28,7 @@ BENCHMARKS: dict[str, Command] = {
         words=PRETTY,
     ),
     "waits": Command(
-        "What a visitor waits for: the first picture, another task, one visitor more.",
+        "What people wait for: the first picture, another task, a first cell, a command.",
         "waits --suite metaworld --rounds 3",
         config="benchmarks.waits:WaitsConfig",
         work="benchmarks.waits:bench_waits",

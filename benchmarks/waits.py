@@ -1,15 +1,18 @@
-"""How long a visitor waits: from the command to the first picture, for another task, as one visitor
-more.
+"""How long people wait: visitors of the page, students at their first cell, researchers at the
+command line.
 
-Each is measured from outside, as a visitor without a browser has it (``soak/visitor.py``), and
-stands beside its floor: what no code of ours avoids, a Python that imports torch and the simulator
-and ends. With ``--before`` another checkout of madviz takes turns, so ratios are of one run.
+Each wait is measured from outside, and stands beside its floor: what no code of ours avoids, a
+Python that imports torch and the simulator and ends. With ``--before`` another checkout of madviz
+takes turns, so ratios are of one run. For a suite, a visitor without a browser opens the page
+(``soak/visitor.py``):
 
     answers_s        from the command until the page answers
     first_picture_s  from the command until the first picture is there
     task_switch_s    from another task of the same suite until its first picture
     one_more_s       until the first picture of one visitor more, and one_more_mb of memory
     floor_s          imports of torch and the simulator alone
+
+For *commands*, each one of ``COMMANDS`` runs to its end, in one process.
 """
 
 from __future__ import annotations
@@ -18,9 +21,11 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from madviz.errors import UserError
@@ -43,16 +48,42 @@ SUITES = {
     ),
 }
 """The policy that is opened, the task that is chosen then, and the imports of both."""
+HAMMER = SUITES["metaworld"][0]
+COMMANDS = {
+    "cell_s": (
+        "-c",
+        f"import madviz; from madviz import teaching; from madviz.widgets import Explorer; "
+        f"teaching.moment_at(madviz.load_policy({HAMMER!r}), seed=2000, step=20)",
+    ),
+    "help_s": ("-m", "madviz", "--help"),
+    "list_s": ("-m", "madviz", "list"),
+    "eval_s": (
+        *("-m", "madviz", "eval", "--policy", HAMMER, "--subsets", "all"),
+        *("--episodes", "1", "--workers", "0"),
+    ),
+    "train_s": (
+        *("-m", "madviz", "train", "--task", "metaworld/hammer", "--method", "mad"),
+        *("--light.demonstrations", "1", "--light.rounds", "1", "--light.episodes-per-round", "1"),
+        *("--light.updates-per-round", "1", "--light.critic-updates", "0"),
+        *("--out", "OUT/trained"),
+    ),
+    "audit_s": (
+        *("-m", "madviz", "audit", "--policy", HAMMER, "--how", "dropped"),
+        *("--episodes", "1", "--workers", "0", "--pairs", "0", "--out", "OUT/audit"),
+    ),
+}
+"""What a student's first cell and a researcher's commands are, as words of Python; OUT is a new
+folder."""
 
 
 @dataclass(frozen=True)
 class WaitsConfig:
-    """Times what a visitor waits for, for one suite."""
+    """Times what people wait for, for one suite, or for commands."""
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
     suite: str = "metaworld"
-    """metaworld or maniskill."""
+    """metaworld, maniskill or commands."""
     rounds: Count = 5
     """How many times; the medians are given."""
     before: Path | None = None
@@ -62,15 +93,18 @@ class WaitsConfig:
 def bench_waits(config: WaitsConfig) -> dict[str, Any]:
     """``now``, with ``before`` beside it if asked: medians of the module's table. Raises UserError
     for an unknown suite and where no picture comes."""
-    if config.suite not in SUITES:
-        raise UserError(f"expected a suite of {', '.join(SUITES)}, found {config.suite!r}")
+    known = [*SUITES, "commands"]
+    if config.suite not in known:
+        raise UserError(f"expected a suite of {', '.join(known)}, found {config.suite!r}")
+    commands = config.suite == "commands"
+    measure = measured_commands if commands else partial(measured, config.suite)
     roots: dict[str, Path | None] = {"now": None}
     if config.before is not None:
         roots["before"] = config.before
     found: dict[str, list[dict[str, float]]] = {name: [] for name in roots}
     for _ in range(config.rounds):
         for name, root in roots.items():
-            found[name].append(measured(config.suite, root))
+            found[name].append(measure(root))
     medians = {
         name: {key: round(statistics.median(one[key] for one in rounds), 2) for key in rounds[0]}
         for name, rounds in found.items()
@@ -81,9 +115,7 @@ def bench_waits(config: WaitsConfig) -> dict[str, Any]:
 def measured(suite: str, root: Path | None) -> dict[str, float]:
     """One start of the page of the checkout ``root``; None: of this one."""
     policy, other, imports = SUITES[suite]
-    began = time.monotonic()
-    subprocess.run([sys.executable, "-c", imports], check=True, capture_output=True)
-    floor = time.monotonic() - began
+    floor = _seconds_of(("-c", imports), None)
     began = time.monotonic()
     with serving(["--policy", policy, "--workers", "0"], root=root) as (url, process):
         answers = time.monotonic() - began
@@ -107,6 +139,23 @@ def measured(suite: str, root: Path | None) -> dict[str, float]:
         "one_more_mb": more_mb,
         "floor_s": floor,
     }
+
+
+def measured_commands(root: Path | None) -> dict[str, float]:
+    """Each of ``COMMANDS`` once, with the checkout ``root``; None: with this one."""
+    with TemporaryDirectory() as out:
+        found = {
+            key: _seconds_of([word.replace("OUT", out) for word in words], root)
+            for key, words in COMMANDS.items()
+        }
+    return {**found, "floor_s": _seconds_of(("-c", SUITES["metaworld"][2]), root)}
+
+
+def _seconds_of(words: Sequence[str], root: Path | None) -> float:
+    """Seconds until Python with ``words`` has ended. Raises CalledProcessError where it fails."""
+    began = time.monotonic()
+    subprocess.run([sys.executable, *words], check=True, capture_output=True, cwd=root)
+    return time.monotonic() - began
 
 
 def stands_at(visitor: Visitor, task: str) -> bool:

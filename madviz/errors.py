@@ -77,7 +77,7 @@ def printable(text: str) -> str:
 
 def unknown(kind: str, found: str, known: list[str]) -> UserError:
     """The error for a name that is not in a table; lists the names that are."""
-    listed = ", ".join(sorted(known))
+    listed = ", ".join(sorted(known)) or "none"
     return UserError(f"unknown {kind} {found!r:.100}{perhaps(found, known) or ';'} known: {listed}")
 
 

@@ -38,7 +38,12 @@ def guarded(tmp_path_factory):
     folder = saved(tmp_path_factory.mktemp("guard"))
     digest = describe(folder).spec.digest
     fitted = run_guard(GuardConfig(str(folder), episodes=4))
-    assert fitted["seeds"] == [900, 901, 902, 903] and "4 intact episodes" in guard_words(fitted)
+    assert fitted["seeds"] == [
+        900,
+        901,
+        902,
+        903,
+    ] and "4 intact training episodes, 900 to 903." in guard_words(fitted)
     assert describe(folder).spec.digest == digest
     return folder
 

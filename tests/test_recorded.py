@@ -158,9 +158,12 @@ def test_scaled_numbers_come_back() -> None:
     ("indices", "held"),
     [
         (range(20), (9, 19)),
+        (range(14), (4, 9)),
+        (range(9), (2, 5, 8)),
         ((0, 1, 2), (2,)),
         ((4,), ()),
         ((9, 19), (19,)),
+        (range(5), (4,)),
         ((), ()),
     ],
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +23,12 @@ from madviz.measure.audit.recorded import (
     verdict,
 )
 from madviz.measure.formulas import bootstrap
-from madviz.measure.guard_fit import GuardConfig, run_guard
+from madviz.measure.guard_fit import GuardConfig, guard_words, run_guard
 from madviz.policies.checkpoint import load_policy, robot_of_policy
 from madviz.policies.guarded import with_guard
 from madviz.recorded.known import VARIABLE, allow_recording, recordings_of
 from madviz.recorded.robot import robot_of
+from madviz.recorded.scaling import Scaling
 from madviz.recording.record import RecordConfig, run_record
 from madviz.serving.dry_run import dry_run
 from madviz.serving.serve import PolicyServer
@@ -107,10 +108,40 @@ def test_a_policy_that_cannot_drop_is_judged_by_the_mean_picture(bench: Path) ->
     assert set(found["decided_by"].values()) == {"mean"}
 
 
-def test_more_episodes_than_are_held_out_are_said(bench: Path) -> None:
-    found = recorded_audit(audit_of(bench), most=4)
-    assert found["episodes"] == [9, 19, 0, 1] and found["trained_on"] == [0, 1]
-    assert any("2 episodes of these were not held out" in line for line in words_of(found))
+def test_no_distance_rests_on_an_episode_of_training(bench: Path) -> None:
+    audit = audit_of(bench)
+    alone, more = recorded_audit(audit), recorded_audit(audit, most=4)
+    assert more["episodes"] == [9, 19, 0, 1] and more["trained_on"] == [0, 1]
+    assert more["conditions"] == alone["conditions"] and more["verdict"] == alone["verdict"]
+    assert any("was trained on 2 episodes more" in line for line in words_of(more))
+    knows_all = frozenset(map(audit.recordings.digest, range(20)))
+    known = recorded_audit(replace(audit, robot=replace(audit.robot, trained_on=knows_all)))
+    assert set(known["verdict"].values()) == {OPEN} and len(known["episodes"]) == 20
+    assert any("was trained on all of these episodes" in line for line in words_of(known))
+
+
+def test_episodes_of_other_recordings_are_new_to_the_policy(bench: Path, tmp_path: Path) -> None:
+    audit = audit_of(bench)
+    other = Small(episodes=3, films=False)
+    other.states += 0.1
+    other.rows["observation.state"] = list(other.states)
+    recordings = recordings_of(allow_recording(other.write(tmp_path / "other")))
+    assert replace(audit, recordings=recordings).chosen(None) == [0, 1, 2]
+    nobody_knows = replace(audit.robot, trained_on=frozenset())
+    assert replace(audit, robot=nobody_knows).chosen(3) == [9, 19, 0]
+
+
+def test_the_number_that_changes_most_is_named(bench: Path) -> None:
+    audit = audit_of(bench)
+    found = recorded_audit(audit)
+    top = next(row for row in found["conditions"] if row["camera"] == "top")
+    unit = np.array(audit.robot.actions.high) - np.array(audit.robot.actions.low)
+    most = int((unit / np.array(audit.robot.spread)).argmax())  # All numbers move alike.
+    assert top["most"] == audit.robot.action_names[most]
+    assert f"most of all {top['most']}, {top['most_apart']:.2f} of its own" in words_of(found)[1]
+    still = replace(audit.robot, actions=Scaling((0.0,) * 3, (0.0, 2.0, 0.0)), spread=(1.0,) * 3)
+    apart = still.distance(np.zeros(3), np.array([5.0, 0.5, 5.0]))
+    assert apart == pytest.approx(0.5), "numbers that never change count for nothing"
 
 
 def words_of(found) -> list[str]:
@@ -164,6 +195,9 @@ def test_a_guard_is_fitted_on_training_episodes_of_recordings(bench: Path, tmp_p
     policy = str(tmp_path / "mad")
     fitted = run_guard(GuardConfig(policy, episodes=20, recording=bench))
     assert fitted["seeds"] == [number for number in range(20) if number % 10 != 9]
+    assert "18 intact training episodes, 0 to 8, 10 to 18." in guard_words(fitted)
+    # Recordings that are known by the environment variable alone are the same.
+    assert run_guard(GuardConfig(policy, episodes=20))["seeds"] == fitted["seeds"]
     guarded = load_policy(with_guard(policy, True))
     lines = dry_run(guarded, robot_of_policy(policy), bench)
     assert "no robot moved" in lines[-1]

@@ -95,10 +95,13 @@ def test_a_dry_run_says_rate_jump_and_what_was_out_of_range(trained: tuple[Path,
     bench, folder = trained
     robot = robot_of_policy(str(folder))
     lines = dry_run(load_policy(folder), robot, bench)
-    assert "6 frames of episode 3 of bench (held out" in lines[0]
+    assert "6 frames of episode 3 of bench (the policy was not trained on it)" in lines[0]
     assert "recorded: actions change nothing" in lines[0]
     states, _ = open_recordings(bench).numbers(3)
     assert robot is not None
+    raw = open_recordings(bench).numbers(3)[1].astype(np.float64)
+    largest = np.sqrt(((np.diff(raw, axis=0) / np.array(robot.spread)) ** 2).mean(1)).max()
+    assert f"the largest recorded one is {largest:.2f}" in lines[2]
     named = [robot.state_names[i] for i in np.flatnonzero(np.any(robot.outside(states), axis=0))]
     assert all(name in lines[3] for name in named) and ("nothing" in lines[3]) == (not named)
     assert lines[-1].startswith("On this machine the policy keeps up with the robot's 10 a second")

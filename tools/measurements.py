@@ -128,28 +128,43 @@ def benchmarks() -> str:
     return table(("benchmark", "measured"), rows, read("archive/bench/machine")["machine"])
 
 
-WAITS = (
-    ("first_picture_s", "{}: from the command to the first picture", "s"),
-    ("task_switch_s", "{}: another task", "s"),
-    ("one_more_s", "{}: one visitor more, until the picture", "s"),
-    ("one_more_mb", "{}: one visitor more, memory", "MB"),
-)
-"""A number of `benchmarks waits`, its sentence, its unit."""
+WAITS = {
+    "metaworld": "hammer: ",
+    "maniskill": "push-cube: ",
+    "commands": "",
+}
+"""A suite of `benchmarks waits`, and how its sentences begin."""
+SENTENCES = {
+    "first_picture_s": "from the command to the first picture",
+    "task_switch_s": "another task",
+    "one_more_s": "one visitor more, until the picture",
+    "one_more_mb": "one visitor more, memory",
+    "cell_s": "a lesson's first cell",
+    "help_s": "`madviz --help`",
+    "list_s": "`madviz list`",
+    "eval_s": "`madviz eval`, one episode",
+    "train_s": "`madviz train`, one episode and one update",
+    "audit_s": "`madviz audit`, one episode of each condition",
+}
+"""A number of `benchmarks waits`, and its sentence."""
+WITHOUT_IMPORTS = ("task_switch_s", "one_more_s", "one_more_mb", "help_s", "list_s")
 
 
 def waits() -> str:
     """Results of `benchmarks waits`, for each suite: now, before, and what nothing avoids."""
     rows = []
-    for suite, name in (("metaworld", "hammer"), ("maniskill", "push-cube")):
+    for suite, begin in WAITS.items():
         result = read(f"archive/bench/waits-{suite}")
         now, before = result["now"], result["before"]
-        for key, sentence, unit in WAITS:
-            floor = f"{now['floor_s']:.1f} s" if key == "first_picture_s" else ""
-            ours, theirs = (
-                f"{one[key]:.{1 if unit == 's' else 0}f} {unit}" for one in (now, before)
-            )
-            ratio = f"{now[key] / before[key]:.2f}"
-            rows.append((sentence.format(name), floor, ours, theirs, ratio))
+        for key, sentence in SENTENCES.items():
+            if key in now:
+                floor = "" if key in WITHOUT_IMPORTS else f"{now['floor_s']:.1f} s"
+                ours, theirs = (
+                    f"{one[key]:.0f} MB" if key == "one_more_mb" else f"{one[key]:.1f} s"
+                    for one in (now, before)
+                )
+                ratio = f"{now[key] / before[key]:.2f}"
+                rows.append((begin + sentence, floor, ours, theirs, ratio))
     return table(("wait", "imports alone", "now", "before", "ratio"), rows)
 
 

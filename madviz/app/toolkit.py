@@ -194,8 +194,8 @@ class Choice:
 
         self.handle.on_click(heard(choose))
 
-    def style(self, *active: str, disabled: bool = False) -> str:
-        """CSS that marks the active buttons."""
+    def style(self, *active: str, opened: str = "", disabled: bool = False) -> str:
+        """CSS that marks the active buttons, and the one whose panel is ``opened`` by a frame."""
         row = selector(self.handle)
         rules = f"{row} button {{color:var(--mv-soft); border-color:var(--mv-edge); padding:0 2px}}"
         for place in (self._values.index(one) + 1 for one in active if one in self._values):
@@ -203,6 +203,10 @@ class Choice:
                 f"{row} button:nth-child({place}) "
                 "{background:var(--mv-ink); color:var(--mv-ground); border-color:var(--mv-ink)}"
             )
+        if opened and opened not in active:
+            place = self._values.index(opened) + 1
+            frame = "{color:var(--mv-ink); border-color:var(--mv-ink)}"
+            rules += f"{row} button:nth-child({place}) {frame}"
         if disabled:
             rules += f"{row} {{opacity:0.45; pointer-events:none}}"
         return rules

@@ -29,6 +29,7 @@ from madviz.policies.players import player_of
 from madviz.policies.seeds import FIRST_TRAINING, seeds_from
 from madviz.recorded.known import allow_recording, recordings_of
 from madviz.recorded.recordings import Recordings
+from madviz.recorded.robot import Robot
 from madviz.subsets import cameras_of
 from madviz.system.files import written_to
 from madviz.system.numbers import Count
@@ -74,17 +75,19 @@ def run_guard(config: GuardConfig) -> FittedFile:
     reference = unguarded(config.policy)
     if config.episodes < FEWEST:
         raise UserError(f"expected {FEWEST} episodes or more to fit on, found {config.episodes}")
-    if config.recording is None:
-        seeds = tuple(seeds_from(FIRST_SEED, config.episodes))
-    else:
-        seeds = training_places(recordings_of(allow_recording(config.recording)))
-        seeds = seeds[: config.episodes]
+    if config.recording is not None:
+        allow_recording(config.recording)
     if config.out is None and not checkpoint.is_folder(reference):
         raise UserError(f"expected --out FILE for {reference!r:.100}, which has no folder; add it")
     out = config.out or checkpoint.find_policy(reference) / FILE
     written_to(out, "--out")
     policy = checkpoint.load_policy(reference)
     spec = policy.spec
+    robot = checkpoint.robot_of_policy(reference)
+    if robot is None:
+        seeds = tuple(seeds_from(FIRST_SEED, config.episodes))
+    else:
+        seeds = training_places(recordings_of(spec.task), robot)[: config.episodes]
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env, one_thread():
         check_environment(spec, env.spec)
         episodes = [
@@ -105,10 +108,11 @@ def run_guard(config: GuardConfig) -> FittedFile:
     }
 
 
-def training_places(recordings: Recordings) -> tuple[int, ...]:
-    """The places, among all episodes, of those for training: the seeds that begin them."""
-    training = set(recordings.training)
-    return tuple(i for i, one in enumerate(recordings.episodes) if one.index in training)
+def training_places(recordings: Recordings, robot: Robot) -> tuple[int, ...]:
+    """The places, among all episodes, of those that the policy of ``robot`` was trained on: the
+    seeds that begin them."""
+    unseen = robot.unseen(recordings)
+    return tuple(i for i, one in enumerate(recordings.episodes) if one.index not in unseen)
 
 
 def play_intact(policy: Policy, env: Environment, seed: int, random: float) -> SeenEpisode:
@@ -144,5 +148,17 @@ def guard_words(fitted: FittedFile) -> str:
     )
     return (
         f"{fitted['file']}: {fitted['bytes']} bytes, fitted on {len(fitted['seeds'])} intact "
-        f"episodes of training seeds, {fitted['seeds'][0]} to {fitted['seeds'][-1]}. {late}"
+        f"training episodes, {_stretches(fitted['seeds'])}. {late}"
     )
+
+
+def _stretches(seeds: list[int]) -> str:
+    """``0 to 8, 10, 11 to 14``."""
+    stretches: list[list[int]] = []
+    for seed in seeds:
+        if stretches and seed == stretches[-1][-1] + 1:
+            stretches[-1].append(seed)
+        else:
+            stretches.append([seed])
+    words = (f"{one[0]} to {one[-1]}" if len(one) > 1 else f"{one[0]}" for one in stretches)
+    return ", ".join(words)

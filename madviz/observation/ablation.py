@@ -169,7 +169,7 @@ class Kind:
 
 _STRENGTH = ("strength",)
 KINDS: dict[OcclusionKind, Kind] = {
-    "none": Kind("none", "sees", "sends its picture again", "sent its picture"),
+    "none": Kind("as it is", "sees", "sends its picture again", "sent its picture"),
     # Every pixel is 0.
     "black": Kind(
         "black",

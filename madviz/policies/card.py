@@ -41,7 +41,7 @@ def card_text(folder: str | Path) -> str:
     evaluation = checkpoint.own_evaluation(policy) if measured else None
     choice = choice_of(policy.path)
     sections = [
-        _head(policy.config),
+        _head(policy.config, policy.path.name),
         _success(evaluation, policy.spec.name, policy.config.task),
         _inputs(policy.config, policy.path),
         _training(policy.config.training, policy.path.name, choice),
@@ -51,13 +51,16 @@ def card_text(folder: str | Path) -> str:
     return "\n\n".join(sections) + "\n"
 
 
-def _head(config: PolicyConfig) -> str:
-    source = f" --recording {config.task.partition('/')[2]}" if is_recording(config.task) else ""
+def _head(config: PolicyConfig, folder: str) -> str:
+    recorded = is_recording(config.task)
+    source = f" --recording {config.task.partition('/')[2]}" if recorded else ""
+    # A policy of recordings is in nobody's list: its folder names it.
+    name = folder if recorded else config.name
     return (
         f"# {config.name}\n\n"
         f"Task `{config.task}`, method `{config.method}`, setting `{config.setting}`, "
         f"recipe `{config.recipe}`.\n\n"
-        f"    madviz explore{source} --policy {config.name}"
+        f"    madviz explore{source} --policy {name}"
     )
 
 

@@ -237,7 +237,8 @@ def _guarded(policy: str) -> GuardedPolicy:
             f"expected a policy folder with {FILE} beside a guard, found {policy!r:.100}; in "
             "Python, wrap it: madviz.guard.policy.GuardedPolicy(policy, values)"
         )
-    values = read_values(find_policy(policy) / FILE, fit_command(policy))
+    folder = describe(policy)
+    values = read_values(folder.path / FILE, fit_command(policy, folder.config.task))
     return GuardedPolicy(load_policy(policy), values)
 
 

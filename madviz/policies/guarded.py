@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from madviz.guard.policy import SUFFIX
+from madviz.recorded.known import is_recording
 
 PREFIX = "guard:"
 
@@ -33,6 +34,7 @@ def reference_to(name: str) -> str:
     return with_guard(name.removesuffix(SUFFIX), name.endswith(SUFFIX))
 
 
-def fit_command(policy: str | Path) -> str:
-    """The command that fits the guard of ``policy``."""
-    return f"madviz guard --policy {policy}"
+def fit_command(policy: str | Path, task: str) -> str:
+    """The command that fits the guard of ``policy``, which learned ``task``."""
+    source = f" --recording {task.partition('/')[2]}" if is_recording(task) else ""
+    return f"madviz guard --policy {policy}{source}"

@@ -10,6 +10,7 @@ named in ``left_out``, and the others can be used.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -46,6 +47,11 @@ class Recordings:
         """States (T, S) and actions (T, A) of the episode with this index, float32, raw units."""
         location = self._location(episode)
         return numbers_of(self._description, location)
+
+    def digest(self, episode: int) -> str:
+        """16 letters that stand for the numbers of the episode with this index."""
+        states, actions = self.numbers(episode)
+        return hashlib.sha256(states.tobytes() + actions.tobytes()).hexdigest()[:16]
 
     def frames(self, episode: int, size: int) -> Array:
         """(T, V, size, size, 3) uint8, letterboxed: a read-only map of the cache. The first call

@@ -4,9 +4,11 @@
      "cameras": [{"key": "observation.images.top", "name": "top", "height": 480, "width": 640}],
      "state": {"names": ["shoulder", ...], "low": [...], "high": [...]},
      "action": {"names": [...], "low": [...], "high": [...], "spread": [...]},
-     "held_out": [9, 19]}
+     "held_out": [9, 19],
+     "trained_on": ["5e0c…", ...]}
 
-The policy itself reads and says numbers between -1 and 1; ``Robot`` has both scalings.
+The policy itself reads and says numbers between -1 and 1; ``Robot`` has both scalings. Episodes
+that it learned from are known by a digest of their numbers, in whatever dataset they are.
 """
 
 from __future__ import annotations
@@ -58,6 +60,7 @@ class _File(msgspec.Struct):
     state: _Numbers
     action: _Numbers
     held_out: list[int]
+    trained_on: list[str]
 
 
 @dataclass(frozen=True)
@@ -73,20 +76,37 @@ class Robot:
     """(A,) standard deviation of the actions in training, raw units; 1 where it is 0."""
     fps: float
     held_out: tuple[int, ...]
-    """The episodes that the policy was not trained on."""
+    """The episodes that were kept from training, by their index there."""
+    trained_on: frozenset[str] = frozenset()
+    """The others, by ``Recordings.digest``; empty for a policy of which that is not known."""
 
     def camera(self, name: str) -> RobotCamera:
         """The camera called ``name``, which must be there."""
         return next(camera for camera in self.cameras if camera.name == name)
 
-    def distance(self, actions: Array, others: Array) -> Array:
-        """(..., A) scaled actions twice -> (...): the root mean square, over their numbers, of how
-        far they are apart in units of the spread."""
+    def learned_from(self, recordings: Recordings, episode: int) -> bool:
+        """True where the policy was trained on this episode."""
+        return recordings.digest(episode) in self.trained_on
+
+    def unseen(self, recordings: Recordings) -> tuple[int, ...]:
+        """The indices of the episodes that the policy was not trained on."""
+        known = (one.index for one in recordings.episodes)
+        return tuple(index for index in known if not self.learned_from(recordings, index))
+
+    def apart(self, actions: Array, others: Array) -> Array:
+        """(..., A) scaled actions twice -> (..., A): how far each number is apart, in its spread; 0
+        for one that never changed in the recordings."""
         width = np.array(self.actions.high) - np.array(self.actions.low)
-        # Scaled numbers have another unit than the spread; those that never changed have none.
-        unit = np.where(width > 0, width / 2, 1) / np.array(self.spread)  # (A,)
-        apart = (np.asarray(actions, np.float64) - np.asarray(others, np.float64)) * unit
-        return np.sqrt(np.mean(apart**2, axis=-1))
+        # Scaled numbers have another unit than the spread.
+        unit = np.where(width > 0, width / 2, 0) / np.array(self.spread)  # (A,)
+        return np.abs((np.asarray(actions, np.float64) - np.asarray(others, np.float64)) * unit)
+
+    def distance(self, actions: Array, others: Array) -> Array:
+        """(..., A) scaled actions twice -> (...): the root mean square of ``apart``, over the
+        numbers that change in the recordings."""
+        moving = np.count_nonzero(np.array(self.actions.high) > np.array(self.actions.low))
+        squares = self.apart(actions, others) ** 2
+        return np.sqrt(squares.sum(axis=-1) / max(moving, 1))
 
     def outside(self, states: Array) -> Array:
         """(..., S) raw -> bool: the numbers outside the range of the recordings in training."""
@@ -134,11 +154,12 @@ def robot_of(recordings: Recordings) -> Robot:
         tuple(recordings.action_spread().tolist()),
         recordings.fps,
         recordings.held_out,
+        frozenset(map(recordings.digest, recordings.training)),
     )
 
 
 def robot_document(robot: Robot) -> dict[str, object]:
-    """The content of robot.json."""
+    """The content of robot.json, but for the digests of episodes."""
     return {
         "schema": 1,
         "fps": robot.fps,
@@ -156,7 +177,7 @@ def robot_document(robot: Robot) -> dict[str, object]:
 def write_robot(folder: Path, robot: Robot) -> None:
     """Writes robot.json into ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / FILE, robot_document(robot))
+    write_json(folder / FILE, {**robot_document(robot), "trained_on": sorted(robot.trained_on)})
 
 
 def read_robot(folder: Path) -> Robot:
@@ -184,4 +205,5 @@ def read_robot(folder: Path) -> Robot:
         tuple(file.action.spread),
         file.fps,
         tuple(file.held_out),
+        frozenset(file.trained_on),
     )

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-EVERY = 10
-"""One episode of so many is held out."""
+EVERY = (10, 5, 3)
+"""One episode of so many is held out; more of them where that leaves fewer than ``FEWEST``."""
+FEWEST = 2
+"""Episodes held out: one alone has no interval."""
 
 
 def held_out(indices: Sequence[int]) -> tuple[int, ...]:
-    """The episodes that training leaves for validation: every tenth by its index; the last one if
-    there is no tenth, and none of a single episode."""
-    tenth = tuple(index for index in indices if index % EVERY == EVERY - 1)
-    if len(indices) < 2 or len(tenth) == len(indices):
-        return tuple(indices[-1:]) if len(indices) > 1 else ()
-    return tenth or tuple(indices[-1:])
+    """The episodes that training leaves for validation: every tenth by its index, every fifth or
+    third where that would be one alone; else the last one, and none of a single episode."""
+    for every in EVERY:
+        found = tuple(index for index in indices if index % every == every - 1)
+        if FEWEST <= len(found) < len(indices):
+            return found
+    return tuple(indices[-1:]) if len(indices) > 1 else ()

@@ -1,7 +1,7 @@
 """``madviz serve --check DATASET``: the answers to one recorded episode, before a robot moves.
 
-Every frame of a held-out episode is answered as a client's look would be, with the recorded state,
-whatever was answered before: open loop.
+Every frame of an episode that the policy was not trained on is answered as a client's look would
+be, with the recorded state, whatever was answered before: open loop.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def dry_run(policy: Policy, robot: Robot | None, dataset: Path) -> list[str]:
         f"({held}); {LABEL}.",
         f"answers: {rate:.1f} a second or more in {IN_TIME:.0%} of the frames, here and without a "
         f"network; the robot was recorded at {robot.fps:g}",
-        _jump_words(jumps, _jumps(robot, robot.actions.scale(recorded))),
+        _jump_words(jumps, _jumps(robot, recorded)),
         f"outside the range of the training episodes: {_outside_words(names, outside)}",
         f"from the recorded actions: {_apart(robot, actions, recorded):.2f} spreads on average",
     ]
@@ -57,11 +57,10 @@ def dry_run(policy: Policy, robot: Robot | None, dataset: Path) -> list[str]:
 
 def _episode(recordings: Recordings, robot: Robot) -> tuple[int, str]:
     """The episode to answer to, and whether the policy was trained on it, in words."""
-    known = [one.index for one in recordings.episodes]
-    held = [index for index in known if index in robot.held_out]
-    if held:
-        return held[0], "held out, if this is the dataset it was trained on"
-    return known[-1], "not held out: the dataset has no such episode"
+    unseen = robot.unseen(recordings)
+    if unseen:
+        return unseen[0], "the policy was not trained on it"
+    return recordings.episodes[-1].index, "the policy was trained on it, as on all that are here"
 
 
 def _answers(
@@ -87,7 +86,7 @@ def _answers(
 
 
 def _jumps(robot: Robot, actions: Array) -> Array:
-    """(T - 1,) distances from each action to the next, in spreads."""
+    """(T - 1,) distances from each of ``actions`` (T, A), raw, to the next, in spreads."""
     scaled = robot.actions.scale(actions)
     return robot.distance(scaled[1:], scaled[:-1]) if len(actions) > 1 else np.zeros(1)
 

@@ -258,7 +258,7 @@ def test_absurd_numbers_from_the_page_do_no_harm(visitor: Visitor):
     box.fill("1e9")
     box.press("Enter")
     visitor.until("status.setting.includes('noise')")
-    visitor.press("none", camera=0)
+    visitor.press("as it is", camera=0)
     visitor.until("status.setting === 'all'")
     step = visitor.status("step")
     visitor.until(f"status.step !== '{step}'")

@@ -153,7 +153,7 @@ class CamerasPanel(WidgetPanel):
         """CSS that marks the active buttons and hides the field."""
         opened = self.breaks.camera if self.breaks else ""
         marks = "".join(
-            switch.style(switched(frame, name), "break" if name == opened else "")
+            switch.style(switched(frame, name), opened="break" if name == opened else "")
             for name, switch in zip(self._names, self._switches, strict=False)
         )
         marks += self._drop.style(self._dropped)

@@ -51,7 +51,9 @@ class GuardPanel(WidgetPanel):
         fitted = self._judged[1]
         policed = frame.world.policy.method != NO_POLICY
         note = (
-            "" if fitted or not policed else f'<div class="mv dim">{escape(no_guard(policy))}</div>'
+            ""
+            if fitted or not policed
+            else f'<div class="mv dim">{escape(no_guard(policy, frame.world.policy.task))}</div>'
         )
         return [
             *self._shown.show(frame.world.guard is not None),
@@ -75,6 +77,6 @@ class GuardPanel(WidgetPanel):
         return with_guard(policy, on and has_guard(policy))
 
 
-def no_guard(policy: str) -> str:
-    """The sentence on a policy without a fitted guard."""
-    return f"No guard is fitted for this policy; {fit_command(shown(policy))} does it."
+def no_guard(policy: str, task: str) -> str:
+    """The sentence on a policy of ``task`` without a fitted guard."""
+    return f"No guard is fitted for this policy; {fit_command(shown(policy), task)} does it."

@@ -23,7 +23,7 @@ import shlex
 import signal
 import sys
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -242,7 +242,7 @@ def _audit_recording(config: AuditConfig, folder: Path) -> RecordedAuditFile:
             f"expected a policy for {task}, found {policy.spec.name!r} for {policy.spec.task}; "
             "train one with madviz train --recording, or say the task in its --wire file"
         )
-    robot = robot or robot_of(recordings)
+    robot = robot or replace(robot_of(recordings), trained_on=frozenset())
     robot.check(recordings)
     _check_folder(config, policy)
     check_same_policy(config.out, policy, config.seed)

@@ -8,9 +8,10 @@ the recorded actions (``Robot.distance``).
     change of a condition    mean over steps of |a(condition) - a(all)|
     interval                 bootstrap over episodes: whole episodes are drawn again and again
 
-Steps of one episode resemble each other, so 5 episodes say as much as 5, not as 500 steps. The
-verdict on a camera rests on the change without it: below ``HARDLY`` with the whole interval, above
-it, or not decided.
+Steps of one episode resemble each other, so 5 episodes say as much as 5, not as 500 steps. A policy
+may know the answers of an episode that it was trained on: such episodes show where a camera
+matters, and no distance or verdict rests on them. The verdict on a camera rests on the change
+without it: below ``HARDLY`` with the whole interval, above it, or not decided.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ OPEN = "not decided"
 VERDICTS = {
     CHANGES: f"the interval of the change without it lies above {HARDLY} spreads",
     STAYS: f"the interval of the change without it lies below {HARDLY} spreads",
-    OPEN: "the interval holds both, or there is one episode alone: more episodes may tell",
+    OPEN: "the interval holds both, there is one episode alone, or the policy was trained on all: "
+    "more episodes may tell",
 }
 
 
@@ -68,6 +70,10 @@ class RecordedRow(TypedDict):
     """From the action with all cameras."""
     further: DistanceRow
     """Its distance from the recorded action, less that with all cameras."""
+    most: str
+    """The number of the action that changes most."""
+    most_apart: float
+    """Its change, in its own spread."""
 
 
 class CameraStep(TypedDict):
@@ -94,8 +100,8 @@ class RecordedAuditFile(TypedDict):
     fps: float
     labels: dict[str, str]
     episodes: list[int]
-    trained_on: list[int]
-    """Those among them that are not held out."""
+    trained_on: list[int] | None
+    """Those among them that the policy was trained on; None: not known."""
     steps: int
     """Answers for each condition."""
     apart: DistanceRow
@@ -128,13 +134,16 @@ class RecordedAudit:
         return list(dict.fromkeys([INTACT, *rows]))
 
     def chosen(self, most: int | None) -> list[int]:
-        """The indices of the episodes to answer to: those held out; with ``most``, that many, and
-        those of training after them."""
+        """The indices of the episodes to answer to: those that the policy was not trained on, if
+        there are any; with ``most``, that many, and the others after them. Where it is not known
+        what the policy was trained on, those that are held out here come first."""
         known = [one.index for one in self.recordings.episodes]
-        held = [index for index in known if index in self.robot.held_out] or known
+        unseen = self.robot.unseen(self.recordings)
+        if not self.robot.trained_on:
+            unseen = self.recordings.held_out
         if most is None:
-            return held
-        return [*held, *(index for index in known if index not in held)][:most]
+            return list(unseen or known)
+        return [*unseen, *(index for index in known if index not in unseen)][:most]
 
     def means(self) -> MeanPictures:
         """The mean picture of each stream in the training episodes."""
@@ -176,16 +185,27 @@ class RecordedAudit:
         return actions
 
 
+@dataclass(frozen=True, eq=False)
+class _Answered:
+    """The answers to one episode, N conditions at T' steps."""
+
+    steps: Array
+    """(T',)."""
+    change: Array
+    """(N, T') from the action with all cameras."""
+    numbers: Array
+    """(N, A): likewise, of each number, on average over the steps."""
+    errors: Array
+    """(N,) distance from the recorded action, on average over the steps."""
+
+
 def recorded_audit(
     audit: RecordedAudit, most: int | None = None, progress: bool = False
 ) -> RecordedAuditFile:
-    """The document of ``audit`` on its held-out episodes, or on ``most`` episodes. Raises UserError
-    if the pictures of none can be decoded."""
+    """The document of ``audit`` on the episodes that its policy was not trained on, or on ``most``
+    episodes. Raises UserError if the pictures of none can be decoded."""
     means = audit.means()
-    changes: dict[int, Array] = {}
-    further: dict[int, Array] = {}
-    apart: list[float] = []
-    steps_of: dict[int, Array] = {}
+    answered: dict[int, _Answered] = {}
     left_out = list(audit.recordings.left_out)
     chosen = audit.chosen(most)
     for number, index in enumerate(chosen, start=1):
@@ -197,42 +217,47 @@ def recorded_audit(
         except UserError as error:
             left_out.append(f"episode {index}: {error}")
             continue
-        steps_of[index] = steps
-        changes[index] = audit.robot.distance(actions, actions[:1])  # (N, T')
-        errors = audit.robot.distance(actions, recorded[steps]).mean(axis=1)  # (N,)
-        further[index] = errors - errors[0]
-        apart.append(float(errors[0]))
+        answered[index] = _Answered(
+            steps,
+            audit.robot.distance(actions, actions[:1]),
+            audit.robot.apart(actions, actions[:1]).mean(axis=1),
+            audit.robot.distance(actions, recorded[steps]).mean(axis=1),
+        )
         if progress:
             print(f"{number} of {len(chosen)} episodes", file=sys.stderr)
-    if not changes:
+    if not answered:
         raise UserError(f"expected an episode that can be decoded, found none: {left_out[-1]}")
-    return _document(audit, changes, further, apart, steps_of, left_out)
+    return _document(audit, answered, left_out)
 
 
 def _document(
-    audit: RecordedAudit,
-    changes: dict[int, Array],
-    further: dict[int, Array],
-    apart: list[float],
-    steps_of: dict[int, Array],
-    left_out: list[str],
+    audit: RecordedAudit, answered: dict[int, _Answered], left_out: list[str]
 ) -> RecordedAuditFile:
     spec = audit.policy.spec
+    robot = audit.robot
     place = {condition: row for row, condition in enumerate(audit.conditions)}
-    by_episode = np.stack([one.mean(axis=1) for one in changes.values()], axis=1)  # (N, E)
-    beyond = np.stack(list(further.values()), axis=1)  # (N, E)
+    trained_on = [index for index in answered if robot.learned_from(audit.recordings, index)]
+    judged = [index for index in answered if index not in trained_on] or trained_on
+    episodes = [answered[index] for index in judged]
+    changes = np.stack([one.change.mean(axis=1) for one in episodes], axis=1)  # (N, E)
+    errors = np.stack([one.errors for one in episodes], axis=1)  # (N, E)
+    numbers = np.mean([one.numbers for one in episodes], axis=0)  # (N, A)
 
     def row(one: AuditRow) -> RecordedRow:
         at = place[one.condition]
+        most = int(numbers[at].argmax())
         return {
             "camera": one.camera,
             "what": one.what,
             "how": one.how,
-            "change": distance_row(by_episode[at]),
-            "further": distance_row(beyond[at]),
+            "change": distance_row(changes[at]),
+            "further": distance_row(errors[at] - errors[0]),
+            "most": robot.action_names[most],
+            "most_apart": float(numbers[at, most]),
         }
 
     deciding = {name: audit.cameras.deciding(name).removed for name in audit.cameras.names}
+    removed = {name: distance_row(changes[place[one.condition]]) for name, one in deciding.items()}
     return {
         "schema": 1,
         "label": LABEL,
@@ -242,39 +267,37 @@ def _document(
         "recording": audit.recordings.name,
         "fps": audit.recordings.fps,
         "labels": {name: audit.env.camera(name).label for name in audit.cameras.names},
-        "episodes": list(changes),
-        "trained_on": [index for index in changes if index not in audit.robot.held_out],
-        "steps": sum(map(len, steps_of.values())),
-        "apart": distance_row(np.array(apart)),
+        "episodes": list(answered),
+        "trained_on": trained_on if robot.trained_on else None,
+        "steps": sum(len(one.steps) for one in answered.values()),
+        "apart": distance_row(errors[0]),
         "conditions": [row(one) for one in audit.cameras.rows()],
         "verdict": {
-            name: verdict(distance_row(by_episode[place[one.condition]]))
-            for name, one in deciding.items()
+            name: OPEN if judged == trained_on else verdict(change)
+            for name, change in removed.items()
         },
         "decided_by": {name: one.how for name, one in deciding.items()},
-        "moments": _moments(audit, changes, steps_of),
+        "moments": _moments(audit, answered),
         "left_out": left_out,
     }
 
 
-def _moments(
-    audit: RecordedAudit, changes: dict[int, Array], steps_of: dict[int, Array]
-) -> list[CameraStep]:
-    """For each camera, the steps at which the action changes most without it."""
+def _moments(audit: RecordedAudit, answered: dict[int, _Answered]) -> list[CameraStep]:
+    """For each camera, the steps at which the action changes most without it, one of an episode."""
     known = [one.index for one in audit.recordings.episodes]
     moments: list[CameraStep] = []
     for name in audit.cameras.names:
         row = audit.conditions.index(audit.cameras.deciding(name).removed.condition)
         found: list[CameraStep] = []
-        for index, change in changes.items():
-            best = int(change[row].argmax())
+        for index, one in answered.items():
+            best = int(one.change[row].argmax())
             found.append(
                 {
                     "camera": name,
                     "episode": index,
                     "place": known.index(index),
-                    "step": int(steps_of[index][best]),
-                    "change": float(change[row, best]),
+                    "step": int(one.steps[best]),
+                    "change": float(one.change[row, best]),
                 }
             )
         moments += sorted(found, key=lambda moment: -moment["change"])[:MOMENTS]

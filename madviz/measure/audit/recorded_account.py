@@ -32,7 +32,9 @@ HOW_TO_READ = (
 
 def recorded_words(found: RecordedAuditFile) -> list[str]:
     """One sentence for the policy, one for each camera, and what limits them."""
-    count = len(found["episodes"])
+    trained_on = found["trained_on"] or []
+    judged = [index for index in found["episodes"] if index not in trained_on]
+    count = len(judged) or len(trained_on)
     lines = [
         f"{found['label'].capitalize()}. On {_episodes(count)} of {found['recording']}, "
         f"{found['policy']} is {_distance(found['apart'])} spreads from the recorded action with "
@@ -43,16 +45,23 @@ def recorded_words(found: RecordedAuditFile) -> list[str]:
         row = _row(found, name, how)
         away = "" if how == "dropped" else f" ({HOW_WORDS[how]} in its place)"
         lines.append(
-            f"{found['labels'][name]}: {words}{away}: {_distance(row['change'])} spreads; "
+            f"{found['labels'][name]}: {words}{away}: {_distance(row['change'])} spreads, most of "
+            f"all {row['most']}, {row['most_apart']:.2f} of its own; "
             f"{_distance(row['further'], signed=True)} further from the recorded action."
         )
-    if found["trained_on"]:
+    if found["trained_on"] is None:
+        lines.append("What the policy was trained on is not known here.")
+    elif not judged:
+        lines.append("The policy was trained on all of these episodes: no verdict rests on them.")
+    elif trained_on:
         lines.append(
-            f"{_episodes(len(found['trained_on']))} of these were not held out: the policy may "
-            "have been trained on them."
+            f"The policy was trained on {_episodes(len(trained_on))} more: no distance or verdict "
+            "rests on them, only steps below."
         )
-    if count < FEW:
-        lines.append(f"{_episodes(count).capitalize()} are few: intervals are coarse.")
+    if count == 1:
+        lines.append("One episode says little, and has no interval: record more.")
+    elif count < FEW:
+        lines.append(f"{_episodes(count)} are few: intervals are coarse.")
     lines += [f"Left out: {line}" for line in found["left_out"]]
     return lines
 
@@ -60,7 +69,14 @@ def recorded_words(found: RecordedAuditFile) -> list[str]:
 def recorded_account(found: RecordedAuditFile, command: str, source: list[str]) -> list[Block]:
     """All blocks; ``command`` makes the audit again, ``source`` are the words that name recordings
     and policy."""
-    heads = ("cameras", "how", "change of the action", "further from the recorded action")
+    change = "change of the action"
+    heads = (
+        "cameras",
+        "what is away is",
+        change,
+        "most of all",
+        "further from the recorded action",
+    )
     moments = ("camera", "episode", "step", "change", "to see it; then go to the step in Go back")
     return [
         Block("h1", [f"Which cameras does {found['policy']} use? ({found['label']})"]),
@@ -70,7 +86,7 @@ def recorded_account(found: RecordedAuditFile, command: str, source: list[str]) 
         Block("h2", ["Where each camera mattered most"]),
         Block("table", moments, [_moment(found, one, source) for one in found["moments"]]),
         Block("h2", ["Every condition"]),
-        Block("table", heads, [_condition(found, row) for row in found["conditions"]]),
+        Block("table", heads, [_condition(found, row) for row in _different(found)]),
         Block("h2", ["How to read this"]),
         Block("list", HOW_TO_READ),
         Block("h2", ["What was measured"]),
@@ -88,12 +104,19 @@ def _row(found: RecordedAuditFile, camera: str, how: str) -> RecordedRow:
     )
 
 
+def _different(found: RecordedAuditFile) -> list[RecordedRow]:
+    """The rows of the table: where one of two cameras is removed, the other one is alone."""
+    two = len(found["labels"]) == 2
+    return [row for row in found["conditions"] if not (two and row["what"] == "alone")]
+
+
 def _moment(found: RecordedAuditFile, one: CameraStep, source: list[str]) -> list[str]:
     words = ["madviz", "explore", *source, "--seed", str(one["place"])]
+    trained_on = one["episode"] in (found["trained_on"] or [])
     state = "off" if found["decided_by"][one["camera"]] == "dropped" else "mean"
     return [
         found["labels"][one["camera"]],
-        str(one["episode"]),
+        f"{one['episode']}{', trained on' if trained_on else ''}",
         str(one["step"]),
         f"{one['change']:.2f}",
         shlex.join([*words, "--condition", f"{one['camera']}={state}"]),
@@ -103,8 +126,11 @@ def _moment(found: RecordedAuditFile, one: CameraStep, source: list[str]) -> lis
 def _condition(found: RecordedAuditFile, row: RecordedRow) -> list[str]:
     camera = row["camera"]
     label = "no camera" if camera is None else f"{found['labels'][camera]} {row['what']}"
+    others = [other for name, other in found["labels"].items() if name != camera]
+    label += f", {others[0]} alone" if camera is not None and len(others) == 1 else ""
     further = _distance(row["further"], signed=True)
-    return [label, HOW_WORDS[row["how"]], _distance(row["change"]), further]
+    most = f"{row['most']} {row['most_apart']:.2f}"
+    return [label, HOW_WORDS[row["how"]], _distance(row["change"]), most, further]
 
 
 def _facts(found: RecordedAuditFile) -> list[tuple[str, str]]:

@@ -1,0 +1,68 @@
+"""The table of docs/guard.md: what a guard wins back on each of the twenty tasks, and its false
+alarms, from results/guard (``python -m benchmarks guard-trial``)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from measurements import read, table
+
+from madviz.measure.statistics import SuccessRate
+from madviz.policies import checkpoint
+
+SIDES = ("broken", "guarded", "dropped")
+NAMES = {"black": "black", "freeze": "frozen"}
+INTACT = "guard/intact"
+BROKEN = "guard/broken"
+
+
+def guard_trial() -> str:
+    """Success broken, guarded and dropped, over all cameras of a task, and one row for all."""
+    rows = read(BROKEN)["rows"]
+    ways = [way for way in NAMES if any(row["way"] == way for row in rows)]
+    alarms = {row["policy"]: _alarms(row) for row in read(INTACT)["rows"]}
+    header = ["task", "false alarms", *(f"{NAMES[way]}: {side}" for way in ways for side in SIDES)]
+    lines = []
+    for policy in dict.fromkeys(row["policy"] for row in rows):
+        ours = [row for row in rows if row["policy"] == policy]
+        cells = [f"{_rate(ours, way, side).value:.2f}" for way in ways for side in SIDES]
+        task = checkpoint.describe(policy).config.task
+        lines.append([task, f"{alarms[policy][0]} of {alarms[policy][1]}", *cells])
+    found, n = (sum(column) for column in zip(*alarms.values(), strict=True))
+    cells = [_rate(rows, way, side).without_count for way in ways for side in SIDES]
+    lines.append([f"all {len(lines)}", f"{found} of {n}", *cells])
+    return f"{table(header, lines)}\n{_sentences(rows, ways, found, n)}\n"
+
+
+def _sentences(rows: list[dict[str, Any]], ways: list[str], found: int, n: int) -> str:
+    low, high = (100 * end for end in SuccessRate.of(found, n).interval)
+    said = [
+        f"{found} false alarm{'' if found == 1 else 's'} in {n:,} intact episodes: {low:.1f} to "
+        f"{high:.1f} in 100 (95 %)."
+    ]
+    for way in ways:
+        ours = [row for row in rows if row["way"] == way]
+        steps = [step for row in ours for step in row["noticed"] if step is not None]
+        seen, every = len(steps), sum(len(row["noticed"]) for row in ours)
+        broken, guarded, dropped = (_rate(rows, way, side) for side in SIDES)
+        said.append(
+            f"A {NAMES[way]} camera: {broken} without the guard, {guarded} with it, {dropped} with "
+            f"the camera dropped; noticed in {seen} of {every} episodes, after "
+            f"{np.median(steps) + 1:g} steps in the middle and {np.quantile(steps, 0.95) + 1:.0f} "
+            "in 19 of 20."
+        )
+    return "\n".join(f"- {sentence}" for sentence in said)
+
+
+def _alarms(row: dict[str, Any]) -> tuple[int, int]:
+    """Intact episodes in which the guard noticed something, and all of them."""
+    return sum(step is not None for step in row["noticed"]), len(row["noticed"])
+
+
+def _rate(rows: Iterable[dict[str, Any]], way: str, side: str) -> SuccessRate:
+    """Success over all ``rows`` of one way."""
+    ours = [row for row in rows if row["way"] == way]
+    successes = sum(round(row[side] * row["n"]) for row in ours)
+    return SuccessRate.of(successes, sum(row["n"] for row in ours))
