@@ -88,7 +88,8 @@ class EnvSpec:
     instruction: str = ""
     """The task in words, for a policy that takes language."""
     action_spread: tuple[float, ...] = ()
-    """Standard deviation of each number of the recorded actions. Only recordings have it."""
+    """Standard deviation of each number of the recorded actions, 0 for one that never changes. Only
+    recordings have it."""
     start_state: tuple[int, ...] = ()
     """The state numbers that tell where the object began, whatever the cameras show."""
 

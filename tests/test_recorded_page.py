@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from madviz.app.panels.policy import status_html
-from madviz.app.panels.recorded import distances, recorded_html
+from madviz.app.panels.recorded import RecordedPanel, distances, recorded_html
 from madviz.app.panels.shapley import shapley_html
+from madviz.app.panels.subsets import subsets_html
 from madviz.app.panels.timeline import timeline_html
 from madviz.app.panels.words import Prediction, asks_now, sentence
 from madviz.app.server import ExploreConfig, with_recording
@@ -19,10 +20,14 @@ from madviz.errors import UserError
 from madviz.measure.evaluate import EvalConfig, run_eval
 from madviz.policies.checkpoint import load_policy
 from madviz.recorded.known import LABEL, VARIABLE, allow_recording
+from madviz.recorded.recordings import open_recordings
 from madviz.recording.record import RecordConfig, run_record
 from madviz.session.commands import Compare, MoveCamera, SetCamera
 from madviz.session.frame import Frame
 from madviz.session.open_loop import apart, from_recorded, without_camera
+from madviz.training.config import TrainConfig
+from madviz.training.light_options import LightConfig
+from madviz.training.train import train
 from tests.recorded_policy import Bright
 from tests.recordings import TASKS, Small
 from tests.sessions import OFF, Recorder
@@ -48,6 +53,8 @@ def played(steps: int = 3, policy=None, **options) -> tuple[Recorder, Frame]:
 
 def test_distances_are_in_units_of_the_spread(folder: Path) -> None:
     assert apart(np.array([1.0, 0.0]), np.array([0.0, 2.0]), (1.0, 2.0)) == pytest.approx(1.0)
+    still = apart(np.array([1.0, 5.0]), np.array([0.0, 2.0]), (1.0, 0.0))
+    assert still == pytest.approx(1.0), "a number that never changes counts for nothing"
     session, frame = played()
     recorded = frame.world.recorded
     assert recorded is not None and (recorded.episode, recorded.task) == (1, TASKS[1])
@@ -81,6 +88,44 @@ def test_it_ends_where_the_recording_does_and_says_nothing_of_success(folder: Pa
     assert not FORBIDDEN.search(html), FORBIDDEN.search(html)
     assert LABEL in html and TASKS[1] in html and "with and without Top" in html
     assert ">END<" in html and "Top dropped: action changed by" in html
+
+
+def test_every_number_has_its_name_and_no_q_is_shown(folder: Path) -> None:
+    _, frame = played()
+    recorded = frame.world.recorded
+    assert recorded is not None
+    html = recorded_html(frame, lambda name: 0.5, trained_on=True)
+    assert "The policy was trained on this episode" in html
+    assert "was not trained on this" in recorded_html(frame, lambda name: 0.5, trained_on=False)
+    for name, number in zip(open_recordings(folder).action_names, recorded.action, strict=True):
+        row = next(row for row in html.split("<tr>") if f"<td>{name}</td>" in row)
+        assert f"{number:.2f}" in row
+    assert ">Q<" not in subsets_html(frame) + timeline_html(frame)
+
+
+def test_means_begin_again_where_a_camera_is_changed(folder: Path, server) -> None:
+    session, frame = played()
+    panel = RecordedPanel(server.gui, frame)
+
+    def now_and_mean(frame: Frame) -> tuple[str, ...]:
+        (content,) = panel.update(frame)
+        row = re.search(r"from the recording</td>(.*?)</tr>", content.value)
+        assert row is not None
+        return tuple(re.findall(r">([^<]+)</td>", row[1]))
+
+    now, mean = now_and_mean(session.steps(1))
+    assert now != mean
+    now, mean = now_and_mean(session.ask(SetCamera("top", OFF)))
+    assert now == mean
+
+
+def test_it_begins_with_an_episode_that_the_policy_was_not_trained_on(folder: Path) -> None:
+    out = folder.parent / "mad"
+    light = LightConfig(rounds=1, updates_per_round=1, batch_size=4, hidden_dim=16)
+    train(TrainConfig(recording=folder, out=out, light=light), lambda _: None)
+    config = with_recording(ExploreConfig(policy=str(out), recording=folder))
+    assert config.seed == 2
+    assert with_recording(ExploreConfig(policy=str(out), recording=folder, seed=0)).seed == 0
 
 
 def test_nobody_is_asked_to_guess(folder: Path) -> None:

@@ -133,7 +133,7 @@ class Panels:
             TimedPanel(words, FASTEST),
             *breaks,
             *self._build_tabs(tabs, frame),
-            TimedPanel(self.success or RecordedPanel(gui, frame), 0.5),
+            TimedPanel(self.success or RecordedPanel(gui, frame, named), 0.5),
             *scene,
         ]
         self.refresh = Refresh(self.panels)

@@ -283,10 +283,15 @@ def with_recording(config: ExploreConfig) -> ExploreConfig:
     for line in recordings_of(task).left_out:
         say(f"madviz: left out: {line}")
     robot = checkpoint.robot_of_policy(config.policy) if config.policy else None
+    first = 0
     if robot is not None:
-        robot.check_units(recordings_of(task))
+        recordings = recordings_of(task)
+        robot.check_units(recordings)
+        unseen = robot.unseen(recordings)
+        first = next((i for i, one in enumerate(recordings.episodes) if one.index in unseen), 0)
     policy = config.policy or without_policy(task)
-    return replace(config, task=task, policy=policy, seed=config.seed or 0)
+    seed = first if config.seed is None else config.seed
+    return replace(config, task=task, policy=policy, seed=seed)
 
 
 def gate_for(config: ExploreConfig) -> Gate:

@@ -51,7 +51,7 @@ class RecordedRobot:
         )
         _, actions = scalings(found)
         wide = np.array(actions.high) - np.array(actions.low)
-        spread = found.action_spread() * np.where(wide > 0, 2 / np.where(wide > 0, wide, 1), 1)
+        spread = found.action_spread() * np.where(wide > 0, 2 / np.where(wide > 0, wide, 1), 0)
         return EnvSpec(
             name,
             resized_cameras(name, own, cameras),

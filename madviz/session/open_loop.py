@@ -1,8 +1,8 @@
 """Two distances that stand for a recording where a simulator has success.
 
-Both are in units of the actions' spread: the root mean square, over the numbers of an action, of
-the difference by the standard deviation of that number in the recordings. 1 is as far as a
-recorded action typically is from their mean.
+Both are in units of the actions' spread: the root mean square, over the numbers of an action that
+ever change, of the difference by the standard deviation of that number in the recordings. 1 is as
+far as a recorded action typically is from their mean.
 """
 
 from __future__ import annotations
@@ -17,7 +17,15 @@ from madviz.types import Array
 
 def apart(action: Array, other: Array, spread: tuple[float, ...]) -> float:
     """The distance of two actions (A,) in units of the ``spread``; NaN where one is not finite."""
-    return float(np.sqrt(np.mean(((action - other) / np.array(spread)) ** 2)))
+    moving = np.count_nonzero(spread)
+    return float(np.sqrt((each_apart(action, other, spread) ** 2).sum() / max(moving, 1)))
+
+
+def each_apart(action: Array, other: Array, spread: tuple[float, ...]) -> Array:
+    """(A,): likewise, of each number; 0 for one that never changes."""
+    units = np.array(spread)
+    moving = units > 0
+    return np.where(moving, np.abs(action - other) / np.where(moving, units, 1), 0)
 
 
 def from_recorded(frame: Frame) -> float:

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 import viser
 
-from madviz.agent.methods import METHODS
+from madviz.agent.methods import METHODS, label_of
 from madviz.app.markup import error_html, progress_bar
 from madviz.app.panel import Assign
 from madviz.app.panels.subsets import action_bars
@@ -19,7 +19,7 @@ from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.policies.checkpoint import shown
 from madviz.policies.guarded import unguarded
 from madviz.policies.no_policy import NO_POLICY
-from madviz.recorded.known import LABEL
+from madviz.recorded.known import LABEL, is_recording
 from madviz.session.commands import (
     Command,
     Pause,
@@ -195,6 +195,8 @@ def policy_words(spec: PolicySpec) -> str:
     """The kind of policy, for somebody who never heard of it."""
     if spec.method == NO_POLICY:
         return "No policy: the recording alone."
+    if spec.method in METHODS and is_recording(spec.task):
+        return f"{label_of(spec)}, trained on recordings."
     if spec.method in METHODS:
         return METHODS[spec.method].page_words
     return f"Method {spec.method}, recipe {spec.recipe}."

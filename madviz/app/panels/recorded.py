@@ -1,12 +1,14 @@
 """Where a recording is shown, what stands in place of success: how far actions are apart.
 
 The policy's action from the recorded one, and from its own action with a camera more or less; now,
-and on average over the steps of this episode that the page has shown.
+and on average over the steps of this episode that the page has shown since cameras were changed.
+Below, both actions number by number, and whether the policy was trained on this episode.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from html import escape
 
 import numpy as np
@@ -14,18 +16,27 @@ import viser
 
 from madviz.app.markup import dot
 from madviz.app.panel import Assign
-from madviz.app.panels.subsets import action_bars
+from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import WidgetPanel
 from madviz.drawing.colours import camera_colours
+from madviz.errors import UserError
+from madviz.policies.checkpoint import robot_of_policy
 from madviz.policies.no_policy import NO_POLICY
+from madviz.recorded.known import recordings_of
 from madviz.session.frame import Frame
-from madviz.session.open_loop import from_recorded, without_camera
+from madviz.session.open_loop import each_apart, from_recorded, without_camera
 from madviz.subsets import cameras_of
 
 UNIT = (
     "1 is a standard deviation of the recorded actions, as a root mean square over their numbers. "
     "The robot did not follow this policy, so nobody knows what would have come of it."
 )
+SCALED = "-1 and 1 are the least and largest of training"
+LEARNED = (
+    "The policy was trained on this episode: distances here say little about others. See one that "
+    "it was not trained on."
+)
+NEW = "The policy was not trained on this episode."
 WITHOUT = (
     "There is no policy here: the cameras change nothing. "
     "<b>madviz train --recording</b> makes one, <b>--policy</b> shows it."
@@ -33,10 +44,15 @@ WITHOUT = (
 
 
 class RecordedPanel(WidgetPanel):
-    """A table of distances, and the recorded action."""
+    """A table of distances, and both actions, number by number."""
 
-    def __init__(self, gui: viser.GuiApi, frame: Frame) -> None:
-        self._episode = frame.world.episode
+    def __init__(self, gui: viser.GuiApi, frame: Frame, named: Reference = own_name) -> None:
+        """``named``: what a policy is loaded by."""
+        self._named = named
+        self._learned: tuple[object, bool | None] = (None, None)
+        """Policy and episode that were looked up last, and what ``_trained_on`` says."""
+        self._since: tuple[object, ...] = ()
+        """The episode, and the cameras as they are."""
         self._seen: dict[int, dict[str, float]] = {}
         """By step, the distances by what they are called."""
         self._text = gui.add_html("")
@@ -45,8 +61,9 @@ class RecordedPanel(WidgetPanel):
 
     def note(self, frame: Frame) -> None:
         """See ``panel.Panel``."""
-        if frame.world.episode != self._episode:
-            self._episode = frame.world.episode
+        since = (frame.world.episode, frame.condition)
+        if since != self._since:
+            self._since = since
             self._seen = {}
         self._seen[frame.world.step] = distances(frame)
 
@@ -60,7 +77,21 @@ class RecordedPanel(WidgetPanel):
         def mean(name: str) -> float:
             return float(np.mean([seen[name] for seen in before]))
 
-        return recorded_html(frame, mean)
+        return recorded_html(frame, mean, self._trained_on(frame))
+
+    def _trained_on(self, frame: Frame) -> bool | None:
+        """True where the policy was trained on this episode; None where that is not known."""
+        recorded = frame.world.recorded
+        key = (frame.world.policy, recorded.episode if recorded else None)
+        if key != self._learned[0]:
+            robot = None
+            with suppress(UserError):
+                robot = robot_of_policy(self._named(frame.world.policy))
+            known = None
+            if robot is not None and recorded is not None and robot.trained_on:
+                known = robot.learned_from(recordings_of(frame.world.env.task), recorded.episode)
+            self._learned = (key, known)
+        return self._learned[1]
 
 
 def distances(frame: Frame) -> dict[str, float]:
@@ -69,8 +100,11 @@ def distances(frame: Frame) -> dict[str, float]:
     return {"": from_recorded(frame)} | {name: without_camera(frame, name) for name in cameras}
 
 
-def recorded_html(frame: Frame, mean: Callable[[str], float]) -> str:
-    """The table; ``mean`` is that of the episode so far, by the names of ``distances``."""
+def recorded_html(
+    frame: Frame, mean: Callable[[str], float], trained_on: bool | None = None
+) -> str:
+    """The tables; ``mean`` is that of the steps so far, by the names of ``distances``.
+    ``trained_on``: whether the policy was trained on this episode, where that is known."""
     if frame.world.policy.method == NO_POLICY or frame.world.recorded is None:
         return f'<div class="mv dim">{WITHOUT}</div>'
     colours = camera_colours(frame.world.env.cameras)
@@ -82,11 +116,31 @@ def recorded_html(frame: Frame, mean: Callable[[str], float]) -> str:
             label = f"{dot(colours[name])}with and without {camera}"
         cells = "".join(f'<td class="num">{_number(each)}</td>' for each in (now, mean(name)))
         rows += f"<tr><td>{label}</td>{cells}</tr>"
-    bars = action_bars(np.clip(frame.world.recorded.action, -1, 1))
+    learned = {None: "", True: LEARNED, False: NEW}[trained_on]
     return (
-        '<div class="mv mv-apart"><h4>How far actions are apart</h4>'
+        f'<div class="mv mv-apart"><h4>How far actions are apart</h4><div>{learned}</div>'
         '<table><tr class="dim"><td></td><td class="num">now</td><td class="num">mean</td></tr>'
-        f'{rows}</table><div class="dim">{UNIT}</div><h4>Recorded action</h4>{bars}</div>'
+        f'{rows}</table><div class="dim">{UNIT}</div>{_numbers(frame)}</div>'
+    )
+
+
+def _numbers(frame: Frame) -> str:
+    """A row for each number of the action: the policy's, the recorded one, how far they are
+    apart."""
+    assert frame.world.recorded is not None
+    ours, recorded = frame.action, frame.world.recorded.action
+    names = recordings_of(frame.world.env.task).action_names
+    apart = each_apart(ours, recorded, frame.world.env.action_spread)
+    rows = "".join(
+        f"<tr><td>{escape(name)}</td>"
+        + "".join(f'<td class="num">{_number(float(each))}</td>' for each in each_row)
+        + "</tr>"
+        for name, *each_row in zip(names, ours, recorded, apart, strict=True)
+    )
+    head = "".join(f'<td class="num">{word}</td>' for word in ("policy", "recorded", "apart"))
+    return (
+        f'<h4>Action by number</h4><table><tr class="dim"><td>{SCALED}</td>{head}</tr>'
+        f"{rows}</table>"
     )
 
 

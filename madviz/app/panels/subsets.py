@@ -27,6 +27,8 @@ ONE_BY_ONE = (
 UNTRAINED_Q = "Q was not learned on this subset, so it says little about what follows."
 FEW = 16
 """Rows up to which all are shown; six streams have 64, four pages of them."""
+NARROW = 4
+"""Action numbers up to which the bars of a row have room for figures."""
 
 
 class SubsetsPanel(HtmlPanel):
@@ -87,14 +89,14 @@ def subsets_html(frame: Frame, everything: bool = True) -> str:
         f'<div class="dim">† {term("not trained on")} · apart: from the action taken now, and from '
         f"the one of all cameras{more}</div>"
     )
-    return f'<div class="mv"><table>{_HEAD}{"".join(lines)}</table>{key}</div>'
-
-
-_HEAD = (
-    '<tr class="dim"><td colspan="2">the policy gets</td>'
-    f'<td style="width:42%">{term("action")} now</td><td class="num">{term("apart")}: now</td>'
-    f'<td class="num">all</td><td class="num">{term("Q")} now</td></tr>'
-)
+    # Recordings have no rewards, so no policy of theirs has a Q.
+    q = "" if frame.world.recorded else f'<td class="num">{term("Q")} now</td>'
+    head = (
+        '<tr class="dim"><td colspan="2">the policy gets</td>'
+        f'<td style="width:42%">{term("action")} now</td><td class="num">{term("apart")}: now</td>'
+        f'<td class="num">all</td>{q}</tr>'
+    )
+    return f'<div class="mv"><table>{head}{"".join(lines)}</table>{key}</div>'
 
 
 def distances(frame: Frame, row: int) -> tuple[float, float]:
@@ -118,7 +120,9 @@ def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
         )
         q = f"{readout.q[row]:.1f}" if np.isfinite(readout.q[row]) else "–"
         kind = 'class="num"' if trained else f'class="num dim" title="{UNTRAINED_Q}"'
-        cells = f"<td>{action_bars(readout.action[row])}</td>{apart}<td {kind}>{q}</td>"
+        last = "" if frame.world.recorded else f"<td {kind}>{q}</td>"
+        figures = len(readout.action[row]) <= NARROW
+        cells = f"<td>{action_bars(readout.action[row], figures)}</td>{apart}{last}"
     else:
         why = "cannot act on this" if not frame.world.probe.waiting[row] else "not read"
         cells = f'<td class="dim" colspan="4">{why}</td>'
@@ -147,12 +151,15 @@ def presence(frame: Frame, mask: np.ndarray) -> str:
     return squares
 
 
-def action_bars(action: np.ndarray) -> str:
-    """(A,) in [-1, 1] as bars from the middle of a cell each, with the number inside."""
+def action_bars(action: np.ndarray, figures: bool = True) -> str:
+    """(A,) in [-1, 1] as bars from the middle of a cell each, with the number inside; without
+    ``figures``, where a mouse points at it."""
     cells = ""
     for value in action:
         width = abs(float(value)) * MIDDLE
         left = MIDDLE if value >= 0 else MIDDLE - width
-        number = f'<div class="num">{value:+.2f}</div>'
-        cells += track(band(left, width, "#5b6b80") + number, 15)
+        number = f"{value:+.2f}"
+        inside = f'<div class="num">{number}</div>' if figures else ""
+        cell = track(band(left, width, "#5b6b80") + inside, 15)
+        cells += cell if figures else f'<div style="flex:1" title="{number}">{cell}</div>'
     return f'<div style="display:flex;gap:3px">{cells}</div>'

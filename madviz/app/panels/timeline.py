@@ -1,7 +1,8 @@
 """The episode so far: drag back to any step, and try another run from there.
 
-Two lanes, reward and Q by step, with a mark wherever cameras or the policy changed. After a fork,
-the original run stays as a dashed line, with its pictures at the same step under it.
+Two lanes, reward and Q by step, with a mark wherever cameras or the policy changed; a recording has
+one, the distance from it. After a fork, the original run stays as a dashed line, with its pictures
+at the same step under it.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.session.commands import Command, Fork, Scrub
 from madviz.session.frame import Frame, TimelinePoint
 
+Name = Literal["reward", "q"]
 WIDTH = 600
 LANE = 40
 LEFT = 44
@@ -70,8 +72,8 @@ class TimelinePanel(HtmlPanel):
         for button, command in ((fork, Fork()), (live, Scrub(None))):
             on_press(button, lambda command=command: send(command))
         self._slider = SyncedInput(slider)
-        cells = [Cell(slider, 1, 6, "3em"), Cell(fork, 7, 2), Cell(live, 9, 2)]
-        self.handles = place(gui, "timeline", 10, cells)
+        cells = [Cell(slider, 1, 8, "3em"), Cell(fork, 9, 3), Cell(live, 12, 3)]
+        self.handles = place(gui, "timeline", 14, cells)
 
     @property
     def unsettled(self) -> bool:
@@ -99,8 +101,10 @@ class TimelinePanel(HtmlPanel):
 
 def timeline_html(frame: Frame) -> str:
     """Both lanes and what stands under them."""
-    drawn = _lane(frame, "reward", 0) + _lane(frame, "q", 1)
-    height = TOP + 2 * (LANE + 8) + 18
+    # Recordings have no rewards, so no policy of theirs has a Q.
+    lanes: tuple[Name, ...] = ("reward",) if frame.world.recorded else ("reward", "q")
+    drawn = "".join(_lane(frame, name, index) for index, name in enumerate(lanes))
+    height = TOP + len(lanes) * (LANE + 8) + 18
     svg = chart(WIDTH, height, f"{_marks(frame, height)}{drawn}{_axis(frame, height)}")
     return f'<div class="mv mv-timeline">{svg}<div>{_words(frame)}</div>{_first(frame)}</div>'
 
@@ -122,7 +126,7 @@ def _x(step: float, horizon: int) -> float:
     return LEFT + (WIDTH - LEFT - 6) * step / horizon
 
 
-def _lane(frame: Frame, name: Literal["reward", "q"], index: int) -> str:
+def _lane(frame: Frame, name: Name, index: int) -> str:
     """One curve over the original run's, on one scale that holds both."""
     live = [getattr(moment, name) for moment in frame.history]
     first = [getattr(moment, name) for moment in frame.branch.history] if frame.branch else []
