@@ -138,7 +138,10 @@ def test_the_number_that_changes_most_is_named(bench: Path) -> None:
     unit = np.array(audit.robot.actions.high) - np.array(audit.robot.actions.low)
     most = int((unit / np.array(audit.robot.spread)).argmax())  # All numbers move alike.
     assert top["most"] == audit.robot.action_names[most]
-    assert f"most of all {top['most']}, {top['most_apart']:.2f} of its own" in words_of(found)[1]
+    assert (
+        f"most of all {top['most']} ({top['most_apart']:.2f} of its own spread)"
+        in words_of(found)[1]
+    )
     still = replace(audit.robot, actions=Scaling((0.0,) * 3, (0.0, 2.0, 0.0)), spread=(1.0,) * 3)
     apart = still.distance(np.zeros(3), np.array([5.0, 0.5, 5.0]))
     assert apart == pytest.approx(0.5), "numbers that never change count for nothing"

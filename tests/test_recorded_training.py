@@ -161,6 +161,10 @@ def test_a_robot_comes_back_from_its_file(bench: Path, tmp_path: Path) -> None:
     robot = robot_of(open_recordings(bench))
     write_robot(tmp_path, robot)
     assert read_robot(tmp_path) == robot
+    content = read_json(tmp_path / "robot.json")
+    del content["trained_on"]  # As in older files.
+    write_json(tmp_path / "robot.json", content)
+    assert read_robot(tmp_path) == replace(robot, trained_on=frozenset())
     document = read_json(tmp_path / "robot.json")
     for key, value in (("spread", [1.0, 0.0, 1.0]), ("low", [9.0, 9.0, 9.0]), ("high", [1.0])):
         write_json(

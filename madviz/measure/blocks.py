@@ -18,14 +18,20 @@ body{font:15px/1.55 sans-serif;max-width:960px;margin:28px auto;padding:0 18px;c
 background:#fff}h1{font-size:24px;margin:0 0 10px;overflow-wrap:anywhere}
 h2{font-size:17px;margin:30px 0 8px}
 ul{padding-left:20px;margin:0}li{margin:0 0 5px}ul.words{font-size:17px}
-table{border-collapse:collapse;margin:0 0 8px}.wide{overflow-x:auto}
+table{border-collapse:collapse;margin:0 0 8px}
+/* A shadow at an edge says that the table goes on there; at its end, what scrolls covers it. */
+.wide{--page:#fff;overflow-x:auto;background:
+linear-gradient(90deg,var(--page) 40%,transparent) 0 0/30px 100% no-repeat local,
+linear-gradient(270deg,var(--page) 40%,transparent) 100% 0/30px 100% no-repeat local,
+linear-gradient(90deg,#0006,transparent) 0 0/10px 100% no-repeat,
+linear-gradient(270deg,#0006,transparent) 100% 0/10px 100% no-repeat}
 td,th{padding:3px 16px 3px 0;text-align:left;white-space:nowrap;
 border-bottom:1px solid #e4e4e4}th{font-weight:600;color:#555}
 code{background:#f1f1f1;padding:2px 5px;overflow-wrap:anywhere}p{margin:0 0 8px}
 svg,video,img{max-width:100%;height:auto;display:block;margin-bottom:10px}
 video{width:100%;max-width:720px}
 details{border-top:1px solid #e4e4e4;padding:8px 0}summary{cursor:pointer}
-@media(prefers-color-scheme:dark){body{background:#1b1c1f;color:#e4e4e4}code{background:#303236}
+@media(prefers-color-scheme:dark){body{background:#1b1c1f;color:#e4e4e4}.wide{--page:#1b1c1f}code{background:#303236}
 td,th,details{border-color:#3a3c40}th{color:#aaa}svg{background:#fff;border-radius:4px}a{color:#7fb8e0}}
 """
 

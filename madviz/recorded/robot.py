@@ -60,7 +60,7 @@ class _File(msgspec.Struct):
     state: _Numbers
     action: _Numbers
     held_out: list[int]
-    trained_on: list[str]
+    trained_on: list[str] = []  # Older files have none.
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,11 @@ class Robot:
         return recordings.digest(episode) in self.trained_on
 
     def unseen(self, recordings: Recordings) -> tuple[int, ...]:
-        """The indices of the episodes that the policy was not trained on."""
+        """The indices of the episodes that the policy was not trained on; where that is not known,
+        of those with the numbers that were held out."""
         known = (one.index for one in recordings.episodes)
+        if not self.trained_on:
+            return tuple(index for index in known if index in self.held_out)
         return tuple(index for index in known if not self.learned_from(recordings, index))
 
     def apart(self, actions: Array, others: Array) -> Array:

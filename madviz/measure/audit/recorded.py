@@ -135,12 +135,9 @@ class RecordedAudit:
 
     def chosen(self, most: int | None) -> list[int]:
         """The indices of the episodes to answer to: those that the policy was not trained on, if
-        there are any; with ``most``, that many, and the others after them. Where it is not known
-        what the policy was trained on, those that are held out here come first."""
+        there are any; with ``most``, that many, and the others after them."""
         known = [one.index for one in self.recordings.episodes]
         unseen = self.robot.unseen(self.recordings)
-        if not self.robot.trained_on:
-            unseen = self.recordings.held_out
         if most is None:
             return list(unseen or known)
         return [*unseen, *(index for index in known if index not in unseen)][:most]

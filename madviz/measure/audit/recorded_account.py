@@ -25,8 +25,8 @@ HOW_TO_READ = (
     "The episodes went on as they were recorded, whatever the policy answered. A small change at "
     "every step may add up, and a large one may be put right at the next step: only a robot or a "
     "simulator tells what comes of either.",
-    "'Further from the recorded action' is the distance from what was recorded, less the same with "
-    "all cameras; below 0 it is nearer.",
+    "'Further off' is the distance from the recorded action, less the same with all cameras; below "
+    "0 it is nearer.",
 )
 
 
@@ -46,7 +46,7 @@ def recorded_words(found: RecordedAuditFile) -> list[str]:
         away = "" if how == "dropped" else f" ({HOW_WORDS[how]} in its place)"
         lines.append(
             f"{found['labels'][name]}: {words}{away}: {_distance(row['change'])} spreads, most of "
-            f"all {row['most']}, {row['most_apart']:.2f} of its own; "
+            f"all {row['most']} ({row['most_apart']:.2f} of its own spread); "
             f"{_distance(row['further'], signed=True)} further from the recorded action."
         )
     if found["trained_on"] is None:
