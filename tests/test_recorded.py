@@ -194,6 +194,15 @@ def test_recordings_in_other_units_are_refused_for_a_policy(tmp_path: Path) -> N
         robot_of(found).check_units(other)
 
 
+def test_names_of_another_count_are_said(tmp_path: Path) -> None:
+    written = Small(films=False)
+    features = written.info["features"]
+    features["action"] = {**features["action"], "names": ["one", "two"]}
+    found = open_recordings(written.write(tmp_path / "mine"))
+    assert found.action_names == ("action_0", "action_1", "action_2")
+    assert found.left_out == ("names of action: expected 3, found 2; they are numbered",)
+
+
 def test_names_of_cameras_are_words_of_subsets(tmp_path: Path) -> None:
     keys = ("observation.images.Cam Öst 1", "observation.image", "kamera", "rgb", "日本")
     sizes = {key: (16, 24) for key in (*keys, "observation.images.cam_ost_1")}

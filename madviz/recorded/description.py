@@ -78,7 +78,7 @@ class Description:
     video_path: str
     total_episodes: int
     unread: tuple[str, ...]
-    """One line for each camera that is not read, and why."""
+    """One line for each camera, and all names of numbers, that are not read, and why."""
 
     def data_file(self, chunk: int, file: int) -> Path:
         """A table of steps. Raises UserError for one outside the dataset."""
@@ -105,16 +105,18 @@ def read_description(root: Path) -> Description:
     cameras, unread = _cameras(where, info.features)
     if any(camera.kind == "video" for camera in cameras) and not info.video_path:
         raise UserError(f"{where}: expected 'video_path' for its films, found none; {_FIX}")
+    of_state = _names(where, info.features, "observation.state", unread)
+    of_action = _names(where, info.features, "action", unread)
     return Description(
         root,
         info.fps,
         cameras,
-        _names(where, info.features, "observation.state"),
-        _names(where, info.features, "action"),
+        of_state,
+        of_action,
         _pattern(where, "data_path", info.data_path),
         _pattern(where, "video_path", info.video_path or ""),
         info.total_episodes,
-        unread,
+        tuple(unread),
     )
 
 
@@ -151,7 +153,7 @@ def _pattern(where: Path, word: str, pattern: str) -> str:
 
 def _cameras(
     where: Path, features: dict[str, _Feature]
-) -> tuple[tuple[RecordedCamera, ...], tuple[str, ...]]:
+) -> tuple[tuple[RecordedCamera, ...], list[str]]:
     """The cameras, and a line for each that is not read."""
     cameras: list[RecordedCamera] = []
     unread: list[str] = []
@@ -175,7 +177,7 @@ def _cameras(
         cameras.append(RecordedCamera(key, name, shape[0], shape[1], kind))
     if not cameras:
         raise UserError(f"{where}: expected a camera, a feature of images or video, found none")
-    return tuple(cameras), tuple(unread)
+    return tuple(cameras), unread
 
 
 def _camera_name(key: str, taken: list[str]) -> str:
@@ -193,8 +195,11 @@ def _camera_name(key: str, taken: list[str]) -> str:
     return whole
 
 
-def _names(where: Path, features: dict[str, _Feature], key: str) -> tuple[str, ...]:
-    """A name for each number of a column; ``action_0`` and so on where the dataset has none."""
+def _names(
+    where: Path, features: dict[str, _Feature], key: str, unread: list[str]
+) -> tuple[str, ...]:
+    """A name for each number of a column; ``action_0`` and so on where the dataset has none, or
+    another count of them, which ``unread`` gets a line on."""
     feature = features.get(key)
     if feature is None:
         raise UserError(f"{where}: expected a feature {key!r}, found none; record it with one")
@@ -211,5 +216,8 @@ def _names(where: Path, features: dict[str, _Feature], key: str) -> tuple[str, .
         names = next(iter(names.values()))  # {"motors": [...]}, as older writers have it.
     if isinstance(names, list) and len(names) == shape[0]:
         return tuple(str(name)[:60] for name in names)
+    if names:
+        found = len(names) if isinstance(names, list) else "others"
+        unread.append(f"names of {key}: expected {shape[0]}, found {found}; they are numbered")
     stem = key.rpartition(".")[2]
     return tuple(f"{stem}_{number}" for number in range(shape[0]))
