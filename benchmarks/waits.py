@@ -49,31 +49,28 @@ SUITES = {
 }
 """The policy that is opened, the task that is chosen then, and the imports of both."""
 HAMMER = SUITES["metaworld"][0]
+FIRST_CELL = (
+    "import madviz; from madviz import teaching; from madviz.widgets import Explorer; "
+    f"teaching.moment_at(madviz.load_policy({HAMMER!r}), seed=2000, step=20)"
+)
+ONE_UPDATE = (
+    "--light.demonstrations 1 --light.rounds 1 --light.episodes-per-round 1 "
+    "--light.updates-per-round 1 --light.critic-updates 0"
+)
 COMMANDS = {
-    "cell_s": (
-        "-c",
-        f"import madviz; from madviz import teaching; from madviz.widgets import Explorer; "
-        f"teaching.moment_at(madviz.load_policy({HAMMER!r}), seed=2000, step=20)",
-    ),
-    "help_s": ("-m", "madviz", "--help"),
-    "list_s": ("-m", "madviz", "list"),
-    "eval_s": (
-        *("-m", "madviz", "eval", "--policy", HAMMER, "--subsets", "all"),
-        *("--episodes", "1", "--workers", "0"),
-    ),
+    "cell_s": ["-c", FIRST_CELL],
+    "help_s": "-m madviz --help".split(),
+    "list_s": "-m madviz list".split(),
+    "eval_s": f"-m madviz eval --policy {HAMMER} --subsets all --episodes 1 --workers 0".split(),
     "train_s": (
-        *("-m", "madviz", "train", "--task", "metaworld/hammer", "--method", "mad"),
-        *("--light.demonstrations", "1", "--light.rounds", "1", "--light.episodes-per-round", "1"),
-        *("--light.updates-per-round", "1", "--light.critic-updates", "0"),
-        *("--out", "OUT/trained"),
-    ),
+        "-m madviz train --task metaworld/hammer --method mad --out OUT/trained " + ONE_UPDATE
+    ).split(),
     "audit_s": (
-        *("-m", "madviz", "audit", "--policy", HAMMER, "--how", "dropped"),
-        *("--episodes", "1", "--workers", "0", "--pairs", "0", "--out", "OUT/audit"),
-    ),
+        f"-m madviz audit --policy {HAMMER} --how dropped --episodes 1 --workers 0 --pairs 0 "
+        "--out OUT/audit"
+    ).split(),
 }
-"""What a student's first cell and a researcher's commands are, as words of Python; OUT is a new
-folder."""
+"""A student's first cell and a researcher's commands, as words of Python; OUT is a new folder."""
 
 
 @dataclass(frozen=True)

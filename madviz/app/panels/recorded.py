@@ -128,7 +128,8 @@ def _numbers(frame: Frame) -> str:
     """A row for each number of the action: the policy's, the recorded one, how far they are
     apart."""
     assert frame.world.recorded is not None
-    ours, recorded = frame.action, frame.world.recorded.action
+    ours = frame.action
+    recorded = frame.world.recorded.action
     names = recordings_of(frame.world.env.task).action_names
     apart = each_apart(ours, recorded, frame.world.env.action_spread)
     rows = "".join(
