@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import traceback
 from collections.abc import Hashable
+from dataclasses import replace
 from html import escape
 
 import numpy as np
@@ -153,6 +154,11 @@ def test_the_strip_shows_how_episodes_ended():
         session.tick(0.0)
     assert isinstance(session.latest, Frame)
     assert "first off" in strip_html(session.latest)
+    name = session.latest.world.policy.name
+    for shown, there in ((f"{name} (guarded)", True), ("other", False)):
+        policy = replace(session.latest.world.policy, name=shown)
+        frame = replace(session.latest, world=replace(session.latest.world, policy=policy))
+        assert ("first off" in strip_html(frame)) == there, shown
 
 
 def test_verdicts_have_words_and_colours():

@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 
+import guard_table
 import measurements
 import package_tree
 from measurements import table
@@ -117,6 +118,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "mv-mwm": partial(included, "mv-mwm"),
     "beside-imagining": measurements.beside_imagining,
     "packages": package_tree.packages,
+    "guard-trial": guard_table.guard_trial,
     "benchmarks": measurements.benchmarks,
     "waits": measurements.waits,
     "priorities": measurements.priorities,

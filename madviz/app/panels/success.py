@@ -18,6 +18,7 @@ from madviz.app.panels.subsets import presence
 from madviz.app.success_rates import NOTHING, SuccessRates, side_b
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
+from madviz.guard.policy import SUFFIX
 from madviz.measure.statistics import SuccessRate
 from madviz.observation.condition import Condition
 from madviz.session.camera_names import subset_label
@@ -307,15 +308,17 @@ def _interval(rate: SuccessRate, colour: str, top: int) -> str:
 
 
 def strip_html(frame: Frame) -> str:
-    """The last live outcomes, newest on the right, with the cameras that were missing in each; of
-    both sides where there is a B."""
+    """The last live outcomes of the policy, with a guard or without, newest on the right, with the
+    cameras that were missing in each; of both sides where there is a B."""
     sides = [frame] if frame.second is None else [frame, frame.second]
     rows = []
     for index, side in enumerate(sides):
-        body = "".join(_outcome(side, outcome) for outcome in side.world.outcomes)
+        name = side.world.policy.name.removesuffix(SUFFIX)
+        ours = (one for one in side.world.outcomes if one.policy.name.removesuffix(SUFFIX) == name)
+        body = "".join(_outcome(side, outcome) for outcome in ours)
         body = body or '<span class="dim">the first episode is still running</span>'
-        name = f"<b>{'AB'[index]}</b>" if len(sides) == 2 else ""
-        rows.append(f'<div class="mv-outcomes">{name}{body}</div>')
+        letter = f"<b>{'AB'[index]}</b>" if len(sides) == 2 else ""
+        rows.append(f'<div class="mv-outcomes">{letter}{body}</div>')
     curve = "" if len(sides) == 2 else "<h4>Success now, by episode</h4>"
     key = '<span class="plain">● dropped, ○ occluded, moved</span>'
     return f'<div class="mv"><h4>Last episodes {key}</h4>{"".join(rows)}{curve}</div>'
