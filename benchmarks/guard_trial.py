@@ -50,7 +50,7 @@ class GuardTrialConfig(GuardAlarmsConfig):
     """The policies, which have fitted guards, and the episodes of each condition."""
 
     ways: tuple[str, ...] = WAYS
-    """How each camera fails; none: intact episodes alone."""
+    """How each camera fails; no word after it: intact episodes alone."""
     workers: ThreadsOrNone | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
 
@@ -119,15 +119,18 @@ def _of_policy(
             noticed=noticed,
         )
 
+    failing = {
+        (camera, way): parse_condition(f"{camera}={way}", cameras).noticed(streams)
+        for camera in cameras
+        for way in config.ways
+    }
     intact = Condition("all").noticed(streams)
     watched = played(guarded, intact, seeds)
     alarmed = [seed for seed, result in watched.items() if result.noticed is not None]
     without = watched | played(bare, intact, alarmed)
     yield row("", "", without, watched, without)
-    for camera in cameras:
+    for (camera, way), fails in failing.items():
         rest = Condition("+".join(one for one in cameras if one != camera) or "none")
-        for way in config.ways:
-            fails = parse_condition(f"{camera}={way}", cameras).noticed(streams)
-            dropped = played(bare, rest.noticed(streams), seeds)
-            broken = played(bare, fails, seeds)
-            yield row(camera, way, broken, played(guarded, fails, seeds), dropped)
+        dropped = played(bare, rest.noticed(streams), seeds)
+        broken = played(bare, fails, seeds)
+        yield row(camera, way, broken, played(guarded, fails, seeds), dropped)

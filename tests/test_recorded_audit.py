@@ -22,7 +22,8 @@ from madviz.measure.audit.recorded import (
     recorded_audit,
     verdict,
 )
-from madviz.measure.formulas import bootstrap
+from madviz.measure.audit.recorded_account import recorded_account
+from madviz.measure.formulas import t_interval
 from madviz.measure.guard_fit import GuardConfig, guard_words, run_guard
 from madviz.policies.checkpoint import load_policy, robot_of_policy
 from madviz.policies.guarded import with_guard
@@ -78,8 +79,10 @@ def audit_of(bench: Path, droppable: bool = True) -> RecordedAudit:
 
 def test_a_camera_that_is_not_looked_at_hardly_changes_the_action(bench: Path) -> None:
     audit = audit_of(bench)
+    one = frozenset({audit.recordings.digest(0)})
+    audit = replace(audit, robot=replace(audit.robot, trained_on=one))
     found = recorded_audit(audit)
-    assert found["episodes"] == [9, 19] and found["trained_on"] == []
+    assert found["episodes"] == found["judged"] == list(range(1, 20)) and found["training_known"]
     assert found["label"] == "recorded: actions change nothing"
     assert found["verdict"] == {"top": CHANGES, "wrist": STAYS}
     rows = {(row["camera"], row["what"], row["how"]): row for row in found["conditions"]}
@@ -89,14 +92,14 @@ def test_a_camera_that_is_not_looked_at_hardly_changes_the_action(bench: Path) -
     changes, errors = [], []
     robot, recordings = audit.robot, audit.recordings
     unit = (np.array(robot.actions.high) - np.array(robot.actions.low)) / 2 / np.array(robot.spread)
-    for index in (9, 19):
+    for index in range(1, 20):
         bright = recordings.frames(index, 84)[:, 0].astype(np.float64).mean((1, 2, 3)) / 255  # (T,)
         changes.append(np.sqrt(((bright[:, None] * unit) ** 2).mean(1)).mean())
         scaled = robot.actions.scale(recordings.numbers(index)[1])
         errors.append(np.sqrt((((bright[:, None] - scaled) * unit) ** 2).mean(1)).mean())
     top = rows["top", "removed", "dropped"]["change"]
     assert top["mean"] == pytest.approx(np.mean(changes), rel=1e-4)
-    assert top["ci95"] == pytest.approx([min(changes), max(changes)], rel=1e-4)
+    assert top["ci95"] == pytest.approx(list(t_interval(np.array(changes))), rel=1e-4)
     assert found["apart"]["mean"] == pytest.approx(np.mean(errors), rel=1e-4)
     moment = found["moments"][0]
     assert (moment["camera"], moment["step"]) == ("top", 5)  # Pictures get brighter.
@@ -111,13 +114,49 @@ def test_a_policy_that_cannot_drop_is_judged_by_the_mean_picture(bench: Path) ->
 def test_no_distance_rests_on_an_episode_of_training(bench: Path) -> None:
     audit = audit_of(bench)
     alone, more = recorded_audit(audit), recorded_audit(audit, most=4)
-    assert more["episodes"] == [9, 19, 0, 1] and more["trained_on"] == [0, 1]
+    assert more["episodes"] == [9, 19, 0, 1] and more["judged"] == [9, 19]
     assert more["conditions"] == alone["conditions"] and more["verdict"] == alone["verdict"]
     assert any("was trained on 2 episodes more" in line for line in words_of(more))
     knows_all = frozenset(map(audit.recordings.digest, range(20)))
     known = recorded_audit(replace(audit, robot=replace(audit.robot, trained_on=knows_all)))
     assert set(known["verdict"].values()) == {OPEN} and len(known["episodes"]) == 20
     assert any("was trained on all of these episodes" in line for line in words_of(known))
+
+
+def test_where_training_is_not_known_verdicts_rest_on_what_would_be_held_out(bench: Path) -> None:
+    audit = audit_of(bench)
+    older = replace(audit, robot=replace(audit.robot, trained_on=frozenset()))
+    found = recorded_audit(older, most=4)
+    assert found["judged"] == [9, 19] and not found["training_known"]
+    assert found["verdict"] == recorded_audit(audit)["verdict"]
+    lines = words_of(found)
+    assert any(line.startswith("It is not known what the policy was trained on") for line in lines)
+    assert any("may have been trained on 2 episodes more" in line for line in lines)
+
+
+def test_answers_that_are_not_finite_are_named_and_left_out(bench: Path) -> None:
+    audit = audit_of(bench)
+
+    class Nan(Looks):
+        def read(self, encoded: Encoded, masks: Array) -> Readout:
+            found = super().read(encoded, masks)
+            return replace(found, action=np.full_like(found.action, np.nan))
+
+    with pytest.raises(UserError, match="episode 19: expected finite actions"):
+        recorded_audit(replace(audit, policy=Nan(audit.policy.spec)))
+    still = replace(audit.robot, actions=Scaling((0.0,) * 3, (0.0,) * 3))
+    with pytest.raises(UserError, match="expected actions that change"):
+        recorded_audit(replace(audit, robot=still))
+
+
+def test_one_of_two_cameras_alone_is_the_other_one_removed(bench: Path) -> None:
+    found = recorded_audit(audit_of(bench))
+    (table,) = [
+        block for block in recorded_account(found, "again", []) if block.lines[:1] == ("cameras",)
+    ]
+    labels = [row[0] for row in table.rows]
+    assert labels[:3] == ["Top removed, Wrist alone", "Wrist removed, Top alone", "no camera"]
+    assert len(labels) == 15
 
 
 def test_episodes_of_other_recordings_are_new_to_the_policy(bench: Path, tmp_path: Path) -> None:
@@ -143,8 +182,9 @@ def test_the_number_that_changes_most_is_named(bench: Path) -> None:
         in words_of(found)[1]
     )
     still = replace(audit.robot, actions=Scaling((0.0,) * 3, (0.0, 2.0, 0.0)), spread=(1.0,) * 3)
-    apart = still.distance(np.zeros(3), np.array([5.0, 0.5, 5.0]))
+    apart = still.distance(np.zeros(3), np.array([np.nan, 0.5, 5.0]))
     assert apart == pytest.approx(0.5), "numbers that never change count for nothing"
+    assert np.isnan(still.distance(np.zeros(3), np.array([0.0, np.nan, 0.0])))
 
 
 def words_of(found) -> list[str]:
@@ -159,15 +199,11 @@ def test_verdicts_follow_their_interval(values: list[float], expected: str) -> N
     assert verdict(distance_row(values)) == expected
 
 
-def test_the_interval_is_that_of_drawn_episodes() -> None:
-    values = np.random.default_rng(3).gamma(2.0, 1.0, 30)
-    low, high = bootstrap(values, times=20_000)
-    rng = np.random.default_rng(4)
-    means = sorted(np.mean(rng.choice(values, 30)) for _ in range(20_000))
-    assert low == pytest.approx(means[500], abs=0.03)
-    assert high == pytest.approx(means[-500], abs=0.03)
-    several = np.stack([values, values + 1])
-    assert bootstrap(several, times=20_000)[0] == pytest.approx([low, low + 1])
+def test_the_interval_is_students() -> None:
+    low, high = t_interval(np.array([1.0, 2.0, 4.0]))
+    # t(0.975, 2) = 4.30265, and the deviation 1.52753.
+    assert low == pytest.approx(7 / 3 - 4.30265 * 1.52753 / 3**0.5, abs=1e-4)
+    assert high == pytest.approx(7 / 3 + 4.30265 * 1.52753 / 3**0.5, abs=1e-4)
 
 
 def test_the_command_writes_a_page_that_never_says_success(bench: Path, tmp_path: Path) -> None:
@@ -199,6 +235,10 @@ def test_a_guard_is_fitted_on_training_episodes_of_recordings(bench: Path, tmp_p
     fitted = run_guard(GuardConfig(policy, episodes=20, recording=bench))
     assert fitted["seeds"] == [number for number in range(20) if number % 10 != 9]
     assert "18 intact training episodes, 0 to 8, 10 to 18." in guard_words(fitted)
+    with pytest.raises(UserError, match="expected a policy of recording/bench, found"):
+        run_guard(GuardConfig("metaworld-hammer-mad-light", recording=bench))
+    own = GuardConfig("tests.recorded_policy:make", out=tmp_path / "own.json", recording=bench)
+    assert run_guard(own)["seeds"] == fitted["seeds"][:12], "a policy without a robot.json"
     # Recordings that are known by the environment variable alone are the same.
     assert run_guard(GuardConfig(policy, episodes=20))["seeds"] == fitted["seeds"]
     guarded = load_policy(with_guard(policy, True))

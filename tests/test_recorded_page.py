@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from madviz.app.panels.policy import status_html
-from madviz.app.panels.recorded import RecordedPanel, distances, recorded_html
+from madviz.app.panels.recorded import (
+    RecordedPanel,
+    distances,
+    recorded_html,
+    training_words,
+)
 from madviz.app.panels.shapley import shapley_html
 from madviz.app.panels.subsets import subsets_html
 from madviz.app.panels.timeline import timeline_html
@@ -18,13 +24,16 @@ from madviz.app.server import ExploreConfig, with_recording
 from madviz.app.success_rates import SuccessRates
 from madviz.errors import UserError
 from madviz.measure.evaluate import EvalConfig, run_eval
+from madviz.observation.ablation import CameraState
 from madviz.policies.checkpoint import load_policy
 from madviz.recorded.known import LABEL, VARIABLE, allow_recording
 from madviz.recorded.recordings import open_recordings
+from madviz.recorded.robot import robot_of
+from madviz.recorded.scaling import apart
 from madviz.recording.record import RecordConfig, run_record
 from madviz.session.commands import Compare, MoveCamera, SetCamera
 from madviz.session.frame import Frame
-from madviz.session.open_loop import apart, from_recorded, without_camera
+from madviz.session.open_loop import from_recorded, without_camera
 from madviz.training.config import TrainConfig
 from madviz.training.light_options import LightConfig
 from madviz.training.train import train
@@ -94,12 +103,13 @@ def test_every_number_has_its_name_and_no_q_is_shown(folder: Path) -> None:
     _, frame = played()
     recorded = frame.world.recorded
     assert recorded is not None
-    html = recorded_html(frame, lambda name: 0.5, trained_on=True)
-    assert "The policy was trained on this episode" in html
-    assert "was not trained on this" in recorded_html(frame, lambda name: 0.5, trained_on=False)
-    for name, number in zip(open_recordings(folder).action_names, recorded.action, strict=True):
+    html = recorded_html(frame, lambda name: 0.5, "A sentence.")
+    assert "A sentence." in html
+    off = abs(frame.action - recorded.action) / np.array(frame.world.env.action_spread)
+    names = open_recordings(folder).action_names
+    for name, *numbers in zip(names, frame.action, recorded.action, off, strict=True):
         row = next(row for row in html.split("<tr>") if f"<td>{name}</td>" in row)
-        assert f"{number:.2f}" in row
+        assert re.findall(r">([^<]+)</td>", row)[1:] == [f"{number:.2f}" for number in numbers]
     assert ">Q<" not in subsets_html(frame) + timeline_html(frame)
 
 
@@ -117,6 +127,24 @@ def test_means_begin_again_where_a_camera_is_changed(folder: Path, server) -> No
     assert now != mean
     now, mean = now_and_mean(session.ask(SetCamera("top", OFF)))
     assert now == mean
+    back = session.ask(SetCamera("top", CameraState("rgb")))
+    now, mean = now_and_mean(back)
+    assert now != mean, "steps with all cameras are remembered"
+    other = replace(back.world.policy, name="another")
+    now, mean = now_and_mean(replace(back, world=replace(back.world, policy=other)))
+    assert now == mean, "another policy"
+
+
+def test_what_the_policy_was_trained_on_is_said(folder: Path) -> None:
+    recordings = open_recordings(folder)
+    robot = robot_of(recordings)
+    assert training_words(robot, recordings, 2) == "The policy was not trained on this episode."
+    assert "number 2 is new to it" in training_words(robot, recordings, 0)
+    for unknown in (None, replace(robot, trained_on=frozenset())):
+        assert "not known" in training_words(unknown, recordings, 0)
+    all_of_it = frozenset(map(recordings.digest, range(3)))
+    words = training_words(replace(robot, trained_on=all_of_it), recordings, 0)
+    assert "it was trained on all" in words
 
 
 def test_it_begins_with_an_episode_that_the_policy_was_not_trained_on(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,19 @@ def test_a_dry_run_says_rate_jump_and_what_was_out_of_range(trained: tuple[Path,
     assert all(name in lines[3] for name in named) and ("nothing" in lines[3]) == (not named)
     assert lines[-1].startswith("On this machine the policy keeps up with the robot's 10 a second")
     assert "no robot moved" in lines[-1]
+
+
+def test_a_dry_run_says_what_it_knows_of_the_training(trained: tuple[Path, Path]) -> None:
+    bench, folder = trained
+    policy = load_policy(folder)
+    robot = robot_of_policy(str(folder))
+    assert robot is not None
+    older = replace(robot, trained_on=frozenset())
+    assert "whether the policy was trained on it is not known" in dry_run(policy, older, bench)[0]
+    recordings = open_recordings(bench)
+    known = [recordings.digest(one.index) for one in recordings.episodes]
+    all_of_it = replace(robot, trained_on=frozenset(known))
+    assert "was trained on it, as on all that are here" in dry_run(policy, all_of_it, bench)[0]
 
 
 def test_a_dry_run_refuses_another_robot(trained: tuple[Path, Path], tmp_path: Path) -> None:

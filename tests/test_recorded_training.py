@@ -92,7 +92,7 @@ def test_a_training_does_not_go_on_with_other_recordings(bench: Path, tmp_path: 
     more = Small(episodes=5, films=False).write(tmp_path / "more" / "bench")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(VARIABLE, "")
-        with pytest.raises(UserError, match="another configuration: recorded"):
+        with pytest.raises(UserError, match="another configuration: held_out"):
             run(more, tmp_path / "mad", resume=True)
 
 

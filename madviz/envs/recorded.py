@@ -17,6 +17,7 @@ from madviz.errors import UserError
 from madviz.recorded.known import LABEL, SUITE, recordings_of
 from madviz.recorded.moment import RecordedMoment
 from madviz.recorded.recordings import Recordings
+from madviz.recorded.robot import robot_of
 from madviz.recorded.scaling import Scaling
 from madviz.types import (
     Array,
@@ -49,9 +50,7 @@ class RecordedRobot:
             CameraSpec(one.name, one.name.replace("_", " ").capitalize(), FOVY, (BESIDE * i, 0, 0))
             for i, one in enumerate(found.cameras)
         )
-        _, actions = scalings(found)
-        wide = np.array(actions.high) - np.array(actions.low)
-        spread = found.action_spread() * np.where(wide > 0, 2 / np.where(wide > 0, wide, 1), 0)
+        spread = robot_of(found).scaled_spread
         return EnvSpec(
             name,
             resized_cameras(name, own, cameras),

@@ -209,7 +209,7 @@ class _Stream:
             self._anchor = path.states[0]
             return "fine", ""
         change = sums.cells - before.cells  # (441,)
-        if sums.spread == before.spread and not change.any():
+        if sums.spread == before.spread and not change.any():  # The first alone is mostly enough.
             return self._repeated(path, now)
         stood = self._repeats
         self._repeats = 0

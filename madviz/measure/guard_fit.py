@@ -27,7 +27,7 @@ from madviz.policies.config import check_environment
 from madviz.policies.guarded import unguarded
 from madviz.policies.players import player_of
 from madviz.policies.seeds import FIRST_TRAINING, seeds_from
-from madviz.recorded.known import allow_recording, recordings_of
+from madviz.recorded.known import allow_recording, is_recording, recordings_of
 from madviz.recorded.recordings import Recordings
 from madviz.recorded.robot import Robot
 from madviz.subsets import cameras_of
@@ -70,24 +70,28 @@ class FittedFile(TypedDict):
 
 
 def run_guard(config: GuardConfig) -> FittedFile:
-    """``madviz guard``. Raises UserError for too few episodes or too many, and for a place that
-    cannot be written to."""
+    """``madviz guard``. Raises UserError for too few episodes or too many, for recordings that the
+    policy did not learn from, and for a place that cannot be written to."""
     reference = unguarded(config.policy)
     if config.episodes < FEWEST:
         raise UserError(f"expected {FEWEST} episodes or more to fit on, found {config.episodes}")
-    if config.recording is not None:
-        allow_recording(config.recording)
+    recorded = None if config.recording is None else allow_recording(config.recording)
     if config.out is None and not checkpoint.is_folder(reference):
         raise UserError(f"expected --out FILE for {reference!r:.100}, which has no folder; add it")
     out = config.out or checkpoint.find_policy(reference) / FILE
     written_to(out, "--out")
     policy = checkpoint.load_policy(reference)
     spec = policy.spec
-    robot = checkpoint.robot_of_policy(reference)
-    if robot is None:
-        seeds = tuple(seeds_from(FIRST_SEED, config.episodes))
+    if recorded not in (None, spec.task):
+        raise UserError(
+            f"expected a policy of {recorded}, found {spec.name!r} of {spec.task}; leave out "
+            "--recording, or name the recordings that it learned from"
+        )
+    if is_recording(spec.task):
+        seeds = training_places(recordings_of(spec.task), checkpoint.robot_of_policy(reference))
+        seeds = seeds[: config.episodes]
     else:
-        seeds = training_places(recordings_of(spec.task), robot)[: config.episodes]
+        seeds = tuple(seeds_from(FIRST_SEED, config.episodes))
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env, one_thread():
         check_environment(spec, env.spec)
         episodes = [
@@ -108,11 +112,20 @@ def run_guard(config: GuardConfig) -> FittedFile:
     }
 
 
-def training_places(recordings: Recordings, robot: Robot) -> tuple[int, ...]:
-    """The places, among all episodes, of those that the policy of ``robot`` was trained on: the
-    seeds that begin them."""
-    unseen = robot.unseen(recordings)
-    return tuple(i for i, one in enumerate(recordings.episodes) if one.index not in unseen)
+def training_places(recordings: Recordings, robot: Robot | None) -> tuple[int, ...]:
+    """The places, among all episodes, of those that the policy of ``robot`` was trained on, or that
+    are not held out where there is no robot: the seeds that begin them. Raises UserError for other
+    recordings than it learned from, and for fewer than four such episodes."""
+    if robot is not None:
+        robot.check_units(recordings)
+    unseen = recordings.held_out if robot is None else robot.unseen(recordings)
+    places = tuple(i for i, one in enumerate(recordings.episodes) if one.index not in unseen)
+    if len(places) < FEWEST:
+        raise UserError(
+            f"{recordings.path}: expected {FEWEST} episodes or more that the policy was trained "
+            f"on, found {len(places)}; name the recordings that it learned from"
+        )
+    return places
 
 
 def play_intact(policy: Policy, env: Environment, seed: int, random: float) -> SeenEpisode:
@@ -153,7 +166,7 @@ def guard_words(fitted: FittedFile) -> str:
 
 
 def _stretches(seeds: list[int]) -> str:
-    """``0 to 8, 10, 11 to 14``."""
+    """``0 to 8, 10, 12 to 14``."""
     stretches: list[list[int]] = []
     for seed in seeds:
         if stretches and seed == stretches[-1][-1] + 1:

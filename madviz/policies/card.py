@@ -41,7 +41,7 @@ def card_text(folder: str | Path) -> str:
     evaluation = checkpoint.own_evaluation(policy) if measured else None
     choice = choice_of(policy.path)
     sections = [
-        _head(policy.config, policy.path.name),
+        _head(policy.config, policy.path.resolve().name),
         _success(evaluation, policy.spec.name, policy.config.task),
         _inputs(policy.config, policy.path),
         _training(policy.config.training, policy.path.name, choice),
@@ -54,7 +54,7 @@ def card_text(folder: str | Path) -> str:
 def _head(config: PolicyConfig, folder: str) -> str:
     recorded = is_recording(config.task)
     source = f" --recording {config.task.partition('/')[2]}" if recorded else ""
-    # A policy of recordings is in nobody's list: its folder names it.
+    # Recordings have no included policies: its folder names it, from the one that holds it.
     name = folder if recorded else config.name
     return (
         f"# {config.name}\n\n"

@@ -217,7 +217,7 @@ def _names(
     if isinstance(names, list) and len(names) == shape[0]:
         return tuple(str(name)[:60] for name in names)
     if names:
-        found = len(names) if isinstance(names, list) else "others"
+        found = len(names) if isinstance(names, list) else f"{names!r:.40}"
         unread.append(f"names of {key}: expected {shape[0]}, found {found}; they are numbered")
     stem = key.rpartition(".")[2]
     return tuple(f"{stem}_{number}" for number in range(shape[0]))

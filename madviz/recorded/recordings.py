@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 
 from madviz.errors import UserError
@@ -39,7 +40,7 @@ class Recordings:
     episodes: tuple[RecordedEpisode, ...]
     """The whole ones."""
     left_out: tuple[str, ...]
-    """One line for each episode or camera that is left out: which, and why."""
+    """One line for each episode, camera or list of names that is left out: which, and why."""
     _description: Description = field(repr=False)
     _locations: dict[int, Location] = field(repr=False)
 
@@ -49,9 +50,8 @@ class Recordings:
         return numbers_of(self._description, location)
 
     def digest(self, episode: int) -> str:
-        """16 letters that stand for the numbers of the episode with this index."""
-        states, actions = self.numbers(episode)
-        return hashlib.sha256(states.tobytes() + actions.tobytes()).hexdigest()[:16]
+        """16 hexadecimal digits that stand for the numbers of the episode with this index."""
+        return _digest(self, episode)
 
     def frames(self, episode: int, size: int) -> Array:
         """(T, V, size, size, 3) uint8, letterboxed: a read-only map of the cache. The first call
@@ -121,6 +121,12 @@ class Recordings:
                 pictures = table_pictures(location.data, camera, location.first, location.steps)
             for step, picture in pictures:
                 yield step, number, picture
+
+
+@lru_cache(maxsize=10_000)
+def _digest(recordings: Recordings, episode: int) -> str:
+    states, actions = recordings.numbers(episode)
+    return hashlib.sha256(states.tobytes() + actions.tobytes()).hexdigest()[:16]
 
 
 def open_recordings(path: Path) -> Recordings:

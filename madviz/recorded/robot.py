@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from madviz.errors import UserError
-from madviz.recorded.scaling import Scaling
+from madviz.recorded.scaling import Scaling, apart
 from madviz.system.files import read_json, write_json
 from madviz.system.typed import typed
 from madviz.types import Array
@@ -96,20 +96,15 @@ class Robot:
             return tuple(index for index in known if index in self.held_out)
         return tuple(index for index in known if not self.learned_from(recordings, index))
 
-    def apart(self, actions: Array, others: Array) -> Array:
-        """(..., A) scaled actions twice -> (..., A): how far each number is apart, in its spread; 0
-        for one that never changed in the recordings."""
+    @property
+    def scaled_spread(self) -> Array:
+        """(A,) the spread of scaled actions; 0 for a number that never changes."""
         width = np.array(self.actions.high) - np.array(self.actions.low)
-        # Scaled numbers have another unit than the spread.
-        unit = np.where(width > 0, width / 2, 0) / np.array(self.spread)  # (A,)
-        return np.abs((np.asarray(actions, np.float64) - np.asarray(others, np.float64)) * unit)
+        return np.where(width > 0, 2 * np.array(self.spread) / np.where(width > 0, width, 1), 0)
 
     def distance(self, actions: Array, others: Array) -> Array:
-        """(..., A) scaled actions twice -> (...): the root mean square of ``apart``, over the
-        numbers that change in the recordings."""
-        moving = np.count_nonzero(np.array(self.actions.high) > np.array(self.actions.low))
-        squares = self.apart(actions, others) ** 2
-        return np.sqrt(squares.sum(axis=-1) / max(moving, 1))
+        """(..., A) scaled actions twice -> (...): ``scaling.apart`` in their spread."""
+        return apart(actions, others, self.scaled_spread)
 
     def outside(self, states: Array) -> Array:
         """(..., S) raw -> bool: the numbers outside the range of the recordings in training."""
@@ -139,7 +134,8 @@ class Robot:
         if (self.states, self.actions) != recordings.scalings():
             raise UserError(
                 f"{recordings.path}: expected the recordings that the policy learned from, found "
-                "states or actions of another range; `madviz audit --recording` converts them"
+                "states or actions of another range, or another episode held out; `madviz audit "
+                "--recording` converts them"
             )
 
 

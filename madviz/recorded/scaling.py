@@ -55,6 +55,23 @@ def scaling_of(columns: Iterable[Array]) -> Scaling:
     return Scaling(tuple(low.tolist()), tuple(high.tolist()))
 
 
+def each_apart(actions: Array, others: Array, spread: Array | Sequence[float]) -> Array:
+    """(..., A) twice -> (..., A): how far each number is apart in units of its ``spread`` (A,), on
+    one scale; 0 for a number of spread 0, which never changes in the recordings."""
+    units = np.asarray(spread, np.float64)
+    moving = units > 0
+    difference = np.asarray(actions, np.float64) - np.asarray(others, np.float64)
+    return np.where(moving, np.abs(difference) / np.where(moving, units, 1), 0)
+
+
+def apart(actions: Array, others: Array, spread: Array | Sequence[float]) -> Array:
+    """(..., A) twice -> (...): the root mean square of ``each_apart`` over the numbers that change;
+    NaN where one of these is not finite."""
+    moving = np.count_nonzero(np.asarray(spread))
+    squares = each_apart(actions, others, spread) ** 2
+    return np.sqrt(squares.sum(axis=-1) / max(moving, 1))
+
+
 def spread_of(columns: Sequence[Array]) -> Array:
     """(n,) float32, the standard deviation of every number in ``columns``, each (T, n); 1 where it
     is 0."""

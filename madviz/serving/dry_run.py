@@ -58,9 +58,12 @@ def dry_run(policy: Policy, robot: Robot | None, dataset: Path) -> list[str]:
 def _episode(recordings: Recordings, robot: Robot) -> tuple[int, str]:
     """The episode to answer to, and whether the policy was trained on it, in words."""
     unseen = robot.unseen(recordings)
+    episode = unseen[0] if unseen else recordings.episodes[-1].index
+    if not robot.trained_on:
+        return episode, "whether the policy was trained on it is not known"
     if unseen:
-        return unseen[0], "the policy was not trained on it"
-    return recordings.episodes[-1].index, "the policy was trained on it, as on all that are here"
+        return episode, "the policy was not trained on it"
+    return episode, "the policy was trained on it, as on all that are here"
 
 
 def _answers(

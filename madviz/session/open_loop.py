@@ -10,22 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from madviz.policies.no_policy import NO_POLICY
+from madviz.recorded.scaling import apart
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of
-from madviz.types import Array
-
-
-def apart(action: Array, other: Array, spread: tuple[float, ...]) -> float:
-    """The distance of two actions (A,) in units of the ``spread``; NaN where one is not finite."""
-    moving = np.count_nonzero(spread)
-    return float(np.sqrt((each_apart(action, other, spread) ** 2).sum() / max(moving, 1)))
-
-
-def each_apart(action: Array, other: Array, spread: tuple[float, ...]) -> Array:
-    """(A,): likewise, of each number; 0 for one that never changes."""
-    units = np.array(spread)
-    moving = units > 0
-    return np.where(moving, np.abs(action - other) / np.where(moving, units, 1), 0)
 
 
 def from_recorded(frame: Frame) -> float:
@@ -33,7 +20,7 @@ def from_recorded(frame: Frame) -> float:
     recorded = frame.world.recorded
     if recorded is None or frame.world.policy.method == NO_POLICY:
         return float("nan")
-    return apart(frame.action, recorded.action, frame.world.env.action_spread)
+    return float(apart(frame.action, recorded.action, frame.world.env.action_spread))
 
 
 def without_camera(frame: Frame, camera: str) -> float:
@@ -44,4 +31,4 @@ def without_camera(frame: Frame, camera: str) -> float:
     probe = frame.world.probe
     rows = [probe.row(frame.mask & ~its), probe.row(frame.mask | its)]
     first, second = (probe.readout.action[row] for row in rows)
-    return apart(first, second, frame.world.env.action_spread)
+    return float(apart(first, second, frame.world.env.action_spread))

@@ -299,6 +299,7 @@ def identity(config: TrainConfig, drawn: tuple[CameraSpec, ...]) -> dict[str, An
         found = recordings_of(config.task)
         facts["recorded"] = [[one.index, one.length] for one in found.episodes]
         facts["scalings"] = [scaling.to_json() for scaling in found.scalings()]
+        facts["held_out"] = list(found.held_out)
     return facts
 
 

@@ -10,7 +10,7 @@ import viser
 from madviz.app.panel import Assign
 from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import SyncedInput, WidgetPanel, on_value
-from madviz.policies.checkpoint import has_guard, shown
+from madviz.policies.checkpoint import has_guard, is_folder, shown
 from madviz.policies.guarded import fit_command, unguarded, with_guard
 from madviz.policies.no_policy import NO_POLICY
 from madviz.session.commands import Compare, Link, SetPolicy
@@ -79,4 +79,6 @@ class GuardPanel(WidgetPanel):
 
 def no_guard(policy: str, task: str) -> str:
     """The sentence on a policy of ``task`` without a fitted guard."""
+    if not is_folder(policy):
+        return "On the page, only a policy in a folder can have a guard."
     return f"No guard is fitted for this policy; {fit_command(shown(policy), task)} does it."

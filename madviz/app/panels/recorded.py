@@ -23,8 +23,11 @@ from madviz.errors import UserError
 from madviz.policies.checkpoint import robot_of_policy
 from madviz.policies.no_policy import NO_POLICY
 from madviz.recorded.known import recordings_of
+from madviz.recorded.recordings import Recordings
+from madviz.recorded.robot import Robot
+from madviz.recorded.scaling import each_apart
 from madviz.session.frame import Frame
-from madviz.session.open_loop import each_apart, from_recorded, without_camera
+from madviz.session.open_loop import from_recorded, without_camera
 from madviz.subsets import cameras_of
 
 UNIT = (
@@ -32,11 +35,6 @@ UNIT = (
     "The robot did not follow this policy, so nobody knows what would have come of it."
 )
 SCALED = "-1 and 1 are the least and largest of training"
-LEARNED = (
-    "The policy was trained on this episode: distances here say little about others. See one that "
-    "it was not trained on."
-)
-NEW = "The policy was not trained on this episode."
 WITHOUT = (
     "There is no policy here: the cameras change nothing. "
     "<b>madviz train --recording</b> makes one, <b>--policy</b> shows it."
@@ -49,49 +47,66 @@ class RecordedPanel(WidgetPanel):
     def __init__(self, gui: viser.GuiApi, frame: Frame, named: Reference = own_name) -> None:
         """``named``: what a policy is loaded by."""
         self._named = named
-        self._learned: tuple[object, bool | None] = (None, None)
-        """Policy and episode that were looked up last, and what ``_trained_on`` says."""
-        self._since: tuple[object, ...] = ()
-        """The episode, and the cameras as they are."""
-        self._seen: dict[int, dict[str, float]] = {}
-        """By step, the distances by what they are called."""
+        self._learned: tuple[object, str] = (None, "")
+        """Policy and episode that were looked up last, and what ``_training`` says of them."""
+        self._episode = frame.world.episode
+        self._seen: dict[int, tuple[object, dict[str, float]]] = {}
+        """By step, the policy and the cameras as they were, and the distances by their names."""
         self._text = gui.add_html("")
         self.handles = [self._text]
         self._text.content = self._html(frame)
 
     def note(self, frame: Frame) -> None:
         """See ``panel.Panel``."""
-        since = (frame.world.episode, frame.condition)
-        if since != self._since:
-            self._since = since
+        if frame.world.episode != self._episode:
+            self._episode = frame.world.episode
             self._seen = {}
-        self._seen[frame.world.step] = distances(frame)
+        self._seen[frame.world.step] = (_key(frame), distances(frame))
 
     def update(self, frame: Frame) -> list[Assign]:
         return [Assign(self._text, "content", self._html(frame))]
 
     def _html(self, frame: Frame) -> str:
         self.note(frame)
-        before = [seen for step, seen in self._seen.items() if step <= frame.world.step]
+        alike = [
+            found
+            for step, (key, found) in self._seen.items()
+            if step <= frame.world.step and key == _key(frame)
+        ]
 
         def mean(name: str) -> float:
-            return float(np.mean([seen[name] for seen in before]))
+            return float(np.mean([found[name] for found in alike]))
 
-        return recorded_html(frame, mean, self._trained_on(frame))
+        return recorded_html(frame, mean, self._training(frame))
 
-    def _trained_on(self, frame: Frame) -> bool | None:
-        """True where the policy was trained on this episode; None where that is not known."""
+    def _training(self, frame: Frame) -> str:
+        """The sentence on whether the policy was trained on this episode."""
         recorded = frame.world.recorded
         key = (frame.world.policy, recorded.episode if recorded else None)
-        if key != self._learned[0]:
+        if key != self._learned[0] and recorded is not None:
             robot = None
             with suppress(UserError):
                 robot = robot_of_policy(self._named(frame.world.policy))
-            known = None
-            if robot is not None and recorded is not None and robot.trained_on:
-                known = robot.learned_from(recordings_of(frame.world.env.task), recorded.episode)
-            self._learned = (key, known)
+            recordings = recordings_of(frame.world.env.task)
+            self._learned = (key, training_words(robot, recordings, recorded.episode))
         return self._learned[1]
+
+
+def training_words(robot: Robot | None, recordings: Recordings, episode: int) -> str:
+    """The sentence on whether the policy of ``robot`` was trained on ``episode``."""
+    if robot is None or not robot.trained_on:
+        return "It is not known whether the policy was trained on this episode."
+    if not robot.learned_from(recordings, episode):
+        return "The policy was not trained on this episode."
+    unseen = robot.unseen(recordings)
+    numbers = [str(i) for i, one in enumerate(recordings.episodes) if one.index in unseen]
+    where = f"number {numbers[0]} is new to it" if numbers else "it was trained on all"
+    return f"The policy was trained on this episode, so it may know these actions; {where}."
+
+
+def _key(frame: Frame) -> object:
+    """The policy, and the cameras as they are."""
+    return frame.world.policy, frame.condition
 
 
 def distances(frame: Frame) -> dict[str, float]:
@@ -100,11 +115,9 @@ def distances(frame: Frame) -> dict[str, float]:
     return {"": from_recorded(frame)} | {name: without_camera(frame, name) for name in cameras}
 
 
-def recorded_html(
-    frame: Frame, mean: Callable[[str], float], trained_on: bool | None = None
-) -> str:
-    """The tables; ``mean`` is that of the steps so far, by the names of ``distances``.
-    ``trained_on``: whether the policy was trained on this episode, where that is known."""
+def recorded_html(frame: Frame, mean: Callable[[str], float], training: str = "") -> str:
+    """The tables; ``mean`` is that of the steps so far, by the names of ``distances``; ``training``
+    as ``training_words`` has it."""
     if frame.world.policy.method == NO_POLICY or frame.world.recorded is None:
         return f'<div class="mv dim">{WITHOUT}</div>'
     colours = camera_colours(frame.world.env.cameras)
@@ -116,9 +129,8 @@ def recorded_html(
             label = f"{dot(colours[name])}with and without {camera}"
         cells = "".join(f'<td class="num">{_number(each)}</td>' for each in (now, mean(name)))
         rows += f"<tr><td>{label}</td>{cells}</tr>"
-    learned = {None: "", True: LEARNED, False: NEW}[trained_on]
     return (
-        f'<div class="mv mv-apart"><h4>How far actions are apart</h4><div>{learned}</div>'
+        f'<div class="mv mv-apart"><h4>How far actions are apart</h4><div>{training}</div>'
         '<table><tr class="dim"><td></td><td class="num">now</td><td class="num">mean</td></tr>'
         f'{rows}</table><div class="dim">{UNIT}</div>{_numbers(frame)}</div>'
     )
@@ -131,12 +143,12 @@ def _numbers(frame: Frame) -> str:
     ours = frame.action
     recorded = frame.world.recorded.action
     names = recordings_of(frame.world.env.task).action_names
-    apart = each_apart(ours, recorded, frame.world.env.action_spread)
+    each = each_apart(ours, recorded, frame.world.env.action_spread)  # (A,)
     rows = "".join(
         f"<tr><td>{escape(name)}</td>"
-        + "".join(f'<td class="num">{_number(float(each))}</td>' for each in each_row)
+        + "".join(f'<td class="num">{_number(float(value))}</td>' for value in values)
         + "</tr>"
-        for name, *each_row in zip(names, ours, recorded, apart, strict=True)
+        for name, *values in zip(names, ours, recorded, each, strict=True)
     )
     head = "".join(f'<td class="num">{word}</td>' for word in ("policy", "recorded", "apart"))
     return (

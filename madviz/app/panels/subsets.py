@@ -109,6 +109,7 @@ def distances(frame: Frame, row: int) -> tuple[float, float]:
 
 def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
     readout = frame.world.probe.readout
+    recorded = frame.world.recorded is not None
     mask = frame.world.probe.masks[row]
     label = escape(subset_label(frame, name_of(mask, frame.world.policy.streams)))
     now = f'<span class="tag" style="background:{NOTE}">now</span> ' if here else ""
@@ -118,19 +119,22 @@ def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
             f'<td class="num">{"–" if np.isnan(d) else f"{d:.2f}"}</td>'
             for d in distances(frame, row)
         )
-        q = f"{readout.q[row]:.1f}" if np.isfinite(readout.q[row]) else "–"
-        kind = 'class="num"' if trained else f'class="num dim" title="{UNTRAINED_Q}"'
-        last = "" if frame.world.recorded else f"<td {kind}>{q}</td>"
         figures = len(readout.action[row]) <= NARROW
-        cells = f"<td>{action_bars(readout.action[row], figures)}</td>{apart}{last}"
+        cells = f"<td>{action_bars(readout.action[row], figures)}</td>{apart}"
+        cells += "" if recorded else _q(float(readout.q[row]), trained)
     else:
         why = "cannot act on this" if not frame.world.probe.waiting[row] else "not read"
-        cells = f'<td class="dim" colspan="4">{why}</td>'
+        cells = f'<td class="dim" colspan="{3 if recorded else 4}">{why}</td>'
     style = ' style="background:rgba(255,209,102,0.12)"' if here else ""
     return (
         f"<tr{style}><td>{presence(frame, mask)}</td>"
         f'<td style="max-width:190px;white-space:normal">{now}{dagger}{label}</td>{cells}</tr>'
     )
+
+
+def _q(value: float, trained: bool) -> str:
+    kind = 'class="num"' if trained else f'class="num dim" title="{UNTRAINED_Q}"'
+    return f"<td {kind}>{value:.1f}</td>" if np.isfinite(value) else f"<td {kind}>–</td>"
 
 
 def presence(frame: Frame, mask: np.ndarray) -> str:

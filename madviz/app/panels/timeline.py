@@ -23,7 +23,7 @@ from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.session.commands import Command, Fork, Scrub
 from madviz.session.frame import Frame, TimelinePoint
 
-Name = Literal["reward", "q"]
+LaneName = Literal["reward", "q"]
 WIDTH = 600
 LANE = 40
 LEFT = 44
@@ -100,9 +100,9 @@ class TimelinePanel(HtmlPanel):
 
 
 def timeline_html(frame: Frame) -> str:
-    """Both lanes and what stands under them."""
+    """The lanes and what stands under them."""
     # Recordings have no rewards, so no policy of theirs has a Q.
-    lanes: tuple[Name, ...] = ("reward",) if frame.world.recorded else ("reward", "q")
+    lanes: tuple[LaneName, ...] = ("reward",) if frame.world.recorded else ("reward", "q")
     drawn = "".join(_lane(frame, name, index) for index, name in enumerate(lanes))
     height = TOP + len(lanes) * (LANE + 8) + 18
     svg = chart(WIDTH, height, f"{_marks(frame, height)}{drawn}{_axis(frame, height)}")
@@ -126,7 +126,7 @@ def _x(step: float, horizon: int) -> float:
     return LEFT + (WIDTH - LEFT - 6) * step / horizon
 
 
-def _lane(frame: Frame, name: Name, index: int) -> str:
+def _lane(frame: Frame, name: LaneName, index: int) -> str:
     """One curve over the original run's, on one scale that holds both."""
     live = [getattr(moment, name) for moment in frame.history]
     first = [getattr(moment, name) for moment in frame.branch.history] if frame.branch else []

@@ -6,12 +6,13 @@ how far its action moves from its action with all cameras, and from the recorded
 the recorded actions (``Robot.distance``).
 
     change of a condition    mean over steps of |a(condition) - a(all)|
-    interval                 bootstrap over episodes: whole episodes are drawn again and again
+    interval                 Student's t over episodes
 
 Steps of one episode resemble each other, so 5 episodes say as much as 5, not as 500 steps. A policy
 may know the answers of an episode that it was trained on: such episodes show where a camera
-matters, and no distance or verdict rests on them. The verdict on a camera rests on the change
-without it: below ``HARDLY`` with the whole interval, above it, or not decided.
+matters, and no verdict rests on them, nor a distance where there are others. The verdict on a
+camera rests on the change without it: below ``HARDLY`` with the whole interval, above it, or not
+decided.
 """
 
 from __future__ import annotations
@@ -27,12 +28,13 @@ import numpy as np
 from madviz.errors import UserError
 from madviz.measure.audit.lost_cameras import INTACT, AuditRow, Cameras, How, What
 from madviz.measure.episodes import one_thread
-from madviz.measure.formulas import bootstrap
+from madviz.measure.formulas import t_interval
 from madviz.observation.condition import Condition
 from madviz.observation.streams import MeanPictures, StreamStack
 from madviz.recorded.known import LABEL
 from madviz.recorded.recordings import Recordings
 from madviz.recorded.robot import Robot
+from madviz.recorded.scaling import each_apart
 from madviz.types import Array, EnvSpec, Policy, View
 
 HARDLY = 0.1
@@ -57,7 +59,7 @@ class DistanceRow(TypedDict):
 
     mean: float
     ci95: list[float] | None
-    """By bootstrap over episodes; None for a single one."""
+    """Student's t over episodes; None for a single one."""
 
 
 class RecordedRow(TypedDict):
@@ -71,7 +73,7 @@ class RecordedRow(TypedDict):
     further: DistanceRow
     """Its distance from the recorded action, less that with all cameras."""
     most: str
-    """The number of the action that changes most."""
+    """The number of the action that changes most; '' where none does."""
     most_apart: float
     """Its change, in its own spread."""
 
@@ -100,8 +102,10 @@ class RecordedAuditFile(TypedDict):
     fps: float
     labels: dict[str, str]
     episodes: list[int]
-    trained_on: list[int] | None
-    """Those among them that the policy was trained on; None: not known."""
+    judged: list[int]
+    """Those among them that verdicts and distances rest on; none: no verdict, and all distances."""
+    training_known: bool
+    """True where it is known what the policy was trained on: on all that are not judged."""
     steps: int
     """Answers for each condition."""
     apart: DistanceRow
@@ -200,7 +204,12 @@ def recorded_audit(
     audit: RecordedAudit, most: int | None = None, progress: bool = False
 ) -> RecordedAuditFile:
     """The document of ``audit`` on the episodes that its policy was not trained on, or on ``most``
-    episodes. Raises UserError if the pictures of none can be decoded."""
+    episodes. Raises UserError if none can be decoded and answered, and for recordings of which no
+    action changes."""
+    if not audit.robot.scaled_spread.any():
+        raise UserError(
+            f"{audit.recordings.path}: expected actions that change, found none; record others"
+        )
     means = audit.means()
     answered: dict[int, _Answered] = {}
     left_out = list(audit.recordings.left_out)
@@ -211,13 +220,15 @@ def recorded_audit(
         try:
             with one_thread():
                 actions = audit.answers(index, steps, means)  # (N, T', A)
+            if not np.isfinite(actions).all():
+                raise UserError("expected finite actions, found others; see madviz serve --check")
         except UserError as error:
             left_out.append(f"episode {index}: {error}")
             continue
         answered[index] = _Answered(
             steps,
             audit.robot.distance(actions, actions[:1]),
-            audit.robot.apart(actions, actions[:1]).mean(axis=1),
+            each_apart(actions, actions[:1], audit.robot.scaled_spread).mean(axis=1),
             audit.robot.distance(actions, recorded[steps]).mean(axis=1),
         )
         if progress:
@@ -233,9 +244,9 @@ def _document(
     spec = audit.policy.spec
     robot = audit.robot
     place = {condition: row for row, condition in enumerate(audit.conditions)}
-    trained_on = [index for index in answered if robot.learned_from(audit.recordings, index)]
-    judged = [index for index in answered if index not in trained_on] or trained_on
-    episodes = [answered[index] for index in judged]
+    unseen = robot.unseen(audit.recordings)
+    judged = [index for index in answered if index in unseen]
+    episodes = [answered[index] for index in judged or answered]
     changes = np.stack([one.change.mean(axis=1) for one in episodes], axis=1)  # (N, E)
     errors = np.stack([one.errors for one in episodes], axis=1)  # (N, E)
     numbers = np.mean([one.numbers for one in episodes], axis=0)  # (N, A)
@@ -249,7 +260,7 @@ def _document(
             "how": one.how,
             "change": distance_row(changes[at]),
             "further": distance_row(errors[at] - errors[0]),
-            "most": robot.action_names[most],
+            "most": robot.action_names[most] if numbers[at, most] > 0 else "",
             "most_apart": float(numbers[at, most]),
         }
 
@@ -265,14 +276,12 @@ def _document(
         "fps": audit.recordings.fps,
         "labels": {name: audit.env.camera(name).label for name in audit.cameras.names},
         "episodes": list(answered),
-        "trained_on": trained_on if robot.trained_on else None,
+        "judged": judged,
+        "training_known": bool(robot.trained_on),
         "steps": sum(len(one.steps) for one in answered.values()),
         "apart": distance_row(errors[0]),
         "conditions": [row(one) for one in audit.cameras.rows()],
-        "verdict": {
-            name: OPEN if judged == trained_on else verdict(change)
-            for name, change in removed.items()
-        },
+        "verdict": {name: verdict(change) if judged else OPEN for name, change in removed.items()},
         "decided_by": {name: one.how for name, one in deciding.items()},
         "moments": _moments(audit, answered),
         "left_out": left_out,
@@ -306,8 +315,7 @@ def distance_row(values: Sequence[float] | Array) -> DistanceRow:
     values = np.asarray(values, np.float64)
     if len(values) < 2:
         return {"mean": float(values.mean()), "ci95": None}
-    low, high = bootstrap(values)
-    return {"mean": float(values.mean()), "ci95": [float(low), float(high)]}
+    return {"mean": float(values.mean()), "ci95": list(t_interval(values))}
 
 
 def verdict(change: DistanceRow) -> str:

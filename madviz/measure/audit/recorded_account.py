@@ -21,7 +21,7 @@ FEW = 10
 HOW_TO_READ = (
     "Distances are in spreads: the root mean square, over the numbers of an action, of how far two "
     "actions are apart in standard deviations of the recorded ones.",
-    "Brackets are 95 % intervals by bootstrap over episodes. Those of few episodes are too narrow.",
+    "Brackets are 95 % intervals over episodes (Student's t).",
     "The episodes went on as they were recorded, whatever the policy answered. A small change at "
     "every step may add up, and a large one may be put right at the next step: only a robot or a "
     "simulator tells what comes of either.",
@@ -32,9 +32,9 @@ HOW_TO_READ = (
 
 def recorded_words(found: RecordedAuditFile) -> list[str]:
     """One sentence for the policy, one for each camera, and what limits them."""
-    trained_on = found["trained_on"] or []
-    judged = [index for index in found["episodes"] if index not in trained_on]
-    count = len(judged) or len(trained_on)
+    judged = found["judged"]
+    others = len(found["episodes"]) - len(judged)
+    count = len(judged) or others
     lines = [
         f"{found['label'].capitalize()}. On {_episodes(count)} of {found['recording']}, "
         f"{found['policy']} is {_distance(found['apart'])} spreads from the recorded action with "
@@ -45,23 +45,27 @@ def recorded_words(found: RecordedAuditFile) -> list[str]:
         row = _row(found, name, how)
         away = "" if how == "dropped" else f" ({HOW_WORDS[how]} in its place)"
         lines.append(
-            f"{found['labels'][name]}: {words}{away}: {_distance(row['change'])} spreads, most of "
-            f"all {row['most']} ({row['most_apart']:.2f} of its own spread); "
+            f"{found['labels'][name]}: {words}{away}: {_distance(row['change'])} spreads"
+            f"{_most(row)}; "
             f"{_distance(row['further'], signed=True)} further from the recorded action."
         )
-    if found["trained_on"] is None:
-        lines.append("What the policy was trained on is not known here.")
+    if not found["training_known"]:
+        lines.append(
+            "It is not known what the policy was trained on: verdicts rest on the episodes that "
+            "madviz would hold out."
+        )
     elif not judged:
         lines.append("The policy was trained on all of these episodes: no verdict rests on them.")
-    elif trained_on:
+    if judged and others:
+        trained = "was" if found["training_known"] else "may have been"
         lines.append(
-            f"The policy was trained on {_episodes(len(trained_on))} more: no distance or verdict "
-            "rests on them, only steps below."
+            f"The policy {trained} trained on {_episodes(others)} more: no distance or verdict "
+            "rests on them. They stand only under *Where each camera mattered most*."
         )
     if count == 1:
         lines.append("One episode says little, and has no interval: record more.")
     elif count < FEW:
-        lines.append(f"{_episodes(count)} are few: intervals are coarse.")
+        lines.append(f"{_episodes(count)} are few: intervals are wide.")
     lines += [f"Left out: {line}" for line in found["left_out"]]
     return lines
 
@@ -112,11 +116,12 @@ def _different(found: RecordedAuditFile) -> list[RecordedRow]:
 
 def _moment(found: RecordedAuditFile, one: CameraStep, source: list[str]) -> list[str]:
     words = ["madviz", "explore", *source, "--seed", str(one["place"])]
-    trained_on = one["episode"] in (found["trained_on"] or [])
+    known = "trained on" if found["training_known"] else "perhaps trained on"
+    judged = one["episode"] in found["judged"]
     state = "off" if found["decided_by"][one["camera"]] == "dropped" else "mean"
     return [
         found["labels"][one["camera"]],
-        f"{one['episode']}{', trained on' if trained_on else ''}",
+        f"{one['episode']}{'' if judged else f', {known}'}",
         str(one["step"]),
         f"{one['change']:.2f}",
         shlex.join([*words, "--condition", f"{one['camera']}={state}"]),
@@ -129,7 +134,7 @@ def _condition(found: RecordedAuditFile, row: RecordedRow) -> list[str]:
     others = [other for name, other in found["labels"].items() if name != camera]
     label += f", {others[0]} alone" if camera is not None and len(others) == 1 else ""
     further = _distance(row["further"], signed=True)
-    most = f"{row['most']} {row['most_apart']:.2f}"
+    most = f"{row['most']} {row['most_apart']:.2f}" if row["most"] else "none"
     return [label, HOW_WORDS[row["how"]], _distance(row["change"]), most, further]
 
 
@@ -142,6 +147,13 @@ def _facts(found: RecordedAuditFile) -> list[tuple[str, str]]:
         ("answers", f"{found['steps']} for each condition, at most {STEPS} of an episode"),
         ("hardly", f"less than {HARDLY} spreads"),
     ]
+
+
+def _most(row: RecordedRow) -> str:
+    """The clause on the number that changes most."""
+    if not row["most"]:
+        return ""
+    return f", most of all {row['most']} ({row['most_apart']:.2f} of its own spread)"
 
 
 def _episodes(count: int) -> str:
