@@ -65,10 +65,6 @@ COMMANDS = {
     "train_s": (
         "-m madviz train --task metaworld/hammer --method mad --out OUT/trained " + ONE_UPDATE
     ).split(),
-    "audit_s": (
-        f"-m madviz audit --policy {HAMMER} --how dropped --episodes 1 --workers 0 --pairs 0 "
-        "--out OUT/audit"
-    ).split(),
 }
 """A student's first cell and a researcher's commands, as words of Python; OUT is a new folder."""
 

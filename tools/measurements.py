@@ -144,7 +144,6 @@ SENTENCES = {
     "list_s": "`madviz list`",
     "eval_s": "`madviz eval`, one episode",
     "train_s": "`madviz train`, one episode and one update",
-    "audit_s": "`madviz audit`, one episode of each condition",
 }
 """A number of `benchmarks waits`, and its sentence."""
 WITHOUT_IMPORTS = ("task_switch_s", "one_more_s", "one_more_mb", "help_s", "list_s")
