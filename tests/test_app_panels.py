@@ -23,6 +23,7 @@ from madviz.app.panels.words import Prediction, WordsPanel
 from madviz.app.scene.scene import ScenePanel
 from madviz.app.screen import Screen
 from madviz.app.success_rates import SuccessRates
+from madviz.app.toolkit import Choice
 from madviz.drawing.viewpoint import focus
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
@@ -491,3 +492,11 @@ def test_only_what_came_too_late_is_left_out_of_the_log(caplog: pytest.LogCaptur
     assert caplog.records == []
     asyncio.run(page._handle_incoming_message(7, RuntimeError("something else")))
     assert len(caplog.records) == 1
+
+
+def test_a_button_whose_panel_is_open_has_a_frame_alone(server) -> None:
+    choice = Choice(server.gui, "First person", {"on": "on", "break": "break …"}, lambda *_: None)
+    filled = choice.style("on", opened="break")
+    assert filled.count("background:var(--mv-ink)") == 1
+    assert "nth-child(2) {color:var(--mv-ink); border-color:var(--mv-ink)}" in filled
+    assert choice.style("break", opened="break").count("nth-child(2)") == 1

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from madviz.app.panel import apply
-from madviz.app.panels.guard import GuardPanel
+from madviz.app.panels.guard import GuardPanel, no_guard
 from madviz.app.panels.success import bars_html
 from madviz.app.panels.words import WordsPanel
 from madviz.app.success_rates import SuccessRates
@@ -20,7 +20,7 @@ from madviz.guard.fit import fit_values
 from madviz.guard.policy import GuardedPolicy
 from madviz.measure.guard_fit import play_intact
 from madviz.observation.ablation import CameraState
-from madviz.policies.guarded import reference_to
+from madviz.policies.guarded import fit_command, reference_to
 from madviz.recording.facts import condition_words
 from madviz.session.commands import Compare, Fork, Link, Scrub, SetCamera, SetPolicy
 from madviz.session.guard_words import failing, guard_sentence
@@ -153,6 +153,13 @@ def test_the_switch_wraps_the_policy_that_acts(session: Recorder, server, monkey
     use(switch, False)
     assert sent == [SetPolicy(NAME), Compare(NAME, frame.world.ablation), Link(True)]
     panel.remove()
+
+
+def test_the_command_names_the_recordings_of_a_policy() -> None:
+    command = "madviz guard --policy my-mad"
+    assert fit_command("my-mad", "metaworld/hammer") == command
+    assert fit_command("my-mad", "recording/bench") == f"{command} --recording bench"
+    assert no_guard("ws://127.0.0.1:1", "toy/reach").endswith("a folder can have a guard.")
 
 
 def test_without_values_the_switch_names_the_command(server) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from madviz.app.panels.policy import status_html
+from madviz.app.panels.policy import policy_words, status_html
 from madviz.app.panels.recorded import (
     RecordedPanel,
     distances,
@@ -17,7 +17,7 @@ from madviz.app.panels.recorded import (
     training_words,
 )
 from madviz.app.panels.shapley import shapley_html
-from madviz.app.panels.subsets import subsets_html
+from madviz.app.panels.subsets import action_bars, subsets_html
 from madviz.app.panels.timeline import timeline_html
 from madviz.app.panels.words import Prediction, asks_now, sentence
 from madviz.app.server import ExploreConfig, with_recording
@@ -111,6 +111,9 @@ def test_every_number_has_its_name_and_no_q_is_shown(folder: Path) -> None:
         row = next(row for row in html.split("<tr>") if f"<td>{name}</td>" in row)
         assert re.findall(r">([^<]+)</td>", row)[1:] == [f"{number:.2f}" for number in numbers]
     assert ">Q<" not in subsets_html(frame) + timeline_html(frame)
+    assert policy_words(replace(frame.world.policy, method="mad")) == "MAD, trained on recordings."
+    wide = action_bars(np.array([0.5, -0.25]), figures=False)
+    assert wide.count('title="+0.50"') == 1 and ">+0.50<" not in wide
 
 
 def test_means_begin_again_where_a_camera_is_changed(folder: Path, server) -> None:

@@ -53,6 +53,7 @@ def test_a_policy_learns_from_recordings_and_says_that_success_was_not_measured(
     assert not any("success" in column for column in rows[0])
     assert {"error_all", "error_wrist", "error_none"} <= set(rows[0])
     card = (tmp_path / "mad/card.md").read_text()
+    assert "madviz explore --recording bench --policy mad\n" in card
     assert "imitation of recordings; success was not measured" in card
     for file in (tmp_path / "mad").iterdir():
         assert file.is_dir() or str(tmp_path).encode() not in file.read_bytes(), file
