@@ -44,7 +44,7 @@ from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies
 from tests.pages import await_that, browser, recorded, use
-from tests.sessions import OFF, Recorder, any_task, elsewhere, frame_with, with_pace
+from tests.sessions import BLACK, OFF, Recorder, any_task, elsewhere, frame_with, with_pace
 
 
 def test_a_machine_that_cannot_keep_up_says_so():
@@ -159,6 +159,23 @@ def test_the_strip_shows_how_episodes_ended():
         policy = replace(session.latest.world.policy, name=shown)
         frame = replace(session.latest, world=replace(session.latest.world, policy=policy))
         assert ("first off" in strip_html(frame)) == there, shown
+
+
+def test_what_a_guard_changes_is_said_where_both_were_measured(server):
+    rates = SuccessRates()
+    frame = frame_with(SetCamera("first", BLACK))
+    bare = frame.world.policy
+    guarded = replace(bare, name=f"{bare.name} (guarded)", digest="guarded")
+    rates.add(bare, frame.condition, dict.fromkeys(range(20), False))
+    rates.add(guarded, frame.condition, dict.fromkeys(range(20), True))
+    panel = SuccessPanel(server.gui, frame, rates, None)
+    assert "guard" not in panel.update(frame)[0].value, "it was not on here yet"
+    on = replace(frame, world=replace(frame.world, policy=guarded))
+    words = "The guard helps: 1.00 with it, 0.00 without, on the same 20 scenes"
+    assert words in panel.update(on)[0].value
+    assert words in panel.update(frame)[0].value
+    intact = frame_with()
+    assert "The guard" not in panel.update(intact)[0].value
 
 
 def test_verdicts_have_words_and_colours():

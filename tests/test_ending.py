@@ -10,12 +10,19 @@ import pytest
 
 from madviz.envs.registry import TASKS
 from madviz.envs.tasks import DONE, done_words
-from madviz.measure.statistics import SuccessRate
+from madviz.measure.statistics import Paired, SuccessRate
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import Compare, Scrub, SetCamera, SetSpeed
-from madviz.session.ending import EndedSide, ending, ending_of, guess_words, needs_words
+from madviz.session.ending import (
+    EndedSide,
+    ending,
+    ending_of,
+    guard_words,
+    guess_words,
+    needs_words,
+)
 from madviz.session.frame import Deed
 from madviz.session.pace import HOLD, HOLD_TO_READ
 from madviz.types import PolicySpec
@@ -116,3 +123,17 @@ def test_at_full_speed_nothing_is_held(session: Recorder) -> None:
     for _ in range(26):
         session.at(session.time)
     assert session.frames[-1].world.episode == 2
+
+
+def test_a_guard_helps_costs_or_is_not_decided() -> None:
+    low, high = (f"{100 * end:+.0f}" for end in Paired(1, 19, 0, 0).interval())
+    assert guard_words(Paired(1, 19, 0, 0)) == (
+        "The guard helps: 1.00 with it, 0.05 without, on the same 20 scenes "
+        f"(+95 points [{low}, {high}])."
+    )
+    assert guard_words(Paired(1, 0, 19, 0)).startswith("The guard costs success: 0.05 with it")
+    assert guard_words(Paired(2, 3, 0, 0)) == (
+        "With the guard 1.00, without 0.40, on the same 5 scenes: no difference is shown yet."
+    )
+    assert "on the same 1 scene: no" in guard_words(Paired(1, 0, 0, 0))
+    assert guard_words(Paired(0, 0, 0, 0)) == ""

@@ -8,6 +8,7 @@
 They say what was done, who succeeded, what came of it, and what was measured. Page, film and
 lessons have them from here; the site says the same in ``site/web/ending.js``, and one table of
 cases tests both. So it is with ``needs_words``, what success without each camera comes to.
+``guard_words`` is the page's alone.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 
 from madviz.agent.methods import label_of
 from madviz.envs.tasks import done_words
-from madviz.measure.statistics import SuccessRate
+from madviz.measure.statistics import Paired, SuccessRate
 from madviz.observation.condition import Condition
 from madviz.session.frame import Deed, Frame, HandPaths, Outcome
 from madviz.types import PolicySpec
@@ -134,6 +135,22 @@ def needs_words(label: str, all_cameras: SuccessRate, without: Mapping[str, Succ
     worst = min(without.values(), key=lambda rate: rate.value)
     lowest = f"{_rate(worst)} n={worst.n}"
     return f"{label} needs no single camera: without any one, at least {lowest}."
+
+
+def guard_words(pair: Paired) -> str:
+    """``The guard helps: 0.95 with it, 0.00 without, on the same 20 scenes (+95 points [70, 99]).``
+    ``pair``: with the guard first. '' where no scene was played both ways."""
+    if pair.n == 0:
+        return ""
+    guarded, bare = ((pair.both + alone) / pair.n for alone in (pair.first_only, pair.second_only))
+    scenes = f"the same {pair.n} scene{'' if pair.n == 1 else 's'}"
+    if pair.any_time() > 0.05:
+        words = f"With the guard {guarded:.2f}, without {bare:.2f}, on {scenes}"
+        return f"{words}: no difference is shown yet."
+    low, high = (f"{100 * end:+.0f}" for end in pair.interval())
+    points = f"{100 * pair.difference:+.0f} points [{low}, {high}]"
+    verb = "helps" if pair.difference > 0 else "costs success"
+    return f"The guard {verb}: {guarded:.2f} with it, {bare:.2f} without, on {scenes} ({points})."
 
 
 def _what_was_done(sides: Sequence[EndedSide]) -> str:

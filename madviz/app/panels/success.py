@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from html import escape
 
 import numpy as np
@@ -19,10 +19,10 @@ from madviz.app.success_rates import NOTHING, SuccessRates, side_b
 from madviz.app.toolkit import WidgetPanel, on_value
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.guard.policy import SUFFIX
-from madviz.measure.statistics import SuccessRate
+from madviz.measure.statistics import SuccessRate, pair
 from madviz.observation.condition import Condition
 from madviz.session.camera_names import subset_label
-from madviz.session.ending import needs_words
+from madviz.session.ending import guard_words, needs_words
 from madviz.session.frame import Frame, Outcome
 from madviz.subsets import camera_of, cameras_of, mask_of, name_of, single_streams
 from madviz.types import PolicySpec
@@ -60,6 +60,8 @@ class SuccessPanel(WidgetPanel):
         self._wanted: dict[Hashable, tuple[PolicySpec, Condition]] = {}
         """By side: what is measured for it."""
         self._known: dict[Hashable, tuple[Outcome, ...]] = {}
+        self._specs: dict[tuple[str, bool], PolicySpec] = {}
+        """The policies that acted here, by name and whether they had a guard."""
         self._curve = Curve()
         self._bars = gui.add_html(bars_html(frame, rates))
         self._strip = gui.add_html(strip_html(frame))
@@ -101,7 +103,7 @@ class SuccessPanel(WidgetPanel):
             frame.world.policy, condition, self._rates.live(frame.world.policy, condition)
         )
         changes = [
-            Assign(self._bars, "content", bars_html(frame, self._rates)),
+            Assign(self._bars, "content", bars_html(frame, self._rates, self._guards(frame))),
             Assign(self._strip, "content", strip_html(frame)),
             Assign(self._plot, "visible", not paired),
         ]
@@ -117,6 +119,21 @@ class SuccessPanel(WidgetPanel):
         """The keys under which A and, where there is one, B are measured; and their frames."""
         first = (self._visitor, frame)
         return [first] if frame.second is None else [first, (side_b(self._visitor), frame.second)]
+
+    def _guards(self, frame: Frame) -> list[str]:
+        """For each side whose cameras fail, the sentence on what a guard changes, as far as it was
+        measured here with one and without."""
+        sentences = []
+        for _, side in self._sides(frame):
+            spec = side.world.policy
+            name = spec.name.removesuffix(SUFFIX)
+            self._specs[name, spec.name != name] = spec
+            both = [self._specs.get((name, guarded)) for guarded in (True, False)]
+            known = [self._rates.outcomes(one, side.condition) if one else {} for one in both]
+            words = guard_words(pair(*known)) if side.condition.key() else ""
+            label = f"{label_of(spec)}: " if frame.second is not None and words else ""
+            sentences.append(label + words)
+        return sentences
 
     def _want(self, frame: Frame) -> None:
         """Has the conditions of this moment measured, if they are not those that already are."""
@@ -209,9 +226,9 @@ def bar_rows(frame: Frame, rates: SuccessRates) -> list[Condition]:
     return rows if frame.condition in rows else [*rows, frame.condition]
 
 
-def bars_html(frame: Frame, rates: SuccessRates) -> str:
+def bars_html(frame: Frame, rates: SuccessRates, guards: Sequence[str] = ()) -> str:
     """One bar per condition: rate, interval and n, measured above, counted here below. Where
-    there is a B, its bar stands under A's."""
+    there is a B, its bar stands under A's. ``guards``: sentences on what a guard changes."""
     sides = [frame] if frame.second is None else [frame, frame.second]
     own = [bar_rows(side, rates) for side in sides]
     # Where the two have other streams, a row of one may have no meaning for the other.
@@ -231,9 +248,10 @@ def bars_html(frame: Frame, rates: SuccessRates) -> str:
         f'{term("not trained on")} · <b style="color:{NOTE}">▸</b> now'
     )
     troubles = {rates.error(side.world.policy, side.condition): None for side in sides}
-    needs = "".join(f"<div>{escape(needs_of(side, rates))}</div>" for side in sides)
+    sentences = [*(needs_of(side, rates) for side in sides), *guards]
+    shown = "".join(f"<div>{escape(each)}</div>" for each in sentences)
     return (
-        f'<div class="mv"><h4>{term("success", "Success")} at the last step</h4>{needs}'
+        f'<div class="mv"><h4>{term("success", "Success")} at the last step</h4>{shown}'
         f'<div class="dim">{key}</div>'
         f"{''.join(rows)}{''.join(_trouble('not measured', one) for one in troubles)}"
         f"{_trouble('not stored', rates.trouble)}</div>"
