@@ -1,10 +1,11 @@
 """``benchmarks guard-trial``: success with a guard and without, over policies and failures.
 
-Every camera of every policy fails in every way of --ways. The same seeds are played with the camera
-broken, broken with a guard, and dropped; and intact, with the guard and without. An intact episode
-in which the guard notices nothing is the same without it, and is played once. Episodes are kept in
-episodes.sqlite of --out as they finish, so that a run that was stopped goes on. trial.json of --out
-has for each policy, camera and way the three rates, and when it was noticed.
+Every camera of every policy, or those of --cameras, fails in every way of --ways. The same seeds
+are played with the camera broken, broken with a guard, and dropped; and intact, with the guard and
+without. An intact episode in which the guard notices nothing is the same without it, and is played
+once. Episodes are kept in episodes.sqlite of --out as they finish, so that a run that was stopped
+goes on. trial.json of --out has for each policy, camera and way the three rates, and when it was
+noticed.
 """
 
 from __future__ import annotations
@@ -51,6 +52,8 @@ class GuardTrialConfig(GuardAlarmsConfig):
 
     ways: tuple[str, ...] = WAYS
     """How each camera fails; no word after it: intact episodes alone."""
+    cameras: tuple[str, ...] = ()
+    """The cameras that fail, one at a time; by default every one."""
     workers: ThreadsOrNone | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
 
@@ -121,7 +124,7 @@ def _of_policy(
 
     failing = {
         (camera, way): parse_condition(f"{camera}={way}", cameras).noticed(streams)
-        for camera in cameras
+        for camera in config.cameras or cameras
         for way in config.ways
     }
     intact = Condition("all").noticed(streams)

@@ -119,6 +119,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "beside-imagining": measurements.beside_imagining,
     "packages": package_tree.packages,
     "guard-trial": guard_table.guard_trial,
+    "guard-headline": guard_table.headline,
     "benchmarks": measurements.benchmarks,
     "waits": measurements.waits,
     "priorities": measurements.priorities,
