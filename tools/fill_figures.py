@@ -66,12 +66,13 @@ def findings() -> str:
 
 
 def headlines() -> str:
-    """Three of the findings, a sentence each, and how many there are of each verdict."""
+    """Three of the findings, a sentence each; the counts of verdicts; and what the guard does."""
     found = judged(every_table())
     counts = Counter(one.verdict for one in found)
     said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     sentences = [one.sentence for one in found if one.finding.headline]
-    return "".join(f"- {one}\n" for one in [*sentences, f"Of {len(found)} rows below: {said}."])
+    lines = [*sentences, f"Of {len(found)} rows below: {said}.", guard_table.headline()]
+    return "".join(f"- {one}\n" for one in lines)
 
 
 def holding_still() -> str:
@@ -119,7 +120,6 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "beside-imagining": measurements.beside_imagining,
     "packages": package_tree.packages,
     "guard-trial": guard_table.guard_trial,
-    "guard-headline": guard_table.headline,
     "benchmarks": measurements.benchmarks,
     "waits": measurements.waits,
     "priorities": measurements.priorities,

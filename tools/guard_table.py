@@ -43,9 +43,9 @@ def headline() -> str:
     broken, guarded = (_rate(rows, "freeze", side) for side in ("broken", "guarded"))
     tasks = len({row["policy"] for row in rows if row["way"] == "freeze"})
     return (
-        "A broken camera is not an absent one. With First person frozen, MAD's success on "
-        f"{tasks} tasks is {broken.without_count}; with the [guard](docs/guard.md), which leaves "
-        f"such a camera out, it is {guarded.without_count} (n = {guarded.n}, development seeds).\n"
+        "Not of the paper: a broken camera is not an absent one. With First person frozen, MAD's "
+        f"success on {tasks} tasks is {broken.without_count}; with the [guard](docs/guard.md), which leaves "
+        f"such a camera out, it is {guarded.without_count} (n = {guarded.n}, development seeds)."
     )
 
 
