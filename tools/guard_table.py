@@ -44,9 +44,9 @@ def headline() -> str:
     tasks = len({row["policy"] for row in rows if row["way"] == "freeze"})
     return (
         "Not of the paper: a broken camera is not an absent one. With First person frozen, MAD's "
-        f"success on {tasks} tasks is {broken.without_count}; with the [guard](docs/guard.md), "
-        f"which leaves such a camera out, it is {guarded.without_count} (n = {guarded.n}, "
-        "development seeds)."
+        f"success is {broken.without_count}. With the [guard](docs/guard.md), which leaves such a "
+        f"camera out, it is {guarded.without_count} ({tasks} tasks, n = {guarded.n}, development "
+        "seeds)."
     )
 
 
