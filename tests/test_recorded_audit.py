@@ -154,6 +154,7 @@ def test_one_of_two_cameras_alone_is_the_other_one_removed(bench: Path) -> None:
     (table,) = [
         block for block in recorded_account(found, "again", []) if block.lines[:1] == ("cameras",)
     ]
+    assert table.lines[-1] == "further off", "as *How to read this* calls it"
     labels = [row[0] for row in table.rows]
     assert labels[:3] == ["Top removed, Wrist alone", "Wrist removed, Top alone", "no camera"]
     assert len(labels) == 15

@@ -73,14 +73,7 @@ def recorded_words(found: RecordedAuditFile) -> list[str]:
 def recorded_account(found: RecordedAuditFile, command: str, source: list[str]) -> list[Block]:
     """All blocks; ``command`` makes the audit again, ``source`` are the words that name recordings
     and policy."""
-    change = "change of the action"
-    heads = (
-        "cameras",
-        "what is away is",
-        change,
-        "most of all",
-        "further from the recorded action",
-    )
+    heads = ("cameras", "how", "change of the action", "most of all", "further off")
     moments = ("camera", "episode", "step", "change", "to see it; then go to the step in Go back")
     return [
         Block("h1", [f"Which cameras does {found['policy']} use? ({found['label']})"]),
