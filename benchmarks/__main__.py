@@ -69,6 +69,13 @@ BENCHMARKS: dict[str, Command] = {
         work="benchmarks.buffer:bench_buffer",
         words=PRETTY,
     ),
+    "recordings": Command(
+        "Films of a robot: decoding, a round of training, and memory.",
+        "recordings --episodes 50 --lerobot integrations/lerobot/.venv/bin/python",
+        config="benchmarks.recordings:BenchRecordingsConfig",
+        work="benchmarks.recordings:bench_recordings",
+        words=PRETTY,
+    ),
     "evaluate": Command(
         "Episodes a minute of an evaluation, against a plain loop and a stock one.",
         "evaluate --episodes 8 --workers 2",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.policy import policy_words, status_html
 from madviz.app.panels.recorded import (
     RecordedPanel,
@@ -192,6 +193,14 @@ def test_comparing_and_moving_are_refused_in_one_line(folder: Path) -> None:
     ):
         said = session.ask(command).pace.error.splitlines()[0]
         assert said.startswith(words)
+
+
+def test_a_recorded_camera_offers_no_depth_and_no_other_place(folder: Path, server) -> None:
+    _, frame = played()
+    panel = BreakPanel(server.gui, lambda command: None, frame)
+    said = {change.name: change.value for change in panel.turn("top")}
+    assert said["label"] == "Break Top"
+    assert panel._sends.handle.visible and not panel._gives.handle.visible
 
 
 def test_what_counts_successes_is_refused_for_recordings(folder: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""From recordings to success, where the truth is known: hammer, its expert's episodes as recordings.
+"""From recordings to success, where the truth is known: the episodes of hammer's expert.
 
     python tools/recorded_chain.py runs/recorded
 

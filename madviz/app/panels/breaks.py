@@ -52,18 +52,19 @@ class BreakPanel(WidgetPanel):
         """The camera that it is open for; '' while it is closed."""
         self._sliders: dict[str, SyncedInput] = {}
         self._folder = gui.add_folder("", visible=False)
+        simulated = not frame.world.env.recorded  # Recordings are in colour, and from one place.
         with self._folder:
             self._style = gui.add_html("")
             buttons = {kind: row.button for kind, row in KINDS.items()}
             self._sends = Choice(gui, "Sends", buttons, self._break, HINTS["sends"])
             self._gives = Choice(gui, "Gives", GIVES, self._give, HINTS["gives"])
+            self._gives.handle.visible = simulated
             close = gui.add_button("close", color="gray", hint=HINTS["close"])
             on_press(close, lambda: self.show(self.turn(self.camera)))
             sliders = [self._add_slider(gui, field) for field in SLIDERS]
             cells = [Cell(self._sends.handle, 1, 4, "above"), Cell(self._gives.handle, 1, 3)]
             cells += [Cell(close, 4), *(Cell(one, 1 + 2 * (i % 2), 2) for i, one in sliders)]
             place(gui, "breaks", 4, cells)
-            simulated = not frame.world.env.recorded  # Recorded pictures are from one place.
             with gui.add_folder("Where it stands", visible=simulated):  # A container has one grid.
                 self.move = MovePanel(gui, send, frame, scene if simulated else None, named)
         self.move.again = lambda: self.again()  # It is brought up to date with this panel.
