@@ -112,7 +112,8 @@ def _picture(phase: int, row: int, column: int, height: int, width: int) -> Arra
     wave = np.linspace(0, 6, width) + phase / 9
     picture[:] = (120 + 80 * np.sin(wave))[None, :, None]
     picture[..., 1] = np.linspace(20, 230, height)[:, None]
-    top, left = (height // 2 + row) % height, (width // 2 + column) % width
+    top = (height // 2 + row) % height
+    left = (width // 2 + column) % width
     picture[top : top + height // 8, left : left + height // 8] = (250, 20, 20)
     return picture
 

@@ -19,6 +19,8 @@ from functools import partial
 import guard_table
 import measurements
 import package_tree
+import recorded_table
+import rewards_table
 from measurements import table
 from policy_files import LABELS, ROOT, every_table, policies, rates, row
 
@@ -119,6 +121,8 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "mv-mwm": partial(included, "mv-mwm"),
     "beside-imagining": measurements.beside_imagining,
     "packages": package_tree.packages,
+    "rewards": rewards_table.rewards,
+    "recorded": recorded_table.recorded,
     "guard-trial": guard_table.guard_trial,
     "benchmarks": measurements.benchmarks,
     "waits": measurements.waits,

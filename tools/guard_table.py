@@ -63,9 +63,8 @@ def _sentences(rows: list[dict[str, Any]], ways: list[str], found: int, n: int) 
         broken, guarded, dropped = (_rate(rows, way, side) for side in SIDES)
         said.append(
             f"A {NAMES[way]} camera: {broken} without the guard, {guarded} with it, {dropped} with "
-            f"the camera dropped; noticed in {seen} of {every} episodes, at step "
-            f"{np.median(steps) + 1:g} (median) and by step {np.quantile(steps, 0.95) + 1:.0f} in "
-            "19 of 20."
+            f"the camera dropped; noticed in {seen} of {every} episodes, after "
+            f"{np.median(steps) + 1:g} steps (median), at most {max(steps) + 1}."
         )
     return "\n".join(f"- {sentence}" for sentence in said)
 

@@ -132,7 +132,7 @@ def _seeds_words(verdicts: Sequence[Verdict], tables: Sequence[ResultTable]) -> 
 def _trained_again(rows: Sequence[Row]) -> str:
     """The policies that were read there under several digests."""
     again = []
-    for name, task, path in _policies([row for row in rows if row.seeds == READ]):
+    for name, task, path in _policies(rows):
         read, digests = times_read(readings(path), name, task, range(FIRST_READ, FIRST_REPORTING))
         if digests > 1:
             again.append(f"{name} ({read} times)")

@@ -1,0 +1,71 @@
+"""The block of docs/training.md on learning toy/reach from rewards, as results/designs.md fixes it,
+from results/rewards.csv (``python tools/designs.py rewards``)."""
+
+from __future__ import annotations
+
+import csv
+
+from designs import FROM_REWARDS
+from measurements import table
+from policy_files import ROOT
+
+from madviz.report.findings import verdict
+from madviz.report.layouts import THREE
+from madviz.report.rows import Row, difference
+
+TRAININGS = 5
+NAMES = {
+    "mad": "MAD",
+    "merged-only": "Merged Only",
+    "singular-only": "Singular Only",
+    "naive-both": "Naive Both",
+    "single": "Single Camera on Third A",
+}
+LAST = "at_last_step"
+EVER = "at_any_step"
+
+
+def rewards() -> str:
+    """What the design says of its trainings; before all of them are there, how many are."""
+    last, ever = measured(LAST), measured(EVER)
+    finished = sum(row.trainings for row in last.values())
+    wanted = TRAININGS * len(FROM_REWARDS)
+    if finished < wanted:
+        return f"{finished} of {wanted} trainings are finished; nothing is said before all are.\n"
+    lines = [
+        [name, last[method].rate("all"), last[method].mean(THREE), ever[method].mean(THREE)]
+        for method, name in NAMES.items()
+    ]
+    header = ["method", "all", "mean of all and singles", "the same, at any step"]
+    text = table(header, [[cell or "–" for cell in line] for line in lines])
+    return f"{text}\n{''.join(f'- {line}' for line in sentences(last))}"
+
+
+def measured(column: str) -> dict[str, Row]:
+    """A row for each method, from the outcomes in ``column``. Single Camera's one subset, whose
+    file calls it all, is its camera."""
+    found: dict[str, Row] = {}
+    with (ROOT / "results" / "rewards.csv").open(newline="") as file:
+        for one in csv.DictReader(file):
+            row = found.setdefault(one["method"], Row(NAMES[one["method"]]))
+            cell = row.cells.setdefault(one["camera"] or one["subset"], {})
+            for number, digit in enumerate(one[column]):
+                seed = int(one["first_seed"]) + number
+                cell[one["task"], int(one["seed"]), seed] = digit == "1"
+    return found
+
+
+def sentences(rows: dict[str, Row]) -> list[str]:
+    """MAD less each other method, with a verdict."""
+    said = []
+    for method, name in list(NAMES.items())[1:]:
+        columns = ("third_a",) if method == "single" else THREE
+        gap = difference(rows["mad"], rows[method], columns)
+        assert gap is not None, "both have all seeds"
+        word = verdict("ahead", gap.interval, True, len(gap.trainings))
+        where = "on Third A" if method == "single" else "mean of all and single cameras"
+        said.append(
+            f"MAD minus {name}, {where}: {gap} over {len(gap.trainings)} trainings. That MAD is "
+            f"ahead is {word}.\n"
+        )
+    return said
