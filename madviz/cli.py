@@ -17,7 +17,6 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from madviz.commands import COMMANDS, MOVED, OTHERS, Command
 from madviz.errors import Interrupted, NotWritten, UserError, WithResult, saving, signal_of, unknown
 from madviz.system.address import without_secrets
 from madviz.system.files import pretty, write_json, written_to
+from madviz.system.plugins import load
 from madviz.system.signals import terminable
 from madviz.system.streams import open_standard_streams, say, telling
 
@@ -87,19 +87,13 @@ def run(words: Sequence[str], commands: Mapping[str, Command], prog: str) -> int
     command = commands[first]
     try:
         if command.first:
-            named(command.first)(rest)
+            load(command.first)(rest)
         config = parse(first, rest, commands, prog)
-        work = named(command.work)
-        in_words = named(command.words) if command.words else None
+        work = load(command.work)
+        in_words = load(command.words) if command.words else None
     except KeyboardInterrupt as stopped:
         raise Interrupted("", signal_of(stopped)) from stopped
     return 0 if command.ok(deliver(config, work, in_words)) else 1
-
-
-def named(reference: str) -> Any:
-    """The object that ``module:name`` of the table stands for."""
-    module, _, name = reference.partition(":")
-    return getattr(import_module(module), name)
 
 
 def usage(commands: Mapping[str, Command], prog: str) -> str:
@@ -118,8 +112,8 @@ def parse(
     """The configuration of the command ``name``, filled from ``words``, or the end (``read``)."""
     command = commands[name]
     description = f"{command.summary}\n\nExample:\n  {prog} {command.example}"
-    default = named(command.default)(words) if command.default else None
-    config = named(command.config)
+    default = load(command.default)(words) if command.default else None
+    config = load(command.config)
     from madviz.system.command_line import read  # With tyro, which madviz --help does without.
 
     return read(config, words, f"{prog} {name}", description, command.positional, default)
@@ -129,7 +123,7 @@ def script_of(shell: str) -> str:
     """The script by which ``shell`` completes what follows ``madviz``."""
     from madviz.system.command_line import completion
 
-    configs = {name: named(command.config) for name, command in COMMANDS.items()}
+    configs = {name: load(command.config) for name, command in COMMANDS.items()}
     return completion(shell, "madviz", configs)
 
 

@@ -26,6 +26,7 @@ from madviz.envs.registry import SETTINGS, TASKS
 from madviz.errors import UserError, perhaps, saving, unknown
 from madviz.policies.checkpoint import policy_folders
 from madviz.policies.listing import ListConfig
+from madviz.system.plugins import load
 from madviz.training.config import RECIPES
 from tests.mistakes import refused
 
@@ -59,8 +60,8 @@ def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None
 @pytest.mark.parametrize(("prog", "name"), ROWS)
 def test_every_line_of_the_table_names_what_exists(prog: str, name: str) -> None:
     command = TABLES[prog][name]
-    assert is_dataclass(cli.named(command.config)) and callable(cli.named(command.work))
-    assert not command.words or callable(cli.named(command.words))
+    assert is_dataclass(load(command.config)) and callable(load(command.work))
+    assert not command.words or callable(load(command.words))
 
 
 @pytest.mark.parametrize(("prog", "name"), ROWS)
@@ -82,7 +83,7 @@ def test_every_example_is_a_command_that_can_be_read(prog: str, name: str) -> No
     first, *words = command.example.split()
     assert first == name
     config = cli.parse(name, words, TABLES[prog], prog)
-    assert type(config) is cli.named(command.config)
+    assert type(config) is load(command.config)
 
 
 def printed_by(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -175,7 +176,7 @@ def without_words(config: Any) -> list[str]:
 
 @pytest.mark.parametrize(("prog", "name"), ROWS)
 def test_every_option_has_a_line_of_help(prog: str, name: str) -> None:
-    assert without_words(cli.named(TABLES[prog][name].config)) == []
+    assert without_words(load(TABLES[prog][name].config)) == []
 
 
 def test_without_a_command_the_usage_is_an_error() -> None:

@@ -263,7 +263,7 @@ def test_bring_your_own_is_never_stored(tmp_path):
     evaluate("tests.fakes:FakePolicy", ("all",), episodes=1, workers=0, store=store)
     store.close()
     with closing(sqlite3.connect(tmp_path / "results.sqlite")) as db:
-        assert db.execute("SELECT count(*) FROM episodes_1").fetchone() == (0,)
+        assert db.execute("SELECT count(*) FROM episodes_2").fetchone() == (0,)
 
 
 @pytest.mark.parametrize("asked", [{"episodes": 0}, {"seed": -1}, {"workers": -1}])

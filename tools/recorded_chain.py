@@ -50,7 +50,7 @@ class Condition(NamedTuple):
     what: str
     """removed or alone."""
     how: str
-    """dropped, black or freeze."""
+    """dropped, black or frozen."""
     guard: bool = False
 
     @property
@@ -70,10 +70,10 @@ PLAIN = (
     *(Condition(name, "removed", "dropped") for name in CAMERAS),
     *(Condition(name, "removed", "black") for name in CAMERAS),
     *(Condition(name, "alone", "dropped") for name in CAMERAS),
-    *(Condition(name, "removed", "freeze") for name in CAMERAS),
+    *(Condition(name, "removed", "frozen") for name in CAMERAS),
 )
 GUARDED = tuple(
-    Condition(name, "removed", how, guard=True) for how in ("black", "freeze") for name in CAMERAS
+    Condition(name, "removed", how, guard=True) for how in ("black", "frozen") for name in CAMERAS
 )
 
 
@@ -118,7 +118,7 @@ def train(piece: Piece) -> None:
         _madviz("train", *recordings, *words, *again, *TRAINING)
     known = ["--policy", str(piece.policy), *recordings]
     if not _audit_of(piece).exists():
-        how = ["--how", "dropped", "black", "freeze"]
+        how = ["--how", "dropped", "black", "frozen"]
         _madviz("audit", *known, *how, "--out", str(_audit_of(piece).parent))
     if not (piece.policy / "guard.json").exists():
         _madviz("guard", *known)

@@ -15,7 +15,7 @@ from scipy.stats import rankdata
 from madviz.measure.statistics import SuccessRate
 
 NAMES = {"mad": "MAD", "merged-only": "Merged Only", "singular-only": "Singular Only"}
-WAYS = {"dropped": "dropped", "black": "black", "freeze": "frozen"}
+WAYS = ("dropped", "black", "frozen")
 COSTS = 0.1
 """A camera costs success where more than this is lost without it."""
 
@@ -90,9 +90,7 @@ def worst_found(some: list[Point]) -> tuple[int, int]:
 
 
 def _sentences(every: list[Point]) -> str:
-    groups = {
-        f"A {words} camera": [one for one in every if one.how == how] for how, words in WAYS.items()
-    }
+    groups = {f"A {how} camera": [one for one in every if one.how == how] for how in WAYS}
     groups = {name: some for name, some in groups.items() if some} | {"All ways": every}
     lines = []
     for name, some in groups.items():
@@ -113,7 +111,7 @@ def _words(key: tuple[str, str, str, bool]) -> str:
         return "all"
     if what == "alone":
         return f"{LABELS[camera]} alone"
-    return f"{LABELS[camera]} {WAYS[how]}{', with the guard' if guard else ''}"
+    return f"{LABELS[camera]} {how}{', with the guard' if guard else ''}"
 
 
 def _rate(measured: Iterable[dict[str, str]], method: str, key: tuple) -> str:

@@ -194,7 +194,7 @@ class Choice:
 
         self.handle.on_click(heard(choose))
 
-    def style(self, *active: str, opened: str = "", disabled: bool = False) -> str:
+    def style(self, *active: str, opened: str = "") -> str:
         """CSS that marks the active buttons, and the one whose panel is ``opened`` by a frame."""
         row = selector(self.handle)
         rules = f"{row} button {{color:var(--mv-soft); border-color:var(--mv-edge); padding:0 2px}}"
@@ -207,8 +207,6 @@ class Choice:
             place = self._values.index(opened) + 1
             frame = "{color:var(--mv-ink); border-color:var(--mv-ink)}"
             rules += f"{row} button:nth-child({place}) {frame}"
-        if disabled:
-            rules += f"{row} {{opacity:0.45; pointer-events:none}}"
         return rules
 
 

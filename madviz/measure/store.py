@@ -32,30 +32,17 @@ MEMORY = ":memory:"
 BUSY_SECONDS = 10.0
 """How long a write waits for another process before it gives up."""
 
-_CREATE = """
-CREATE TABLE IF NOT EXISTS episodes_1 (
+_COLUMNS = ("digest", "task", "definition", "render_profile", "occlusions", "subset", "seed")
+_CREATE = f"""
+CREATE TABLE IF NOT EXISTS episodes_2 (
     digest TEXT, task TEXT, definition TEXT, render_profile TEXT, occlusions TEXT, subset TEXT,
     seed INTEGER, success INTEGER NOT NULL, success_any INTEGER NOT NULL,
-    total_reward REAL NOT NULL,
-    PRIMARY KEY (digest, task, definition, render_profile, occlusions, subset, seed)
+    total_reward REAL NOT NULL, outside REAL NOT NULL, noticed INTEGER,
+    PRIMARY KEY ({", ".join(_COLUMNS)})
 ) WITHOUT ROWID
 """
-_COLUMNS = ("digest", "task", "definition", "render_profile", "occlusions", "subset", "seed")
-_CREATE_OUTSIDE = f"""
-CREATE TABLE IF NOT EXISTS outside_1 (
-    digest TEXT, task TEXT, definition TEXT, render_profile TEXT, occlusions TEXT, subset TEXT,
-    seed INTEGER, outside REAL NOT NULL, PRIMARY KEY ({", ".join(_COLUMNS)})
-) WITHOUT ROWID
-"""
-"""A table beside the other, whose columns older versions write; only shares above 0 are in it."""
-_CREATE_NOTICED = _CREATE_OUTSIDE.replace("outside_1", "noticed_1").replace(
-    "outside REAL", "noticed INTEGER"
-)
-"""Likewise; only episodes in which a guard noticed something are in it."""
 _MATCH = " AND ".join(f"{column} = ?" for column in _COLUMNS[:-1])
-_INSERT = f"INSERT OR REPLACE INTO episodes_1 VALUES ({', '.join('?' * 10)})"
-_INSERT_OUTSIDE = f"INSERT OR REPLACE INTO outside_1 VALUES ({', '.join('?' * 8)})"
-_INSERT_NOTICED = _INSERT_OUTSIDE.replace("outside_1", "noticed_1")
+_INSERT = f"INSERT OR REPLACE INTO episodes_2 VALUES ({', '.join('?' * 12)})"
 _CORRUPT = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 
 
@@ -108,23 +95,14 @@ class Store:
     def put(self, key: ResultKey, result: EpisodeResult) -> None:
         """Stores a result; the same episode again changes nothing."""
         if key.digest:
-            *row, outside, noticed = (*astuple(key), *astuple(result)[1:])
-
-            def write(db: sqlite3.Connection) -> None:
-                db.execute(_INSERT, row)
-                if outside:
-                    db.execute(_INSERT_OUTSIDE, (*row[: len(_COLUMNS)], outside))
-                if noticed is not None:
-                    db.execute(_INSERT_NOTICED, (*row[: len(_COLUMNS)], noticed))
-
-            self._run(write)
+            row = (*astuple(key), *astuple(result)[1:])
+            self._run(lambda db: db.execute(_INSERT, row))
 
     def results(self, key: ResultKey) -> dict[int, EpisodeResult]:
         """All known episodes under ``key``, by seed, in the order of seeds."""
         query = (
-            "SELECT seed, success, success_any, total_reward, COALESCE(outside, 0), noticed FROM "
-            f"episodes_1 LEFT JOIN outside_1 USING ({', '.join(_COLUMNS)}) "
-            f"LEFT JOIN noticed_1 USING ({', '.join(_COLUMNS)}) WHERE {_MATCH} ORDER BY seed"
+            "SELECT seed, success, success_any, total_reward, outside, noticed FROM episodes_2 "
+            f"WHERE {_MATCH} ORDER BY seed"
         )
         rows = self._run(lambda db: db.execute(query, astuple(key)).fetchall())
         return {
@@ -161,19 +139,13 @@ class Store:
     def _copied_to_memory(self, error: sqlite3.Error) -> sqlite3.Connection:
         """A store in memory with what the file holds, as far as that can still be read."""
         rows: list[tuple[object, ...]] = []
-        shares: list[tuple[object, ...]] = []
-        noticed: list[tuple[object, ...]] = []
         with suppress(sqlite3.Error):
-            rows = self._db.execute("SELECT * FROM episodes_1").fetchall()
-            shares = self._db.execute("SELECT * FROM outside_1").fetchall()
-            noticed = self._db.execute("SELECT * FROM noticed_1").fetchall()
+            rows = self._db.execute("SELECT * FROM episodes_2").fetchall()
         with suppress(sqlite3.Error):
             self._db.close()
         db = self._in_memory(error)
         with db:
             db.executemany(_INSERT, rows)
-            db.executemany(_INSERT_OUTSIDE, shares)
-            db.executemany(_INSERT_NOTICED, noticed)
         return db
 
     def _in_memory(self, error: Exception) -> sqlite3.Connection:
@@ -210,8 +182,6 @@ class Store:
                 raise sqlite3.DatabaseError(verdict)
             with db:
                 db.execute(_CREATE)
-                db.execute(_CREATE_OUTSIDE)
-                db.execute(_CREATE_NOTICED)
         except sqlite3.Error:
             db.close()
             raise

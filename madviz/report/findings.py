@@ -94,7 +94,7 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "On First person, Merged Only's loss succeeds more often if its student drives on single cameras, too",
+        "On First person, Merged Only succeeds more often if its student drives on single cameras",
         PUSH,
         ("alpha", "alpha 1"),
         ("overall", "merged-only"),

@@ -128,12 +128,12 @@ def needs_words(label: str, all_cameras: SuccessRate, without: Mapping[str, Succ
         return ""
     needed = {camera: rate for camera, rate in without.items() if rate.interval[1] < half}
     if needed:
-        rates = _listed([f"{_rate(rate)} n={rate.n}" for rate in needed.values()])
+        rates = _listed([str(rate) for rate in needed.values()])
         return f"{label} needs {_listed(list(needed))}: without it, {rates}."
     if any(rate.interval[0] <= half for rate in without.values()):
         return ""
     worst = min(without.values(), key=lambda rate: rate.value)
-    lowest = f"{_rate(worst)} n={worst.n}"
+    lowest = str(worst)
     return f"{label} needs no single camera: without any one, at least {lowest}."
 
 
@@ -214,8 +214,9 @@ def _what_was_measured(sides: Sequence[EndedSide]) -> str:
     lead = _lead(sides)
     if len(counts) == 1:
         over = f"{lead}, over" if lead else "Over"
-        return f"{over} {counts.pop()} episodes: {_listed(_named(sides, list(map(_rate, rates))))}."
-    measured = [f"{_rate(r)} (n = {r.n})" if r.n else "not measured" for r in rates]
+        measured = [rate.without_count for rate in rates]
+        return f"{over} {counts.pop()} episodes: {_listed(_named(sides, measured))}."
+    measured = [f"{r.without_count} (n = {r.n})" if r.n else "not measured" for r in rates]
     return f"{lead or 'Measured'}: {_listed(_named(sides, measured))}."
 
 
@@ -235,8 +236,3 @@ def _lead(sides: Sequence[EndedSide]) -> str:
     if alike and len(deeds) == 1 and deeds[0].past == "was dropped" and deeds[0].step is not None:
         return "Without it from the start"
     return "With the cameras as at the end, from the start"
-
-
-def _rate(rate: SuccessRate) -> str:
-    low, high = rate.interval
-    return f"{rate.value:.2f} [{low:.2f}, {high:.2f}]"

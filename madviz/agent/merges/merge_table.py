@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from madviz.agent.sizes import OwnOptions
 from madviz.errors import UserError, unknown
 from madviz.subsets import cameras_of
+from madviz.system.plugins import load
 from madviz.types import Array
 
 if TYPE_CHECKING:
@@ -190,15 +190,10 @@ def merge_class(name: str) -> type[Merge]:
     """The module of the merge called ``name``; loads torch. Raises UserError listing the known."""
     if name not in MERGES:
         raise unknown("merge", name, list(MERGES))
-    return _named(MERGES[name].network)
+    return load(MERGES[name].network)
 
 
 def own_options(name: str) -> type[OwnOptions]:
     """The class of the options that the merge called ``name`` has and no other; ``OwnOptions``
     itself where it has none."""
-    return _named(MERGES[name].options) if MERGES[name].options else OwnOptions
-
-
-def _named(reference: str) -> Any:
-    module, _, name = reference.partition(":")
-    return getattr(import_module(module), name)
+    return load(MERGES[name].options) if MERGES[name].options else OwnOptions
