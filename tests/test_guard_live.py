@@ -25,7 +25,7 @@ from madviz.recording.facts import condition_words
 from madviz.session.commands import Compare, Fork, Link, Scrub, SetCamera, SetPolicy
 from madviz.session.guard_words import failing, guard_sentence
 from madviz.session.replay import replay_episode
-from madviz.types import Policy
+from madviz.types import Array, Encoded, Policy
 from tests.fakes import FakePolicy, policies
 from tests.pages import recorded, use
 from tests.sessions import BLACK, OFF, Recorder, frame_with
@@ -69,6 +69,30 @@ def test_a_camera_that_fails_is_left_out_of_what_is_shown(session: Recorder) -> 
     assert failing(dropped) == {}
     np.testing.assert_array_equal(dropped.action, black.action)
     assert not dropped.world.change or dropped.world.change.action_change == 0
+
+
+def test_a_dropped_camera_is_imagined_without_one_that_fails(guarded: GuardedPolicy) -> None:
+    class Painter(FakePolicy):
+        """Draws a grey that tells which streams it drew from."""
+
+        imagines = True
+
+        def imagine(self, encoded: Encoded, mask: Array) -> Array:
+            assert not isinstance(encoded.private, type(guarded.encode(views, state).private))
+            return np.full((3, 84, 84, 3), 100 + int(mask @ [1, 2, 4]), np.uint8)
+
+        def mean_pictures(self) -> Array:
+            return np.zeros((3, 84, 84, 3), np.uint8)
+
+    views = np.zeros((3, 9, 84, 84), np.uint8)
+    state = np.zeros(4, np.float32)
+    painter = GuardedPolicy(Painter(NAME), guarded.values)
+    frame = frame_with(SetCamera("third_a", OFF), policy=painter)
+    assert frame.world.imagined["third_a"].picture[0, 0, 0] == 105
+    frame = frame_with(SetCamera("third_a", OFF), SetCamera("first", BLACK), policy=painter)
+    assert list(frame.world.imagined) == ["third_a"]
+    assert frame.world.imagined["third_a"].picture[0, 0, 0] == 104
+    assert not guarded.imagines
 
 
 def test_the_shown_action_is_the_one_that_is_taken(session: Recorder) -> None:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from madviz.agent.sizes import FEWEST_MOVING, MOVING
-from madviz.observation.ablation import Ablation
 from madviz.observation.streams import stream_frame
 from madviz.subsets import camera_of
 from madviz.types import Array, Encoded, EnvSpec, Imagines, Policy, View
@@ -30,20 +29,25 @@ class Imagined:
 
 
 def imagined(
-    policy: Policy, encoded: Encoded, ablation: Ablation, views: dict[str, View], env: EnvSpec
+    policy: Policy,
+    encoded: Encoded,
+    present: Array,
+    used: Array,
+    views: dict[str, View],
+    env: EnvSpec,
 ) -> dict[str, Imagined]:
-    """Every stream that ``ablation`` takes away, by name, beside what its camera sees in ``views``;
-    nothing where ``policy`` cannot draw or cannot act on the rest."""
+    """Every stream that is not ``present`` (V,), by name, drawn from those that are ``used`` (V,):
+    a guard leaves out more. Beside it, what its camera sees in ``views``. Nothing where ``policy``
+    cannot draw or cannot act on the rest."""
     streams = policy.spec.streams
-    mask = ablation.mask(streams)
-    if mask.all() or not (isinstance(policy, Imagines) and policy.imagines):
+    if present.all() or not (isinstance(policy, Imagines) and policy.imagines):
         return {}
-    if not policy.supports(mask):
+    if not policy.supports(used):
         return {}
-    drawn = policy.imagine(encoded, mask)
+    drawn = policy.imagine(encoded, used)
     usual = policy.mean_pictures()
     found = {}
-    for v in np.flatnonzero(~mask):
+    for v in np.flatnonzero(~present):
         stream = streams[v]
         truth = stream_frame(views[camera_of(stream)], stream, env, policy.spec.image_size)
         found[stream] = Imagined(drawn[v], moving_psnr(drawn[v], truth, usual[v]))

@@ -23,7 +23,7 @@ from madviz.errors import UserError
 from madviz.guard.detector import CameraVerdict, Guard
 from madviz.guard.values import GuardValues
 from madviz.subsets import camera_of
-from madviz.types import Array, Encoded, Player, Policy, PolicyWithMemory, Readout
+from madviz.types import Array, Encoded, Imagines, Player, Policy, PolicyWithMemory, Readout
 
 SUFFIX = " (guarded)"
 """The name of a policy ends so where it has a guard."""
@@ -93,6 +93,20 @@ class GuardedPolicy:
 
     def supports(self, mask: Array) -> bool:
         return self.inner.supports(mask)
+
+    @property
+    def imagines(self) -> bool:
+        return isinstance(self.inner, Imagines) and self.inner.imagines
+
+    def imagine(self, encoded: Encoded, mask: Array) -> Array:
+        """As the policy does, which ``imagines``."""
+        assert isinstance(self.inner, Imagines)
+        return self.inner.imagine(_without(encoded), mask)
+
+    def mean_pictures(self) -> Array:
+        """As the policy does, which ``imagines``."""
+        assert isinstance(self.inner, Imagines)
+        return self.inner.mean_pictures()
 
     def reset(self, seed: int) -> GuardedPlayer:
         """An episode begins."""

@@ -124,7 +124,9 @@ class Simulation:
             success_any=self.record.success_any,
             change=self.change,
             outcomes=tuple(self.outcomes),
-            imagined=imagined(self.policy, self._encoded, self.ablation, now.views, self.env.spec),
+            imagined=imagined(
+                self.policy, self._used, self._present, self._acts_on, now.views, self.env.spec
+            ),
             foresees=can_foresee(self.policy),
             guard=self._guard,
             recorded=now.recorded,
@@ -377,9 +379,14 @@ class Simulation:
         return self.ablation.mask(self.policy.spec.streams)
 
     @property
+    def _acts_on(self) -> Array:
+        """(V,) bool: the present streams, but those that a guard leaves out."""
+        return self._present if self._guard is None else self._guard.mask
+
+    @property
     def _row(self) -> int:
-        """Where the present subset stands among all; a guard may leave out more cameras."""
-        return row_of(self._present if self._guard is None else self._guard.mask)
+        """Where the streams that it acts on stand among all subsets."""
+        return row_of(self._acts_on)
 
     def _reading(self) -> Reading:
         """The present condition, and the action and Q under it."""
