@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from measurements import read, table
 
+from madviz.measure.formulas import t_interval
 from madviz.measure.statistics import SuccessRate
 from madviz.policies import checkpoint
 
@@ -32,7 +33,7 @@ def guard_trial() -> str:
         task = checkpoint.describe(policy).config.task
         lines.append([task, f"{alarms[policy][0]} of {alarms[policy][1]}", *cells])
     found, n = (sum(column) for column in zip(*alarms.values(), strict=True))
-    cells = [_rate(rows, way, side).without_count for way in ways for side in SIDES]
+    cells = [_over_tasks(rows, way, side) for way in ways for side in SIDES]
     lines.append(["all that were played", f"{found} of {n}", *cells])
     return f"{table(header, lines)}\n{_sentences(rows, ways, found, n)}\n"
 
@@ -40,13 +41,13 @@ def guard_trial() -> str:
 def headline() -> str:
     """One finding for the front page: a frozen camera, with the guard and without."""
     rows = read(BROKEN)["rows"]
-    broken, guarded = (_rate(rows, "freeze", side) for side in ("broken", "guarded"))
-    tasks = len({row["policy"] for row in rows if row["way"] == "freeze"})
+    broken, guarded = (_over_tasks(rows, "freeze", side) for side in ("broken", "guarded"))
+    ours = [row for row in rows if row["way"] == "freeze"]
     return (
         "Not of the paper: a broken camera is not an absent one. With First person frozen, MAD's "
-        f"success is {broken.without_count}. With the [guard](docs/guard.md), which leaves such a "
-        f"camera out, it is {guarded.without_count} ({tasks} tasks, n = {guarded.n}, development "
-        "seeds)."
+        f"success is {broken}. With the [guard](docs/guard.md), which leaves such a camera out, it "
+        f"is {guarded} (interval over {len(ours)} tasks, {ours[0]['n']} episodes of each, "
+        "development seeds)."
     )
 
 
@@ -60,13 +61,20 @@ def _sentences(rows: list[dict[str, Any]], ways: list[str], found: int, n: int) 
         ours = [row for row in rows if row["way"] == way]
         steps = [step for row in ours for step in row["noticed"] if step is not None]
         seen, every = len(steps), sum(len(row["noticed"]) for row in ours)
-        broken, guarded, dropped = (_rate(rows, way, side) for side in SIDES)
+        broken, guarded, dropped = (_over_tasks(rows, way, side) for side in SIDES)
         said.append(
             f"A {NAMES[way]} camera: {broken} without the guard, {guarded} with it, {dropped} with "
-            f"the camera dropped; noticed in {seen} of {every} episodes, after "
-            f"{np.median(steps) + 1:g} steps (median), at most {max(steps) + 1}."
+            f"the camera dropped; noticed in {seen} of {every} episodes, at step "
+            f"{np.median(steps) + 1:g} (median), at the latest at step {max(steps) + 1}."
         )
     return "\n".join(f"- {sentence}" for sentence in said)
+
+
+def _over_tasks(rows: Iterable[dict[str, Any]], way: str, side: str) -> str:
+    """The mean over tasks, whose interval is Student's t over them."""
+    values = np.array([row[side] for row in rows if row["way"] == way])
+    low, high = np.clip(t_interval(values), 0, 1)
+    return f"{values.mean():.2f} [{low:.2f}, {high:.2f}]"
 
 
 def _alarms(row: dict[str, Any]) -> tuple[int, int]:

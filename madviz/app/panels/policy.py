@@ -229,7 +229,9 @@ def status_html(frame: Frame) -> str:
         f'data-phase="{frame.pace.phase}" data-setting="{escape(str(frame.condition))}"'
     )
     recorded = frame.world.recorded
-    which = f"episode {recorded.episode}" if recorded else f"seed {frame.world.seed}"
+    which = f"{'number' if recorded else 'seed'} {frame.world.seed}"
+    if recorded and recorded.episode != frame.world.seed:
+        which += f": episode {recorded.episode}"
     seed = f'<span class="plain num" style="float:right">{which}</span>'
     goal = recorded_html(frame) if recorded else _goal(frame)
     return (
