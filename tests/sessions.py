@@ -10,7 +10,7 @@ from madviz.envs.toy import ToyReach
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.frame import Frame
 from madviz.session.session import Session
-from madviz.types import CameraSpec
+from madviz.types import CameraSpec, Policy
 from tests.fakes import FakePolicy, policies
 
 OFF = CameraState("off")
@@ -65,7 +65,7 @@ def elsewhere(name: str) -> FakePolicy:
     return FakePolicy(name, task="metaworld/push") if name == "elsewhere" else policies(name)
 
 
-def frame_with(*commands, policy: FakePolicy | None = None) -> Frame:
+def frame_with(*commands, policy: Policy | None = None) -> Frame:
     """The frame after ``commands``, at the first step of an episode."""
     session = Session(make_env, policy or FakePolicy(), policies)
     session.tick(0.0)

@@ -43,6 +43,7 @@ from madviz.policies.listing import ListConfig, catalogue, list_policies, run_li
 from madviz.session.session_reader import parse
 from madviz.soak.visitor import Visitor
 from madviz.system.options import options
+from madviz.system.plugins import load
 from tests.pages import fake_app
 from tests.test_messages import KINDS, sample
 from tests.test_saved_session_files import document
@@ -201,8 +202,8 @@ def policy_folder(both: tuple[Any, Any], folder: Path) -> None:
     shutil.rmtree(path)
 
 
-COMMANDS = {name: cli.named(command.config) for name, command in cli.COMMANDS.items()}
-COMMANDS |= {f"benchmarks {n}": cli.named(command.config) for n, command in BENCHMARKS.items()}
+COMMANDS = {name: load(command.config) for name, command in cli.COMMANDS.items()}
+COMMANDS |= {f"benchmarks {n}": load(command.config) for n, command in BENCHMARKS.items()}
 
 
 @st.composite

@@ -15,6 +15,7 @@ from madviz.commands import Command
 from madviz.errors import UserError
 from madviz.system.numbers import Range, check_numbers
 from madviz.system.options import bare, notes, options
+from madviz.system.plugins import load
 from madviz.training.config import TrainConfig
 from madviz.training.light import LightConfig
 from madviz.training.train import train
@@ -45,7 +46,7 @@ def test_every_number_is_refused_outside_its_range(
     program: Callable[[Sequence[str]], int],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    config = cli.named(command.config)
+    config = load(command.config)
     for option, kind, allowed in ranges(config):
         assert allowed is not None, f"{name} {option}: an option without a range"
         assert allowed.kind is kind
@@ -62,7 +63,7 @@ def test_every_number_is_refused_outside_its_range(
 
 def needed(command: Command) -> list[str]:
     """Words for the options without a default: those that are given by their place, and others."""
-    config = cli.named(command.config)
+    config = load(command.config)
     names = [f.name for f in fields(config) if f.default is f.default_factory is MISSING]
     return [
         word for name in names for word in (["x"] if command.positional else [f"--{name}", "x"])
@@ -77,7 +78,7 @@ def test_every_value_of_an_option_counts(capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.mark.parametrize(("name", "command", "program"), ROWS)
 def test_the_defaults_are_in_their_ranges(name: str, command: Command, program: object) -> None:
-    made = cli.named(command.config)
+    made = load(command.config)
     needed = {"policy": "p", "file": "f", "policies": ("p",), "camera": "c"}
     needed |= {"out": Path("o"), "site": Path("s"), "returned": Path("r")}
     fields = made.__dataclass_fields__
