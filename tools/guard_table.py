@@ -34,7 +34,7 @@ def guard_trial() -> str:
         lines.append([task, f"{alarms[policy][0]} of {alarms[policy][1]}", *cells])
     found, n = (sum(column) for column in zip(*alarms.values(), strict=True))
     cells = [_over_tasks(rows, way, side) for way in ways for side in SIDES]
-    lines.append(["all that were played", f"{found} of {n}", *cells])
+    lines.append(["all", f"{found} of {n}", *cells])
     return f"{table(header, lines)}\n{_sentences(rows, ways, found, n)}\n"
 
 

@@ -33,7 +33,9 @@ RECORDED = "--episodes 50 --seed 0 --video --format lerobot".split()
 TRAINING = "--light.rounds 6 --light.updates-per-round 300 --threads 1".split()
 FIRST_SEED = 47_000
 COUNT = 50
-AT_ONCE = 2
+TRAIN_AT_ONCE = 2
+EVALUATE_AT_ONCE = 4
+"""Policies; evaluating one, a server and a worker wait for each other."""
 TABLE = ROOT / "results" / "recorded.csv"
 WIRE = f"""task = "{TASK}"
 size = 84
@@ -134,12 +136,18 @@ def evaluate(piece: Piece, conditions: Sequence[Condition]) -> None:
         (row["camera"], row["what"], row["how"]): f"{row['change']['mean']:.4f}"
         for row in audit["conditions"]
     }
-    wire = piece.out / "wire.toml"
-    wire.write_text(WIRE)
     file = piece.policy / "rates.json"
     with _served(piece.policy, left[0].guard) as address:
         for one in left:
-            words = ["--policy", address, "--wire", str(wire), *one.words, "--workers", "1"]
+            words = [
+                "--policy",
+                address,
+                "--wire",
+                str(piece.out / "wire.toml"),
+                *one.words,
+                "--workers",
+                "1",
+            ]
             words += ["--episodes", str(COUNT), "--seed", str(FIRST_SEED), "--json", str(file)]
             _madviz("eval", *words)
             played = json.loads(file.read_text())["episodes"]
@@ -206,9 +214,11 @@ def main(words: Sequence[str]) -> None:
     out.mkdir(parents=True, exist_ok=True)
     if not (out / "hammer").exists():
         _madviz("record", "--expert", TASK, *RECORDED, "--out", str(out / "hammer"))
+    (out / "wire.toml").write_text(WIRE)
     pieces = [Piece(method, seed, out) for seed in SEEDS for method in METHODS]
-    with ThreadPoolExecutor(AT_ONCE) as pool:
+    with ThreadPoolExecutor(TRAIN_AT_ONCE) as pool:
         list(pool.map(train, pieces))
+    with ThreadPoolExecutor(EVALUATE_AT_ONCE) as pool:
         for conditions in (PLAIN[:7], PLAIN[7:10], PLAIN[10:], GUARDED):
             list(pool.map(lambda piece, these=conditions: evaluate(piece, these), pieces))
 

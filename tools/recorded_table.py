@@ -4,12 +4,14 @@ audit on recordings predicts it, from results/recorded.csv (``python tools/recor
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from measurements import table
-from policy_files import LABELS, ROOT
+from policy_files import LABELS
+from recorded_chain import METHODS, SEEDS, TABLE
 from scipy.stats import rankdata
 
 from madviz.measure.statistics import SuccessRate
@@ -34,13 +36,13 @@ class Point(NamedTuple):
 
 def rows() -> list[dict[str, str]]:
     """What was measured."""
-    with (ROOT / "results" / "recorded.csv").open(newline="") as file:
+    with TABLE.open(newline="") as file:
         return list(csv.DictReader(file))
 
 
 def recorded() -> str:
     """Success of each method under each condition, and what follows from the audit's changes."""
-    measured = rows()
+    measured = complete(rows())
     methods = list(dict.fromkeys(row["method"] for row in measured))
     lines = []
     for key in dict.fromkeys(_key(row) for row in measured):
@@ -48,6 +50,12 @@ def recorded() -> str:
         lines.append([_words(key), *rates])
     header = ["cameras", *(NAMES[method] for method in methods)]
     return f"{table(header, lines)}\n{_sentences(points(measured))}\n"
+
+
+def complete(measured: list[dict[str, str]]) -> list[dict[str, str]]:
+    """The rows of those conditions that every policy has."""
+    count = Counter(_key(row) for row in measured)
+    return [row for row in measured if count[_key(row)] == len(METHODS) * len(SEEDS)]
 
 
 def points(measured: Iterable[dict[str, str]]) -> list[Point]:
@@ -92,6 +100,8 @@ def worst_found(some: list[Point]) -> tuple[int, int]:
 def _sentences(every: list[Point]) -> str:
     groups = {f"A {how} camera": [one for one in every if one.how == how] for how in WAYS}
     groups = {name: some for name, some in groups.items() if some} | {"All ways": every}
+    if not every:
+        return "Not every policy was evaluated yet."
     lines = []
     for name, some in groups.items():
         value, low, high = correlation(some)
