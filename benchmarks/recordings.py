@@ -3,12 +3,12 @@
 Writes made-up episodes of three cameras as a LeRobot dataset with films, then trains MAD on it in
 a process of its own, as ``madviz train --recording`` does:
 
-    decoding     frames a second, a frame is one camera's picture: read, fitted to 84 pixels, kept
-    round_s      seconds of a round of updates
-    memory_mb    the largest resident memory of that process, mapped pictures among it
+    frames_per_s  pictures of one camera a second: read in order, fitted to 84 pixels, kept
+    round_s       seconds of a round: updates, errors on held-out episodes, a saved state
+    memory_mb     the largest resident memory of that process, mapped pictures among it
 
-With ``--lerobot PYTHON``, the interpreter of an environment that has LeRobot, its own loader
-decodes some of the same films, at their own size.
+With ``--lerobot PYTHON``, the interpreter of an environment that has LeRobot, its own loader reads
+some of the same films by index, as its training does, at their own size.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from madviz.envs.registry import env_spec
 from madviz.errors import UserError
 from madviz.recording.lerobot import Decision, write_dataset
-from madviz.system.numbers import Count
+from madviz.system.numbers import Count, Range, check_numbers
 from madviz.types import Array
 
 CAMERAS = ("first", "third_a", "third_b")
 NUMBERS = 7
 FPS = 30.0
 LOADED = 100
-"""Steps that LeRobot's loader decodes."""
-LOADER = f"""import sys, time
+"""Steps that LeRobot's loader decodes, at most."""
+LOADER = """import sys, time
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 data = LeRobotDataset("made/up", root=sys.argv[1], video_backend="pyav", return_uint8=True)
 data[0]
 began = time.perf_counter()
-for index in range({LOADED}):
+for index in range(int(sys.argv[2])):
     data[index]
-print({LOADED} * len(data.meta.camera_keys) / (time.perf_counter() - began))
+print(int(sys.argv[2]) * len(data.meta.camera_keys) / (time.perf_counter() - began))
 """
 
 
@@ -55,9 +55,9 @@ class BenchRecordingsConfig:
 
     json: str | None = None
     """Write the result to this file; ``-`` is standard output, and then nothing else goes there."""
-    episodes: Count = 50
+    episodes: Annotated[int, Range(int, 2, 10_000)] = 50
     """Episodes of three cameras."""
-    steps: Count = 100
+    steps: Annotated[int, Range(int, 4, 10_000)] = 100
     """Steps of an episode."""
     height: Count = 480
     """Rows of a picture."""
@@ -74,6 +74,7 @@ class BenchRecordingsConfig:
 
 def bench_recordings(config: BenchRecordingsConfig) -> dict[str, Any]:
     """The module's numbers. Raises UserError where the training fails."""
+    check_numbers(config)
     with TemporaryDirectory() as place:
         folder = Path(place) / "films"
         rng = np.random.default_rng(0)
@@ -84,8 +85,13 @@ def bench_recordings(config: BenchRecordingsConfig) -> dict[str, Any]:
         result |= {"height": config.height, "width": config.width}
         result |= _trained(Path(place), config)
         if config.lerobot is not None:
+            steps = str(min(LOADED, config.episodes * config.steps))
             found = subprocess.run(
-                [config.lerobot, "-c", LOADER, folder], capture_output=True, text=True, check=True
+                [config.lerobot, "-c", LOADER, folder, steps],
+                capture_output=True,
+                text=True,
+                check=True,
+                env=os.environ | {"HF_HOME": place},
             )
             result["lerobot_frames_per_s"] = float(found.stdout.split()[-1])
             result["times_lerobot"] = result["frames_per_s"] / result["lerobot_frames_per_s"]
@@ -124,6 +130,7 @@ def _trained(place: Path, config: BenchRecordingsConfig) -> dict[str, Any]:
     words += ["--method", "mad", "--out", place / "mad", "--light.rounds", config.rounds]
     words += ["--light.updates-per-round", config.updates]
     times = []
+    memory = 0.0
     with subprocess.Popen(
         [str(word) for word in words],
         stdout=subprocess.PIPE,
@@ -137,8 +144,7 @@ def _trained(place: Path, config: BenchRecordingsConfig) -> dict[str, Any]:
             said.append(line)
             if line.startswith("[pictures]"):
                 times.append(time.monotonic())
-        _, status, usage = os.wait4(child.pid, 0)
-        child.returncode = os.waitstatus_to_exitcode(status)
+            memory = max(memory, _megabytes(child.pid))
     if child.returncode:
         raise UserError(f"expected a training, found that it failed: {said[-1]:.200}")
     rows = list(csv.DictReader((place / "mad" / "curve.csv").read_text().splitlines()))
@@ -148,5 +154,14 @@ def _trained(place: Path, config: BenchRecordingsConfig) -> dict[str, Any]:
     return {
         "frames_per_s": decoded / (times[-1] - times[0]),
         "round_s": float(np.mean(rounds[1:] or rounds)),
-        "memory_mb": usage.ru_maxrss / 1024,
+        "memory_mb": memory,
     }
+
+
+def _megabytes(process: int) -> float:
+    """The largest resident memory so far, 0 where the process has ended."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return next((int(one.split()[1]) / 1024 for one in lines if one.startswith("VmHWM")), 0.0)

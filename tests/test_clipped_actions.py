@@ -99,10 +99,10 @@ def test_the_command_that_compares_conditions_says_them(tmp_path, capsys):
     assert SAID in capsys.readouterr().out
 
 
-def test_a_store_keeps_the_share(tmp_path):
+def test_a_store_keeps_the_share_and_what_a_guard_noticed(tmp_path):
     key = ResultKey("digest", "toy/reach", "near", "fast", "", "all")
     store = Store(tmp_path / "a.sqlite")
-    results = [EpisodeResult("all", seed, True, True, 1.0, seed / 4) for seed in range(3)]
+    results = [EpisodeResult("all", n, True, True, 1.0, n / 4, (None, 0, 3)[n]) for n in range(3)]
     for result in results:
         store.put(key, result)
     assert list(store.results(key).values()) == results

@@ -95,6 +95,34 @@ def test_a_dropped_camera_is_imagined_without_one_that_fails(guarded: GuardedPol
     assert not guarded.imagines
 
 
+def test_a_camera_is_imagined_from_the_pictures_that_are_acted_on(guarded: GuardedPolicy) -> None:
+    """Where a failing camera cannot be left out, that is its last good picture."""
+
+    class Needy(FakePolicy):
+        imagines = True
+
+        def supports(self, mask: Array) -> bool:
+            return bool(mask[0])
+
+        def imagine(self, encoded: Encoded, mask: Array) -> Array:
+            drawn_from.append(encoded.features[0])
+            return np.zeros((3, 84, 84, 3), np.uint8)
+
+        def mean_pictures(self) -> Array:
+            return np.zeros((3, 84, 84, 3), np.uint8)
+
+    drawn_from: list[Array] = []
+    session = Recorder(GuardedPolicy(Needy(NAME), guarded.values))
+    session.at(0.0)
+    session.steps(3)
+    session.ask(SetCamera("third_a", OFF))
+    good = drawn_from[-1]
+    black = session.ask(SetCamera("first", BLACK))
+    assert black.world.guard is not None and black.world.guard.failed == {"first"}
+    of_black = session._stage._live._encoded.features[0]
+    assert np.abs(drawn_from[-1] - good).max() < 0.5 * np.abs(of_black - good).max()
+
+
 def test_the_shown_action_is_the_one_that_is_taken(session: Recorder) -> None:
     session.ask(SetPolicy(GUARDED), SetCamera("first", BLACK))
     shown = session.frames[-1].action

@@ -4,13 +4,13 @@ false alarms, from results/guard (``python -m benchmarks guard-trial``)."""
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from measurements import read, table
 
-from madviz.measure.formulas import t_interval
-from madviz.measure.statistics import SuccessRate
+from madviz.measure.statistics import SuccessRate, interval_over_trainings
 from madviz.policies import checkpoint
 
 SIDES = ("broken", "guarded", "dropped")
@@ -71,10 +71,12 @@ def _sentences(rows: list[dict[str, Any]], ways: list[str], found: int, n: int) 
 
 
 def _over_tasks(rows: Iterable[dict[str, Any]], way: str, side: str) -> str:
-    """The mean over tasks, whose interval is Student's t over them."""
-    values = np.array([row[side] for row in rows if row["way"] == way])
-    low, high = np.clip(t_interval(values), 0, 1)
-    return f"{values.mean():.2f} [{low:.2f}, {high:.2f}]"
+    """The mean over tasks. Its interval is Student's t over them, at least as wide as the one over
+    episodes."""
+    kept = list(rows)
+    tasks = [[row[side]] * row["n"] for row in kept if row["way"] == way]
+    rate = _rate(kept, way, side)
+    return replace(rate, interval=interval_over_trainings([tasks], rate.interval)).without_count
 
 
 def _alarms(row: dict[str, Any]) -> tuple[int, int]:

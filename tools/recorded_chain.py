@@ -1,4 +1,4 @@
-"""From recordings to success, where the truth is known: the episodes of hammer's expert.
+"""Trains on recordings of hammer's expert, and counts success in the simulator.
 
     python tools/recorded_chain.py runs/recorded
 
@@ -13,10 +13,9 @@ from __future__ import annotations
 import csv
 import json
 import os
-import socket
 import subprocess
 import sys
-import time
+import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -24,6 +23,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from policy_files import ROOT
+
+from madviz.policies.checkpoint import describe
 
 TASK = "metaworld/hammer"
 CAMERAS = ("first", "third_a", "third_b")
@@ -37,6 +38,7 @@ TRAIN_AT_ONCE = 2
 EVALUATE_AT_ONCE = 4
 """Policies; evaluating one, a server and a worker wait for each other."""
 TABLE = ROOT / "results" / "recorded.csv"
+_WRITING = threading.Lock()
 WIRE = f"""task = "{TASK}"
 size = 84
 state = "state"
@@ -46,7 +48,7 @@ cameras = {{ {", ".join(f'{name} = "{name}"' for name in CAMERAS)} }}
 
 
 class Condition(NamedTuple):
-    """What one camera suffers; no camera: all are intact."""
+    """A camera, and how it fails; no camera: all are intact."""
 
     camera: str
     what: str
@@ -84,12 +86,15 @@ class Row(NamedTuple):
 
     method: str
     seed: int
+    digest: str
+    """The policy's, of its weights."""
     camera: str
     what: str
     how: str
     guard: bool
     change: str
-    """Of the action in held-out recordings, in spreads; '' with the guard and with all cameras."""
+    """The change of the action in held-out recordings, in spreads; '' with the guard, and where
+    nothing is broken."""
     first_seed: int
     at_last_step: str
     at_any_step: str
@@ -128,10 +133,13 @@ def train(piece: Piece) -> None:
 
 def evaluate(piece: Piece, conditions: Sequence[Condition]) -> None:
     """Counts the success of what is missing, with one server for all of it."""
-    left = [one for one in conditions if (piece.method, piece.seed, *one) not in done()]
+    audit = json.loads(_audit_of(piece).read_text())
+    digest = describe(piece.policy).spec.digest
+    assert audit["digest"] == digest, f"{_audit_of(piece)} is of other weights; remove it"
+    known = done()
+    left = [one for one in conditions if (piece.method, piece.seed, digest, *one) not in known]
     if not left:
         return
-    audit = json.loads(_audit_of(piece).read_text())
     changes = {
         (row["camera"], row["what"], row["how"]): f"{row['change']['mean']:.4f}"
         for row in audit["conditions"]
@@ -139,16 +147,9 @@ def evaluate(piece: Piece, conditions: Sequence[Condition]) -> None:
     file = piece.policy / "rates.json"
     with _served(piece.policy, left[0].guard) as address:
         for one in left:
-            words = [
-                "--policy",
-                address,
-                "--wire",
-                str(piece.out / "wire.toml"),
-                *one.words,
-                "--workers",
-                "1",
-            ]
-            words += ["--episodes", str(COUNT), "--seed", str(FIRST_SEED), "--json", str(file)]
+            words = ["--policy", address, "--wire", str(piece.out / "wire.toml"), *one.words]
+            words += ["--workers", "1", "--json", str(file)]
+            words += ["--episodes", str(COUNT), "--seed", str(FIRST_SEED)]
             _madviz("eval", *words)
             played = json.loads(file.read_text())["episodes"]
             played.sort(key=lambda episode: episode["seed"])
@@ -157,7 +158,7 @@ def evaluate(piece: Piece, conditions: Sequence[Condition]) -> None:
                 for key in ("success", "success_any")
             )
             change = "" if one.guard else changes.get(one[:3], "")
-            _add(Row(piece.method, piece.seed, *one, change, FIRST_SEED, last, ever))
+            _add(Row(piece.method, piece.seed, digest, *one, change, FIRST_SEED, last, ever))
 
 
 def done() -> set[tuple]:
@@ -166,9 +167,14 @@ def done() -> set[tuple]:
         return set()
     with TABLE.open(newline="") as file:
         return {
-            (r["method"], int(r["seed"]), r["camera"], r["what"], r["how"], r["guard"] == "True")
-            for r in csv.DictReader(file)
+            (one["method"], int(one["seed"]), one["digest"], *condition_of(one))
+            for one in csv.DictReader(file)
         }
+
+
+def condition_of(row: dict[str, str]) -> Condition:
+    """The condition of a row of the table."""
+    return Condition(row["camera"], row["what"], row["how"], row["guard"] == "True")
 
 
 def _audit_of(piece: Piece) -> Path:
@@ -176,26 +182,20 @@ def _audit_of(piece: Piece) -> Path:
 
 
 def _add(row: Row) -> None:
-    new = not TABLE.exists()
-    with TABLE.open("a", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows(([Row._fields] if new else []) + [row])
+    with _WRITING:
+        new = not TABLE.exists()
+        with TABLE.open("a", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows(([Row._fields] if new else []) + [row])
 
 
 @contextmanager
 def _served(policy: Path, guard: bool) -> Iterator[str]:
-    """The address of a server of ``policy``."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    words = ["serve", "--policy", str(policy), "--port", str(port)]
-    server = subprocess.Popen(_command(*words, *(["--guard"] if guard else [])))
+    """The address of a server of ``policy``, which says it in its first line."""
+    words = ["serve", "--policy", str(policy), "--port", "0", *(["--guard"] if guard else [])]
+    server = subprocess.Popen(_command(*words), stdout=subprocess.PIPE, text=True)
+    assert server.stdout is not None
     try:
-        while server.poll() is None:
-            with socket.socket() as asked:
-                if not asked.connect_ex(("127.0.0.1", port)):
-                    break
-            time.sleep(0.5)
-        yield f"ws://127.0.0.1:{port}"
+        yield server.stdout.readline().split()[-1]
     finally:
         server.terminate()
         server.wait()

@@ -6,12 +6,22 @@ from __future__ import annotations
 import csv
 from collections import Counter
 from collections.abc import Iterable
+from math import nan
 from typing import NamedTuple
 
 import numpy as np
 from measurements import table
 from policy_files import LABELS
-from recorded_chain import METHODS, SEEDS, TABLE
+from recorded_chain import (
+    COUNT,
+    GUARDED,
+    METHODS,
+    PLAIN,
+    SEEDS,
+    TABLE,
+    Condition,
+    condition_of,
+)
 from scipy.stats import rankdata
 
 from madviz.measure.statistics import SuccessRate
@@ -19,7 +29,7 @@ from madviz.measure.statistics import SuccessRate
 NAMES = {"mad": "MAD", "merged-only": "Merged Only", "singular-only": "Singular Only"}
 WAYS = ("dropped", "black", "frozen")
 COSTS = 0.1
-"""A camera costs success where more than this is lost without it."""
+"""A camera costs success where more than this share of the episodes is lost without it."""
 
 
 class Point(NamedTuple):
@@ -29,46 +39,45 @@ class Point(NamedTuple):
     camera: str
     how: str
     change: float
-    """Of the action, in spreads."""
-    loss: float
-    """Of success, at most 1."""
-
-
-def rows() -> list[dict[str, str]]:
-    """What was measured."""
-    with TABLE.open(newline="") as file:
-        return list(csv.DictReader(file))
+    """The change of the action, in spreads."""
+    lost: int
+    """Episodes that succeed with all cameras less those without this one."""
 
 
 def recorded() -> str:
     """Success of each method under each condition, and what follows from the audit's changes."""
-    measured = complete(rows())
-    methods = list(dict.fromkeys(row["method"] for row in measured))
+    measured = complete()
+    if not any(one.what == "removed" for one in map(condition_of, measured)):
+        return "Not every policy was evaluated yet; nothing is said before all are.\n"
     lines = []
-    for key in dict.fromkeys(_key(row) for row in measured):
-        rates = [_rate(measured, method, key) for method in methods]
+    for key in dict.fromkeys(map(condition_of, measured)):
+        ours = [row for row in measured if condition_of(row) == key]
+        rates = [_rate(row for row in ours if row["method"] == method) for method in METHODS]
         lines.append([_words(key), *rates])
-    header = ["cameras", *(NAMES[method] for method in methods)]
+    header = ["cameras", *(NAMES[method] for method in METHODS)]
     return f"{table(header, lines)}\n{_sentences(points(measured))}\n"
 
 
-def complete(measured: list[dict[str, str]]) -> list[dict[str, str]]:
-    """The rows of those conditions that every policy has."""
-    count = Counter(_key(row) for row in measured)
-    return [row for row in measured if count[_key(row)] == len(METHODS) * len(SEEDS)]
+def complete() -> list[dict[str, str]]:
+    """The rows of those conditions that every policy has, in the order of the design."""
+    with TABLE.open(newline="") as file:
+        measured = list(csv.DictReader(file))
+    count = Counter(map(condition_of, measured))
+    kept = [one for one in (*PLAIN, *GUARDED) if count[one] == len(METHODS) * len(SEEDS)]
+    return [row for one in kept for row in measured if condition_of(row) == one]
 
 
 def points(measured: Iterable[dict[str, str]]) -> list[Point]:
     """Every camera of every policy, without the guard, in each way in which it was lost."""
     kept = list(measured)
-    intact = {_policy(row): _successes(row).mean() for row in kept if not row["camera"]}
+    intact = {_policy(row): _successes(row) for row in kept if not row["camera"]}
     return [
         Point(
             _policy(row),
             row["camera"],
             row["how"],
             float(row["change"]),
-            float(intact[_policy(row)] - _successes(row).mean()),
+            intact[_policy(row)] - _successes(row),
         )
         for row in kept
         if row["what"] == "removed" and row["guard"] == "False"
@@ -76,67 +85,70 @@ def points(measured: Iterable[dict[str, str]]) -> list[Point]:
 
 
 def correlation(some: list[Point]) -> tuple[float, float, float]:
-    """Spearman's rank correlation of change and loss, with the interval of Bonett and Wright."""
-    ranks = rankdata([[one.change for one in some], [one.loss for one in some]], axis=1)
-    found = float(np.corrcoef(ranks)[0, 1])
+    """Spearman's rank correlation of change and loss, with the interval of Bonett and Wright; NaN
+    where one of them never varies."""
+    ranks = rankdata([[one.change for one in some], [one.lost for one in some]], axis=1)
+    if np.any(ranks.std(axis=1) == 0):
+        return nan, nan, nan
+    found = float(np.clip(np.corrcoef(ranks)[0, 1], -0.999, 0.999))
     error = np.sqrt((1 + found**2 / 2) / (len(some) - 3))
     low, high = np.tanh(np.arctanh(found) + np.array([-1.96, 1.96]) * error)
     return found, float(low), float(high)
 
 
 def worst_found(some: list[Point]) -> tuple[int, int]:
-    """In how many policies and ways the camera with the largest change is one with the largest
-    loss, and in how many some camera costs success."""
+    """Two counts of policies and ways: those where the camera with the largest change is one with
+    the largest loss, and all in which some camera costs success."""
     found = tried = 0
     for policy, how in sorted({(one.policy, one.how) for one in some}):
         ours = [one for one in some if (one.policy, one.how) == (policy, how)]
-        most = max(one.loss for one in ours)
-        if most > COSTS:
+        most = max(one.lost for one in ours)
+        if most > COSTS * COUNT:
             tried += 1
-            found += max(ours, key=lambda one: one.change).loss == most
+            found += max(ours, key=lambda one: one.change).lost == most
     return found, tried
 
 
 def _sentences(every: list[Point]) -> str:
     groups = {f"A {how} camera": [one for one in every if one.how == how] for how in WAYS}
     groups = {name: some for name, some in groups.items() if some} | {"All ways": every}
-    if not every:
-        return "Not every policy was evaluated yet."
     lines = []
     for name, some in groups.items():
         value, low, high = correlation(some)
         right, tried = worst_found(some)
-        shown = "the larger the change, the larger the loss" if low > 0 else "no relation is shown"
         lines.append(
-            f"{name}: {shown} (rank correlation {value:.2f} [{low:.2f}, {high:.2f}], {len(some)} "
-            f"points). Where some camera costs more than 10 points, the one with the largest "
-            f"change costs most in {right} of {tried} policies."
+            f"{name}: {_verdict(low, high)} (rank correlation {value:.2f} [{low:.2f}, {high:.2f}], "
+            f"{len(some)} points). Some camera costs more than 10 points in {tried} cases; in "
+            f"{right} of them, the camera with the largest change costs most (by chance, about a "
+            "third)."
         )
     return "\n".join(f"- {line}" for line in lines)
 
 
-def _words(key: tuple[str, str, str, bool]) -> str:
-    camera, what, how, guard = key
-    if not camera:
+def _verdict(low: float, high: float) -> str:
+    if low > 0:
+        return "the larger the change, the larger the loss"
+    if high < 0:
+        return "the larger the change, the smaller the loss"
+    return "the audit on recordings does not predict success"
+
+
+def _words(key: Condition) -> str:
+    if not key.camera:
         return "all"
-    if what == "alone":
-        return f"{LABELS[camera]} alone"
-    return f"{LABELS[camera]} {how}{', with the guard' if guard else ''}"
+    if key.what == "alone":
+        return f"{LABELS[key.camera]} alone"
+    return f"{LABELS[key.camera]} {key.how}{', with the guard' if key.guard else ''}"
 
 
-def _rate(measured: Iterable[dict[str, str]], method: str, key: tuple) -> str:
-    ours = [row for row in measured if row["method"] == method and _key(row) == key]
-    played = np.concatenate([_successes(row) for row in ours]) if ours else np.zeros(0)
-    return str(SuccessRate.counted(played.astype(bool))) if len(played) else "–"
-
-
-def _key(row: dict[str, str]) -> tuple[str, str, str, bool]:
-    return row["camera"], row["what"], row["how"], row["guard"] == "True"
+def _rate(ours: Iterable[dict[str, str]]) -> str:
+    played = "".join(row["at_last_step"] for row in ours)
+    return str(SuccessRate.of(played.count("1"), len(played)))
 
 
 def _policy(row: dict[str, str]) -> tuple[str, str]:
     return row["method"], row["seed"]
 
 
-def _successes(row: dict[str, str]) -> np.ndarray:
-    return np.array([int(digit) for digit in row["at_last_step"]])
+def _successes(row: dict[str, str]) -> int:
+    return row["at_last_step"].count("1")

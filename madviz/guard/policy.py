@@ -99,12 +99,12 @@ class GuardedPolicy:
         return isinstance(self.inner, Imagines) and self.inner.imagines
 
     def imagine(self, encoded: Encoded, mask: Array) -> Array:
-        """As the policy does, which ``imagines``."""
+        """The pictures that the policy imagines, as ``Imagines`` says."""
         assert isinstance(self.inner, Imagines)
         return self.inner.imagine(_without(encoded), mask)
 
     def mean_pictures(self) -> Array:
-        """As the policy does, which ``imagines``."""
+        """The policy's own, as ``Imagines`` says."""
         assert isinstance(self.inner, Imagines)
         return self.inner.mean_pictures()
 

@@ -3,7 +3,8 @@
 An episode is a pure function of what is in its key: weights and config (the digest), task, success
 definition, render profile, occlusions, subset and seed. Change any of them and the old result no
 longer answers. The store is a cache: losing it costs time, never truth. ``madviz eval`` does not
-read it unless asked to; the live page does, so that bars are there from the first second.
+read it unless asked to; the live page does, so that bars are there from the first second. Tables of
+older versions are dropped.
 
 One file serves many threads (a lock) and many processes (SQLite's write-ahead log). SQLite reports
 a broken file at every use and does not repair it; so a broken one is moved aside here, with a
@@ -182,6 +183,8 @@ class Store:
                 raise sqlite3.DatabaseError(verdict)
             with db:
                 db.execute(_CREATE)
+                for old in ("episodes_1", "outside_1", "noticed_1"):
+                    db.execute(f"DROP TABLE IF EXISTS {old}")
         except sqlite3.Error:
             db.close()
             raise

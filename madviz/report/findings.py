@@ -9,7 +9,7 @@ follows from its interval alone:
     first is ahead    below 0                        contradicted here
     both are alike    within 10 points either way    shown here, or shown in part
     both are alike    holds 0, and is wider          not shown
-    both are alike    to one side of 0, and wider    contradicted here
+    both are alike    beyond 10, on one side of 0    contradicted here
 
 *Shown here* takes reinforcement learning, which the paper's sentences are about, with three
 trainings or more. All else is *shown in part*. A claim whose rows were not measured is left out.

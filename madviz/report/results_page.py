@@ -131,11 +131,12 @@ def _seeds_words(verdicts: Sequence[Verdict], tables: Sequence[ResultTable]) -> 
 
 def _trained_again(rows: Sequence[Row]) -> str:
     """The policies that were read there under several digests."""
-    again = []
+    again: list[str] = []
     for name, task, path in _policies(rows):
         read, digests = times_read(readings(path), name, task, range(FIRST_READ, FIRST_REPORTING))
-        if digests > 1:
-            again.append(f"{name} ({read} times)")
+        words = f"{name} ({read} times)"
+        if digests > 1 and words not in again:  # Folders without weights may share a name.
+            again.append(words)
     if not again:
         return ""
     return f"Some policies were trained again after a reading and read again: {', '.join(again)}. "

@@ -13,7 +13,6 @@ import numpy as np
 from madviz.analysis.foresight import foresee
 from madviz.analysis.imagination import Imagined, imagined, moving_psnr
 from madviz.errors import UserError
-from madviz.observation.condition import Condition
 from madviz.subsets import mask_of
 from madviz.teaching.episode import Moment
 from madviz.teaching.names import named
@@ -25,9 +24,9 @@ def imagined_at(moment: Moment, subset: str) -> dict[str, Imagined]:
     """By name, every stream that is not in ``subset``, imagined from those that are. Raises
     UserError for unknown words, and for a policy that cannot imagine."""
     policy = moment.policy
-    ablation = Condition(subset).ablation(policy.spec.streams)
+    mask = mask_of(subset, policy.spec.streams)
     encoded = policy.encode(moment.stack, moment.state)
-    found = imagined(policy, encoded, ablation, moment.views, moment.env)
+    found = imagined(policy, encoded, mask, mask, moment.views, moment.env)
     if not found:
         raise UserError(f"{policy.spec.name} imagines nothing from {subset!r}; drop a camera")
     return found
