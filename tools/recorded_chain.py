@@ -19,11 +19,13 @@ import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from datetime import date
 from pathlib import Path
 from typing import NamedTuple
 
 from policy_files import ROOT
 
+from madviz.measure.readings import LEDGER, Reading
 from madviz.policies.checkpoint import describe
 
 TASK = "metaworld/hammer"
@@ -158,6 +160,8 @@ def evaluate(piece: Piece, conditions: Sequence[Condition]) -> None:
                 for key in ("success", "success_any")
             )
             change = "" if one.guard else changes.get(one[:3], "")
+            if one == INTACT:
+                _note(piece, digest)
             _add(Row(piece.method, piece.seed, digest, *one, change, FIRST_SEED, last, ever))
 
 
@@ -186,6 +190,15 @@ def _add(row: Row) -> None:
         new = not TABLE.exists()
         with TABLE.open("a", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows(([Row._fields] if new else []) + [row])
+
+
+def _note(piece: Piece, digest: str) -> None:
+    """Adds a policy to the ledger of readings, with its first rate."""
+    name = f"recorded-{piece.policy.name}"
+    last = FIRST_SEED + COUNT - 1
+    row = Reading(date.today().isoformat(), name, TASK, digest, FIRST_SEED, last)
+    with _WRITING, (ROOT / LEDGER).open("a", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(row)
 
 
 @contextmanager
