@@ -232,7 +232,7 @@ def main(words: Sequence[str]) -> None:
     with ThreadPoolExecutor(TRAIN_AT_ONCE) as pool:
         list(pool.map(train, pieces))
     with ThreadPoolExecutor(EVALUATE_AT_ONCE) as pool:
-        for conditions in (PLAIN[:7], PLAIN[7:10], PLAIN[10:], GUARDED):
+        for conditions in (PLAIN[:7], PLAIN[7:10], PLAIN[10:], GUARDED[:3], GUARDED[3:]):
             list(pool.map(lambda piece, these=conditions: evaluate(piece, these), pieces))
 
 

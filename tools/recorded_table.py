@@ -24,6 +24,7 @@ from recorded_chain import (
 )
 from scipy.stats import rankdata
 
+from madviz.measure.audit.recorded import HARDLY
 from madviz.measure.statistics import SuccessRate
 
 NAMES = {"mad": "MAD", "merged-only": "Merged Only", "singular-only": "Singular Only"}
@@ -122,7 +123,19 @@ def _sentences(every: list[Point]) -> str:
             f"{right} of them, the camera with the largest change costs most (by chance, about a "
             "third)."
         )
-    return "\n".join(f"- {line}" for line in lines)
+    return "\n".join(f"- {line}" for line in [*lines, _by_limit(every)])
+
+
+def _by_limit(every: list[Point]) -> str:
+    """The losses above and below the audit's limit."""
+    above = [one.lost for one in every if one.change > HARDLY]
+    below = [one.lost for one in every if one.change <= HARDLY]
+    costly = [sum(lost > COSTS * COUNT for lost in side) for side in (above, below)]
+    return (
+        f"Above the audit's limit of {HARDLY} spreads, {costly[0]} of {len(above)} cases cost more "
+        f"than 10 points; below it, {costly[1]} of {len(below)}, and at most {max(below)} of "
+        f"{COUNT} episodes."
+    )
 
 
 def _verdict(low: float, high: float) -> str:
