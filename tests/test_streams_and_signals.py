@@ -122,7 +122,7 @@ def test_a_signal_before_anything_began_says_that_nothing_is_lost(
     def stopped(reference: str) -> None:
         raise Terminated
 
-    monkeypatch.setattr(cli, "named", stopped)
+    monkeypatch.setattr(cli, "load", stopped)
     assert cli.main(words.split()) == 143
     assert capsys.readouterr().err == ("madviz: stopped; it had not begun, so nothing is lost\n")
     assert list(tmp_path.iterdir()) == []
