@@ -359,6 +359,27 @@ def test_a_site_that_is_not_whole_says_so(visit, tmp_path: Path):
         assert "newer browser" in words
 
 
+CLICKED = """async () => {
+  const {SwitchBoard} = await import('./switches.js');
+  const entry = {cameras: [{name: 'first', label: 'First'}], streams: ['first'], recorded: false};
+  const board = new SwitchBoard(entry, 'a', () => {});
+  document.body.append(board.element);
+  const before = {cameras: {}, moves: {}};
+  const [on, off] = board.element.querySelectorAll('input[type=radio]');
+  board.update(before);
+  off.click();
+  board.update(before);
+  const stands = off.checked;
+  await new Promise(done => setTimeout(done, 1100));
+  return [stands, on.checked];
+}"""
+"""A click, and a frame that was on its way; then no frame that shows what was asked for."""
+
+
+def test_a_click_stands_until_a_frame_shows_it_or_none_comes(visit, address):
+    assert visit(address).evaluate(CLICKED) == [True, True]
+
+
 def test_who_drops_a_camera_is_asked_and_told(visit, address):
     page = visit(address + f"#policy={MERGED_ONLY}", reduced_motion="reduce")  # It stands still.
     page.locator("[data-camera=first] input[value=off]").check(force=True)
@@ -370,7 +391,7 @@ def test_who_drops_a_camera_is_asked_and_told(visit, address):
     page.get_by_role("button", name="Again", exact=True).click()
     page.get_by_role("button", name="Pause", exact=True).click()
     page.locator("[data-camera=first] input[value=both]").check(force=True)
-    until(page, "First person is back", "#line")  # A frame from before would set the switch again.
+    until(page, "First person is back", "#line")
     page.locator("[data-camera=first] input[value=off]").check(force=True)
     page.get_by_role("button", name="Just show me").click()
     page.locator("[data-camera=third_a] input[value=off]").check(force=True)

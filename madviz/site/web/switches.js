@@ -27,6 +27,9 @@ const FAILURES = [['none', 'its picture'], ['black', 'black'], ['noise', 'noise'
 const SLIDERS = {noise: [['strength', 'strength']], blur: [['strength', 'strength']],
   patch: [['x', 'across'], ['y', 'down'], ['width', 'width'], ['height', 'height']]};
 
+/** Milliseconds in which a click stands although no frame shows it yet. */
+const CONFIRM = 1000;
+
 /** Cards have ids of their own on the page, also where both sides have theirs. */
 let count = 0;
 
@@ -129,9 +132,15 @@ export class SwitchBoard {
       ? [['rgb', 'colour'], ['depth', 'depth'], ['both', 'both'], ['off', 'off']]
       : [['both', 'on'], ['off', 'off']];
     const group = `input-${count += 1}`;
+    let asked = '';
+    let since = -Infinity;
+    let latest = intact();
     const radios = choices.map(([value, words]) => {
-      const radio = make('input', {type: 'radio', name: group, value, onchange: () =>
-        this.set(camera, {...this.stateOf(camera), input: value})});
+      const radio = make('input', {type: 'radio', name: group, value, onchange: () => {
+        asked = value;
+        since = performance.now();
+        this.set(camera, {...this.stateOf(camera), input: value});
+      }});
       return {radio, label: make('label', {}, radio, make('span', {}, words))};
     });
     const kind = choices.length > 2 ? 'segments long' : 'segments';
@@ -140,6 +149,13 @@ export class SwitchBoard {
     /** @param {CameraState} state */
     const update = state => {
       const shown = choices.some(([value]) => value === state.input) ? state.input : 'both';
+      latest = state;
+      // A frame that was on its way when a visitor clicked shows what was before.
+      if (shown !== asked && performance.now() - since < CONFIRM) {
+        setTimeout(() => update(latest), CONFIRM);
+        return;
+      }
+      since = -Infinity;
       for (const {radio} of radios) radio.checked = radio.value === shown;
     };
     return {element, update};
