@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from madviz.report.findings import HEADER, findings_table, verdict
+from madviz.errors import UserError
+from madviz.report.designs import design_tables, read_rows
+from madviz.report.findings import HEADER, findings_table, judged, verdict
 from tests.evidence import rates, write_policy
 from tests.reports import every_table, report
 
@@ -66,3 +68,51 @@ def test_a_training_is_not_compared_with_itself(tmp_path: Path) -> None:
     text = report(tmp_path)[1]
     assert "one and the same training" in text and "MAD minus merged-only" in text
     assert "MAD minus naive-both" not in text
+
+
+COLUMNS = "task,episodes,seed,method,alpha,camera,subset,first_seed,at_last_step,at_any_step\n"
+
+
+def write_design(folder: Path, trainings: int) -> None:
+    """MAD always succeeds; Merged Only with all cameras and the first; Single Camera in 9 of 10."""
+    lines = []
+    for seed in range(1, trainings + 1):
+        for subset in ("all", "first", "third_a", "third_b"):
+            lines.append(f"toy/reach,own,{seed},mad,0.8,,{subset},30000,1111111111,1111111111")
+            digits = ("1" if subset in ("all", "first") else "0") * 10
+            lines.append(f"toy/reach,own,{seed},merged-only,0.8,,{subset},30000,{digits},{digits}")
+        alone = "1111111110,1111111111"
+        lines.append(f"toy/reach,own,{seed},single,0.8,third_a,all,30000,{alone}")
+    (folder / "rewards.csv").write_text(COLUMNS + "\n".join(lines) + "\n")
+
+
+def test_a_design_has_rows_of_the_front_page_once_it_is_complete(tmp_path: Path) -> None:
+    write_design(tmp_path, 4)
+    assert judged(design_tables(tmp_path)) == []
+    write_design(tmp_path, 5)
+    merged, single = judged(design_tables(tmp_path))
+    assert (merged.gap.value, merged.verdict) == (0.5, "shown here")
+    assert merged.measured == (
+        "reinforcement learning, toy/reach (no robot), 5 trainings, n = 50, development (read)"
+    )
+    assert merged.sentence.endswith("**shown here**, +50 points on toy/reach (no robot).")
+    assert (single.gap.value, single.gap.columns) == (pytest.approx(0.1), ("third_a",))
+    write_policy(tmp_path, rates(0.9, 0.9, 0.9, 0.9))
+    assert merged.measured in report(tmp_path)[1]
+
+
+def test_outcomes_at_any_step_are_read_from_their_own_column(tmp_path: Path) -> None:
+    write_design(tmp_path, 1)
+    rows = {row.label: row for _, row in read_rows(tmp_path / "rewards.csv", "at_any_step")}
+    alone = rows["single"].rate("third_a")
+    assert alone and alone.value == 1
+    assert rows["single"].rate("all") is None
+
+
+@pytest.mark.parametrize(
+    "text", ["task,method\n", COLUMNS.replace("seed,", "") + "toy/reach,own,mad,0.8,,all,1,1,1\n"]
+)
+def test_a_design_with_other_columns_is_refused_in_a_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / "rewards.csv").write_text(text + "toy/reach,own\n")
+    with pytest.raises(UserError, match=r"rewards.csv: expected a design's columns"):
+        design_tables(tmp_path)

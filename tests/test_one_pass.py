@@ -1,4 +1,4 @@
-"""Pages and sessions read all subsets in one pass, evaluations one: the actions are the same but for
+"""Pages and sessions read all subsets in one pass, evaluations one: actions are the same but for
 their last bits, as sums of another order are, and so is success."""
 
 from __future__ import annotations

@@ -3,12 +3,11 @@ from results/rewards.csv (``python tools/designs.py rewards``)."""
 
 from __future__ import annotations
 
-import csv
-
 from designs import FROM_REWARDS
 from measurements import table
 from policy_files import ROOT
 
+from madviz.report.designs import read_rows
 from madviz.report.findings import verdict
 from madviz.report.layouts import THREE
 from madviz.report.rows import Row, difference
@@ -21,13 +20,15 @@ NAMES = {
     "naive-both": "Naive Both",
     "single": "Single Camera on Third A",
 }
-LAST = "at_last_step"
-EVER = "at_any_step"
 
 
 def rewards() -> str:
     """The design's outcomes; before all of its trainings are there, how many are."""
-    last, ever = measured(LAST), measured(EVER)
+    file = ROOT / "results" / "rewards.csv"
+    last, ever = (
+        {row.label: row for _, row in read_rows(file, outcome)}
+        for outcome in ("at_last_step", "at_any_step")
+    )
     finished = sum(row.trainings for row in last.values())
     wanted = TRAININGS * len(FROM_REWARDS)
     if finished < wanted:
@@ -43,20 +44,6 @@ def rewards() -> str:
     header = ["method", "all", "Third A alone", "mean of all and singles", "the same, at any step"]
     text = table(header, [[cell or "–" for cell in line] for line in lines])
     return f"{text}\n{''.join(f'- {line}' for line in sentences(last, ever))}"
-
-
-def measured(column: str) -> dict[str, Row]:
-    """A row for each method, from the outcomes in ``column``. Single Camera's one subset, whose
-    file calls it all, is its camera."""
-    found: dict[str, Row] = {}
-    with (ROOT / "results" / "rewards.csv").open(newline="") as file:
-        for one in csv.DictReader(file):
-            row = found.setdefault(one["method"], Row(NAMES[one["method"]]))
-            cell = row.cells.setdefault(one["camera"] or one["subset"], {})
-            for number, digit in enumerate(one[column]):
-                seed = int(one["first_seed"]) + number
-                cell[one["task"], int(one["seed"]), seed] = digit == "1"
-    return found
 
 
 def sentences(last: dict[str, Row], ever: dict[str, Row]) -> list[str]:

@@ -53,14 +53,16 @@ def page(
     evidence: Sequence[Evidence],
     verdicts: Sequence[Verdict],
     tables: Sequence[ResultTable],
+    designs: Sequence[ResultTable],
     drawn: Mapping[str, str],
     sweeps: str,
 ) -> str:
-    """The file's text. ``drawn``: the pictures by name; ``sweeps``: the folder of sweep files."""
+    """The file's text. ``designs``: tables that serve the claims only; ``drawn``: the pictures by
+    name; ``sweeps``: the folder of sweep files."""
     bare = sum(not (policy.path / WEIGHTS).is_file() for policy in evidence)
     captions = {name: caption for name in drawn if (caption := _caption(name))}
     pictured = [f"![{text}](pictures/{name})\n\n{text}" for name, text in captions.items()]
-    found = findings_table(tables)
+    found = findings_table([*tables, *designs])
     sections = [
         "# Results",
         *([FINDINGS_WORDS, found.rstrip()] if found else []),
@@ -86,7 +88,7 @@ def page(
         "The paper's sentences are about reinforcement learning, five trainings for each row. They "
         "stand beside our differences. We judge a sentence of the paper only from rows with three "
         "or more trainings by reinforcement learning."
-        f"{'' if _judged(tables) else ' We have none, so we judge no sentence.'}",
+        f"{'' if _judged(tables) else ' The tables below have none, and no verdict.'}",
         _seeds_words(verdicts, tables),
         _threshold_section(verdicts, f"{sweeps}/twenty.toml"),
         *(
