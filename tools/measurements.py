@@ -96,6 +96,13 @@ BENCHMARKS = (
         "evaluate --workers 2",
         "{ours:.1f} episodes per minute; one process {serial:.1f} ({ratio_serial:.1f} times), with "
         "the simulator's own rendering {stock:.2f} ({ratio_stock:.0f} times)",
+    ),    (
+        "recordings",
+        "",
+        "recordings --lerobot PYTHON",
+        "{episodes} episodes of three cameras, {height} x {width}: {frames_per_s:.0f} pictures "
+        "read in a second, {times_lerobot:.1f} times as many as by LeRobot's loader; a round of "
+        "training {round_s:.0f} s; {memory_mb:,.0f} MB",
     ),
 )
 """A file of results/archive/bench, the part that is meant, its command, a sentence about it."""

@@ -48,8 +48,8 @@ def read_rows(file: Path, outcome: Outcome) -> list[tuple[str, Row]]:
     try:
         with file.open(newline="") as lines:
             for line in csv.DictReader(lines):
-                task, method = line["task"], line["method"]
-                row = found.setdefault((task, method), Row(method))
+                task = line["task"]
+                row = found.setdefault((task, line["method"]), Row(line["method"]))
                 cell = row.cells.setdefault(line["camera"] or line["subset"], {})
                 for number, digit in enumerate(line[outcome]):
                     unit = (task, int(line["seed"]), int(line["first_seed"]) + number)
